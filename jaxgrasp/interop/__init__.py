@@ -1,0 +1,1 @@
+"""Grasps out of other people's simulators and hand models (extra ``hands``)."""

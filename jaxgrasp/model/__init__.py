@@ -1,0 +1,1 @@
+"""The types every other layer speaks, and the conventions they carry."""

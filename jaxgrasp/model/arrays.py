@@ -1,0 +1,9 @@
+"""Array types of the public surface."""
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int, Num
+
+AnyArray = jax.Array | np.ndarray
+
+__all__ = ["AnyArray", "Float", "Int", "Num"]

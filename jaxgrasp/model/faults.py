@@ -1,0 +1,114 @@
+"""What is wrong with concrete grasp data: found all at once, in NumPy, before anything is computed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxgrasp.model.grasp import Grasp
+
+UNIT_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One bad entry: the field, where in it, what stands there, and what should."""
+
+    field: str
+    index: tuple[int, ...]
+    value: object
+    expected: str
+
+    def __str__(self) -> str:
+        place = f"[{', '.join(map(str, self.index))}]" if self.index else ""
+        return f"{self.field}{place} is {self.value}: expected {self.expected}"
+
+
+class GraspError(ValueError):
+    """Concrete grasp data that cannot be used. ``fault`` says which entry."""
+
+    def __init__(self, fault: Fault):
+        super().__init__(str(fault))
+        self.fault = fault
+
+
+def check_grasp(grasp: Grasp) -> Grasp:
+    """Raise unless the concrete ``grasp`` is usable, and return it unchanged.
+
+    Checked, in this order: shapes, dtypes, finite values, unit normals (to 1e-6), friction and squeeze
+    not negative. Entries of absent contacts are not looked at, since no method reads them.
+
+    Raises:
+        GraspError: naming the field, the first bad index, the value and what was expected.
+        TypeError: if the grasp is traced, as under ``jit``: there are no values to check.
+    """
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(grasp)):
+        raise TypeError("check_grasp needs concrete arrays: call it outside jit, vmap and grad")
+    for fault in shape_faults(grasp):
+        raise GraspError(fault)
+    fields = {name: np.asarray(getattr(grasp, name)) for name in ("points", "normals", "friction", "squeeze")}
+    present = None if grasp.present is None else np.asarray(grasp.present)
+    for fault in value_faults(**fields, present=present):
+        raise GraspError(fault)
+    return grasp
+
+
+def shape_faults(grasp: Grasp) -> Iterator[Fault]:
+    """Fields of a Grasp whose shape or dtype does not fit ``points``."""
+    shape = np.shape(grasp.points)
+    if len(shape) < 2 or shape[-1] != 3:
+        yield Fault("points", (), f"an array of shape {shape}", "a shape (..., n, 3)")
+        return
+    wanted = {"normals": shape, "friction": shape[:-1], "squeeze": shape[:-1], "present": shape[:-1]}
+    for name, expected in wanted.items():
+        array = getattr(grasp, name)
+        if not (name == "present" and array is None) and np.shape(array) != expected:
+            yield Fault(name, (), f"an array of shape {np.shape(array)}", f"the shape {expected} that points imply")
+    dtype = np.asarray(grasp.points).dtype
+    for name in ("points", *wanted):
+        array = getattr(grasp, name)
+        if array is None:
+            continue
+        if not np.issubdtype(np.asarray(array).dtype, np.floating):
+            yield Fault(name, (), f"an array of {np.asarray(array).dtype}", "floating-point numbers")
+        elif np.asarray(array).dtype != dtype:
+            yield Fault(name, (), f"an array of {np.asarray(array).dtype}", f"the dtype {dtype} of points")
+
+
+def value_faults(
+    points: np.ndarray,
+    normals: np.ndarray,
+    friction: np.ndarray,
+    squeeze: np.ndarray,
+    present: np.ndarray | None = None,
+) -> Iterator[Fault]:
+    """Every entry that breaks a rule, field by field; shapes must fit already."""
+    if present is not None:
+        yield from _entries("present", present, (present != 0) & (present != 1), "0 or 1")
+        looked_at = present == 1
+    else:
+        looked_at = np.ones(friction.shape, bool)
+    finite_normals = np.isfinite(normals).all(-1)
+    yield from _entries("points", points, looked_at & ~np.isfinite(points).all(-1), "finite coordinates [m]")
+    yield from _entries("normals", normals, looked_at & ~finite_normals, "finite components")
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.sqrt(np.einsum("...i,...i->...", normals, normals))
+        # A float32 file keeps unit length to about 1e-7, so one tolerance serves both precisions.
+        not_unit = looked_at & finite_normals & (np.abs(length - 1) > UNIT_TOLERANCE)
+        yield from _entries("normals", normals, not_unit, "a vector of length 1 (to 1e-6)", length)
+        for name, values in (("friction", friction), ("squeeze", squeeze)):
+            bad = looked_at & ~(np.isfinite(values) & (values >= 0))
+            yield from _entries(name, values, bad, "a finite number, zero or more")
+
+
+def _entries(
+    field: str, values: np.ndarray, bad: np.ndarray, expected: str, length: np.ndarray | None = None
+) -> Iterator[Fault]:
+    for index in np.argwhere(bad):
+        place = tuple(int(i) for i in index)
+        value = values[place]
+        shown = np.array2string(value, precision=6) if value.ndim else repr(value.item())
+        if length is not None:
+            shown += f", of length {length[place]:.9g}"
+        yield Fault(field, place, shown, expected)

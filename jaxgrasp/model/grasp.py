@@ -1,0 +1,36 @@
+"""The Grasp: n contacts between a hand and an object, and the conventions of the whole package.
+
+- SI units. Points, normals and wrenches are written in one frame; a wrench is (force, torque about
+  that frame's origin).
+- Normals are unit vectors that point INTO the object. The paper's eq. 3 has them outward while its
+  squeezing force (eq. 6) needs them inward; here they are inward throughout.
+- Forces are what the hand exerts ON the object: a contact that presses has f.a > 0.
+- A wrench is what the contacts must exert, w = -(F_ext, N_ext) of eq. 1, so that G f = w.
+- The last axes are (contact, component); every axis before them is a batch axis.
+"""
+
+import equinox as eqx
+
+from jaxgrasp.model.arrays import AnyArray, Float
+
+
+class Grasp(eqx.Module):
+    """Contacts of a hand with an object, alone or in batches (source: section II-C and eq. 6).
+
+    Building one checks nothing, so that it works under ``jit``, ``vmap`` and ``grad``; hand concrete
+    data to [`jaxgrasp.check_grasp`][] first.
+    """
+
+    points: Float[AnyArray, "*batch n 3"]
+    """Where the hand touches the object [m]."""
+    normals: Float[AnyArray, "*batch n 3"]
+    """Unit surface normals that point into the object."""
+    friction: Float[AnyArray, "*batch n"]
+    """Coulomb coefficients mu >= 0."""
+    squeeze: Float[AnyArray, "*batch n"]
+    """Intended normal forces s >= 0 [N] (eq. 6)."""
+    present: Float[AnyArray, "*batch n"] | None = None
+    """1 where the contact exists, 0 where it is padding; ``None`` means that all exist.
+
+    An absent contact carries exactly zero force and has zero derivative, whatever its other fields hold.
+    """

@@ -1,0 +1,76 @@
+"""What a force-distribution method answers: the forces, and a verdict that says what they are worth."""
+
+from enum import IntEnum
+
+import equinox as eqx
+
+from jaxgrasp.model.arrays import AnyArray, Float, Int
+
+
+class Verdict(IntEnum):
+    """The outcome of one problem. The codes are stable in files.
+
+    ``Verdict(int(solution.verdict)).advice`` is a sentence to act on.
+    """
+
+    advice: str
+
+    CLOSED_FORM_OPTIMAL = 0, "The closed form lies inside every friction cone, so it is the constrained optimum."
+    OPTIMAL = 1, "The constrained optimum: at least one friction cone holds the forces back from the closed form."
+    OUTSIDE_CONES = (
+        2,
+        "These forces balance the wrench, but a contact slips or pulls: use constrained_optimum for forces that friction allows.",
+    )
+    INFEASIBLE = (
+        3,
+        "No allowed forces give this wrench: the object escapes along minus the certificate. "
+        "Add contacts, friction, or move contacts against that twist.",
+    )
+    NO_CONTACTS = (
+        4,
+        "No contact can carry a force: none is present, or all sharing weights are zero (squeeze, for method B).",
+    )
+    NOT_CONVERGED = (
+        5,
+        "Neither an optimum nor a proof that there is none was found: look at the residual, and try float64 or rescale "
+        "an extreme friction or squeeze.",
+    )
+    INVALID_DATA = 6, "The data hold NaN, infinite or negative entries or zero normals: run check_grasp on it."
+
+    def __new__(cls, code: int, advice: str) -> "Verdict":
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.advice = advice
+        return member
+
+    @property
+    def solved(self) -> bool:
+        """Whether the forces balance the wrench inside every friction cone."""
+        return self in (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
+
+
+class Solution(eqx.Module):
+    """Contact forces and how good they are, for one problem or a batch.
+
+    Differentiate its fields (``forces``, ``multiplier``, ``objective``), not the whole: ``verdict``,
+    ``steps`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
+    """
+
+    forces: Float[AnyArray, "*batch n 3"]
+    """What the hand exerts on the object at each contact [N]."""
+    multiplier: Float[AnyArray, "*batch 6"]
+    """Lagrange multiplier of G f = w about the frame's origin (eq. 8); of minimal norm, in the grasp's own
+    centred and scaled coordinates, where it is not unique."""
+    verdict: Int[AnyArray, "*batch"]
+    """Code of a [`jaxgrasp.Verdict`][]."""
+    residual: Float[AnyArray, "*batch"]
+    """Backward error of G f = w: dimensionless, near machine precision for a sound answer."""
+    objective: Float[AnyArray, "*batch"]
+    """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing."""
+    steps: Int[AnyArray, "*batch"]
+    """Newton steps taken; 0 where the closed form was already optimal."""
+    rank: Int[AnyArray, "*batch"]
+    """Rank of the weighted grasp matrix: directions of wrench that the contacts reach, at most 6."""
+    certificate: Float[AnyArray, "*batch 6"]
+    """For INFEASIBLE and NO_CONTACTS: d = (linear, angular) about the frame's origin with w.d > 0 while no
+    contact can push along it; the object escapes along -d. Zero otherwise."""

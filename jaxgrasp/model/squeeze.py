@@ -1,0 +1,63 @@
+"""Squeezing forces: the normal force that a penetration depth asks for, and how a hand shares it."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+
+
+def squeezing(
+    contribution: Float[AnyArray, "*batch"] | float,
+    stiffness: Float[AnyArray, "*batch"] | float,
+    depth: Float[AnyArray, "*batch"] | float,
+) -> Float[Array, "*batch"]:
+    """Squeezing force s = c K delta of eq. 6 [N]; zero where the contact is open (depth < 0).
+
+    Args:
+        contribution: share c of the phalanx in the grip [1], for example a row of Table I.
+        stiffness: of the simulated contact K [N/m].
+        depth: penetration delta [m].
+    """
+    return jnp.asarray(contribution) * stiffness * jnp.maximum(depth, 0)
+
+
+@dataclass(frozen=True)
+class Contributions:
+    """How much each phalanx contributes to a grip (the c of eq. 6)."""
+
+    grip: str
+    fingers: tuple[str, ...]
+    phalanges: tuple[str, ...]
+    values: np.ndarray
+    """``(phalanges, fingers)``, dimensionless."""
+    source: str
+
+    def of(self, finger: str, phalanx: str) -> float:
+        """The contribution of one phalanx; raises KeyError for a name that the table lacks."""
+        for name, known in ((finger, self.fingers), (phalanx, self.phalanges)):
+            if name not in known:
+                raise KeyError(f"{name!r} is not in this table: expected one of {', '.join(known)}")
+        return float(self.values[self.phalanges.index(phalanx), self.fingers.index(finger)])
+
+    @property
+    def finger_totals(self) -> np.ndarray:
+        """Contribution of each whole finger, the last row of Table I."""
+        return self.values.sum(0)
+
+
+def _read_only(rows: list[list[float]]) -> np.ndarray:
+    values = np.array(rows)
+    values.flags.writeable = False
+    return values
+
+
+CYLINDRICAL_POWER_GRIP = Contributions(
+    grip="cylindrical power",
+    fingers=("index", "middle", "ring", "little"),
+    phalanges=("proximal", "middle", "distal"),
+    values=_read_only([[1.44, 1.44, 1.08, 0.72], [0.24, 0.24, 0.24, 0.12], [1.92, 2.16, 1.44, 0.96]]),
+    source="Tzafestas 2003, Table I (it names no thumb and no palm)",
+)

@@ -1,0 +1,1 @@
+"""Arithmetic that knows nothing of grasps: vectors in components, small factorisations."""

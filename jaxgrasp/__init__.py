@@ -2,3 +2,50 @@
 
 The public names below load on first use, so that parts which need no JAX can be imported without it.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
+    from jaxgrasp.force.distribution import ForceSplit, closed_form, constrained_optimum, split_forces
+    from jaxgrasp.force.lagrange import lagrange_forces
+    from jaxgrasp.model.faults import Fault, GraspError, check_grasp
+    from jaxgrasp.model.grasp import Grasp
+    from jaxgrasp.model.solution import Solution, Verdict
+    from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
+    from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
+
+_HOME = {
+    "CYLINDRICAL_POWER_GRIP": "model.squeeze",
+    "Contributions": "model.squeeze",
+    "Fault": "model.faults",
+    "ForceSplit": "force.distribution",
+    "Grasp": "model.grasp",
+    "GraspError": "model.faults",
+    "Solution": "model.solution",
+    "Verdict": "model.solution",
+    "check_grasp": "model.faults",
+    "closed_form": "force.distribution",
+    "constrained_optimum": "force.distribution",
+    "friction_margin": "force.angles",
+    "grasp_matrix": "model.wrench",
+    "lagrange_forces": "force.lagrange",
+    "slip_angle": "force.angles",
+    "split_forces": "force.distribution",
+    "squeezing": "model.squeeze",
+    "stability_margin": "force.angles",
+    "weight_wrench": "model.wrench",
+}
+
+__all__ = sorted(_HOME)  # noqa: PLE0605
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module 'jaxgrasp' has no attribute {name!r}")
+    return getattr(import_module(f"jaxgrasp.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

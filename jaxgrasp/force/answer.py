@@ -1,0 +1,116 @@
+"""What a kernel hands back for each problem, and how good it is: batch-first again, in the user's units."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import dual
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Frame, Lanes, certificate_out, forces_out, multiplier_out
+from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+
+class Answer(NamedTuple):
+    """The fields of a Solution, and whether this stage leaves the problem to the next one."""
+
+    forces: Array
+    multiplier: Array
+    verdict: Array
+    residual: Array
+    objective: Array
+    steps: Array
+    rank: Array
+    certificate: Array
+    undecided: Array
+
+
+class Outcome(NamedTuple):
+    """What a stage found in the lanes' own coordinates, before units."""
+
+    forces: Vec
+    multiplier: Six
+    verdict: Array
+    steps: Array
+    certificate: Six | None
+    undecided: Array
+
+
+def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome) -> Answer:
+    """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
+    solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
+    answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)
+    error = backward_error(lanes, outcome.forces, stretch)
+    unsound = answered & ~(error <= tolerances(error.dtype).balance)
+    verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, outcome.verdict)
+    verdict = jnp.where(frame.weight > 0, verdict, Verdict.NO_CONTACTS)
+    verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
+    objective = jnp.sum(dual.spread(lanes, outcome.forces), 0, keepdims=True)
+    unit = vec.safe_divide(frame.load, frame.weight) * frame.load
+    linear, angular = multiplier_out(
+        Vec(*outcome.multiplier[:3]), vec.times(stretch, Vec(*outcome.multiplier[3:])), frame
+    )
+    one = jnp.ones((1, size), error.dtype)
+    certificate = _certificate(lanes, frame, stretch, outcome, verdict, one)
+    return Answer(
+        forces=jnp.stack([c * one for c in forces_out(outcome.forces, frame)]).transpose(2, 1, 0),
+        multiplier=_rows((*linear, *angular), one),
+        verdict=_row(verdict, size).astype(jnp.int32),
+        residual=_row(error, size),
+        objective=_row(unit * objective, size),
+        steps=_row(outcome.steps, size).astype(jnp.int32),
+        rank=_row(rank(frame, stretch), size).astype(jnp.int32),
+        certificate=certificate,
+        undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),
+    )
+
+
+def rank(frame: Frame, stretch: Vec) -> Array:
+    turns = sum((s > 0).astype(jnp.int32) for s in stretch)
+    return jnp.where(frame.weight > 0, 3 + turns, 0)
+
+
+def backward_error(lanes: Lanes, forces: Vec, stretch: Vec) -> Array:
+    """|w - G f| / (|w| + sum of |G_i||f_i|), in the lanes' coordinates and as stretched: the larger."""
+    one = jnp.ones_like(lanes.force.x)
+    size2 = vec.dot(lanes.arms, lanes.arms)
+    push = vec.norm(forces)
+
+    def relative(scales: Vec) -> Array:
+        rest = dual.residual(lanes, forces, scales)
+        wrench = (*lanes.force, *vec.times(scales, lanes.torque))
+        reach2 = sum(s * s * (size2 - r * r) for s, r in zip(scales, lanes.arms, strict=True))
+        through_contacts = jnp.sum(jnp.sqrt(1 + jnp.maximum(reach2, 0)) * push, 0, keepdims=True)
+        return vec.safe_divide(_length(rest), _length(wrench) + through_contacts)
+
+    return jnp.maximum(relative(Vec(one, one, one)), relative(stretch))
+
+
+def _length(six: Six) -> Array:
+    return jnp.sqrt(sum(x * x for x in six))
+
+
+def _certificate(lanes: Lanes, frame: Frame, stretch: Vec, outcome: Outcome, verdict: Array, one: Array) -> Array:
+    """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself."""
+    if outcome.certificate is None:
+        linear, angular = Vec(*(jnp.zeros_like(c) for c in lanes.force)), Vec(*(jnp.zeros_like(c) for c in lanes.torque))
+    else:
+        linear, angular = Vec(*outcome.certificate[:3]), Vec(*outcome.certificate[3:])
+        linear = vec.where(verdict == Verdict.INFEASIBLE, linear, vec.scale(jnp.zeros_like(linear.x), linear))
+        angular = vec.where(verdict == Verdict.INFEASIBLE, angular, vec.scale(jnp.zeros_like(angular.x), angular))
+    bare = verdict == Verdict.NO_CONTACTS
+    rest = dual.residual(lanes, outcome.forces, Vec(*(jnp.ones_like(c) for c in stretch)))
+    linear = vec.where(bare, Vec(*rest[:3]), linear)
+    angular = vec.where(bare, Vec(*rest[3:]), angular)
+    return _rows((*sum(certificate_out(linear, angular, frame), ()),), one)
+
+
+def _row(array: Array, size: int) -> Array:
+    return jnp.broadcast_to(array[0], (size,))
+
+
+def _rows(arrays: tuple[Array, ...], one: Array) -> Array:
+    return jnp.concatenate([a * one for a in arrays]).T

@@ -1,0 +1,41 @@
+"""Proofs that no allowed forces give a wrench.
+
+If w.d > 0 while no contact can push along d, nothing balances w. In floating point a contact may push
+along d by rounding; what the direction then proves is that any solution needs at least
+(w.d) / (largest push per unit of normal force) of total normal force, and only a need far beyond the load counts.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import cones, dual
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+
+def proves_infeasible(lanes: Lanes, direction: Six, stretch: Vec) -> Array:
+    """Whether ``direction`` (stretched coordinates) shows that the load is out of any sensible force's reach."""
+    twist = dual.twist_at(lanes, direction, stretch)
+    push = cones.support(twist, lanes.normals, lanes.friction)
+    can_move = lanes.weights > 0
+    largest = jnp.max(jnp.where(can_move, push, 0), 0, keepdims=True)
+    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
+    wrench = (*lanes.force, *vec.times(stretch, lanes.torque))
+    work = sum(w * d for w, d in zip(wrench, direction, strict=True)) - jnp.sum(fixed, 0, keepdims=True)
+    rounding = 64 * jnp.finfo(work.dtype).eps * jnp.sqrt(sum(d * d for d in direction))
+    return (work > rounding) & (largest * tolerances(work.dtype).proof <= work)
+
+
+def out_of_range(lanes: Lanes, stretch: Vec) -> tuple[Array, Six]:
+    """Whether torque is asked for about axes that no contact reaches, and that torque as a direction.
+
+    The direction is in unstretched coordinates, where a stretch of zero would hide it.
+    """
+    zero = jnp.zeros_like(lanes.force.x)
+    beyond = Vec(*(jnp.where(s > 0, 0, t) for s, t in zip(stretch, lanes.torque, strict=True)))
+    # Loads are of order one here, so this compares with the whole load.
+    missed = vec.norm(beyond) > tolerances(zero.dtype).range
+    return missed, (zero, zero, zero, *beyond)

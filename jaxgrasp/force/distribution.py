@@ -1,0 +1,144 @@
+"""The public answers: which force at each contact, by closed form or by constrained optimum."""
+
+import warnings
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.force.shells import solver
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Solution
+
+Sharing = str | AnyArray
+
+
+def closed_form(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> Solution:
+    """Forces closest to the squeezing forces that balance a wrench, friction not imposed.
+
+    Minimises the sum of |f_i - s_i a_i|^2 / (2 k_i) subject to G f = w.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        sharing: the weights k: ``"uniform"`` for 1, method A (eq. 11); ``"squeeze"`` for s, method B
+            (eq. 15, Proposition 1); or an array ``(..., n)`` of weights, zero or more. A contact of
+            weight zero keeps its squeezing force.
+
+    Returns:
+        A Solution whose verdict says whether these forces lie inside the friction cones too.
+
+    Raises:
+        ValueError: for a sharing that is not one of these, or shapes that do not fit.
+    """
+    return _distribute(grasp, wrench, sharing, constrained=False)
+
+
+def constrained_optimum(
+    grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze", *, safety: float | Array = 1.0
+) -> Solution:
+    """The closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13), solved exactly.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        sharing: as for [`jaxgrasp.closed_form`][].
+        safety: friction is divided by this, since an optimum on a cone's surface has no margin left.
+
+    Returns:
+        A Solution. Where the closed form lies inside all cones it is the answer, at its own price; where
+        no forces exist the verdict is INFEASIBLE and the certificate proves it.
+
+    Raises:
+        ValueError: for a sharing or a safety that cannot be used, or shapes that do not fit.
+    """
+    if not isinstance(safety, jax.core.Tracer) and not np.all(np.asarray(safety) > 0):
+        raise ValueError(f"safety is {safety}: expected a number greater than 0")
+    friction = jnp.asarray(grasp.friction) / jnp.asarray(safety, jnp.asarray(grasp.friction).dtype)
+    safe = Grasp(grasp.points, grasp.normals, friction, grasp.squeeze, grasp.present)
+    return _distribute(safe, wrench, sharing, constrained=True)
+
+
+class ForceSplit(NamedTuple):
+    """The two terms of eq. 16; their sum is the closed form."""
+
+    external: Array
+    """Manipulation forces ``(..., n, 3)`` [N]: they balance the wrench."""
+    internal: Array
+    """Squeezing forces less their own resultant ``(..., n, 3)`` [N]: they balance to zero."""
+
+
+def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> ForceSplit:
+    """The closed form as external (manipulation) and internal (grasping) forces, eq. 16."""
+    squeeze = jnp.asarray(grasp.squeeze)
+    weights = {"squeeze": squeeze, "uniform": jnp.ones_like(squeeze)}.get(sharing) if isinstance(sharing, str) else sharing
+    if weights is None:
+        raise _bad_sharing(sharing)
+    relaxed = Grasp(grasp.points, grasp.normals, grasp.friction, jnp.zeros_like(squeeze), grasp.present)
+    wrench = jnp.asarray(wrench)
+    return ForceSplit(
+        external=closed_form(relaxed, wrench, weights).forces,
+        internal=closed_form(grasp, jnp.zeros_like(wrench), weights).forces,
+    )
+
+
+def _distribute(grasp: Grasp, wrench: AnyArray, sharing: Sharing, constrained: bool) -> Solution:
+    if isinstance(sharing, str) and sharing not in ("squeeze", "uniform"):
+        raise _bad_sharing(sharing)
+    weights = None if isinstance(sharing, str) else sharing
+    fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, weights, wrench)
+    _warn_of_lost_precision(fields)
+    return _run(*fields, uniform=isinstance(sharing, str) and sharing == "uniform", constrained=constrained)
+
+
+def _bad_sharing(sharing: object) -> ValueError:
+    return ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
+
+
+@partial(jax.jit, static_argnames=("uniform", "constrained"))
+def _run(points, normals, friction, squeeze, present, weights, wrench, *, uniform: bool, constrained: bool) -> Solution:
+    """Flatten the leading axes, solve, and restore them."""
+    points = jnp.asarray(points)
+    dtype, n = points.dtype, points.shape[-2]
+    shapes = {"points": (n, 3), "normals": (n, 3), "friction": (n,), "squeeze": (n,), "present": (n,), "weights": (n,)}
+    given = (points, normals, friction, squeeze, present, weights)
+    arrays = {
+        name: jnp.asarray(array, dtype) for name, array in zip(shapes, given, strict=True) if array is not None
+    }
+    wrench = jnp.asarray(wrench, dtype)
+    for name, array in arrays.items():
+        if array.shape[array.ndim - len(shapes[name]) :] != shapes[name]:
+            raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, shapes[name]))})")
+    if wrench.shape[-1:] != (6,):
+        raise ValueError(f"wrench has shape {wrench.shape}: expected (..., 6)")
+    leading = {name: array.shape[: array.ndim - len(shapes[name])] for name, array in arrays.items()}
+    batch = jnp.broadcast_shapes(wrench.shape[:-1], *leading.values())
+    shared = all(int(np.prod(lead)) == 1 for lead in leading.values())
+
+    def flatten(array: Array, tail: tuple[int, ...], lead: tuple[int, ...]) -> Array:
+        return jnp.broadcast_to(array.reshape(_reach(array, tail) + tail), lead + tail).reshape(-1, *tail)
+
+    def _reach(array: Array, tail: tuple[int, ...]) -> tuple[int, ...]:
+        return (1,) if shared and tail != (6,) else array.shape[: array.ndim - len(tail)]
+
+    lead = (1,) if shared else batch
+    flat = {name: flatten(array, shapes[name], lead) for name, array in arrays.items()}
+    problem = Problem(
+        **{name: flat.get(name) for name in shapes}, wrench=flatten(wrench, (6,), batch)
+    )
+    solution = solver(constrained, uniform)(problem)
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
+
+
+def _warn_of_lost_precision(arrays: tuple) -> None:
+    if not jax.config.jax_enable_x64 and any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in arrays):
+        warnings.warn(
+            "float64 data are computed in float32, since JAX's 64-bit mode is off: "
+            "call jax.config.update('jax_enable_x64', True) first, or pass float32 arrays",
+            stacklevel=4,
+        )

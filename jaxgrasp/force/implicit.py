@@ -1,0 +1,127 @@
+"""Derivatives of a solved problem, from its stationarity condition alone.
+
+At a solution w - G f(multiplier, data) = 0. Differentiating that gives a 6x6 system for the multiplier's
+tangent, whatever route the solver took. The rule is plain JAX, so it can be transposed and differentiated
+again; frames and scales enter as constants, since the answer does not depend on them.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import (
+    Frame,
+    Lanes,
+    Problem,
+    forces_out,
+    multiplier_in,
+    multiplier_out,
+    normalise,
+    principal,
+    read,
+    turn,
+)
+from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.vec import Vec
+
+
+class Tangent(NamedTuple):
+    """Tangents of the differentiable fields of a Solution."""
+
+    forces: Array
+    multiplier: Array
+    objective: Array
+
+
+def tangent(problem: Problem, moved: Problem, solution: Solution, uniform: bool, constrained: bool) -> Tangent:
+    """How forces, multiplier and objective move when the problem moves by ``moved``.
+
+    Zero where there is no solution to differentiate; on rank-deficient grasps, within the range.
+    """
+    frame, stretch = _constants(problem, uniform)
+    lanes, lanes_moved = jax.jvp(lambda p: _in_frame(p, uniform, frame), (problem,), (moved,))
+    answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
+    linear, angular = multiplier_in(solution.multiplier, frame)
+    inverse = Vec(*(vec.safe_divide(jnp.ones_like(s), s) for s in stretch))
+    at: Six = tuple(jnp.where(answered, x, 0) for x in (*linear, *vec.times(inverse, angular)))
+
+    def forces(lanes: Lanes, multiplier: Six) -> Vec:
+        if constrained:
+            return dual.best_forces(lanes, multiplier, stretch).forces
+        return pseudo_inverse.free_forces(lanes, multiplier, stretch)
+
+    def rest(lanes: Lanes) -> Six:
+        return dual.residual(lanes, forces(lanes, at), stretch)
+
+    _, unbalanced = jax.jvp(rest, (lanes,), (lanes_moved,))
+    turned = _solve(_curvature(lanes, at, stretch, constrained), unbalanced)
+
+    def outputs(lanes: Lanes, multiplier: Six) -> tuple[Vec, Array]:
+        f = forces(lanes, multiplier)
+        return f, jnp.sum(dual.spread(lanes, f), 0, keepdims=True)
+
+    _, (forces_moved, objective_moved) = jax.jvp(outputs, (lanes, at), (lanes_moved, tuple(turned)))
+    return _out(frame, stretch, answered, forces_moved, turned, objective_moved)
+
+
+def _constants(problem: Problem, uniform: bool) -> tuple[Frame, Vec]:
+    """Principal frame and stretch of the problem, held constant."""
+    lanes, _ = read(lax.stop_gradient(problem), uniform)
+    lanes, frame = principal(*normalise(lanes))
+    _, stretch = pseudo_inverse.whitened_metric(lanes, frame)
+    return frame, stretch
+
+
+def _in_frame(problem: Problem, uniform: bool, frame: Frame) -> Lanes:
+    """The problem's lanes in a given frame; a contact that is absent stays where no derivative reaches it."""
+    lanes, _ = read(problem, uniform)
+    weight = jnp.where(frame.weight > 0, frame.weight, 1)
+    moved = vec.sub(lanes.torque, vec.cross(frame.centre, lanes.force))
+    scaled = lanes._replace(
+        arms=vec.scale(1 / frame.length, vec.sub(lanes.arms, frame.centre)),
+        squeeze=lanes.squeeze / frame.load,
+        weights=lanes.weights / weight,
+        force=vec.scale(1 / frame.load, lanes.force),
+        torque=vec.scale(1 / (frame.load * frame.length), moved),
+    )
+    assert frame.axes is not None
+    return turn(scaled, frame.axes)
+
+
+def _curvature(lanes: Lanes, at: Six, stretch: Vec, constrained: bool) -> symmetric.Lower:
+    if constrained:
+        parts = dual.best_forces(lanes, at, stretch).parts
+        return dual.curvature(lanes, cones.derivative(lanes.normals, lanes.friction, parts), stretch)
+    one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
+    return dual.curvature(lanes, [[one], [zero, one], [zero, zero, one]], stretch)
+
+
+def _solve(curvature: symmetric.Lower, right: Six) -> list[Array]:
+    """x with H x = right, where H may be singular: then some x that fits, since the forces do not see the rest.
+
+    A tiny multiple of the identity makes the factorisation safe, and two rounds of refinement take its
+    effect away again in every direction that the forces do see.
+    """
+    small = 64 * jnp.finfo(right[0].dtype).eps
+    damped = [[entry + small if i == j else entry for j, entry in enumerate(row)] for i, row in enumerate(curvature)]
+    factors = symmetric.factor(damped)
+    x = symmetric.solve(factors, right)
+    for _ in range(2):
+        rest = [b - hx for b, hx in zip(right, symmetric.multiply(curvature, x), strict=True)]
+        x = [p + q for p, q in zip(x, symmetric.solve(factors, rest), strict=True)]
+    return x
+
+
+def _out(frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: list[Array], objective: Array) -> Tangent:
+    unit = vec.safe_divide(frame.load, frame.weight) * frame.load
+    linear, angular = multiplier_out(Vec(*multiplier[:3]), vec.times(stretch, Vec(*multiplier[3:])), frame)
+    return Tangent(
+        forces=jnp.stack([jnp.where(answered, c, 0) for c in forces_out(forces, frame)]).transpose(2, 1, 0),
+        multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
+        objective=jnp.where(answered, unit * objective, 0)[0],
+    )

@@ -1,0 +1,204 @@
+"""Problems as the kernels see them: batch-last, cleaned, centred, scaled, and turned where it matters.
+
+The public arrays are batch-first, ``(B, n, 3)``. Kernels work on components of shape ``(n, B)`` for what
+belongs to contacts and ``(1, B)`` for what belongs to problems, so that the compiler vectorises over
+problems. A grasp that many wrenches share has B = 1 and broadcasts.
+
+Coordinates: about the weighted centroid of the contacts, G W G^T falls into a scalar and a 3x3 inertia
+matrix, and nothing is lost when the frame lies far away. Lengths are then divided by the weighted radius,
+weights by their sum, forces by the load, so that everything is of order one whatever the units.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.model.arrays import Float
+from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.vec import Vec
+
+
+class Problem(eqx.Module):
+    """A flat batch of problems; the grasp's leading axis may be 1 when all wrenches share it."""
+
+    points: Float[Array, "#B n 3"]
+    normals: Float[Array, "#B n 3"]
+    friction: Float[Array, "#B n"]
+    squeeze: Float[Array, "#B n"]
+    present: Float[Array, "#B n"] | None
+    weights: Float[Array, "#B n"] | None
+    """Sharing weights; ``None`` where they are the squeezing forces or all one."""
+    wrench: Float[Array, "B 6"]
+
+    @property
+    def size(self) -> int:
+        return self.wrench.shape[0]
+
+
+class Lanes(NamedTuple):
+    """One problem in each lane of the last axis."""
+
+    arms: Vec
+    normals: Vec
+    friction: Array
+    squeeze: Array
+    weights: Array
+    force: Vec
+    torque: Vec
+
+
+class Frame(NamedTuple):
+    """How a lane's coordinates came about, to bring results back."""
+
+    centre: Vec
+    length: Array
+    weight: Array
+    """Sum of the sharing weights; 0 where no contact can carry a force."""
+    load: Array
+    axes: tuple[Vec, Vec, Vec] | None = None
+
+
+def read(problem: Problem, uniform: bool) -> tuple[Lanes, Array]:
+    """Batch-last copies, and which lanes hold usable data.
+
+    Absent contacts and unusable lanes are replaced by contacts that carry nothing, so that no NaN enters
+    the arithmetic, in values or in derivatives. Normals are brought to unit length.
+    """
+    points, normals = _components(problem.points), _components(problem.normals)
+    friction, squeeze = problem.friction.T, problem.squeeze.T
+    weights = squeeze if problem.weights is None else problem.weights.T
+    wrench = problem.wrench.T
+    size2 = vec.dot(normals, normals)
+    # One sum meets a NaN or an infinity in any of its terms.
+    finite = jnp.isfinite(points.x + points.y + points.z + size2 + friction + squeeze + weights)
+    good = finite & (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
+    there = None if problem.present is None else problem.present.T > 0.5
+    lane_good = jnp.all(good if there is None else good | ~there, 0, keepdims=True)
+    valid = lane_good & jnp.isfinite(jnp.sum(wrench, 0, keepdims=True))
+    use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
+
+    def keep(array: Array) -> Array:
+        return jnp.where(use, array, 0)
+
+    inverse = 1 / jnp.sqrt(jnp.where(use, size2, 1))
+    lanes = Lanes(
+        arms=Vec(*map(keep, points)),
+        normals=Vec(*(keep(c * inverse) for c in Vec(*map(keep, normals)))),
+        friction=keep(friction),
+        squeeze=keep(squeeze),
+        weights=keep(jnp.ones_like(weights) if uniform else weights),
+        force=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
+        torque=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
+    )
+    return lanes, valid
+
+
+def _components(array: Array) -> Vec:
+    return Vec(*jnp.transpose(array, (2, 1, 0)))
+
+
+def normalise(lanes: Lanes) -> tuple[Lanes, Frame]:
+    """Coordinates of order one about the weighted centroid."""
+    weight = jnp.sum(lanes.weights, 0, keepdims=True)
+    k = lanes.weights / jnp.where(weight > 0, weight, 1)
+    first = vec.total(vec.scale(k, lanes.arms))
+    rough = vec.sub(lanes.arms, first)
+    # The first mean is off by rounding of the frame's distance; a second one mends that.
+    rest = vec.total(vec.scale(k, rough))
+    arms = vec.sub(rough, rest)
+    torque = vec.sub(vec.sub(lanes.torque, vec.cross(first, lanes.force)), vec.cross(rest, lanes.force))
+    centre = vec.add(first, rest)
+    length = vec.safe_sqrt(jnp.sum(k * vec.dot(arms, arms), 0, keepdims=True))
+    # Contacts that coincide but for rounding have no length of their own.
+    blur = rank_cut(length.dtype) * jnp.sqrt(vec.dot(centre, centre))
+    length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec.dot(centre, centre)), 1))
+    pull = vec.norm(lanes.force) + vec.norm(torque) / length
+    load = jnp.sum(lanes.squeeze, 0, keepdims=True) + pull
+    load = jnp.where(load > 0, load, 1)
+    normalised = Lanes(
+        arms=vec.scale(1 / length, arms),
+        normals=lanes.normals,
+        friction=lanes.friction,
+        squeeze=lanes.squeeze / load,
+        weights=k,
+        force=vec.scale(1 / load, lanes.force),
+        torque=vec.scale(1 / (load * length), torque),
+    )
+    return normalised, Frame(centre, length, weight, load)
+
+
+def rank_cut(dtype: jnp.dtype) -> float:
+    """Relative spread of the contacts below which a direction of torque counts as out of reach."""
+    return 64 * float(jnp.finfo(dtype).eps)
+
+
+def inertia(lanes: Lanes) -> list[list[Array]]:
+    """Sum of k (|r|^2 I - r r^T) over the contacts: the torque block of G W G^T."""
+    r, kr = lanes.arms, vec.scale(lanes.weights, lanes.arms)
+
+    def moment(a: Array, b: Array) -> Array:
+        return jnp.sum(a * b, 0, keepdims=True)
+
+    xx, yy, zz = moment(kr.x, r.x), moment(kr.y, r.y), moment(kr.z, r.z)
+    return [
+        [yy + zz],
+        [-moment(kr.x, r.y), xx + zz],
+        [-moment(kr.x, r.z), -moment(kr.y, r.z), xx + yy],
+    ]
+
+
+def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
+    """The lanes written along ``axes``."""
+    return lanes._replace(
+        arms=vec.rotate(axes, lanes.arms),
+        normals=vec.rotate(axes, lanes.normals),
+        force=vec.rotate(axes, lanes.force),
+        torque=vec.rotate(axes, lanes.torque),
+    )
+
+
+def principal(lanes: Lanes, frame: Frame) -> tuple[Lanes, Frame]:
+    """The lanes turned into their principal axes of inertia.
+
+    Arms that are tiny in one direction then keep their own digits, and the inertia matrix is
+    ill-conditioned by its scales alone, which costs nothing. Forming it in other axes squares the
+    condition number: at a relative spread of 1e-7 the forces would be wrong in the third digit.
+    """
+    axes = symmetric.principal_axes(inertia(lanes))
+    return turn(lanes, axes), frame._replace(axes=axes)
+
+
+def forces_out(forces: Vec, frame: Frame) -> Vec:
+    """Forces in the user's axes and units."""
+    turned = forces if frame.axes is None else vec.rotate_back(frame.axes, forces)
+    return vec.scale(frame.load, turned)
+
+
+def multiplier_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+    """A multiplier about the user's origin, in the user's units."""
+    if frame.axes is not None:
+        linear, angular = vec.rotate_back(frame.axes, linear), vec.rotate_back(frame.axes, angular)
+    unit = vec.safe_divide(frame.load, frame.weight)
+    linear, angular = vec.scale(unit, linear), vec.scale(unit / frame.length, angular)
+    return vec.sub(linear, vec.cross(angular, frame.centre)), angular
+
+
+def multiplier_in(multiplier: Array, frame: Frame) -> tuple[Vec, Vec]:
+    """The inverse of ``multiplier_out``, from ``(B, 6)``."""
+    columns = multiplier.T
+    linear, angular = Vec(*(columns[i : i + 1] for i in range(3))), Vec(*(columns[i : i + 1] for i in range(3, 6)))
+    linear = vec.add(linear, vec.cross(angular, frame.centre))
+    if frame.axes is not None:
+        linear, angular = vec.rotate(frame.axes, linear), vec.rotate(frame.axes, angular)
+    unit = frame.weight / frame.load
+    return vec.scale(unit, linear), vec.scale(unit * frame.length, angular)
+
+
+def certificate_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+    """A direction of wrench space as a twist about the user's origin, of unit size in the lane's coordinates."""
+    if frame.axes is not None:
+        linear, angular = vec.rotate_back(frame.axes, linear), vec.rotate_back(frame.axes, angular)
+    angular = vec.scale(1 / frame.length, angular)
+    return vec.sub(linear, vec.cross(angular, frame.centre)), angular

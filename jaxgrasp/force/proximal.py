@@ -1,0 +1,83 @@
+"""The careful optimum: a proximal pull makes the dual strongly concave, and falls away level by level.
+
+At each level the pull holds the multiplier near the last level's, so that Newton's method starts close to
+its goal however degenerate the cones are. Where no forces exist the multiplier runs off instead, and what
+is left of the wrench tends to the shortest one out of reach: the proof.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.force import dual
+from jaxgrasp.force.answer import Outcome
+from jaxgrasp.force.certify import proves_infeasible
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force.newton import Proximal, ascend, has_converged
+from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+STRONGEST = 1e-2
+STEPS_PER_LEVEL = 40
+
+
+class _Search(NamedTuple):
+    point: Six
+    verdict: Array
+    steps: Array
+    certificate: Six
+    decided: Array
+
+
+def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome, decided: Array) -> Outcome:
+    """The optimum of whitened lanes that are not ``decided`` and whose closed form is not optimal already."""
+    optimal = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
+    search = _Search(
+        point=tuple(jnp.where(optimal | decided, m, 0) for m in closed.multiplier),
+        verdict=jnp.where(optimal, closed.verdict, Verdict.NOT_CONVERGED),
+        steps=closed.steps,
+        certificate=closed.certificate,
+        decided=decided | optimal,
+    )
+    weakest = 64 * float(jnp.finfo(lanes.squeeze.dtype).eps)
+
+    def unfinished(carry):
+        strength, search = carry
+        return (strength >= weakest) & ~jnp.all(search.decided)
+
+    def fall(carry):
+        strength, search = carry
+        return strength / 10, _level(lanes, stretch, metric, strength, search)
+
+    start = jnp.asarray(STRONGEST, lanes.squeeze.dtype)
+    _, search = lax.while_loop(unfinished, fall, (start, search))
+    best = dual.best_forces(lanes, search.point, stretch).forces
+    forces = vec.where(optimal | decided, closed.forces, best)
+    return Outcome(forces, search.point, search.verdict, search.steps, search.certificate, jnp.zeros_like(decided))
+
+
+def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: _Search) -> _Search:
+    """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
+    pull = Proximal(strength, search.point)
+    ascent = ascend(lanes, stretch, metric, search.point, search.decided, STEPS_PER_LEVEL, pull)
+    best = dual.best_forces(lanes, ascent.point, stretch)
+    rest = dual.residual(lanes, best.forces, stretch)
+    value = dual.dual_value(lanes, best, ascent.point, stretch)
+    optimal = has_converged(lanes, ascent.point, rest, whitened_square(metric, rest), value)
+    hopeless = ~optimal & proves_infeasible(lanes, rest, stretch)
+    open_ = ~search.decided
+    verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
+    unstretched = (*rest[:3], *vec.times(stretch, Vec(*rest[3:])))
+    return _Search(
+        point=tuple(jnp.where(open_, p, q) for p, q in zip(ascent.point, search.point, strict=True)),
+        verdict=jnp.where(open_, verdict, search.verdict),
+        steps=search.steps + jnp.where(open_, ascent.steps, 0),
+        certificate=tuple(
+            jnp.where(open_ & hopeless, d, c) for d, c in zip(unstretched, search.certificate, strict=True)
+        ),
+        decided=search.decided | optimal | hopeless,
+    )

@@ -1,0 +1,70 @@
+"""The closed form of eqs. 11 and 15 in centred coordinates: a scalar, and a 3x3 system."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import dual
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Frame, Lanes, inertia
+from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.vec import Vec
+
+
+class Metric(NamedTuple):
+    """G W G^T in the lanes' coordinates: the identity, and this inertia over the angular unknowns."""
+
+    inertia: list[list[Array]]
+    factors: tuple[list[list[Array]], list[Array]]
+
+
+def plain_metric(lanes: Lanes) -> tuple[Metric, Vec, Array]:
+    """The metric in the axes as they are, its stretch of one, and which lanes are too ill-conditioned for it."""
+    matrix = inertia(lanes)
+    lower, diagonal = symmetric.factor(matrix)
+    pivot = tolerances(diagonal[0].dtype).pivot
+    # `not >=` rather than `<`, so that a NaN out of a zero pivot counts as ill.
+    ill = ~((diagonal[0] >= pivot) & (diagonal[1] >= pivot) & (diagonal[2] >= pivot))
+    one = jnp.ones_like(diagonal[0])
+    safe = [jnp.where(ill, 1, d) for d in diagonal]
+    lower = [[jnp.where(ill, 0, entry) for entry in row] for row in lower]
+    return Metric(matrix, (lower, safe)), Vec(one, one, one), ill
+
+
+def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Vec]:
+    """For lanes in principal axes: the stretch that makes the metric the identity but for rounding.
+
+    Axes along which the contacts have no spread get a stretch of zero: no force can turn the object
+    about them.
+    """
+    matrix = inertia(lanes)
+    diagonal = [matrix[i][i] for i in range(3)]
+    # The frame's distance blurs the coordinates that the spread is taken from.
+    blur = 1 + jnp.sqrt(vec.dot(frame.centre, frame.centre)) / frame.length
+    cut = (tolerances(diagonal[0].dtype).rank * blur) ** 2
+    stretch = Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
+    rows = [[stretch[i] * stretch[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
+    for i in range(3):
+        rows[i][i] = jnp.where(stretch[i] > 0, rows[i][i], 1)
+    return Metric(rows, symmetric.factor(rows)), stretch
+
+
+def closed_multiplier(lanes: Lanes, stretch: Vec, metric: Metric) -> Six:
+    """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
+    squeezing = vec.scale(lanes.squeeze, lanes.normals)
+    rest = dual.residual(lanes, squeezing, stretch)
+    return (*rest[:3], *symmetric.solve(metric.factors, rest[3:]))
+
+
+def free_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
+    """Forces of eq. 8 with weights: s a + k (G^T multiplier), whatever friction says."""
+    twist = dual.twist_at(lanes, multiplier, stretch)
+    return vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
+
+
+def whitened_square(metric: Metric, gradient: Six) -> Array:
+    """Squared length of a wrench as the contacts see it: g.(G W G^T)^-1 g."""
+    angular = symmetric.solve(metric.factors, gradient[3:])
+    return vec.dot(Vec(*gradient[:3]), Vec(*gradient[:3])) + vec.dot(Vec(*gradient[3:]), Vec(*angular))

@@ -1,0 +1,80 @@
+"""The three shells around a flat batch solver: derivatives, then batching, then the solver itself.
+
+``custom_jvp`` is outermost, so that every derivative comes from ``implicit.py`` and none from the loops
+inside. ``custom_vmap`` flattens every mapped axis into the one batch that the solver gathers from; it sees
+when only the wrenches are mapped, and then the grasp's own work is done once.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+
+from jaxgrasp.force import implicit, stages
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.model.solution import Solution
+
+
+@cache
+def solver(constrained: bool, uniform: bool) -> Callable[[Problem], Solution]:
+    """The differentiable flat solver of one method."""
+    flat = _batched(stages.solve_optimum if constrained else stages.solve_closed, uniform)
+    outer = jax.custom_jvp(flat)
+
+    @outer.defjvp
+    def jvp(primals, tangents):
+        (problem,), (moved,) = primals, tangents
+        solution = outer(problem)
+        parts = implicit.tangent(problem, moved, solution, uniform, constrained)
+        return solution, _tangent_solution(solution, parts)
+
+    return outer
+
+
+def _batched(solve: Callable[[Problem, bool], stages.Answer], uniform: bool) -> Callable[[Problem], Solution]:
+    @custom_vmap
+    def flat(problem: Problem) -> Solution:
+        answer = solve(problem, uniform)
+        return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
+
+    @flat.def_vmap
+    def rule(axis_size: int, in_batched, problem: Problem):
+        (batched,) = in_batched
+        merged, size = _merge(axis_size, batched, problem)
+        solution = flat(merged)
+        split = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), solution)
+        return split, jax.tree.map(lambda _: True, split)
+
+    return flat
+
+
+def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem, int]:
+    """The problem with its mapped axis merged into the batch, and the size that each mapped element had."""
+    size = problem.wrench.shape[1 if batched.wrench else 0]
+    contacts = lambda p: (p.points, p.normals, p.friction, p.squeeze, p.present, p.weights)  # noqa: E731
+    shared = not any(jax.tree.leaves(contacts(batched))) and problem.points.shape[0] == 1
+
+    def merge(array: Array, is_batched: bool) -> Array:
+        own = array if is_batched else array[None]
+        wide = jnp.broadcast_to(own, (axis_size, size, *own.shape[2:]))
+        return wide.reshape(axis_size * size, *own.shape[2:])
+
+    merged = jax.tree.map(merge, problem, batched)
+    if shared:
+        names = ("points", "normals", "friction", "squeeze", "present", "weights")
+        merged = Problem(**{name: getattr(problem, name) for name in names}, wrench=merged.wrench)
+    return merged, size
+
+
+def _tangent_solution(solution: Solution, parts: implicit.Tangent) -> Solution:
+    def still(array: Array) -> Array | np.ndarray:
+        if jnp.issubdtype(array.dtype, jnp.floating):
+            return jnp.zeros_like(array)
+        return np.zeros(array.shape, jax.dtypes.float0)
+
+    fixed = {name: still(getattr(solution, name)) for name in ("verdict", "residual", "steps", "rank", "certificate")}
+    return Solution(forces=parts.forces, multiplier=parts.multiplier, objective=parts.objective, **fixed)

@@ -1,0 +1,109 @@
+"""The flat batch solvers: a fast pass over every problem, then more work for the few that need it.
+
+1. The closed form of all. What lies inside every cone is the constrained optimum already.
+2. Newton on the dual for those outside their cones, first a few steps, then, gathered again, more.
+3. The careful pass for the rest: principal axes, whitened unknowns, a proximal pull that falls away,
+   and a proof where no forces exist.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force.answer import Answer, Outcome, write
+from jaxgrasp.force.certify import out_of_range, proves_infeasible
+from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
+from jaxgrasp.force.newton import ascend
+from jaxgrasp.force.proximal import proximal_optimum
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.tiles import over_chosen, over_tiles
+from jaxgrasp.numerics.vec import Vec
+
+TILE = 128
+CAREFUL_TILE = 16
+FIRST_STEPS, MORE_STEPS = 5, 30
+
+
+def solve_closed(problem: Problem, uniform: bool) -> Answer:
+    """The closed form of a flat batch."""
+
+    def fast(part: Problem) -> Answer:
+        return _closed_tile(part, uniform)
+
+    def careful(part: Problem, _: Answer) -> Answer:
+        return _careful_tile(part, uniform, constrained=False)
+
+    answer = over_tiles(fast, problem, problem.size, TILE)
+    return over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
+
+
+def solve_optimum(problem: Problem, uniform: bool) -> Answer:
+    """The constrained optimum of a flat batch."""
+
+    def fast(part: Problem) -> Answer:
+        return _closed_tile(part, uniform)
+
+    def newton(limit: int):
+        return lambda part, prior: _newton_tile(part, prior, uniform, limit)
+
+    def careful(part: Problem, _: Answer) -> Answer:
+        return _careful_tile(part, uniform, constrained=True)
+
+    answer = over_tiles(fast, problem, problem.size, TILE)
+    outside = answer.verdict == Verdict.OUTSIDE_CONES
+    answer = answer._replace(undecided=answer.undecided | outside)
+    answer = over_chosen(newton(FIRST_STEPS), problem, answer, outside, TILE)
+    answer = over_chosen(newton(MORE_STEPS), problem, answer, _waiting(answer), TILE)
+    return over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
+
+
+def _waiting(answer: Answer) -> Array:
+    """Problems that ran out of steps, but are fit for the fast path."""
+    return answer.undecided & (answer.verdict == Verdict.OUTSIDE_CONES)
+
+
+def _closed_tile(problem: Problem, uniform: bool) -> Answer:
+    lanes, valid = read(problem, uniform)
+    lanes, frame = normalise(lanes)
+    metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
+    multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
+    forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
+    outcome = Outcome(forces, multiplier, _closed_verdict(lanes, forces), jnp.zeros_like(ill, jnp.int32), None, ill)
+    return write(lanes, frame, stretch, valid, problem.size, outcome)
+
+
+def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
+    inside = jnp.all(cones.contains(forces, lanes.normals, lanes.friction), 0, keepdims=True)
+    return jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
+
+
+def _newton_tile(problem: Problem, prior: Answer, uniform: bool, limit: int) -> Answer:
+    """Newton from where the last stage stopped; what has not converged keeps OUTSIDE_CONES and stays undecided."""
+    lanes, valid = read(problem, uniform)
+    lanes, frame = normalise(lanes)
+    metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
+    linear, angular = multiplier_in(prior.multiplier, frame)
+    start = (*linear, *angular)
+    ascent = ascend(lanes, stretch, metric, start, ill, limit)
+    forces = dual.best_forces(lanes, ascent.point, stretch).forces
+    converged = ascent.converged & ~ill
+    verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.OUTSIDE_CONES)
+    steps = ascent.steps + prior.steps
+    answer = write(lanes, frame, stretch, valid, problem.size, Outcome(forces, ascent.point, verdict, steps, None, ~converged))
+    # An answer that its own residual disowns goes to the careful pass.
+    return answer._replace(undecided=answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
+
+
+def _careful_tile(problem: Problem, uniform: bool, constrained: bool) -> Answer:
+    lanes, valid = read(problem, uniform)
+    lanes, frame = principal(*normalise(lanes))
+    metric, stretch = pseudo_inverse.whitened_metric(lanes, frame)
+    multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
+    forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
+    verdict = _closed_verdict(lanes, forces)
+    missed, direction = out_of_range(lanes, stretch)
+    outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, jnp.zeros_like(missed))
+    if constrained:
+        outcome = proximal_optimum(lanes, stretch, metric, outcome, missed)
+    outcome = outcome._replace(verdict=jnp.where(missed, Verdict.INFEASIBLE, outcome.verdict))
+    return write(lanes, frame, stretch, valid, problem.size, outcome)

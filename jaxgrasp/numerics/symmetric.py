@@ -1,0 +1,94 @@
+"""Small symmetric matrices whose entries are arrays: L D L^T, its solves, and 3x3 principal axes.
+
+A matrix is a list of rows of its lower triangle, ``a[i][j]`` with j <= i; everything is unrolled, so that
+one call factors as many matrices as its entries have elements, whatever their shape.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+Lower = Sequence[Sequence[Array]]
+
+
+def factor(a: Lower) -> tuple[list[list[Array]], list[Array]]:
+    """Unit lower triangle L (without its ones) and diagonal D with a = L D L^T; no pivoting.
+
+    Exact scaling of rows and columns by powers of two changes no relative error, so matrices that are
+    ill-conditioned only by the scales of their rows are factored as well as any.
+    """
+    lower: list[list[Array]] = []
+    diagonal: list[Array] = []
+    for i, row in enumerate(a):
+        scaled: list[Array] = []  # entries of L times D
+        for j in range(i):
+            scaled.append(row[j] - sum(scaled[m] * lower[j][m] for m in range(j)))
+        factors = [scaled[j] / diagonal[j] for j in range(i)]
+        diagonal.append(row[i] - sum(scaled[m] * factors[m] for m in range(i)))
+        lower.append(factors)
+    return lower, diagonal
+
+
+def solve(factors: tuple[list[list[Array]], list[Array]], right: Sequence[Array]) -> list[Array]:
+    """x with a x = right, from ``factor(a)``."""
+    lower, diagonal = factors
+    size = len(diagonal)
+    x: list[Array] = []
+    for i in range(size):
+        x.append(right[i] - sum(lower[i][j] * x[j] for j in range(i)))
+    x = [x[i] / diagonal[i] for i in range(size)]
+    for i in reversed(range(size)):
+        x[i] = x[i] - sum(lower[j][i] * x[j] for j in range(i + 1, size))
+    return x
+
+
+def multiply(a: Lower, x: Sequence[Array]) -> list[Array]:
+    """a x."""
+    entry = lambda i, j: a[max(i, j)][min(i, j)]  # noqa: E731
+    return [sum(entry(i, j) * x[j] for j in range(len(x))) for i in range(len(x))]
+
+
+def principal_axes(a: Lower) -> tuple[Vec, Vec, Vec]:
+    """Orthonormal eigenvectors of 3x3 matrices, by Jacobi's rotations; in no order.
+
+    Five sweeps reach machine precision from any start; the convergence is quadratic in the last ones.
+    """
+    one, zero = jnp.ones_like(a[0][0]), jnp.zeros_like(a[0][0])
+    identity = (Vec(one, zero, zero), Vec(zero, one, zero), Vec(zero, zero, one))
+    entries = [[a[max(i, j)][min(i, j)] for j in range(3)] for i in range(3)]
+
+    def sweep(_, state):
+        matrix, axes = state
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            matrix, axes = _rotate_pair(matrix, axes, p, q)
+        return matrix, axes
+
+    _, axes = lax.fori_loop(0, 5, sweep, (entries, identity))
+    return axes
+
+
+def _rotate_pair(matrix, axes, p, q):
+    """One Jacobi rotation that makes entry (p, q) vanish."""
+    half_gap = (matrix[q][q] - matrix[p][p]) / 2
+    off = matrix[p][q]
+    # tan of the smaller angle: off / (half_gap + sign(half_gap) sqrt(half_gap^2 + off^2)), 0 where off is 0.
+    reach = jnp.abs(half_gap) + vec.safe_sqrt(half_gap**2 + off**2)
+    tangent = vec.safe_divide(jnp.where(half_gap < 0, -off, off), reach)
+    cosine = 1 / jnp.sqrt(1 + tangent**2)
+    sine = tangent * cosine
+    matrix = [list(row) for row in matrix]
+    for k in range(3):
+        kp, kq = matrix[k][p], matrix[k][q]
+        matrix[k][p], matrix[k][q] = cosine * kp - sine * kq, sine * kp + cosine * kq
+    for k in range(3):
+        pk, qk = matrix[p][k], matrix[q][k]
+        matrix[p][k], matrix[q][k] = cosine * pk - sine * qk, sine * pk + cosine * qk
+    axes = list(axes)
+    along_p, along_q = axes[p], axes[q]
+    axes[p] = vec.sub(vec.scale(cosine, along_p), vec.scale(sine, along_q))
+    axes[q] = vec.add(vec.scale(sine, along_p), vec.scale(cosine, along_q))
+    return matrix, tuple(axes)

@@ -1,0 +1,81 @@
+"""A large batch in tiles that fit in the cache, and the few problems that need more work gathered.
+
+Arrays are batch-first here. A leaf of leading size 1 is shared by the whole batch and is handed to every
+tile as it is. Nothing here rests on ``lax.cond`` under ``vmap``, which would compute both branches.
+"""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+Tree = TypeVar("Tree")
+Out = TypeVar("Out")
+
+
+def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int) -> Out:
+    """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time.
+
+    The last tile overlaps the one before it instead of being padded: its problems are computed twice,
+    to the same bits.
+    """
+    if size <= tile:
+        return function(arguments)
+    shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
+    results = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
+
+    def body(i, results):
+        start = jnp.minimum(i * tile, size - tile)
+        return _write(results, function(_slice(arguments, start, size, tile)), start)
+
+    return lax.fori_loop(0, -(-size // tile), body, results)
+
+
+def over_chosen(
+    function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, tile: int
+) -> Out:
+    """``results`` with those of the ``chosen`` problems replaced by ``function(arguments, results)`` of them.
+
+    The chosen ones are gathered, in order, into as many tiles as they need; when none is chosen nothing
+    runs. The time is that of the chosen problems plus one pass over the batch.
+    """
+    size = chosen.shape[0]
+    tile = min(tile, size)
+    count = jnp.sum(chosen, dtype=jnp.int32)
+
+    def replace(results):
+        last = jnp.cumsum(chosen, dtype=jnp.int32)
+        padded = -(-size // tile) * tile
+        order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32))
+        order = jnp.minimum(order, size - 1).astype(jnp.int32)
+
+        def body(state):
+            i, gathered = state
+            lanes = lax.dynamic_slice_in_dim(order, i * tile, tile)
+            answer = function(_take(arguments, lanes, size), _take(results, lanes, size))
+            return i + 1, _write(gathered, answer, i * tile)
+
+        gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
+        _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
+        place = jnp.maximum(last - 1, 0)
+        return jax.tree.map(lambda r, g: jnp.where(_beside(chosen, r), g[place], r), results, gathered)
+
+    return lax.cond(count > 0, replace, lambda results: results, results)
+
+
+def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:
+    return jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile) if x.shape[0] == size else x, tree)
+
+
+def _take(tree: Tree, lanes: Array, size: int) -> Tree:
+    return jax.tree.map(lambda x: x[lanes] if x.shape[0] == size else x, tree)
+
+
+def _write(results: Out, part: Out, start: Array) -> Out:
+    return jax.tree.map(lambda r, p: lax.dynamic_update_slice_in_dim(r, p, start, 0), results, part)
+
+
+def _beside(mask: Array, array: Array) -> Array:
+    return mask.reshape(mask.shape + (1,) * (array.ndim - 1))

@@ -1,0 +1,84 @@
+"""Vectors in three components, each an array of its own.
+
+A vector field over contacts and problems is a tuple of three arrays with the problems along the last
+axis, so that the compiler vectorises over problems; see ``force/lanes.py``.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+
+class Vec(NamedTuple):
+    """Three components that broadcast against each other."""
+
+    x: Array
+    y: Array
+    z: Array
+
+
+def from_axis(array: Array, axis: int) -> Vec:
+    """The components of ``array`` along ``axis``, which has length 3."""
+    return Vec(*(jnp.take(array, i, axis) for i in range(3)))
+
+
+def add(a: Vec, b: Vec) -> Vec:
+    return Vec(a.x + b.x, a.y + b.y, a.z + b.z)
+
+
+def sub(a: Vec, b: Vec) -> Vec:
+    return Vec(a.x - b.x, a.y - b.y, a.z - b.z)
+
+
+def scale(factor: Array, a: Vec) -> Vec:
+    return Vec(factor * a.x, factor * a.y, factor * a.z)
+
+
+def times(a: Vec, b: Vec) -> Vec:
+    """Componentwise product."""
+    return Vec(a.x * b.x, a.y * b.y, a.z * b.z)
+
+
+def dot(a: Vec, b: Vec) -> Array:
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def cross(a: Vec, b: Vec) -> Vec:
+    return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+
+
+def total(a: Vec) -> Vec:
+    """Sum over contacts, the first axis, which stays with length 1."""
+    return Vec(*(jnp.sum(c, 0, keepdims=True) for c in a))
+
+
+def where(condition: Array, a: Vec, b: Vec) -> Vec:
+    return Vec(*(jnp.where(condition, p, q) for p, q in zip(a, b, strict=True)))
+
+
+def rotate(rows: tuple[Vec, Vec, Vec], a: Vec) -> Vec:
+    """Components of ``a`` along three axes."""
+    return Vec(dot(rows[0], a), dot(rows[1], a), dot(rows[2], a))
+
+
+def rotate_back(rows: tuple[Vec, Vec, Vec], a: Vec) -> Vec:
+    """The vector whose components along three orthonormal axes are ``a``."""
+    return add(add(scale(a.x, rows[0]), scale(a.y, rows[1])), scale(a.z, rows[2]))
+
+
+def norm(a: Vec) -> Array:
+    """Length; zero has derivative zero instead of NaN."""
+    return safe_sqrt(dot(a, a))
+
+
+def safe_sqrt(square: Array) -> Array:
+    """Square root whose derivative at zero is zero: both branches of the ``where`` must be finite."""
+    positive = square > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1)), 0)
+
+
+def safe_divide(a: Array, b: Array) -> Array:
+    """a / b, and 0 where b is 0, with finite derivatives there."""
+    nonzero = b != 0
+    return jnp.where(nonzero, a / jnp.where(nonzero, b, 1), 0)

@@ -90,49 +90,52 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
 def _distribute(grasp: Grasp, wrench: AnyArray, sharing: Sharing, constrained: bool) -> Solution:
     if isinstance(sharing, str) and sharing not in ("squeeze", "uniform"):
         raise _bad_sharing(sharing)
-    weights = None if isinstance(sharing, str) else sharing
-    fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, weights, wrench)
+    fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, wrench)
     _warn_of_lost_precision(fields)
-    return _run(*fields, uniform=isinstance(sharing, str) and sharing == "uniform", constrained=constrained)
+    if isinstance(sharing, str):
+        return _run(*fields, None, sharing=sharing, constrained=constrained)
+    return _run(*fields, sharing, sharing="given", constrained=constrained)
 
 
 def _bad_sharing(sharing: object) -> ValueError:
     return ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
 
 
-@partial(jax.jit, static_argnames=("uniform", "constrained"))
-def _run(points, normals, friction, squeeze, present, weights, wrench, *, uniform: bool, constrained: bool) -> Solution:
+@partial(jax.jit, static_argnames=("sharing", "constrained"))
+def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharing: str, constrained: bool) -> Solution:
     """Flatten the leading axes, solve, and restore them."""
     points = jnp.asarray(points)
-    dtype, n = points.dtype, points.shape[-2]
-    shapes = {"points": (n, 3), "normals": (n, 3), "friction": (n,), "squeeze": (n,), "present": (n,), "weights": (n,)}
-    given = (points, normals, friction, squeeze, present, weights)
-    arrays = {
-        name: jnp.asarray(array, dtype) for name, array in zip(shapes, given, strict=True) if array is not None
+    n = points.shape[-2]
+    if sharing != "given":
+        weights = squeeze if sharing == "squeeze" else jnp.ones(points.shape[:-1], points.dtype)
+    given = {
+        "points": (points, (n, 3)),
+        "normals": (normals, (n, 3)),
+        "friction": (friction, (n,)),
+        "squeeze": (squeeze, (n,)),
+        "present": (present, (n,)),
+        "weights": (weights, (n,)),
+        "wrench": (wrench, (6,)),
     }
-    wrench = jnp.asarray(wrench, dtype)
+    arrays = {name: jnp.asarray(array, points.dtype) for name, (array, _) in given.items() if array is not None}
+    leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
+    batch = jnp.broadcast_shapes(*leading.values())
+    # A grasp that all wrenches share stays one grasp: its own work is then done once.
+    shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name != "wrench")
+    flat = dict.fromkeys(given)
     for name, array in arrays.items():
-        if array.shape[array.ndim - len(shapes[name]) :] != shapes[name]:
-            raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, shapes[name]))})")
-    if wrench.shape[-1:] != (6,):
-        raise ValueError(f"wrench has shape {wrench.shape}: expected (..., 6)")
-    leading = {name: array.shape[: array.ndim - len(shapes[name])] for name, array in arrays.items()}
-    batch = jnp.broadcast_shapes(wrench.shape[:-1], *leading.values())
-    shared = all(int(np.prod(lead)) == 1 for lead in leading.values())
-
-    def flatten(array: Array, tail: tuple[int, ...], lead: tuple[int, ...]) -> Array:
-        return jnp.broadcast_to(array.reshape(_reach(array, tail) + tail), lead + tail).reshape(-1, *tail)
-
-    def _reach(array: Array, tail: tuple[int, ...]) -> tuple[int, ...]:
-        return (1,) if shared and tail != (6,) else array.shape[: array.ndim - len(tail)]
-
-    lead = (1,) if shared else batch
-    flat = {name: flatten(array, shapes[name], lead) for name, array in arrays.items()}
-    problem = Problem(
-        **{name: flat.get(name) for name in shapes}, wrench=flatten(wrench, (6,), batch)
-    )
-    solution = solver(constrained, uniform)(problem)
+        tail = given[name][1]
+        target = (1,) if shared and name != "wrench" else batch
+        flat[name] = jnp.broadcast_to(array.reshape((1,) + tail) if target == (1,) else array, target + tail)
+        flat[name] = flat[name].reshape(-1, *tail)
+    solution = solver(constrained)(Problem(**flat))
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
+
+
+def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, ...]:
+    if array.shape[max(array.ndim - len(tail), 0) :] != tail:
+        raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, tail))})")
+    return array.shape[: array.ndim - len(tail)]
 
 
 def _warn_of_lost_precision(arrays: tuple) -> None:

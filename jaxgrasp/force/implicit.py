@@ -38,13 +38,13 @@ class Tangent(NamedTuple):
     objective: Array
 
 
-def tangent(problem: Problem, moved: Problem, solution: Solution, uniform: bool, constrained: bool) -> Tangent:
+def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: bool) -> Tangent:
     """How forces, multiplier and objective move when the problem moves by ``moved``.
 
     Zero where there is no solution to differentiate; on rank-deficient grasps, within the range.
     """
-    frame, stretch = _constants(problem, uniform)
-    lanes, lanes_moved = jax.jvp(lambda p: _in_frame(p, uniform, frame), (problem,), (moved,))
+    frame, stretch = _constants(problem)
+    lanes, lanes_moved = jax.jvp(lambda p: _in_frame(p, frame), (problem,), (moved,))
     answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
     linear, angular = multiplier_in(solution.multiplier, frame)
     inverse = Vec(*(vec.safe_divide(jnp.ones_like(s), s) for s in stretch))
@@ -69,17 +69,17 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, uniform: bool,
     return _out(frame, stretch, answered, forces_moved, turned, objective_moved)
 
 
-def _constants(problem: Problem, uniform: bool) -> tuple[Frame, Vec]:
+def _constants(problem: Problem) -> tuple[Frame, Vec]:
     """Principal frame and stretch of the problem, held constant."""
-    lanes, _ = read(lax.stop_gradient(problem), uniform)
+    lanes, _ = read(lax.stop_gradient(problem))
     lanes, frame = principal(*normalise(lanes))
     _, stretch = pseudo_inverse.whitened_metric(lanes, frame)
     return frame, stretch
 
 
-def _in_frame(problem: Problem, uniform: bool, frame: Frame) -> Lanes:
+def _in_frame(problem: Problem, frame: Frame) -> Lanes:
     """The problem's lanes in a given frame; a contact that is absent stays where no derivative reaches it."""
-    lanes, _ = read(problem, uniform)
+    lanes, _ = read(problem)
     weight = jnp.where(frame.weight > 0, frame.weight, 1)
     moved = vec.sub(lanes.torque, vec.cross(frame.centre, lanes.force))
     scaled = lanes._replace(

@@ -28,8 +28,8 @@ class Problem(eqx.Module):
     friction: Float[Array, "#B n"]
     squeeze: Float[Array, "#B n"]
     present: Float[Array, "#B n"] | None
-    weights: Float[Array, "#B n"] | None
-    """Sharing weights; ``None`` where they are the squeezing forces or all one."""
+    weights: Float[Array, "#B n"]
+    """Sharing weights k."""
     wrench: Float[Array, "B 6"]
 
     @property
@@ -60,15 +60,14 @@ class Frame(NamedTuple):
     axes: tuple[Vec, Vec, Vec] | None = None
 
 
-def read(problem: Problem, uniform: bool) -> tuple[Lanes, Array]:
+def read(problem: Problem) -> tuple[Lanes, Array]:
     """Batch-last copies, and which lanes hold usable data.
 
     Absent contacts and unusable lanes are replaced by contacts that carry nothing, so that no NaN enters
     the arithmetic, in values or in derivatives. Normals are brought to unit length.
     """
     points, normals = _components(problem.points), _components(problem.normals)
-    friction, squeeze = problem.friction.T, problem.squeeze.T
-    weights = squeeze if problem.weights is None else problem.weights.T
+    friction, squeeze, weights = problem.friction.T, problem.squeeze.T, problem.weights.T
     wrench = problem.wrench.T
     size2 = vec.dot(normals, normals)
     # One sum meets a NaN or an infinity in any of its terms.
@@ -88,7 +87,7 @@ def read(problem: Problem, uniform: bool) -> tuple[Lanes, Array]:
         normals=Vec(*(keep(c * inverse) for c in Vec(*map(keep, normals)))),
         friction=keep(friction),
         squeeze=keep(squeeze),
-        weights=keep(jnp.ones_like(weights) if uniform else weights),
+        weights=keep(weights),
         force=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
         torque=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
     )

@@ -51,7 +51,7 @@ def ascend(
     metric: Metric,
     start: Six,
     frozen: Array,
-    limit: int,
+    limit: int | Array,
     proximal: Proximal | None = None,
 ) -> Ascent:
     """Maximise the dual (less the proximal pull) from ``start`` in at most ``limit`` evaluations.

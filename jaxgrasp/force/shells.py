@@ -20,25 +20,25 @@ from jaxgrasp.model.solution import Solution
 
 
 @cache
-def solver(constrained: bool, uniform: bool) -> Callable[[Problem], Solution]:
+def solver(constrained: bool) -> Callable[[Problem], Solution]:
     """The differentiable flat solver of one method."""
-    flat = _batched(stages.solve_optimum if constrained else stages.solve_closed, uniform)
+    flat = _batched(stages.solve_optimum if constrained else stages.solve_closed)
     outer = jax.custom_jvp(flat)
 
     @outer.defjvp
     def jvp(primals, tangents):
         (problem,), (moved,) = primals, tangents
         solution = outer(problem)
-        parts = implicit.tangent(problem, moved, solution, uniform, constrained)
+        parts = implicit.tangent(problem, moved, solution, constrained)
         return solution, _tangent_solution(solution, parts)
 
     return outer
 
 
-def _batched(solve: Callable[[Problem, bool], stages.Answer], uniform: bool) -> Callable[[Problem], Solution]:
+def _batched(solve: Callable[[Problem], stages.Answer]) -> Callable[[Problem], Solution]:
     @custom_vmap
     def flat(problem: Problem) -> Solution:
-        answer = solve(problem, uniform)
+        answer = solve(problem)
         return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
 
     @flat.def_vmap

@@ -6,8 +6,10 @@
    and a proof where no forces exist.
 """
 
+from functools import partial
+
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.force import cones, dual, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
@@ -21,40 +23,29 @@ from jaxgrasp.numerics.vec import Vec
 
 TILE = 128
 CAREFUL_TILE = 16
-FIRST_STEPS, MORE_STEPS = 5, 30
+STEPS = (5, 30)
+"""Evaluations that each Newton stage may spend, after each of which the unfinished are gathered again."""
 
 
-def solve_closed(problem: Problem, uniform: bool) -> Answer:
+def solve_closed(problem: Problem) -> Answer:
     """The closed form of a flat batch."""
-
-    def fast(part: Problem) -> Answer:
-        return _closed_tile(part, uniform)
-
-    def careful(part: Problem, _: Answer) -> Answer:
-        return _careful_tile(part, uniform, constrained=False)
-
-    answer = over_tiles(fast, problem, problem.size, TILE)
-    return over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
+    answer = over_tiles(_closed_tile, problem, problem.size, TILE)
+    return over_chosen(partial(_careful_tile, constrained=False), problem, answer, answer.undecided, CAREFUL_TILE)
 
 
-def solve_optimum(problem: Problem, uniform: bool) -> Answer:
+def solve_optimum(problem: Problem) -> Answer:
     """The constrained optimum of a flat batch."""
-
-    def fast(part: Problem) -> Answer:
-        return _closed_tile(part, uniform)
-
-    def newton(limit: int):
-        return lambda part, prior: _newton_tile(part, prior, uniform, limit)
-
-    def careful(part: Problem, _: Answer) -> Answer:
-        return _careful_tile(part, uniform, constrained=True)
-
-    answer = over_tiles(fast, problem, problem.size, TILE)
+    answer = over_tiles(_closed_tile, problem, problem.size, TILE)
     outside = answer.verdict == Verdict.OUTSIDE_CONES
     answer = answer._replace(undecided=answer.undecided | outside)
-    answer = over_chosen(newton(FIRST_STEPS), problem, answer, outside, TILE)
-    answer = over_chosen(newton(MORE_STEPS), problem, answer, _waiting(answer), TILE)
-    return over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
+
+    def newton(stage: Array, answer: Answer) -> Answer:
+        tile = partial(_newton_tile, limit=jnp.asarray(STEPS)[stage])
+        return over_chosen(tile, problem, answer, _waiting(answer), TILE)
+
+    # A loop rather than two calls: both stages are one piece of compiled code.
+    answer = lax.fori_loop(0, len(STEPS), newton, answer)
+    return over_chosen(partial(_careful_tile, constrained=True), problem, answer, answer.undecided, CAREFUL_TILE)
 
 
 def _waiting(answer: Answer) -> Array:
@@ -62,8 +53,8 @@ def _waiting(answer: Answer) -> Array:
     return answer.undecided & (answer.verdict == Verdict.OUTSIDE_CONES)
 
 
-def _closed_tile(problem: Problem, uniform: bool) -> Answer:
-    lanes, valid = read(problem, uniform)
+def _closed_tile(problem: Problem) -> Answer:
+    lanes, valid = read(problem)
     lanes, frame = normalise(lanes)
     metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
     multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
@@ -77,9 +68,9 @@ def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
     return jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
 
 
-def _newton_tile(problem: Problem, prior: Answer, uniform: bool, limit: int) -> Answer:
+def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     """Newton from where the last stage stopped; what has not converged keeps OUTSIDE_CONES and stays undecided."""
-    lanes, valid = read(problem, uniform)
+    lanes, valid = read(problem)
     lanes, frame = normalise(lanes)
     metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
     linear, angular = multiplier_in(prior.multiplier, frame)
@@ -94,8 +85,8 @@ def _newton_tile(problem: Problem, prior: Answer, uniform: bool, limit: int) -> 
     return answer._replace(undecided=answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
 
 
-def _careful_tile(problem: Problem, uniform: bool, constrained: bool) -> Answer:
-    lanes, valid = read(problem, uniform)
+def _careful_tile(problem: Problem, _: Answer, constrained: bool) -> Answer:
+    lanes, valid = read(problem)
     lanes, frame = principal(*normalise(lanes))
     metric, stretch = pseudo_inverse.whitened_metric(lanes, frame)
     multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)

@@ -29,15 +29,27 @@ STEPS = (5, 30)
 
 def solve_closed(problem: Problem) -> Answer:
     """The closed form of a flat batch."""
-    answer = over_tiles(_closed_tile, problem, problem.size, TILE)
-    return over_chosen(partial(_careful_tile, constrained=False), problem, answer, answer.undecided, CAREFUL_TILE)
+    return finish_closed(problem, first_pass(problem))
 
 
 def solve_optimum(problem: Problem) -> Answer:
     """The constrained optimum of a flat batch."""
-    answer = over_tiles(_closed_tile, problem, problem.size, TILE)
-    outside = answer.verdict == Verdict.OUTSIDE_CONES
-    answer = answer._replace(undecided=answer.undecided | outside)
+    return finish_optimum(problem, first_pass(problem))
+
+
+def first_pass(problem: Problem) -> Answer:
+    """The closed form of every problem; ``undecided`` where it is too ill-conditioned for this pass."""
+    return over_tiles(_closed_tile, problem, problem.size, TILE)
+
+
+def finish_closed(problem: Problem, answer: Answer) -> Answer:
+    """The closed form everywhere, from the first pass."""
+    return over_chosen(partial(_careful_tile, constrained=False), problem, answer, answer.undecided, CAREFUL_TILE)
+
+
+def finish_optimum(problem: Problem, answer: Answer) -> Answer:
+    """The constrained optimum everywhere, from the first pass."""
+    answer = answer._replace(undecided=answer.undecided | (answer.verdict == Verdict.OUTSIDE_CONES))
 
     def newton(stage: Array, answer: Answer) -> Answer:
         tile = partial(_newton_tile, limit=jnp.asarray(STEPS)[stage])

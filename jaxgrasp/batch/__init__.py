@@ -1,0 +1,1 @@
+"""Many grasps at once: files, streams, evaluation, and what its results say."""

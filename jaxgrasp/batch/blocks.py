@@ -1,0 +1,55 @@
+"""Contact sets of all sizes as a few shapes, since each shape costs seconds to compile."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.model.grasp import Grasp
+
+WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
+WORTH_A_SHAPE = 30_000
+"""Problems that a shape of its own must serve; below, padding costs less time than compiling."""
+
+
+def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
+    """The padded width of each grasp: few different ones, each serving many problems or the largest grasps."""
+    if len(sizes) == 0 or np.all(sizes == sizes[0]):
+        return sizes.astype(int)
+    largest = int(sizes.max())
+    steps = [w for w in WIDTHS if w < largest]
+    steps += [next((w for w in WIDTHS if w >= largest), largest)]
+    step = np.searchsorted(steps, sizes)
+    for i in range(len(steps) - 1):
+        if np.count_nonzero(step == i) * wrenches < WORTH_A_SHAPE:
+            step[step == i] = i + 1
+    return np.asarray(steps)[step]
+
+
+def blocks(sets: ContactSets, multiple: int) -> Iterator[tuple[np.ndarray, Grasp, np.ndarray]]:
+    """The problems of ``sets`` by shape: grasp indices, the padded batch, and its wrenches.
+
+    The problems of grasp ``i`` of a block stand together, one for each wrench. The number of problems is
+    brought to a ``multiple`` by repeating the block's first grasp, whose extra answers come last.
+    """
+    wide = widths(sets.sizes, sets.wrenches)
+    for width in np.unique(wide):
+        rows = np.flatnonzero(wide == width)
+        chosen = sets if len(rows) == len(sets) else sets.rows(rows)
+        grasp, wrench = chosen.padded(int(width)), chosen.wrench
+        missing = -len(rows) % multiple
+        grasp = Grasp(*(_widen(array, missing, sets.wrenches) for array in _fields(grasp)))
+        wrench = _widen(wrench, missing, 1).reshape(-1, 6)
+        yield rows, grasp, wrench
+
+
+def _fields(grasp: Grasp) -> tuple:
+    return grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present
+
+
+def _widen(array: np.ndarray | None, missing: int, repeats: int) -> np.ndarray | None:
+    if array is None:
+        return None
+    if missing:
+        array = np.concatenate([array, np.repeat(array[:1], missing, 0)])
+    return np.repeat(array, repeats, 0) if repeats > 1 else array

@@ -1,0 +1,94 @@
+"""Small sets as CSV: one line a contact, the wrench repeated on each line of its grasp.
+
+Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp),
+px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
+name, source, object, hand.
+"""
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.npz_file import LABELS, replace_file
+
+POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
+WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
+
+
+def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
+    """Read a small set; errors name the line and the column."""
+    path, fill = Path(path), fill or {}
+    with open(path, newline="", encoding="utf-8-sig") as stream:
+        reader = csv.DictReader(stream)
+        header = reader.fieldnames or []
+        needed = ["grasp", *POINT, *NORMAL, *WRENCH, *(c for c in ("friction", "squeeze") if c not in fill)]
+        missing = [column for column in needed if column not in header]
+        if missing:
+            raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}")
+        lines = list(reader)
+    if not lines:
+        raise GraspFileError(path, "it holds no grasps")
+    for line, row in enumerate(lines, 2):
+        if None in row or None in row.values():
+            raise GraspFileError(path, f"line {line} has {'more' if None in row else 'fewer'} cells than the header")
+
+    def numbers(columns: tuple[str, ...]) -> np.ndarray:
+        return np.array([[_number(path, line, c, row[c]) for c in columns] for line, row in enumerate(lines, 2)])
+
+    keys = [row["grasp"] for row in lines]
+    starts = [i for i, key in enumerate(keys) if i == 0 or key != keys[i - 1]]
+    _check_runs(path, keys, starts)
+    wrench = numbers(WRENCH)
+    offsets = np.array([*starts, len(lines)])
+    for i, start in enumerate(starts):
+        differs = np.flatnonzero((wrench[start : offsets[i + 1]] != wrench[start]).any(1) & np.isfinite(wrench[start]).all())
+        if len(differs):
+            raise GraspFileError(path, f"line {start + differs[0] + 2} has another wrench than the grasp's first line")
+    contacts = {
+        column: np.full(len(lines), fill[column]) if column in fill and column not in header else numbers((column,))[:, 0]
+        for column in ("friction", "squeeze")
+    }
+    labels = {name: np.array([lines[start][name] for start in starts]) for name in LABELS if name in header}
+    return ContactSets(numbers(POINT), numbers(NORMAL), **contacts, offsets=offsets, wrench=wrench[starts][:, None], labels=labels)
+
+
+def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
+    """Write a small set, whole or not at all; digits enough to read the same numbers back."""
+    if sets.wrenches != 1:
+        raise ValueError(f"wrench has {sets.wrenches} wrenches a grasp: a CSV file holds one; write an .npz file")
+    header = ["grasp", *POINT, *NORMAL, "friction", "squeeze", *WRENCH, *sets.labels]
+    rows = [header]
+    owner = np.repeat(np.arange(len(sets)), sets.sizes)
+    for contact, grasp in enumerate(owner):
+        values = [*sets.points[contact], *sets.normals[contact], sets.friction[contact], sets.squeeze[contact]]
+        numbers = [repr(float(v)) for v in (*values, *sets.wrench[grasp, 0])]
+        rows.append([str(grasp), *numbers, *(str(values[grasp]) for values in sets.labels.values())])
+
+    def write(stream) -> None:
+        text = "".join(",".join(_quoted(cell) for cell in row) + "\n" for row in rows)
+        stream.write(text.encode())
+
+    replace_file(Path(path), write)
+
+
+def _quoted(cell: str) -> str:
+    return '"' + cell.replace('"', '""') + '"' if any(c in cell for c in ',"\n') else cell
+
+
+def _number(path: Path, line: int, column: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise GraspFileError(path, f"line {line}, column {column} is {text!r}: expected a number") from None
+
+
+def _check_runs(path: Path, keys: list[str], starts: list[int]) -> None:
+    seen: set[str] = set()
+    for start in starts:
+        if keys[start] in seen:
+            raise GraspFileError(path, f"line {start + 2} returns to grasp {keys[start]!r}: expected its lines together")
+        seen.add(keys[start])

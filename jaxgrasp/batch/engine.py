@@ -1,0 +1,149 @@
+"""Runs the methods on blocks of equal shape: compiles once a shape, times each method, uses every device."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxgrasp.batch.methods import Method
+from jaxgrasp.force import stages
+from jaxgrasp.force.angles import friction_margin
+from jaxgrasp.force.answer import Answer
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics import vec
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """One method on a block of problems."""
+
+    forces: np.ndarray
+    """``(B, n, 3)`` [N]."""
+    verdict: np.ndarray
+    residual: np.ndarray
+    objective: np.ndarray
+    steps: np.ndarray
+    certificate: np.ndarray
+    """``(B, 6)``."""
+    margin: np.ndarray
+    """Smallest friction margin of the loaded contacts [rad]; +inf where none is loaded."""
+    violation: np.ndarray
+    """Largest tangential force beyond friction's limit, max(|t| - mu n) or 0 [N]."""
+
+
+@dataclass
+class Times:
+    """Seconds spent, compiling apart."""
+
+    compiling: float = 0.0
+    solving: dict[str, float] = field(default_factory=dict)
+    problems: int = 0
+
+
+class Engine:
+    """Compiled solvers for the blocks of one evaluation."""
+
+    def __init__(self, methods: tuple[Method, ...], devices: int | None = None):
+        self.methods = methods
+        self.times = Times(solving={method.name: 0.0 for method in methods})
+        available = jax.local_devices()
+        self._mesh = Mesh(np.array(available[: devices or len(available)]), ("block",))
+
+    @property
+    def devices(self) -> int:
+        return self._mesh.size
+
+    def run(self, grasp: Grasp, wrench: np.ndarray) -> dict[str, MethodResult]:
+        """Every method on a block ``(B, n)``, ``(B, 6)``, whose size the number of devices divides."""
+        arrays = jax.tree.map(self._put, (grasp, wrench))
+        grasp, wrench = arrays
+        self.times.problems += wrench.shape[0]
+        results = {}
+        for sharing in dict.fromkeys(method.sharing for method in self.methods):
+            results |= self._one_sharing(sharing, grasp, wrench)
+        return {method.name: results[method.name] for method in self.methods}
+
+    def _one_sharing(self, sharing: str, grasp: Grasp, wrench: Array) -> dict[str, MethodResult]:
+        wanted = [method for method in self.methods if method.sharing == sharing]
+        weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
+        problem = Problem(
+            grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, weights, wrench
+        )
+        first, closed, spent = self._timed(_closed_block, problem)
+        results = {}
+        for method in wanted:
+            answer, own = closed, 0.0
+            if method.constrained:
+                answer, own = self._timed(stages.finish_optimum, problem, first)
+            self.times.solving[method.name] += spent + own
+            margin, violation, _ = self._timed(_margins, grasp, answer.forces)
+            names = ("forces", "verdict", "residual", "objective", "steps", "certificate")
+            host = {name: np.asarray(getattr(answer, name)) for name in names}
+            results[method.name] = MethodResult(**host, margin=np.asarray(margin), violation=np.asarray(violation))
+        return results
+
+    def _timed(self, function: Callable, *arguments) -> tuple:
+        """The function's results and the seconds it took, compiled beforehand."""
+        program = _program(function, self._mesh)
+        start = time.perf_counter()
+        compiled = program.compiled(arguments)
+        ready = time.perf_counter()
+        result = jax.block_until_ready(compiled(*arguments))
+        spent = time.perf_counter() - ready
+        self.times.compiling += ready - start
+        return (*result, spent) if type(result) is tuple else (result, spent)
+
+    def _put(self, array: np.ndarray) -> Array:
+        return jax.device_put(array, NamedSharding(self._mesh, PartitionSpec("block")))
+
+
+class _Program:
+    """A function on the devices of a mesh, compiled once for each set of shapes."""
+
+    def __init__(self, function: Callable, mesh: Mesh):
+        rows = PartitionSpec("block")
+        if mesh.size > 1:
+            # The blocks never talk to each other, so there is nothing for the checker to check.
+            function = jax.shard_map(function, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
+        self._jitted = jax.jit(function)
+        self._compiled: dict[tuple, Callable] = {}
+
+    def compiled(self, arguments: tuple) -> Callable:
+        leaves, structure = jax.tree.flatten(arguments)
+        key = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
+        if key not in self._compiled:
+            self._compiled[key] = self._jitted.lower(*arguments).compile()
+        return self._compiled[key]
+
+
+@cache
+def _program(function: Callable, mesh: Mesh) -> _Program:
+    return _Program(function, mesh)
+
+
+def _closed_block(problem: Problem) -> tuple[Answer, Answer]:
+    """The first pass, which the optimum starts from, and the closed form."""
+    first = stages.first_pass(problem)
+    return first, stages.finish_closed(problem, first)
+
+
+def _margins(grasp: Grasp, forces: Array) -> tuple[Array, Array]:
+    margin = jnp.min(friction_margin(grasp, forces), -1)
+    force, normal = vec.from_axis(forces, -1), vec.from_axis(grasp.normals, -1)
+    beyond = vec.norm(vec.cross(normal, force)) - grasp.friction * vec.dot(force, normal)
+    if grasp.present is not None:
+        beyond = jnp.where(grasp.present > 0.5, beyond, 0)
+    return margin, jnp.max(jnp.maximum(beyond, 0), -1)
+
+
+def answered(verdict: np.ndarray) -> np.ndarray:
+    """Where there are forces that balance the wrench."""
+    return verdict <= Verdict.OUTSIDE_CONES

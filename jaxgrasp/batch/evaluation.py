@@ -1,0 +1,141 @@
+"""Contact sets to results: every method on every grasp and wrench, in memory."""
+
+from dataclasses import dataclass, fields
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.batch.blocks import blocks
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.engine import Engine, MethodResult, Times
+from jaxgrasp.batch.methods import METHODS, methods_named
+from jaxgrasp.batch.summary import Summary, summarise
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.faults import GraspError
+from jaxgrasp.model.grasp import Grasp
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of every method on N grasps of M contacts in all, with W wrenches each.
+
+    ``results[name]`` holds arrays ``(N, W)``, with ``forces`` as ``(M, W, 3)`` in the order of
+    ``sets.points`` and ``certificate`` as ``(N, W, 6)``.
+    """
+
+    sets: ContactSets
+    results: dict[str, MethodResult]
+    summary: Summary
+    times: Times
+
+
+def evaluate(
+    grasps: ContactSets | Grasp,
+    wrenches: AnyArray | None = None,
+    *,
+    methods: tuple[str, ...] = tuple(METHODS),
+    dtype: str | np.dtype | None = None,
+    skip_bad: bool = False,
+    devices: int | None = None,
+) -> Evaluation:
+    """Closed forms and constrained optima of many grasps, and how far apart they are.
+
+    Args:
+        grasps: contact sets of any sizes, or one batch of grasps ``(N, n)``.
+        wrenches: ``(N, 6)``, ``(N, W, 6)`` or ``(6,)`` [N, N.m]; not needed for contact sets, which hold theirs.
+        methods: any of ``"A"``, ``"B"``, ``"A-optimum"``, ``"B-optimum"``; what is not asked for is not computed.
+        dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
+        skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.
+        devices: how many of JAX's local devices to use; all where not given.
+
+    Raises:
+        GraspError: for the first fault of the data, before anything is computed.
+        ValueError: for an unknown method, or float64 asked for while JAX's 64-bit mode is off.
+    """
+    sets = _as_sets(grasps, wrenches)
+    kind = np.dtype(dtype or sets.points.dtype)
+    if kind == np.float64 and not jax.config.jax_enable_x64:
+        raise ValueError(
+            "dtype is float64 while JAX's 64-bit mode is off: call jax.config.update('jax_enable_x64', True) first, "
+            "or pass dtype='float32'"
+        )
+    sets, bad = set_aside(sets, skip_bad)
+    engine = Engine(methods_named(methods), devices)
+    sets = sets.astype(kind)
+    results = run(engine, sets)
+    return Evaluation(sets, results, summarise(sets, results, set_aside=bad), engine.times)
+
+
+def set_aside(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, int]:
+    """The usable grasps and the number of others; raises for the first fault unless told to skip."""
+    bad = set()
+    for fault in sets.faults(first_grasp):
+        if not skip_bad:
+            raise GraspError(fault)
+        bad.add(fault.index[0] - first_grasp)
+    if bad:
+        sets = sets.rows(np.setdiff1d(np.arange(len(sets)), np.fromiter(bad, int)))
+    return sets, len(bad)
+
+
+def run(engine: Engine, sets: ContactSets, multiple: int = 1) -> dict[str, MethodResult]:
+    """Every method of the engine on every problem, back in the order of ``sets``."""
+    count, wrenches = len(sets), sets.wrenches
+    parts = []
+    for rows, grasp, wrench in blocks(sets, int(np.lcm(multiple, engine.devices))):
+        parts.append((rows, engine.run(grasp, wrench)))
+    results = {}
+    for method in engine.methods:
+        shaped = {field.name: _empty(field.name, sets) for field in fields(MethodResult)}
+        for rows, part in parts:
+            _place(shaped, part[method.name], rows, sets)
+        results[method.name] = MethodResult(**shaped)
+    return results
+
+
+def _empty(name: str, sets: ContactSets) -> np.ndarray:
+    if name == "forces":
+        return np.empty((len(sets.points), sets.wrenches, 3), sets.points.dtype)
+    tail = (6,) if name == "certificate" else ()
+    whole = {"verdict": np.int8, "steps": np.int32}
+    return np.empty((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
+
+
+def _place(shaped: dict[str, np.ndarray], part: MethodResult, rows: np.ndarray, sets: ContactSets) -> None:
+    """Write a block's answers where its grasps stand, leaving out padding."""
+    used = len(rows) * sets.wrenches
+    sizes = sets.sizes[rows]
+    for name, target in shaped.items():
+        values = getattr(part, name)[:used]
+        values = values.reshape(len(rows), sets.wrenches, *values.shape[1:])
+        if name != "forces":
+            target[rows] = values
+            continue
+        width = values.shape[2]
+        by_contact = np.swapaxes(values, 1, 2)
+        if len(rows) == len(sets) and np.all(sizes == width):
+            target[:] = by_contact.reshape(-1, sets.wrenches, 3)
+        else:
+            there = np.arange(width) < sizes[:, None]
+            target[_contacts_of(rows, sets)] = by_contact[there]
+
+
+def _contacts_of(rows: np.ndarray, sets: ContactSets) -> np.ndarray:
+    sizes = sets.sizes[rows]
+    ends = np.cumsum(sizes)
+    return np.repeat(sets.offsets[:-1][rows] - (ends - sizes), sizes) + np.arange(ends[-1] if len(ends) else 0)
+
+
+def _as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None) -> ContactSets:
+    if isinstance(grasps, Grasp):
+        if wrenches is None:
+            raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
+        return ContactSets.from_grasp(grasps, np.asarray(wrenches))
+    if wrenches is None:
+        return grasps
+    from dataclasses import replace
+
+    from jaxgrasp.batch.contact_sets import as_wrenches
+
+    return replace(grasps, wrench=as_wrenches(np.asarray(wrenches), len(grasps)))

@@ -1,0 +1,231 @@
+"""Grasp files, version 1: an ``.npz`` archive, read column by column in step so that it need not fit in memory.
+
+    version    (optional) 1
+    points     (N, n, 3), or flat (M, 3) with offsets (N + 1,), [m]
+    normals    like points; unit, into the object
+    friction   (N, n) or (M,)
+    squeeze    (N, n) or (M,) [N]
+    offsets    (N + 1,) integers, only with flat columns
+    wrench     (N, 6), or (N, W, 6) for W wrenches a grasp [N, N.m]
+    name, source, object, hand   (optional) (N,) text
+
+Other columns are left alone. Nothing is ever unpickled.
+"""
+
+import os
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_wrenches
+from jaxgrasp.batch.file_error import GraspFileError
+
+VERSION = 1
+LABELS = ("name", "source", "object", "hand")
+
+
+class Column:
+    """One array of the archive, read forward a few rows at a time."""
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
+        self.name = name
+        try:
+            self._stream: IO[bytes] = archive.open(f"{name}.npy")
+            version = np.lib.format.read_magic(self._stream)
+            header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            if version not in header:
+                raise ValueError(f"NPY version {version}")
+            self.shape, fortran, self.dtype = header[version](self._stream)
+        except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
+            raise GraspFileError(path, f"its column {name!r} cannot be read ({error})") from error
+        if self.dtype.hasobject:
+            raise GraspFileError(path, f"its column {name!r} holds pickled objects: expected plain numbers or text")
+        if fortran and len(self.shape) > 1:
+            raise GraspFileError(path, f"its column {name!r} is in Fortran order: save np.ascontiguousarray of it")
+        self._path = path
+        self._at = 0
+
+    def take(self, rows: int) -> np.ndarray:
+        """The next rows."""
+        size = rows * self._row_bytes
+        try:
+            data = self._stream.read(size)
+        except (zipfile.BadZipFile, OSError, EOFError) as error:
+            raise GraspFileError(self._path, f"its column {self.name!r} is damaged ({error})") from error
+        if len(data) != size:
+            raise GraspFileError(self._path, f"its column {self.name!r} ends early: the file is truncated")
+        self._at += rows
+        return np.frombuffer(data, self.dtype).reshape(rows, *self.shape[1:])
+
+    def skip(self, rows: int) -> None:
+        while rows > 0:
+            step = min(rows, max(1, (1 << 24) // max(1, self._row_bytes)))
+            self.take(step)
+            rows -= step
+
+    @property
+    def _row_bytes(self) -> int:
+        return self.dtype.itemsize * int(np.prod(self.shape[1:], dtype=np.int64))
+
+
+class NpzGrasps:
+    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
+
+    def __init__(self, path: str | os.PathLike, fill: dict[str, float] | None = None):
+        self.path = Path(path)
+        self._fill = fill or {}
+        try:
+            self._archive = zipfile.ZipFile(self.path)
+        except FileNotFoundError:
+            raise
+        except (zipfile.BadZipFile, OSError) as error:
+            raise GraspFileError(self.path, "it is not a complete .npz archive") from error
+        self.names = [member.removesuffix(".npy") for member in self._archive.namelist()]
+        self._check_names()
+        self._shapes = {name: self._open(name).shape for name in self.names if name in (*CONTACT_FIELDS, "wrench", "offsets")}
+        self.dtypes = {name: self._open(name).dtype for name in self._shapes}
+        self._check_version()
+        self.offsets = self._read_offsets()
+        self._check_shapes()
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+    def __enter__(self) -> "NpzGrasps":
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._archive.close()
+
+    @property
+    def wrenches(self) -> int:
+        shape = self._shapes["wrench"]
+        return shape[1] if len(shape) == 3 else 1
+
+    @property
+    def largest(self) -> int:
+        return int(np.diff(self.offsets).max(initial=0))
+
+    def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
+        """The grasps from ``start`` on, ``size`` at a time, in order."""
+        columns = {name: self._open(name) for name in (*CONTACT_FIELDS, "wrench", *LABELS) if name in self.names}
+        per_contact = "offsets" in self._shapes
+        for name, column in columns.items():
+            by_contact = name in CONTACT_FIELDS and per_contact
+            column.skip(int(self.offsets[start]) if by_contact else start)
+        for first in range(start, len(self), size):
+            last = min(first + size, len(self))
+            yield self._rows(columns, first, last, per_contact)
+
+    def read(self) -> ContactSets:
+        """All of it."""
+        return next(self.chunks(max(1, len(self))))
+
+    def _rows(self, columns: dict[str, Column], first: int, last: int, per_contact: bool) -> ContactSets:
+        contacts = int(self.offsets[last] - self.offsets[first])
+        taken = {}
+        for name, column in columns.items():
+            taken[name] = column.take(contacts if name in CONTACT_FIELDS and per_contact else last - first)
+        dtype = np.result_type(*(taken[name].dtype for name in taken if name not in LABELS), np.float32)
+        flat = {}
+        for name in CONTACT_FIELDS:
+            if name in taken:
+                tail = (3,) if name in ("points", "normals") else ()
+                flat[name] = taken[name].reshape(contacts, *tail).astype(dtype, copy=False)
+            else:
+                flat[name] = np.full(contacts, self._fill[name], dtype)
+        return ContactSets(
+            **flat,
+            offsets=self.offsets[first : last + 1] - self.offsets[first],
+            wrench=as_wrenches(taken["wrench"].astype(dtype, copy=False), last - first),
+            labels={name: taken[name] for name in LABELS if name in taken},
+        )
+
+    def _open(self, name: str) -> Column:
+        return Column(self.path, self._archive, name)
+
+    def _check_names(self) -> None:
+        wanted = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
+        missing = [name for name in wanted if name not in self.names]
+        if missing:
+            hint = "".join(f"; --{name} gives one value to all" for name in missing if name in ("friction", "squeeze"))
+            raise GraspFileError(
+                self.path, f"it lacks {', '.join(map(repr, missing))} and holds {', '.join(self.names) or 'nothing'}{hint}"
+            )
+
+    def _check_version(self) -> None:
+        if "version" not in self.names:
+            return
+        with self._archive.open("version.npy") as stream:
+            version = np.lib.format.read_array(stream, allow_pickle=False)
+        if version.shape != () or version != VERSION:
+            raise GraspFileError(self.path, f"its version is {version}: this jaxgrasp reads version {VERSION}")
+
+    def _read_offsets(self) -> np.ndarray:
+        shape = self._shapes["points"]
+        if "offsets" not in self._shapes:
+            if len(shape) != 3 or shape[2] != 3:
+                raise GraspFileError(
+                    self.path, f"points has shape {shape}: expected (N, n, 3), or (M, 3) with a column 'offsets'"
+                )
+            return np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
+        column = self._open("offsets")
+        if len(column.shape) != 1 or column.shape[0] == 0 or not np.issubdtype(column.dtype, np.integer):
+            raise GraspFileError(self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers")
+        offsets = column.take(column.shape[0]).astype(np.int64)
+        falling = np.flatnonzero(np.diff(offsets) < 0)
+        if offsets[0] != 0 or len(falling) or offsets[-1] != shape[0]:
+            at = 0 if offsets[0] != 0 else (int(falling[0]) + 1 if len(falling) else len(offsets) - 1)
+            raise GraspFileError(
+                self.path,
+                f"offsets[{at}] is {offsets[at]}: expected offsets that rise from 0 to {shape[0]}, the number of points",
+            )
+        return offsets
+
+    def _check_shapes(self) -> None:
+        contacts = self._shapes["points"][:1] if "offsets" in self._shapes else self._shapes["points"][:2]
+        expected = {"points": (*contacts, 3), "normals": (*contacts, 3), "friction": contacts, "squeeze": contacts}
+        for name, shape in expected.items():
+            if name in self._shapes and self._shapes[name] != shape:
+                raise GraspFileError(self.path, f"{name} has shape {self._shapes[name]}: expected {shape}, to fit points")
+        wrench = self._shapes["wrench"]
+        if len(wrench) not in (2, 3) or wrench[0] != len(self) or wrench[-1] != 6 or 0 in wrench[1:]:
+            raise GraspFileError(self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)")
+        for name, dtype in self.dtypes.items():
+            if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
+                raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers")
+        for name in LABELS:
+            if name in self.names and self._open(name).shape != (len(self),):
+                raise GraspFileError(self.path, f"{name} has shape {self._open(name).shape}: expected ({len(self)},)")
+        if len(self) == 0:
+            raise GraspFileError(self.path, "it holds no grasps")
+
+
+def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
+    """Write a grasp file, whole or not at all."""
+    path = Path(path)
+    uniform = len(sets) > 0 and np.all(sets.sizes == sets.largest)
+    columns = {name: getattr(sets, name) for name in CONTACT_FIELDS}
+    if uniform:
+        columns = {name: a.reshape(len(sets), sets.largest, *a.shape[1:]) for name, a in columns.items()}
+    else:
+        columns["offsets"] = np.asarray(sets.offsets, np.int64)
+    wrench = sets.wrench[:, 0] if sets.wrenches == 1 else sets.wrench
+    texts = {name: np.asarray(values, str) for name, values in sets.labels.items()}
+    replace_file(path, lambda stream: np.savez(stream, version=VERSION, wrench=wrench, **columns, **texts))
+
+
+def replace_file(path: Path, write) -> None:
+    """Write beside ``path`` and rename, so that a reader never meets half a file."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        with open(beside, "wb") as stream:
+            write(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)

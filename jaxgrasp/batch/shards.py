@@ -1,0 +1,118 @@
+"""Results on disk: one file a chunk and a manifest, so that an interrupt costs at most a chunk.
+
+A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
+``.steps``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; and ``grasp (N,)``,
+the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts.
+"""
+
+import json
+import os
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.batch.engine import MethodResult
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.npz_file import replace_file
+
+MANIFEST = "manifest.json"
+SMALL = 64 << 20
+"""Results up to this many bytes end as one file instead of shards."""
+
+
+class ResultFolder:
+    """The output folder of one evaluation."""
+
+    def __init__(self, folder: Path, identity: dict, resume: bool):
+        """Open ``folder`` for the evaluation that ``identity`` describes.
+
+        Raises:
+            GraspFileError: if it cannot be written, holds results already, or those of another evaluation
+                when told to resume.
+        """
+        self.folder = folder
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            probe = folder / f".probe.{os.getpid()}"
+            probe.touch()
+            probe.unlink()
+        except OSError as error:
+            raise GraspFileError(folder, f"the output folder cannot be written ({error.strerror})") from error
+        self.manifest = {"version": 1, **identity, "shards": [], "complete": False}
+        if (folder / MANIFEST).exists():
+            self._take_up(identity, resume)
+        for leftover in folder.glob(".*.partial"):
+            leftover.unlink()
+
+    def _take_up(self, identity: dict, resume: bool) -> None:
+        found = json.loads((self.folder / MANIFEST).read_text())
+        if not resume:
+            if found.get("complete"):
+                self.clear(found)
+                return
+            raise GraspFileError(
+                self.folder, "it holds an unfinished evaluation: --resume goes on with it, or choose another --out"
+            )
+        differing = [key for key, value in identity.items() if found.get(key) != value]
+        if differing:
+            key = differing[0]
+            raise GraspFileError(
+                self.folder, f"its results have {key} = {found.get(key)!r}, not {identity[key]!r}: they cannot be resumed"
+            )
+        self.manifest = found
+
+    def clear(self, found: dict) -> None:
+        """Remove the files of an earlier, finished evaluation; nothing else in the folder is touched."""
+        for entry in found["shards"]:
+            (self.folder / entry["file"]).unlink(missing_ok=True)
+        (self.folder / MANIFEST).unlink()
+
+    @property
+    def done(self) -> int:
+        """Grasps of the input whose results are on disk."""
+        return self.manifest["shards"][-1]["stop"] if self.manifest["shards"] else 0
+
+    def add(self, arrays: dict[str, np.ndarray], start: int, stop: int, summary: dict) -> None:
+        """Write one chunk's results; the manifest names a shard only once it is whole."""
+        name = f"shard-{len(self.manifest['shards']):05d}.npz"
+        replace_file(self.folder / name, lambda stream: np.savez(stream, **arrays))
+        self.manifest["shards"].append({"file": name, "start": start, "stop": stop, "summary": summary})
+        self._write_manifest()
+
+    def finish(self) -> None:
+        """Join a few small shards into ``results.npz`` and mark the evaluation complete."""
+        entries = self.manifest["shards"]
+        paths = [self.folder / entry["file"] for entry in entries]
+        if sum(path.stat().st_size for path in paths) <= SMALL:
+            joined = _joined(paths)
+            replace_file(self.folder / "results.npz", lambda stream: np.savez(stream, **joined))
+            whole = {"file": "results.npz", "start": 0, "stop": self.done}
+            self.manifest["shards"] = [{**whole, "summaries": [entry["summary"] for entry in entries]}]
+        else:
+            paths = []
+        self.manifest["complete"] = True
+        self._write_manifest()
+        for path in paths:
+            path.unlink()
+
+    def _write_manifest(self) -> None:
+        text = json.dumps(self.manifest, indent=1).encode()
+        replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
+
+
+def arrays_of(results: dict[str, MethodResult], offsets: np.ndarray, grasp: np.ndarray, constrained: set[str]) -> dict:
+    """A chunk's results as the arrays of a shard."""
+    arrays = {"grasp": grasp, "offsets": offsets}
+    for method, result in results.items():
+        for field in fields(MethodResult):
+            if field.name != "certificate" or method in constrained:
+                arrays[f"{method}.{field.name}"] = getattr(result, field.name)
+    return arrays
+
+
+def _joined(paths: list[Path]) -> dict[str, np.ndarray]:
+    shards = [dict(np.load(path, allow_pickle=False)) for path in paths]
+    joined = {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0] if name != "offsets"}
+    sizes = np.concatenate([np.diff(shard["offsets"]) for shard in shards])
+    return {"offsets": np.concatenate([[0], np.cumsum(sizes)]), **joined}

@@ -1,0 +1,130 @@
+"""Where grasps come from: a file of any kind we read, as a stream of contact sets, adjusted as the user asks."""
+
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.csv_file import read_csv, write_csv
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.npz_file import NpzGrasps, write_npz
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.faults import GraspError
+from jaxgrasp.model.grasp import Grasp
+
+MILLIMETRES_LIKELY = 2.0
+"""A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
+
+
+class GraspSource(Protocol):
+    """Grasps that can be read chunk by chunk."""
+
+    wrenches: int
+    largest: int
+
+    def __len__(self) -> int: ...
+
+    def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]: ...
+
+
+class MemorySource:
+    """Contact sets that are in memory already."""
+
+    def __init__(self, sets: ContactSets):
+        self._sets = sets
+        self.wrenches, self.largest = sets.wrenches, sets.largest
+
+    def __len__(self) -> int:
+        return len(self._sets)
+
+    def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
+        for first in range(start, len(self), size):
+            yield self._sets.rows(slice(first, first + size))
+
+
+@dataclass(frozen=True)
+class Adjustments:
+    """What the user says about data that differ from our conventions."""
+
+    outward_normals: bool = False
+    friction: float | None = None
+    """Replaces the file's, or stands in for a missing column."""
+    squeeze: float | None = None
+
+    @property
+    def fill(self) -> dict[str, float]:
+        return {name: value for name in ("friction", "squeeze") if (value := getattr(self, name)) is not None}
+
+    def apply(self, sets: ContactSets) -> ContactSets:
+        changes = {name: np.full_like(getattr(sets, name), value) for name, value in self.fill.items()}
+        if self.outward_normals:
+            changes["normals"] = -sets.normals
+        return replace(sets, **changes) if changes else sets
+
+
+def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments()) -> GraspSource:  # noqa: B008
+    """The grasps of a ``.npz`` or ``.csv`` file."""
+    path = Path(path)
+    if path.is_dir():
+        raise GraspFileError(path, "it is a directory: expected an .npz or a .csv file")
+    if path.suffix.lower() == ".csv":
+        return MemorySource(read_csv(path, adjustments.fill))
+    return NpzGrasps(path, adjustments.fill)
+
+
+def load_grasps(path: str | os.PathLike) -> ContactSets:
+    """Read a grasp file (``.npz`` version 1, or ``.csv``), check every entry, and return it whole.
+
+    Raises:
+        GraspFileError: if the file is damaged, lacks a column, or its shapes do not fit.
+        GraspError: for the first entry that is not usable: which, its value, and what was expected.
+    """
+    source = open_source(path)
+    sets = next(source.chunks(max(1, len(source))))
+    for fault in sets.faults():
+        raise GraspError(fault)
+    if looks_like_millimetres(sets):
+        warnings.warn(
+            f"{os.fspath(path)}: contacts lie metres apart, as if lengths were in millimetres: expected metres",
+            stacklevel=2,
+        )
+    return sets
+
+
+def save_grasps(
+    path: str | os.PathLike, grasps: ContactSets | Grasp, wrenches: AnyArray | None = None, **labels: AnyArray
+) -> None:
+    """Write a grasp file, ``.npz`` or ``.csv`` by its name, whole or not at all.
+
+    Args:
+        path: where to; a file that stands there is replaced once the new one is complete.
+        grasps: contact sets, or a batch of grasps ``(N, n)`` with ``wrenches``.
+        wrenches: ``(N, 6)`` or ``(N, W, 6)``.
+        labels: text of each grasp ``(N,)``: any of ``name``, ``source``, ``object``, ``hand``.
+
+    Raises:
+        GraspError: for the first entry that is not usable.
+    """
+    if isinstance(grasps, Grasp):
+        if wrenches is None:
+            raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
+        grasps = ContactSets.from_grasp(grasps, np.asarray(wrenches))
+    if labels:
+        grasps = replace(grasps, labels={name: np.asarray(values, str) for name, values in labels.items()})
+    for fault in grasps.faults():
+        raise GraspError(fault)
+    writer = write_csv if Path(path).suffix.lower() == ".csv" else write_npz
+    writer(path, grasps)
+
+
+def looks_like_millimetres(sets: ContactSets) -> bool:
+    """Whether most grasps are larger than any hand, as they are when lengths are in millimetres."""
+    starts = sets.offsets[:-1]
+    middle = np.add.reduceat(sets.points, starts, axis=0) / sets.sizes[:, None]
+    reach = np.linalg.norm(sets.points - np.repeat(middle, sets.sizes, axis=0), axis=1)
+    return bool(np.median(np.maximum.reduceat(reach, starts)) > MILLIMETRES_LIKELY)

@@ -1,0 +1,171 @@
+"""What an evaluation says as a whole: counts and distributions that merge chunk by chunk."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.engine import MethodResult
+from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.methods import METHODS
+from jaxgrasp.batch.worst import KEPT, worst_cases
+from jaxgrasp.model.solution import Verdict
+
+ANGLE_BINS = 90
+SAMPLED_CONTACTS = 20_000
+
+
+@dataclass
+class MethodSummary:
+    """One method over all problems."""
+
+    verdicts: np.ndarray
+    """Problems by verdict code."""
+    steps: int
+    """Newton steps in all."""
+    largest_residual: float
+    """Of the answers that claim to balance the wrench."""
+    smallest_margin: float
+    """Smallest friction margin [rad] of the answers that claim to balance the wrench."""
+    angles: np.ndarray
+    """``(ANGLE_BINS, ANGLE_BINS)``: loaded contacts by slip angle (0 to pi) and friction angle (0 to pi / 2),
+    in a sample of contacts."""
+
+    def merged(self, other: "MethodSummary") -> "MethodSummary":
+        return MethodSummary(
+            self.verdicts + other.verdicts,
+            self.steps + other.steps,
+            max(self.largest_residual, other.largest_residual),
+            min(self.smallest_margin, other.smallest_margin),
+            self.angles + other.angles,
+        )
+
+    def count(self, *verdicts: Verdict) -> int:
+        return int(sum(self.verdicts[v] for v in verdicts))
+
+
+@dataclass
+class Comparison:
+    """A closed form against its own optimum, over the problems that have one."""
+
+    compared: int
+    already_optimal: int
+    price: LogHistogram
+    """(F* - F) / F*: the share of the optimum's objective that is owed to friction."""
+    distance: LogHistogram
+    """|f - f*| / |f*| over all contacts of a problem."""
+    violation: LogHistogram
+    """Tangential force of the closed form beyond friction's limit, the worst contact's [N]."""
+
+    def merged(self, other: "Comparison") -> "Comparison":
+        return Comparison(
+            self.compared + other.compared,
+            self.already_optimal + other.already_optimal,
+            self.price.merged(other.price),
+            self.distance.merged(other.distance),
+            self.violation.merged(other.violation),
+        )
+
+
+@dataclass
+class Summary:
+    """All methods, and each closed form against its optimum (keys "A" and "B")."""
+
+    grasps: int
+    contacts: int
+    problems: int
+    set_aside: int
+    sizes: np.ndarray
+    """Grasps by number of contacts."""
+    methods: dict[str, MethodSummary]
+    comparisons: dict[str, Comparison]
+    worst: list[dict] = field(default_factory=list)
+    """The problems whose closed form is furthest from its optimum, worst first, with their data."""
+
+    def merged(self, other: "Summary") -> "Summary":
+        sizes = np.zeros(max(len(self.sizes), len(other.sizes)), int)
+        sizes[: len(self.sizes)] += self.sizes
+        sizes[: len(other.sizes)] += other.sizes
+        ranked = sorted(self.worst + other.worst, key=lambda case: -case["price"])
+        return Summary(
+            self.grasps + other.grasps,
+            self.contacts + other.contacts,
+            self.problems + other.problems,
+            self.set_aside + other.set_aside,
+            sizes,
+            {name: own.merged(other.methods[name]) for name, own in self.methods.items()},
+            {name: own.merged(other.comparisons[name]) for name, own in self.comparisons.items()},
+            ranked[:KEPT],
+        )
+
+
+def summarise(
+    sets: ContactSets, results: dict[str, MethodResult], *, set_aside: int = 0, first_grasp: int = 0
+) -> Summary:
+    """The summary of one chunk, whose first grasp has the number ``first_grasp``."""
+    comparisons, worst = {}, []
+    for name in ("A", "B"):
+        optimum = METHODS[f"{name}-optimum"].name
+        if name in results and optimum in results:
+            comparison, price = _compare(sets, results[name], results[optimum])
+            comparisons[name] = comparison
+            if name == "B" or "B" not in results:
+                worst = worst_cases(sets, results[name], results[optimum], price, name, first_grasp)
+    return Summary(
+        grasps=len(sets),
+        contacts=len(sets.points),
+        problems=len(sets) * sets.wrenches,
+        set_aside=set_aside,
+        sizes=np.bincount(sets.sizes),
+        methods={name: _one_method(sets, result) for name, result in results.items()},
+        comparisons=comparisons,
+        worst=worst,
+    )
+
+
+def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
+    answered = result.verdict <= Verdict.OUTSIDE_CONES
+    return MethodSummary(
+        verdicts=np.bincount(result.verdict.ravel(), minlength=len(Verdict)),
+        steps=int(result.steps.sum()),
+        largest_residual=float(np.max(result.residual[answered], initial=0)),
+        smallest_margin=float(np.min(result.margin[answered], initial=np.inf)),
+        angles=_angles(sets, result),
+    )
+
+
+def _angles(sets: ContactSets, result: MethodResult) -> np.ndarray:
+    """Slip against friction angle of a sample of contacts of answered problems, first wrench."""
+    answered = np.repeat(result.verdict[:, 0] <= Verdict.OUTSIDE_CONES, sets.sizes)
+    chosen = np.flatnonzero(answered)[:: max(1, len(sets.points) // SAMPLED_CONTACTS)]
+    force, normal = result.forces[chosen, 0].astype(float), sets.normals[chosen].astype(float)
+    loaded = np.einsum("ci,ci->c", force, force) > 0
+    along = np.einsum("ci,ci->c", force, normal)
+    slip = np.arctan2(np.linalg.norm(np.cross(normal, force), axis=1), along)[loaded]
+    friction = np.arctan(sets.friction[chosen].astype(float))[loaded]
+    counts, _, _ = np.histogram2d(slip, friction, ANGLE_BINS, ((0, np.pi), (0, np.pi / 2)))
+    return counts.astype(int)
+
+
+def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> tuple[Comparison, np.ndarray]:
+    """The comparison, and the price of every problem (-inf where there is no optimum to compare with)."""
+    solved = (optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (optimum.verdict == Verdict.OPTIMAL)
+    already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
+    with np.errstate(divide="ignore", invalid="ignore"):
+        price = np.where(already, 0, (optimum.objective - closed.objective) / optimum.objective)
+        apart = _length_by_problem(sets, closed.forces - optimum.forces)
+        distance = np.where(already, 0, apart / _length_by_problem(sets, optimum.forces))
+    comparison = Comparison(
+        compared=int(solved.sum()),
+        already_optimal=int(already.sum()),
+        price=LogHistogram.of(np.maximum(price[solved], 0)),
+        distance=LogHistogram.of(distance[solved]),
+        violation=LogHistogram.of(np.where(already, 0, closed.violation)[solved]),
+    )
+    return comparison, np.where(solved, price, -np.inf)
+
+
+def _length_by_problem(sets: ContactSets, forces: np.ndarray) -> np.ndarray:
+    """Norm of all forces of each problem, ``(N, W)``."""
+    square = np.einsum("cwi,cwi->cw", forces, forces)
+    return np.sqrt(np.add.reduceat(square, sets.offsets[:-1], axis=0))

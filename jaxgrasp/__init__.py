@@ -7,9 +7,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from jaxgrasp.batch.contact_sets import ContactSets
+    from jaxgrasp.batch.evaluation import Evaluation, evaluate
+    from jaxgrasp.batch.file_error import GraspFileError
+    from jaxgrasp.batch.sources import load_grasps, save_grasps
     from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
     from jaxgrasp.force.distribution import ForceSplit, closed_form, constrained_optimum, split_forces
     from jaxgrasp.force.lagrange import lagrange_forces
+    from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.solution import Solution, Verdict
@@ -18,19 +23,27 @@ if TYPE_CHECKING:
 
 _HOME = {
     "CYLINDRICAL_POWER_GRIP": "model.squeeze",
+    "ContactSets": "batch.contact_sets",
     "Contributions": "model.squeeze",
+    "Evaluation": "batch.evaluation",
     "Fault": "model.faults",
     "ForceSplit": "force.distribution",
     "Grasp": "model.grasp",
     "GraspError": "model.faults",
+    "GraspFileError": "batch.file_error",
+    "MujocoGrasp": "interop.mujoco_contacts",
     "Solution": "model.solution",
     "Verdict": "model.solution",
     "check_grasp": "model.faults",
     "closed_form": "force.distribution",
     "constrained_optimum": "force.distribution",
+    "evaluate": "batch.evaluation",
     "friction_margin": "force.angles",
+    "from_mujoco": "interop.mujoco_contacts",
     "grasp_matrix": "model.wrench",
     "lagrange_forces": "force.lagrange",
+    "load_grasps": "batch.sources",
+    "save_grasps": "batch.sources",
     "slip_angle": "force.angles",
     "split_forces": "force.distribution",
     "squeezing": "model.squeeze",

@@ -1,7 +1,9 @@
 """Contact sets of all sizes as a few shapes, since each shape costs seconds to compile."""
 
 from collections.abc import Iterator
+from functools import partial
 
+import jax
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
@@ -26,30 +28,26 @@ def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
     return np.asarray(steps)[step]
 
 
-def blocks(sets: ContactSets, multiple: int) -> Iterator[tuple[np.ndarray, Grasp, np.ndarray]]:
+def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[tuple[np.ndarray, Grasp, np.ndarray]]:
     """The problems of ``sets`` by shape: grasp indices, the padded batch, and its wrenches.
 
-    The problems of grasp ``i`` of a block stand together, one for each wrench. The number of problems is
-    brought to a ``multiple`` by repeating the block's first grasp, whose extra answers come last.
+    The problems of grasp ``i`` of a block stand together, one for each wrench. In a stream of chunks, a
+    block is brought to the size of a full ``chunk``, or an eighth of it where grasps of several widths
+    share the chunk, by repeating its first grasp; so later chunks meet shapes that are compiled already.
+    The extra answers come last.
     """
     wide = widths(sets.sizes, sets.wrenches)
-    for width in np.unique(wide):
+    different = np.unique(wide)
+    step = chunk if len(different) == 1 else max(1, chunk // 8)
+    for width in different:
         rows = np.flatnonzero(wide == width)
         chosen = sets if len(rows) == len(sets) else sets.rows(rows)
-        grasp, wrench = chosen.padded(int(width)), chosen.wrench
-        missing = -len(rows) % multiple
-        grasp = Grasp(*(_widen(array, missing, sets.wrenches) for array in _fields(grasp)))
-        wrench = _widen(wrench, missing, 1).reshape(-1, 6)
-        yield rows, grasp, wrench
+        missing = -len(rows) % int(np.lcm(step, devices))
+        widened = jax.tree.map(partial(_widen, missing=missing, repeats=sets.wrenches), chosen.padded(int(width)))
+        yield rows, widened, _widen(chosen.wrench, missing, 1).reshape(-1, 6)
 
 
-def _fields(grasp: Grasp) -> tuple:
-    return grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present
-
-
-def _widen(array: np.ndarray | None, missing: int, repeats: int) -> np.ndarray | None:
-    if array is None:
-        return None
+def _widen(array: np.ndarray, missing: int, repeats: int) -> np.ndarray:
     if missing:
         array = np.concatenate([array, np.repeat(array[:1], missing, 0)])
     return np.repeat(array, repeats, 0) if repeats > 1 else array

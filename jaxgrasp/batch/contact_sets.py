@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -60,13 +61,16 @@ class ContactSets:
             raise GraspError(Fault("points", (), f"an array of shape {points.shape}", "a shape (n, 3) or (N, n, 3)"))
         points = points.reshape(-1, *points.shape[-2:])
         count, n, _ = points.shape
-        present = np.ones((count, n), bool) if grasp.present is None else np.asarray(grasp.present).reshape(count, n) > 0.5
+        present = (
+            np.ones((count, n), bool) if grasp.present is None else np.asarray(grasp.present).reshape(count, n) > 0.5
+        )
         columns = {"points": points[present]}
         for name in CONTACT_FIELDS[1:]:
             array = np.asarray(getattr(grasp, name))
             columns[name] = array.reshape(count, n, *points.shape[2:] if name == "normals" else ())[present]
         offsets = np.concatenate([[0], np.cumsum(present.sum(1))])
-        return cls(**columns, offsets=offsets, wrench=as_wrenches(np.asarray(wrench), count))
+        points, normals, friction, squeeze = (columns[name] for name in CONTACT_FIELDS)
+        return cls(points, normals, friction, squeeze, offsets, as_wrenches(np.asarray(wrench), count))
 
     def grasp(self, index: int) -> Grasp:
         """One grasp, of the size that it has."""
@@ -97,7 +101,8 @@ class ContactSets:
         count = len(self)
         if np.all(self.sizes == width):
             shaped = {name: getattr(self, name) for name in CONTACT_FIELDS}
-            return Grasp(**{name: a.reshape(count, width, *a.shape[1:]) for name, a in shaped.items()})
+            points, normals, friction, squeeze = (a.reshape(count, width, *a.shape[1:]) for a in shaped.values())
+            return Grasp(points, normals, friction, squeeze)
         there = np.arange(width) < self.sizes[:, None]
 
         def spread(array: np.ndarray) -> np.ndarray:
@@ -105,11 +110,14 @@ class ContactSets:
             wide[there] = array
             return wide
 
-        return Grasp(*(spread(getattr(self, name)) for name in CONTACT_FIELDS), present=there.astype(self.points.dtype))
+        points, normals, friction, squeeze = (spread(getattr(self, name)) for name in CONTACT_FIELDS)
+        return Grasp(points, normals, friction, squeeze, present=there.astype(self.points.dtype))
 
     def astype(self, dtype: np.dtype) -> "ContactSets":
+        """The same sets in another precision."""
         names = (*CONTACT_FIELDS, "wrench")
-        return replace(self, **{name: np.asarray(getattr(self, name), dtype) for name in names})
+        changed: dict[str, Any] = {name: np.asarray(getattr(self, name), dtype) for name in names}
+        return replace(self, **changed)
 
     def faults(self, first_grasp: int = 0) -> Iterator[Fault]:
         """Every bad entry, by grasp and contact; ``first_grasp`` is the number of the first grasp here."""
@@ -121,8 +129,8 @@ class ContactSets:
             shown = np.array2string(self.wrench[tuple(index)], precision=6)
             place = (first_grasp + int(index[0]), *map(int, index[1:] if self.wrenches > 1 else ()))
             yield Fault("wrench", place, shown, "six finite numbers [N, N.m]")
-        for index in np.flatnonzero(self.sizes == 0):
-            yield Fault("offsets", (first_grasp + int(index),), "a grasp of no contacts", "at least one contact")
+        for empty in np.flatnonzero(self.sizes == 0):
+            yield Fault("offsets", (first_grasp + int(empty),), "a grasp of no contacts", "at least one contact")
 
 
 def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:
@@ -134,6 +142,11 @@ def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:
     if wrench.ndim != 3 or wrench.shape[0] != count or wrench.shape[2] != 6 or wrench.shape[1] == 0:
         shape = wrench[:, 0].shape if wrench.ndim == 3 and wrench.shape[1] == 1 else wrench.shape
         raise GraspError(
-            Fault("wrench", (), f"an array of shape {shape}", f"a shape ({count}, 6) or ({count}, W, 6) that fits the grasps")
+            Fault(
+                "wrench",
+                (),
+                f"an array of shape {shape}",
+                f"a shape ({count}, 6) or ({count}, W, 6) that fits the grasps",
+            )
         )
     return wrench

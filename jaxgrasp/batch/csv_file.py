@@ -45,15 +45,21 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     wrench = numbers(WRENCH)
     offsets = np.array([*starts, len(lines)])
     for i, start in enumerate(starts):
-        differs = np.flatnonzero((wrench[start : offsets[i + 1]] != wrench[start]).any(1) & np.isfinite(wrench[start]).all())
+        differs = np.flatnonzero(
+            (wrench[start : offsets[i + 1]] != wrench[start]).any(1) & np.isfinite(wrench[start]).all()
+        )
         if len(differs):
             raise GraspFileError(path, f"line {start + differs[0] + 2} has another wrench than the grasp's first line")
     contacts = {
-        column: np.full(len(lines), fill[column]) if column in fill and column not in header else numbers((column,))[:, 0]
+        column: np.full(len(lines), fill[column])
+        if column in fill and column not in header
+        else numbers((column,))[:, 0]
         for column in ("friction", "squeeze")
     }
     labels = {name: np.array([lines[start][name] for start in starts]) for name in LABELS if name in header}
-    return ContactSets(numbers(POINT), numbers(NORMAL), **contacts, offsets=offsets, wrench=wrench[starts][:, None], labels=labels)
+    return ContactSets(
+        numbers(POINT), numbers(NORMAL), **contacts, offsets=offsets, wrench=wrench[starts][:, None], labels=labels
+    )
 
 
 def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
@@ -90,5 +96,7 @@ def _check_runs(path: Path, keys: list[str], starts: list[int]) -> None:
     seen: set[str] = set()
     for start in starts:
         if keys[start] in seen:
-            raise GraspFileError(path, f"line {start + 2} returns to grasp {keys[start]!r}: expected its lines together")
+            raise GraspFileError(
+                path, f"line {start + 2} returns to grasp {keys[start]!r}: expected its lines together"
+            )
         seen.add(keys[start])

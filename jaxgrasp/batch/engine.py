@@ -17,7 +17,6 @@ from jaxgrasp.force.angles import friction_margin
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import vec
 
 
@@ -63,20 +62,20 @@ class Engine:
 
     def run(self, grasp: Grasp, wrench: np.ndarray) -> dict[str, MethodResult]:
         """Every method on a block ``(B, n)``, ``(B, 6)``, whose size the number of devices divides."""
-        arrays = jax.tree.map(self._put, (grasp, wrench))
-        grasp, wrench = arrays
-        self.times.problems += wrench.shape[0]
-        results = {}
+        grasp, loads = jax.tree.map(self._put, (grasp, wrench))
+        self.times.problems += len(wrench)
+        results: dict[str, MethodResult] = {}
         for sharing in dict.fromkeys(method.sharing for method in self.methods):
-            results |= self._one_sharing(sharing, grasp, wrench)
+            results |= self._one_sharing(sharing, grasp, loads)
         return {method.name: results[method.name] for method in self.methods}
 
     def _one_sharing(self, sharing: str, grasp: Grasp, wrench: Array) -> dict[str, MethodResult]:
         wanted = [method for method in self.methods if method.sharing == sharing]
-        weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
-        problem = Problem(
-            grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, weights, wrench
-        )
+        fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze)
+        points, normals, friction, squeeze = map(jnp.asarray, fields)
+        present = None if grasp.present is None else jnp.asarray(grasp.present)
+        weights = squeeze if sharing == "squeeze" else jnp.ones_like(squeeze)
+        problem = Problem(points, normals, friction, squeeze, present, weights, wrench)
         first, closed, spent = self._timed(_closed_block, problem)
         results = {}
         for method in wanted:
@@ -137,13 +136,8 @@ def _closed_block(problem: Problem) -> tuple[Answer, Answer]:
 
 def _margins(grasp: Grasp, forces: Array) -> tuple[Array, Array]:
     margin = jnp.min(friction_margin(grasp, forces), -1)
-    force, normal = vec.from_axis(forces, -1), vec.from_axis(grasp.normals, -1)
+    force, normal = vec.from_axis(forces, -1), vec.from_axis(jnp.asarray(grasp.normals), -1)
     beyond = vec.norm(vec.cross(normal, force)) - grasp.friction * vec.dot(force, normal)
     if grasp.present is not None:
         beyond = jnp.where(grasp.present > 0.5, beyond, 0)
     return margin, jnp.max(jnp.maximum(beyond, 0), -1)
-
-
-def answered(verdict: np.ndarray) -> np.ndarray:
-    """Where there are forces that balance the wrench."""
-    return verdict <= Verdict.OUTSIDE_CONES

@@ -1,13 +1,12 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.batch.blocks import blocks
-from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.contact_sets import ContactSets, as_wrenches
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.methods import METHODS, methods_named
 from jaxgrasp.batch.summary import Summary, summarise
@@ -55,36 +54,35 @@ def evaluate(
     """
     sets = _as_sets(grasps, wrenches)
     kind = np.dtype(dtype or sets.points.dtype)
-    if kind == np.float64 and not jax.config.jax_enable_x64:
+    if kind == np.float64 and not jax.config.read("jax_enable_x64"):
         raise ValueError(
             "dtype is float64 while JAX's 64-bit mode is off: call jax.config.update('jax_enable_x64', True) first, "
             "or pass dtype='float32'"
         )
-    sets, bad = set_aside(sets, skip_bad)
     engine = Engine(methods_named(methods), devices)
-    sets = sets.astype(kind)
-    results = run(engine, sets)
-    return Evaluation(sets, results, summarise(sets, results, set_aside=bad), engine.times)
+    good, kept = usable(sets, skip_bad)
+    good = good.astype(kind)
+    results = run(engine, good)
+    return Evaluation(good, results, summarise(good, results, set_aside=len(sets) - len(kept)), engine.times)
 
 
-def set_aside(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, int]:
-    """The usable grasps and the number of others; raises for the first fault unless told to skip."""
+def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:
+    """The grasps without faults, and which they are; raises for the first fault unless told to skip."""
     bad = set()
     for fault in sets.faults(first_grasp):
         if not skip_bad:
             raise GraspError(fault)
         bad.add(fault.index[0] - first_grasp)
-    if bad:
-        sets = sets.rows(np.setdiff1d(np.arange(len(sets)), np.fromiter(bad, int)))
-    return sets, len(bad)
+    kept = np.setdiff1d(np.arange(len(sets)), np.fromiter(bad, int))
+    return (sets.rows(kept) if bad else sets), kept
 
 
-def run(engine: Engine, sets: ContactSets, multiple: int = 1) -> dict[str, MethodResult]:
-    """Every method of the engine on every problem, back in the order of ``sets``."""
-    count, wrenches = len(sets), sets.wrenches
-    parts = []
-    for rows, grasp, wrench in blocks(sets, int(np.lcm(multiple, engine.devices))):
-        parts.append((rows, engine.run(grasp, wrench)))
+def run(engine: Engine, sets: ContactSets, chunk: int = 1) -> dict[str, MethodResult]:
+    """Every method of the engine on every problem, back in the order of ``sets``.
+
+    ``chunk`` is the number of grasps in a full chunk, for a stream of them; see ``blocks``.
+    """
+    parts = [(rows, engine.run(grasp, wrench)) for rows, grasp, wrench in blocks(sets, chunk, engine.devices)]
     results = {}
     for method in engine.methods:
         shaped = {field.name: _empty(field.name, sets) for field in fields(MethodResult)}
@@ -134,8 +132,4 @@ def _as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None) -> ContactS
         return ContactSets.from_grasp(grasps, np.asarray(wrenches))
     if wrenches is None:
         return grasps
-    from dataclasses import replace
-
-    from jaxgrasp.batch.contact_sets import as_wrenches
-
     return replace(grasps, wrench=as_wrenches(np.asarray(wrenches), len(grasps)))

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Method:
+    """One way to distribute forces."""
+
     name: str
     title: str
     sharing: str

@@ -14,7 +14,7 @@ Other columns are left alone. Nothing is ever unpickled.
 
 import os
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
@@ -85,7 +85,9 @@ class NpzGrasps:
             raise GraspFileError(self.path, "it is not a complete .npz archive") from error
         self.names = [member.removesuffix(".npy") for member in self._archive.namelist()]
         self._check_names()
-        self._shapes = {name: self._open(name).shape for name in self.names if name in (*CONTACT_FIELDS, "wrench", "offsets")}
+        self._shapes = {
+            name: self._open(name).shape for name in self.names if name in (*CONTACT_FIELDS, "wrench", "offsets")
+        }
         self.dtypes = {name: self._open(name).dtype for name in self._shapes}
         self._check_version()
         self.offsets = self._read_offsets()
@@ -153,7 +155,8 @@ class NpzGrasps:
         if missing:
             hint = "".join(f"; --{name} gives one value to all" for name in missing if name in ("friction", "squeeze"))
             raise GraspFileError(
-                self.path, f"it lacks {', '.join(map(repr, missing))} and holds {', '.join(self.names) or 'nothing'}{hint}"
+                self.path,
+                f"it lacks {', '.join(map(repr, missing))} and holds {', '.join(self.names) or 'nothing'}{hint}",
             )
 
     def _check_version(self) -> None:
@@ -174,14 +177,16 @@ class NpzGrasps:
             return np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
         column = self._open("offsets")
         if len(column.shape) != 1 or column.shape[0] == 0 or not np.issubdtype(column.dtype, np.integer):
-            raise GraspFileError(self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers")
+            raise GraspFileError(
+                self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers"
+            )
         offsets = column.take(column.shape[0]).astype(np.int64)
         falling = np.flatnonzero(np.diff(offsets) < 0)
         if offsets[0] != 0 or len(falling) or offsets[-1] != shape[0]:
             at = 0 if offsets[0] != 0 else (int(falling[0]) + 1 if len(falling) else len(offsets) - 1)
             raise GraspFileError(
                 self.path,
-                f"offsets[{at}] is {offsets[at]}: expected offsets that rise from 0 to {shape[0]}, the number of points",
+                f"offsets[{at}] is {offsets[at]}: expected them to rise from 0 to {shape[0]}, the number of points",
             )
         return offsets
 
@@ -190,10 +195,14 @@ class NpzGrasps:
         expected = {"points": (*contacts, 3), "normals": (*contacts, 3), "friction": contacts, "squeeze": contacts}
         for name, shape in expected.items():
             if name in self._shapes and self._shapes[name] != shape:
-                raise GraspFileError(self.path, f"{name} has shape {self._shapes[name]}: expected {shape}, to fit points")
+                raise GraspFileError(
+                    self.path, f"{name} has shape {self._shapes[name]}: expected {shape}, to fit points"
+                )
         wrench = self._shapes["wrench"]
         if len(wrench) not in (2, 3) or wrench[0] != len(self) or wrench[-1] != 6 or 0 in wrench[1:]:
-            raise GraspFileError(self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)")
+            raise GraspFileError(
+                self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)"
+            )
         for name, dtype in self.dtypes.items():
             if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
                 raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers")
@@ -215,10 +224,16 @@ def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
         columns["offsets"] = np.asarray(sets.offsets, np.int64)
     wrench = sets.wrench[:, 0] if sets.wrenches == 1 else sets.wrench
     texts = {name: np.asarray(values, str) for name, values in sets.labels.items()}
-    replace_file(path, lambda stream: np.savez(stream, version=VERSION, wrench=wrench, **columns, **texts))
+    whole = {"version": np.array(VERSION), "wrench": wrench, **columns, **texts}
+    replace_file(path, lambda stream: save_arrays(stream, whole))
 
 
-def replace_file(path: Path, write) -> None:
+def save_arrays(stream: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
+    """An ``.npz`` archive of plain arrays."""
+    np.savez(stream, allow_pickle=False, **arrays)
+
+
+def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write beside ``path`` and rename, so that a reader never meets half a file."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

@@ -14,7 +14,7 @@ import numpy as np
 
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.batch.npz_file import replace_file, save_arrays
 
 MANIFEST = "manifest.json"
 SMALL = 64 << 20
@@ -42,8 +42,10 @@ class ResultFolder:
         self.manifest = {"version": 1, **identity, "shards": [], "complete": False}
         if (folder / MANIFEST).exists():
             self._take_up(identity, resume)
-        for leftover in folder.glob(".*.partial"):
-            leftover.unlink()
+        named = {entry["file"] for entry in self.manifest["shards"]}
+        for leftover in (*folder.glob(".*.partial"), *folder.glob("shard-*.npz")):
+            if leftover.name not in named:
+                leftover.unlink()
 
     def _take_up(self, identity: dict, resume: bool) -> None:
         found = json.loads((self.folder / MANIFEST).read_text())
@@ -58,7 +60,8 @@ class ResultFolder:
         if differing:
             key = differing[0]
             raise GraspFileError(
-                self.folder, f"its results have {key} = {found.get(key)!r}, not {identity[key]!r}: they cannot be resumed"
+                self.folder,
+                f"its results have {key} = {found.get(key)!r}, not {identity[key]!r}: they cannot be resumed",
             )
         self.manifest = found
 
@@ -76,19 +79,20 @@ class ResultFolder:
     def add(self, arrays: dict[str, np.ndarray], start: int, stop: int, summary: dict) -> None:
         """Write one chunk's results; the manifest names a shard only once it is whole."""
         name = f"shard-{len(self.manifest['shards']):05d}.npz"
-        replace_file(self.folder / name, lambda stream: np.savez(stream, **arrays))
+        replace_file(self.folder / name, lambda stream: save_arrays(stream, arrays))
         self.manifest["shards"].append({"file": name, "start": start, "stop": stop, "summary": summary})
         self._write_manifest()
 
-    def finish(self) -> None:
-        """Join a few small shards into ``results.npz`` and mark the evaluation complete."""
+    def finish(self, summary: dict) -> None:
+        """Join small shards into ``results.npz`` and mark the evaluation complete."""
+        if self.manifest["complete"]:
+            return
         entries = self.manifest["shards"]
         paths = [self.folder / entry["file"] for entry in entries]
         if sum(path.stat().st_size for path in paths) <= SMALL:
             joined = _joined(paths)
-            replace_file(self.folder / "results.npz", lambda stream: np.savez(stream, **joined))
-            whole = {"file": "results.npz", "start": 0, "stop": self.done}
-            self.manifest["shards"] = [{**whole, "summaries": [entry["summary"] for entry in entries]}]
+            replace_file(self.folder / "results.npz", lambda stream: save_arrays(stream, joined))
+            self.manifest["shards"] = [{"file": "results.npz", "start": 0, "stop": self.done, "summary": summary}]
         else:
             paths = []
         self.manifest["complete"] = True

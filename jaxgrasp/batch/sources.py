@@ -24,8 +24,11 @@ MILLIMETRES_LIKELY = 2.0
 class GraspSource(Protocol):
     """Grasps that can be read chunk by chunk."""
 
-    wrenches: int
-    largest: int
+    @property
+    def wrenches(self) -> int: ...
+
+    @property
+    def largest(self) -> int: ...
 
     def __len__(self) -> int: ...
 
@@ -37,10 +40,17 @@ class MemorySource:
 
     def __init__(self, sets: ContactSets):
         self._sets = sets
-        self.wrenches, self.largest = sets.wrenches, sets.largest
 
     def __len__(self) -> int:
         return len(self._sets)
+
+    @property
+    def wrenches(self) -> int:
+        return self._sets.wrenches
+
+    @property
+    def largest(self) -> int:
+        return self._sets.largest
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
         for first in range(start, len(self), size):
@@ -67,7 +77,7 @@ class Adjustments:
         return replace(sets, **changes) if changes else sets
 
 
-def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments()) -> GraspSource:  # noqa: B008
+def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments()) -> GraspSource:
     """The grasps of a ``.npz`` or ``.csv`` file."""
     path = Path(path)
     if path.is_dir():

@@ -103,8 +103,9 @@ def summarise(
     sets: ContactSets, results: dict[str, MethodResult], *, set_aside: int = 0, first_grasp: int = 0
 ) -> Summary:
     """The summary of one chunk, whose first grasp has the number ``first_grasp``."""
-    comparisons, worst = {}, []
-    for name in ("A", "B"):
+    comparisons: dict[str, Comparison] = {}
+    worst: list[dict] = []
+    for name in [method.name for method in METHODS.values() if not method.constrained]:
         optimum = METHODS[f"{name}-optimum"].name
         if name in results and optimum in results:
             comparison, price = _compare(sets, results[name], results[optimum])

@@ -35,7 +35,8 @@ class Outcome(NamedTuple):
     multiplier: Six
     verdict: Array
     steps: Array
-    certificate: Six | None
+    certificate: Six
+    """Unstretched; read only where the verdict is INFEASIBLE."""
     undecided: Array
 
 
@@ -95,17 +96,14 @@ def _length(six: Six) -> Array:
 
 def _certificate(lanes: Lanes, frame: Frame, stretch: Vec, outcome: Outcome, verdict: Array, one: Array) -> Array:
     """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself."""
-    if outcome.certificate is None:
-        linear, angular = Vec(*(jnp.zeros_like(c) for c in lanes.force)), Vec(*(jnp.zeros_like(c) for c in lanes.torque))
-    else:
-        linear, angular = Vec(*outcome.certificate[:3]), Vec(*outcome.certificate[3:])
-        linear = vec.where(verdict == Verdict.INFEASIBLE, linear, vec.scale(jnp.zeros_like(linear.x), linear))
-        angular = vec.where(verdict == Verdict.INFEASIBLE, angular, vec.scale(jnp.zeros_like(angular.x), angular))
+    proven = verdict == Verdict.INFEASIBLE
+    linear, angular = (Vec(*(jnp.where(proven, c, 0) for c in outcome.certificate[i : i + 3])) for i in (0, 3))
     bare = verdict == Verdict.NO_CONTACTS
     rest = dual.residual(lanes, outcome.forces, Vec(*(jnp.ones_like(c) for c in stretch)))
     linear = vec.where(bare, Vec(*rest[:3]), linear)
     angular = vec.where(bare, Vec(*rest[3:]), angular)
-    return _rows((*sum(certificate_out(linear, angular, frame), ()),), one)
+    linear, angular = certificate_out(linear, angular, frame)
+    return _rows((*linear, *angular), one)
 
 
 def _row(array: Array, size: int) -> Array:

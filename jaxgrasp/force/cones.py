@@ -71,10 +71,7 @@ def derivative(normal: Vec, friction: Array, parts: Split) -> list[list[Array]]:
     t, a = parts.tangent, normal
     matrix = []
     for i in range(3):
-        row = [
-            along_edge * edge[i] * edge[j] - turning * (a[i] * a[j] + t[i] * t[j])
-            for j in range(i + 1)
-        ]
+        row = [along_edge * edge[i] * edge[j] - turning * (a[i] * a[j] + t[i] * t[j]) for j in range(i + 1)]
         row[i] = row[i] + isotropic
         matrix.append(row)
     return matrix

@@ -76,29 +76,29 @@ class ForceSplit(NamedTuple):
 def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> ForceSplit:
     """The closed form as external (manipulation) and internal (grasping) forces, eq. 16."""
     squeeze = jnp.asarray(grasp.squeeze)
-    weights = {"squeeze": squeeze, "uniform": jnp.ones_like(squeeze)}.get(sharing) if isinstance(sharing, str) else sharing
-    if weights is None:
-        raise _bad_sharing(sharing)
+    if isinstance(sharing, str):
+        _check_sharing(sharing)
+        sharing = squeeze if sharing == "squeeze" else jnp.ones_like(squeeze)
     relaxed = Grasp(grasp.points, grasp.normals, grasp.friction, jnp.zeros_like(squeeze), grasp.present)
     wrench = jnp.asarray(wrench)
     return ForceSplit(
-        external=closed_form(relaxed, wrench, weights).forces,
-        internal=closed_form(grasp, jnp.zeros_like(wrench), weights).forces,
+        external=closed_form(relaxed, wrench, sharing).forces,
+        internal=closed_form(grasp, jnp.zeros_like(wrench), sharing).forces,
     )
 
 
 def _distribute(grasp: Grasp, wrench: AnyArray, sharing: Sharing, constrained: bool) -> Solution:
-    if isinstance(sharing, str) and sharing not in ("squeeze", "uniform"):
-        raise _bad_sharing(sharing)
     fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, wrench)
     _warn_of_lost_precision(fields)
     if isinstance(sharing, str):
+        _check_sharing(sharing)
         return _run(*fields, None, sharing=sharing, constrained=constrained)
     return _run(*fields, sharing, sharing="given", constrained=constrained)
 
 
-def _bad_sharing(sharing: object) -> ValueError:
-    return ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
+def _check_sharing(sharing: str) -> None:
+    if sharing not in ("squeeze", "uniform"):
+        raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
 
 
 @partial(jax.jit, static_argnames=("sharing", "constrained"))
@@ -122,13 +122,14 @@ def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharin
     batch = jnp.broadcast_shapes(*leading.values())
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
     shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name != "wrench")
-    flat = dict.fromkeys(given)
+    flat = {}
     for name, array in arrays.items():
         tail = given[name][1]
-        target = (1,) if shared and name != "wrench" else batch
-        flat[name] = jnp.broadcast_to(array.reshape((1,) + tail) if target == (1,) else array, target + tail)
-        flat[name] = flat[name].reshape(-1, *tail)
-    solution = solver(constrained)(Problem(**flat))
+        if shared and name != "wrench":
+            flat[name] = array.reshape(1, *tail)
+        else:
+            flat[name] = jnp.broadcast_to(array, batch + tail).reshape(-1, *tail)
+    solution = solver(constrained)(Problem(present=flat.pop("present", None), **flat))
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
 
 
@@ -139,7 +140,9 @@ def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, 
 
 
 def _warn_of_lost_precision(arrays: tuple) -> None:
-    if not jax.config.jax_enable_x64 and any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in arrays):
+    if not jax.config.read("jax_enable_x64") and any(
+        isinstance(a, np.ndarray) and a.dtype == np.float64 for a in arrays
+    ):
         warnings.warn(
             "float64 data are computed in float32, since JAX's 64-bit mode is off: "
             "call jax.config.update('jax_enable_x64', True) first, or pass float32 arrays",

@@ -20,7 +20,8 @@ from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.symmetric import Lower
 from jaxgrasp.numerics.vec import Vec
 
-Six = tuple[Array, Array, Array, Array, Array, Array]
+Six = tuple[Array, ...]
+"""Six components: linear, then angular."""
 
 
 class Forces(NamedTuple):

@@ -117,7 +117,9 @@ def _solve(curvature: symmetric.Lower, right: Six) -> list[Array]:
     return x
 
 
-def _out(frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: list[Array], objective: Array) -> Tangent:
+def _out(
+    frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: list[Array], objective: Array
+) -> Tangent:
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
     linear, angular = multiplier_out(Vec(*multiplier[:3]), vec.times(stretch, Vec(*multiplier[3:])), frame)
     return Tangent(

@@ -60,7 +60,8 @@ def ascend(
     """
     zero = jnp.zeros_like(frozen, lanes.squeeze.dtype)
     nothing: Six = (zero,) * 6
-    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, nothing, jnp.zeros_like(frozen, jnp.int32), frozen, frozen)
+    steps = jnp.zeros_like(frozen, jnp.int32)
+    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, nothing, steps, frozen, frozen)
 
     def unfinished(carry):
         count, state = carry
@@ -147,4 +148,4 @@ def _move(point: Six, length: Array, direction: Six) -> Six:
 
 
 def _inner(a: Six, b: Six) -> Array:
-    return sum(p * q for p, q in zip(a, b, strict=True))
+    return jnp.asarray(sum(p * q for p, q in zip(a, b, strict=True)))

@@ -71,10 +71,13 @@ def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem,
 
 
 def _tangent_solution(solution: Solution, parts: implicit.Tangent) -> Solution:
-    def still(array: Array) -> Array | np.ndarray:
-        if jnp.issubdtype(array.dtype, jnp.floating):
-            return jnp.zeros_like(array)
-        return np.zeros(array.shape, jax.dtypes.float0)
+    """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers."""
+    names = Solution.__dataclass_fields__
+    leaves = [getattr(parts, name) if hasattr(parts, name) else _still(getattr(solution, name)) for name in names]
+    return jax.tree.unflatten(jax.tree.structure(solution), leaves)
 
-    fixed = {name: still(getattr(solution, name)) for name in ("verdict", "residual", "steps", "rank", "certificate")}
-    return Solution(forces=parts.forces, multiplier=parts.multiplier, objective=parts.objective, **fixed)
+
+def _still(array: Array) -> Array | np.ndarray:
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        return jnp.zeros_like(array)
+    return np.zeros(array.shape, jax.dtypes.float0)

@@ -13,7 +13,8 @@ from jax import Array, lax
 
 from jaxgrasp.force import cones, dual, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
-from jaxgrasp.force.certify import out_of_range, proves_infeasible
+from jaxgrasp.force.certify import out_of_range
+from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
 from jaxgrasp.force.newton import ascend
 from jaxgrasp.force.proximal import proximal_optimum
@@ -71,13 +72,18 @@ def _closed_tile(problem: Problem) -> Answer:
     metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
     multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
     forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
-    outcome = Outcome(forces, multiplier, _closed_verdict(lanes, forces), jnp.zeros_like(ill, jnp.int32), None, ill)
+    steps = jnp.zeros_like(ill, jnp.int32)
+    outcome = Outcome(forces, multiplier, _closed_verdict(lanes, forces), steps, _no_proof(lanes), ill)
     return write(lanes, frame, stretch, valid, problem.size, outcome)
 
 
 def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
     inside = jnp.all(cones.contains(forces, lanes.normals, lanes.friction), 0, keepdims=True)
     return jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
+
+
+def _no_proof(lanes: Lanes) -> Six:
+    return (jnp.zeros_like(lanes.force.x),) * 6
 
 
 def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
@@ -92,7 +98,8 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     converged = ascent.converged & ~ill
     verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.OUTSIDE_CONES)
     steps = ascent.steps + prior.steps
-    answer = write(lanes, frame, stretch, valid, problem.size, Outcome(forces, ascent.point, verdict, steps, None, ~converged))
+    outcome = Outcome(forces, ascent.point, verdict, steps, _no_proof(lanes), ~converged)
+    answer = write(lanes, frame, stretch, valid, problem.size, outcome)
     # An answer that its own residual disowns goes to the careful pass.
     return answer._replace(undecided=answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
 

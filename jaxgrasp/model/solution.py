@@ -3,8 +3,9 @@
 from enum import IntEnum
 
 import equinox as eqx
+from jax import Array
 
-from jaxgrasp.model.arrays import AnyArray, Float, Int
+from jaxgrasp.model.arrays import Float, Int
 
 
 class Verdict(IntEnum):
@@ -19,7 +20,8 @@ class Verdict(IntEnum):
     OPTIMAL = 1, "The constrained optimum: at least one friction cone holds the forces back from the closed form."
     OUTSIDE_CONES = (
         2,
-        "These forces balance the wrench, but a contact slips or pulls: use constrained_optimum for forces that friction allows.",
+        "These forces balance the wrench, but a contact slips or pulls: "
+        "use constrained_optimum for forces that friction allows.",
     )
     INFEASIBLE = (
         3,
@@ -56,21 +58,21 @@ class Solution(eqx.Module):
     ``steps`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
     """
 
-    forces: Float[AnyArray, "*batch n 3"]
+    forces: Float[Array, "*batch n 3"]
     """What the hand exerts on the object at each contact [N]."""
-    multiplier: Float[AnyArray, "*batch 6"]
+    multiplier: Float[Array, "*batch 6"]
     """Lagrange multiplier of G f = w about the frame's origin (eq. 8); of minimal norm, in the grasp's own
     centred and scaled coordinates, where it is not unique."""
-    verdict: Int[AnyArray, "*batch"]
+    verdict: Int[Array, "*batch"]
     """Code of a [`jaxgrasp.Verdict`][]."""
-    residual: Float[AnyArray, "*batch"]
+    residual: Float[Array, "*batch"]
     """Backward error of G f = w: dimensionless, near machine precision for a sound answer."""
-    objective: Float[AnyArray, "*batch"]
+    objective: Float[Array, "*batch"]
     """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing."""
-    steps: Int[AnyArray, "*batch"]
+    steps: Int[Array, "*batch"]
     """Newton steps taken; 0 where the closed form was already optimal."""
-    rank: Int[AnyArray, "*batch"]
+    rank: Int[Array, "*batch"]
     """Rank of the weighted grasp matrix: directions of wrench that the contacts reach, at most 6."""
-    certificate: Float[AnyArray, "*batch 6"]
+    certificate: Float[Array, "*batch 6"]
     """For INFEASIBLE and NO_CONTACTS: d = (linear, angular) about the frame's origin with w.d > 0 while no
     contact can push along it; the object escapes along -d. Zero otherwise."""

@@ -33,9 +33,7 @@ def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile
     return lax.fori_loop(0, -(-size // tile), body, results)
 
 
-def over_chosen(
-    function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, tile: int
-) -> Out:
+def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, tile: int) -> Out:
     """``results`` with those of the ``chosen`` problems replaced by ``function(arguments, results)`` of them.
 
     The chosen ones are gathered, in order, into as many tiles as they need; when none is chosen nothing

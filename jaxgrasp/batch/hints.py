@@ -1,0 +1,39 @@
+"""What a user may have got wrong, when the data look as if."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from jaxgrasp.batch.engine import Engine
+from jaxgrasp.batch.evaluation import run
+from jaxgrasp.batch.methods import methods_named
+from jaxgrasp.batch.sources import GraspSource, looks_like_millimetres
+from jaxgrasp.batch.stream import Plan
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.model.solution import Verdict
+
+SAMPLE = 256
+
+
+def hints(source: GraspSource, plan: Plan, summary: Summary) -> list[str]:
+    """Sentences for the user; usually none."""
+    found = []
+    sample = next(source.chunks(SAMPLE))
+    sample = plan.adjustments.apply(sample)
+    if looks_like_millimetres(sample):
+        found.append("contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m.")
+    if _share_that_holds(summary) < 0.5 and not any(sample.faults()):
+        flipped = replace(sample, normals=-sample.normals).astype(np.dtype(plan.dtype))
+        engine = Engine(methods_named(("B-optimum",)), devices=1)
+        verdicts = run(engine, flipped)["B-optimum"].verdict
+        if (verdicts <= Verdict.OPTIMAL).mean() > 0.5:
+            found.append(
+                "most grasps fail, but hold with their normals turned round: if yours point out of the object, "
+                "add --normals outward."
+            )
+    return found
+
+
+def _share_that_holds(summary: Summary) -> float:
+    holds = [m.count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL) for m in summary.methods.values()]
+    return max(holds) / max(1, summary.problems)

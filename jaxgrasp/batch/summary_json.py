@@ -1,0 +1,70 @@
+"""Summaries as JSON, so that an interrupted evaluation can go on and a finished one can be read anywhere."""
+
+import numpy as np
+
+from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.summary import Comparison, MethodSummary, Summary
+from jaxgrasp.model.solution import Verdict
+
+_HISTOGRAMS = ("price", "distance", "violation")
+
+
+def to_json(summary: Summary) -> dict:
+    return {
+        "grasps": summary.grasps,
+        "contacts": summary.contacts,
+        "problems": summary.problems,
+        "set_aside": summary.set_aside,
+        "sizes": summary.sizes.tolist(),
+        "methods": {name: _method_to_json(method) for name, method in summary.methods.items()},
+        "comparisons": {name: _comparison_to_json(c) for name, c in summary.comparisons.items()},
+        "worst": summary.worst,
+    }
+
+
+def from_json(data: dict) -> Summary:
+    whole = {name: data[name] for name in ("grasps", "contacts", "problems", "set_aside", "worst")}
+    return Summary(
+        **whole,
+        sizes=np.array(data["sizes"], int),
+        methods={name: _method_from_json(method) for name, method in data["methods"].items()},
+        comparisons={name: _comparison_from_json(c) for name, c in data["comparisons"].items()},
+    )
+
+
+def _method_to_json(method: MethodSummary) -> dict:
+    slip, friction = np.nonzero(method.angles)
+    margin = method.smallest_margin
+    return {
+        "verdicts": {verdict.name: int(method.verdicts[verdict]) for verdict in Verdict},
+        "steps": method.steps,
+        "largest_residual": method.largest_residual,
+        # JSON has no infinity; a method without a loaded contact has no margin.
+        "smallest_margin": margin if np.isfinite(margin) else None,
+        "angles": [[int(i), int(j), int(method.angles[i, j])] for i, j in zip(slip, friction, strict=True)],
+        "angle_bins": len(method.angles),
+    }
+
+
+def _method_from_json(data: dict) -> MethodSummary:
+    angles = np.zeros((data["angle_bins"], data["angle_bins"]), int)
+    for i, j, count in data["angles"]:
+        angles[i, j] = count
+    margin = data["smallest_margin"]
+    return MethodSummary(
+        verdicts=np.array([data["verdicts"][verdict.name] for verdict in Verdict]),
+        steps=data["steps"],
+        largest_residual=data["largest_residual"],
+        smallest_margin=np.inf if margin is None else margin,
+        angles=angles,
+    )
+
+
+def _comparison_to_json(comparison: Comparison) -> dict:
+    counts = {"compared": comparison.compared, "already_optimal": comparison.already_optimal}
+    return counts | {name: getattr(comparison, name).to_json() for name in _HISTOGRAMS}
+
+
+def _comparison_from_json(data: dict) -> Comparison:
+    histograms = {name: LogHistogram.from_json(data[name]) for name in _HISTOGRAMS}
+    return Comparison(data["compared"], data["already_optimal"], **histograms)

@@ -1,0 +1,98 @@
+"""The summary a person reads in ten seconds."""
+
+import math
+
+from jaxgrasp.batch.engine import Times
+from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.model.solution import Verdict
+
+_ROWS = (
+    ("holds inside every cone", (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)),
+    ("  closed form as it is", (Verdict.CLOSED_FORM_OPTIMAL,)),
+    ("  needs the optimum", (Verdict.OPTIMAL,)),
+    ("balances, but slips or pulls", (Verdict.OUTSIDE_CONES,)),
+    ("no forces exist", (Verdict.INFEASIBLE,)),
+    ("no loaded contact", (Verdict.NO_CONTACTS,)),
+    ("not decided", (Verdict.NOT_CONVERGED,)),
+    ("invalid data", (Verdict.INVALID_DATA,)),
+)
+
+
+def summary_text(summary: Summary, times: Times, seconds: float) -> str:
+    """Some twenty lines of plain text."""
+    lines = [_what_was_read(summary), ""]
+    names = list(summary.methods)
+    lines.append(f"{'':30}" + "".join(f"{name:>14}" for name in names))
+    for label, verdicts in _ROWS:
+        counts = [summary.methods[name].count(*verdicts) for name in names]
+        if any(counts):
+            lines.append(f"{label:30}" + "".join(f"{_share(count, summary.problems):>14}" for count in counts))
+    margins = [summary.methods[name].smallest_margin for name in names]
+    lines.append(f"{'worst friction margin':30}" + "".join(f"{_degrees(margin):>14}" for margin in margins))
+    if times.problems:
+        costs = [times.solving[name] / times.problems for name in names]
+        lines.append(f"{'time per grasp and wrench':30}" + "".join(f"{_duration(cost):>14}" for cost in costs))
+    if summary.comparisons:
+        lines += ["", *_comparison_lines(summary)]
+    lines += ["", _closing(summary, times, seconds)]
+    return "\n".join(lines)
+
+
+def _what_was_read(summary: Summary) -> str:
+    sizes = [n for n, count in enumerate(summary.sizes) if count]
+    span = f"{sizes[0]}" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
+    text = f"{summary.grasps:,} grasps of {span} contacts, {summary.contacts:,} contacts in all"
+    if summary.problems != summary.grasps:
+        text += f", {summary.problems:,} wrenches"
+    if summary.set_aside:
+        text += f"; {summary.set_aside:,} bad grasps set aside"
+    return text
+
+
+def _comparison_lines(summary: Summary) -> list[str]:
+    lines = [f"{'Against its own optimum':30}{'median':>14}{'95%':>14}{'largest':>14}"]
+    for name, comparison in summary.comparisons.items():
+        lines.append(_quantiles(f"{name}: price of friction", comparison.price, _percent))
+        lines.append(_quantiles(f"{name}: distance in force", comparison.distance, _percent))
+        lines.append(_quantiles(f"{name}: force beyond friction", comparison.violation, _newtons))
+    return lines
+
+
+def _quantiles(label: str, histogram: LogHistogram, show) -> str:
+    cells = "".join(f"{show(histogram.quantile(share)):>14}" for share in (0.5, 0.95, 1))
+    return f"{label:30}{cells}"
+
+
+def _closing(summary: Summary, times: Times, seconds: float) -> str:
+    skipped = sum(
+        m.count(Verdict.CLOSED_FORM_OPTIMAL) for name, m in summary.methods.items() if name.endswith("optimum")
+    )
+    text = f"{_duration(seconds)} in all, {_duration(times.compiling)} of it compiling."
+    if skipped:
+        text += f" {skipped:,} optima were skipped, since the closed form was optimal already."
+    return text
+
+
+def _share(count: int, total: int) -> str:
+    return f"{100 * count / max(1, total):.1f} %" if count else "-"
+
+
+def _degrees(angle: float) -> str:
+    # An optimum on its cone's surface has a margin of rounding: do not print -0.0.
+    return f"{round(math.degrees(angle), 1) + 0.0:.1f} deg" if math.isfinite(angle) else "-"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.3g} %" if value else "0"
+
+
+def _newtons(value: float) -> str:
+    return f"{value:.3g} N" if value else "0"
+
+
+def _duration(seconds: float) -> str:
+    for unit, size in (("s", 1), ("ms", 1e-3), ("us", 1e-6)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds * 1e9:.3g} ns"

@@ -1,0 +1,1 @@
+"""What a person runs: ``jaxgrasp COMMAND``. Arguments are understood before JAX is imported."""

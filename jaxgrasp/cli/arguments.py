@@ -1,0 +1,75 @@
+"""The commands and their arguments: plain dataclasses, which need no JAX to be read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+MethodName = Literal["A", "B", "A-optimum", "B-optimum"]
+
+
+@dataclass(frozen=True)
+class Data:
+    """Which grasps, and how they differ from the conventions."""
+
+    file: tyro.conf.Positional[Path | None] = None
+    """An .npz or .csv file of grasps; the simulated grips that ship with the package where not given."""
+    normals: Literal["inward", "outward"] = "inward"
+    """Where the file's normals point: into the object, or out of it."""
+
+
+@dataclass(frozen=True)
+class Evaluate(Data):
+    """Compute closed forms and constrained optima of every grasp, sum them up, and write results and a report."""
+
+    methods: tuple[MethodName, ...] = ("A", "B", "A-optimum", "B-optimum")
+    """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
+    friction: tuple[float, ...] = ()
+    """Friction for all contacts, in place of the file's; several values are evaluated one after another."""
+    squeeze: tuple[float, ...] = ()
+    """Squeezing force for all contacts [N], in place of the file's; several values likewise."""
+    out: Path = Path("jaxgrasp-results")
+    """Folder for the results; it gets one sub-folder a value where values are swept."""
+    chunk: int = 65_536
+    """Grasps in memory at a time."""
+    dtype: Literal["float64", "float32"] = "float64"
+    """Precision of the arithmetic."""
+    skip_bad: bool = False
+    """Set bad grasps aside and count them, instead of stopping at the first."""
+    resume: bool = False
+    """Go on with an interrupted evaluation in the same folder."""
+    report: bool = True
+    """Write report.html beside the results (needs the extra `report`)."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.evaluate import evaluate_command
+
+        return evaluate_command(self)
+
+
+@dataclass(frozen=True)
+class Info(Data):
+    """Say what a file of grasps holds."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.inspect import info_command
+
+        return info_command(self)
+
+
+@dataclass(frozen=True)
+class Validate(Data):
+    """List every bad entry of a file of grasps; the exit code is 1 if there is any."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.inspect import validate_command
+
+        return validate_command(self)
+
+
+Command = (
+    Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Validate, tyro.conf.subcommand("validate")]
+)

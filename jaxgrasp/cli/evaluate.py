@@ -1,0 +1,90 @@
+"""``jaxgrasp evaluate``: from a file of grasps to results, a summary and a report."""
+
+import json
+import platform
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+
+import jax
+from tqdm import tqdm
+
+from jaxgrasp.batch.hints import hints
+from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.batch.shards import ResultFolder
+from jaxgrasp.batch.sources import Adjustments
+from jaxgrasp.batch.stream import Outcome, Plan, evaluate_stream
+from jaxgrasp.batch.summary_json import to_json
+from jaxgrasp.batch.summary_text import summary_text
+from jaxgrasp.cli.arguments import Evaluate
+from jaxgrasp.cli.data import data_path, opened
+from jaxgrasp.cli.machine import set_up_jax
+
+
+def evaluate_command(arguments: Evaluate) -> int:
+    """Evaluate once, or once for each swept value of friction and squeeze."""
+    if arguments.chunk < 1:
+        raise ValueError(f"chunk is {arguments.chunk}: expected a number of grasps, 1 or more")
+    set_up_jax(arguments.dtype)
+    sweeping = len(arguments.friction) > 1 or len(arguments.squeeze) > 1
+    for friction, squeeze in product(arguments.friction or (None,), arguments.squeeze or (None,)):
+        adjustments = Adjustments(arguments.normals == "outward", friction, squeeze)
+        folder = arguments.out
+        if sweeping:
+            label = "-".join(f"{name}-{value:g}" for name, value in adjustments.fill.items())
+            folder = folder / label
+            print(f"\n== {label} ==")
+        _evaluate_one(arguments, adjustments, folder)
+    return 0
+
+
+def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> None:
+    plan = Plan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments)
+    path = data_path(arguments)
+    with opened(arguments, adjustments) as source:
+        folder = ResultFolder(out, plan.identity(path.name, len(source)), arguments.resume)
+        with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
+            outcome = evaluate_stream(source, plan, folder, bar.update)
+        print(summary_text(outcome.summary, outcome.times, outcome.seconds))
+        for hint in hints(source, plan, outcome.summary):
+            print(f"hint: {hint}")
+    _write_summary(out / "summary.json", outcome, arguments)
+    print(f"results: {out}")
+    if arguments.report:
+        _write_report(out / "report.html", path, outcome, arguments)
+
+
+def _write_summary(path: Path, outcome: Outcome, arguments: Evaluate) -> None:
+    content = {
+        "summary": to_json(outcome.summary),
+        "times": asdict(outcome.times),
+        "seconds": outcome.seconds,
+        "details": _details(arguments),
+    }
+    replace_file(path, lambda stream: stream.write(json.dumps(content, indent=1).encode()))
+
+
+def _write_report(path: Path, data: Path, outcome: Outcome, arguments: Evaluate) -> None:
+    from jaxgrasp.report.page import write_report
+
+    try:
+        write_report(path, outcome.summary, outcome.times, title=data.name, details=_details(arguments))
+    except ImportError as error:
+        print(f"no report: {error}")
+    else:
+        print(f"report:  {path}")
+
+
+def _details(arguments: Evaluate) -> dict[str, str]:
+    devices = jax.local_devices()
+    return {
+        "input": data_path(arguments).name,
+        "normals": arguments.normals,
+        "methods": ", ".join(arguments.methods),
+        "precision": arguments.dtype,
+        "devices": f"{len(devices)} x {devices[0].device_kind}",
+        "versions": f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}",
+        "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    }

@@ -1,0 +1,70 @@
+"""``jaxgrasp info`` and ``jaxgrasp validate``: what a file holds, and what is wrong with it."""
+
+import sys
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.sources import Adjustments, looks_like_millimetres
+from jaxgrasp.cli.arguments import Info, Validate
+from jaxgrasp.cli.data import data_path, opened
+
+CHUNK = 65_536
+
+
+def info_command(arguments: Info) -> int:
+    """Print counts, ranges and labels; reads the file once."""
+    with opened(arguments, Adjustments(arguments.normals == "outward")) as source:
+        chunks = [_facts(sets) for sets in source.chunks(CHUNK)]
+        print(f"{data_path(arguments)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
+    sizes = np.sum([np.bincount(facts["sizes"], minlength=source.largest + 1) for facts in chunks], 0)
+    held = np.flatnonzero(sizes)
+    print("contacts   " + ", ".join(f"{n}: {sizes[n]:,}" for n in held))
+    for name, unit in (("radius", "m"), ("friction", ""), ("squeeze", "N"), ("force", "N"), ("torque", "N.m")):
+        low, high = min(f[name][0] for f in chunks), max(f[name][1] for f in chunks)
+        print(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
+    for label in chunks[0]["labels"]:
+        values = np.unique(np.concatenate([facts["labels"][label] for facts in chunks]))
+        shown = ", ".join(values[:8]) + (f", ... ({len(values):,} different)" if len(values) > 8 else "")
+        print(f"{label:10} {shown}")
+    if any(facts["millimetres"] for facts in chunks):
+        print("warning: contacts lie metres apart; expected metres, these look like millimetres")
+    return 0
+
+
+def validate_command(arguments: Validate) -> int:
+    """Print every fault, then their number."""
+    count, bad = 0, set()
+    with opened(arguments, Adjustments(arguments.normals == "outward")) as source:
+        first = 0
+        for sets in source.chunks(CHUNK):
+            for fault in sets.faults(first):
+                print(fault)
+                count += 1
+                bad.add(fault.index[0])
+            first += len(sets)
+    if count:
+        print(f"{count:,} fault(s) in {len(bad):,} of {first:,} grasps", file=sys.stderr)
+        return 1
+    print(f"{first:,} grasps, no fault")
+    return 0
+
+
+def _facts(sets: ContactSets) -> dict:
+    starts = sets.offsets[:-1]
+    middle = np.add.reduceat(sets.points, starts, axis=0) / sets.sizes[:, None]
+    reach = np.linalg.norm(sets.points - np.repeat(middle, sets.sizes, axis=0), axis=1)
+
+    def span(values: np.ndarray) -> tuple[float, float]:
+        return float(np.min(values)), float(np.max(values))
+
+    return {
+        "sizes": sets.sizes,
+        "radius": span(np.maximum.reduceat(reach, starts)),
+        "friction": span(sets.friction),
+        "squeeze": span(sets.squeeze),
+        "force": span(np.linalg.norm(sets.wrench[..., :3], axis=-1)),
+        "torque": span(np.linalg.norm(sets.wrench[..., 3:], axis=-1)),
+        "labels": {name: np.unique(values) for name, values in sets.labels.items()},
+        "millimetres": looks_like_millimetres(sets),
+    }

@@ -1,0 +1,25 @@
+"""Entry point of the command ``jaxgrasp``."""
+
+import sys
+from collections.abc import Sequence
+
+import tyro
+
+from jaxgrasp.cli.arguments import Command
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse, run, and turn expected errors into one line on stderr and the exit code 1."""
+    command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
+    try:
+        return command.run()
+    except (ValueError, OSError, ImportError) as error:
+        print(f"jaxgrasp: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("jaxgrasp: interrupted; finished chunks are kept, --resume goes on with them", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
 from jaxgrasp.batch.evaluation import run
 from jaxgrasp.batch.methods import methods_named
@@ -22,18 +23,36 @@ def hints(source: GraspSource, plan: Plan, summary: Summary) -> list[str]:
     sample = plan.adjustments.apply(sample)
     if looks_like_millimetres(sample):
         found.append("contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m.")
-    if _share_that_holds(summary) < 0.5 and not any(sample.faults()):
-        flipped = replace(sample, normals=-sample.normals).astype(np.dtype(plan.dtype))
-        engine = Engine(methods_named(("B-optimum",)), devices=1)
-        verdicts = run(engine, flipped)["B-optimum"].verdict
-        if (verdicts <= Verdict.OPTIMAL).mean() > 0.5:
-            found.append(
-                "most grasps fail, but hold with their normals turned round: if yours point out of the object, "
-                "add --normals outward."
-            )
+    if _points_away(sample):
+        found.append(
+            "most normals point away from the middle of their grasp: if yours point out of the object, "
+            "add --normals outward."
+        )
+    elif _share_that_holds(summary) < 0.5 and _holds_turned_round(sample, plan):
+        found.append(
+            "most grasps fail, but hold with their normals turned round: if yours point out of the object, "
+            "add --normals outward."
+        )
     return found
+
+
+def _points_away(sets: ContactSets) -> bool:
+    """Whether the normals of most grasps point away from the contacts' own middle, as no convex object's do."""
+    starts = sets.offsets[:-1]
+    middle = np.add.reduceat(sets.points, starts, axis=0) / sets.sizes[:, None]
+    inward = np.einsum("ci,ci->c", np.repeat(middle, sets.sizes, axis=0) - sets.points, sets.normals)
+    return bool(np.mean(np.add.reduceat(inward, starts) < 0) > 0.8)
 
 
 def _share_that_holds(summary: Summary) -> float:
     holds = [m.count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL) for m in summary.methods.values()]
     return max(holds) / max(1, summary.problems)
+
+
+def _holds_turned_round(sample: ContactSets, plan: Plan) -> bool:
+    if any(sample.faults()):
+        return False
+    turned = replace(sample, normals=-sample.normals).astype(np.dtype(plan.dtype))
+    engine = Engine(methods_named(("B-optimum",)), devices=1)
+    verdicts = run(engine, turned)["B-optimum"].verdict
+    return bool((verdicts <= Verdict.OPTIMAL).mean() > 0.5)

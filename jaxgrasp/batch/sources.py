@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -21,6 +21,7 @@ MILLIMETRES_LIKELY = 2.0
 """A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
 
 
+@runtime_checkable
 class GraspSource(Protocol):
     """Grasps that can be read chunk by chunk."""
 

@@ -60,7 +60,7 @@ def _comparison_lines(summary: Summary) -> list[str]:
 
 
 def _quantiles(label: str, histogram: LogHistogram, show) -> str:
-    cells = "".join(f"{show(histogram.quantile(share)):>14}" for share in (0.5, 0.95, 1))
+    cells = "".join(f"{show(histogram.quantile(share)):>14}" for share in (0.5, 0.95, 1.0))
     return f"{label:30}{cells}"
 
 

@@ -1,0 +1,222 @@
+"""The flat figures of the report, as plotly's own JSON: verdicts, distributions, slip angles.
+
+They are plain dictionaries rather than plotly objects: the page needs no more, and building them needs no plotly.
+"""
+
+import numpy as np
+
+from jaxgrasp.batch.histogram import EDGES, PER_DECADE, LogHistogram
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.report.look import (
+    GRID,
+    INK,
+    METHOD_COLOURS,
+    MUTED,
+    VERDICT_COLOURS,
+    VERDICT_TITLES,
+    method_title,
+    share,
+    whole,
+)
+
+FONT = {"family": "system-ui, 'Segoe UI', 'Helvetica Neue', Arial, sans-serif", "size": 13, "color": INK}
+DARK_TEXT = {Verdict.OPTIMAL, Verdict.NO_CONTACTS, Verdict.NOT_CONVERGED, Verdict.OUTSIDE_CONES}
+COARSE = 4
+"""Bins of the histograms joined to one bar: a fifth of a decade."""
+
+
+def layout(height: int, **more) -> dict:
+    """What all figures share."""
+    return {
+        "font": FONT,
+        "height": height,
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "margin": {"l": 60, "r": 16, "t": 16, "b": 48},
+        "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": MUTED, "font": {"color": INK}},
+        **more,
+    }
+
+
+def axis(title: str, **more) -> dict:
+    line = {"showline": True, "linecolor": MUTED, "ticks": "outside", "tickcolor": MUTED, "ticklen": 4}
+    return {"title": {"text": title, "standoff": 8}, "gridcolor": GRID, "zeroline": False, **line, **more}
+
+
+def verdict_bars(summary: Summary) -> dict:
+    """One bar a method, divided by verdict."""
+    names = list(summary.methods)
+    traces = []
+    for verdict in Verdict:
+        counts = [summary.methods[name].count(verdict) for name in names]
+        if not any(counts):
+            continue
+        parts = [100 * count / max(1, summary.problems) for count in counts]
+        traces.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "name": VERDICT_TITLES[verdict],
+                "y": [method_title(name) for name in names],
+                "x": parts,
+                "marker": {"color": VERDICT_COLOURS[verdict], "line": {"color": "#ffffff", "width": 1}},
+                "text": [f"{share(c, summary.problems)}" if part > 4 else "" for c, part in zip(counts, parts, strict=True)],
+                "textposition": "inside",
+                "insidetextanchor": "middle",
+                "textangle": 0,
+                "textfont": {"color": INK if verdict in DARK_TEXT else "#ffffff"},
+                "customdata": [whole(count) for count in counts],
+                "hovertemplate": f"%{{y}}: %{{customdata}} (%{{x:.2f}}%)<br>{VERDICT_TITLES[verdict]}<extra></extra>",
+            }
+        )
+    shape = layout(
+        120 + 46 * len(names),
+        barmode="stack",
+        bargap=0.28,
+        xaxis=axis("share [%]", range=[0, 100]),
+        yaxis={"autorange": "reversed", "ticklabelstandoff": 6, "automargin": True},
+        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "traceorder": "normal"},
+    )
+    shape["margin"] |= {"l": 110, "t": 40}
+    return {"data": traces, "layout": shape}
+
+
+def distribution(histograms: dict[str, LogHistogram], title: str) -> dict | None:
+    """The positive values of one quantity on a logarithmic axis, one outline a method; None where all are zero."""
+    used = [np.flatnonzero(own.counts) for own in histograms.values()]
+    if not any(len(u) for u in used):
+        return None
+    first = min(int(u[0]) for u in used if len(u)) // COARSE * COARSE
+    last = max(int(u[-1]) for u in used if len(u)) // COARSE * COARSE + COARSE
+    traces = [_outline(name, own, first, last) for name, own in histograms.items()]
+    # Exponents are labelled no closer than whole decades, and at most about six of them.
+    apart = max(1, round((last - first) / PER_DECADE / 6))
+    shape = layout(
+        270,
+        xaxis=axis(title, type="log", dtick=apart, exponentformat="power", range=[np.log10(EDGES[first]), np.log10(EDGES[last])]),
+        yaxis=axis("share [%]", rangemode="tozero"),
+        showlegend=False,
+        hovermode="closest",
+    )
+    shape["margin"] |= {"l": 52}
+    return {"data": traces, "layout": shape}
+
+
+def _outline(name: str, histogram: LogHistogram, first: int, last: int) -> dict:
+    counts = histogram.counts[first:last].reshape(-1, COARSE).sum(1)
+    left = EDGES[first:last:COARSE]
+    right = EDGES[first + COARSE : last + 1 : COARSE]
+    heights = 100 * counts / max(1, histogram.total)
+    texts = [
+        f"closed form {name}: {whole(int(c))} ({h:.2f}%)<br>from {a:.2g} to {b:.2g}"
+        for c, h, a, b in zip(counts, heights, left, right, strict=True)
+    ]
+    # Each bar is drawn by its own two corners: a step line would need a last point that has no bar of its own.
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": _rounded([left[0], *np.column_stack([left, right]).ravel(), right[-1]]),
+        "y": _rounded([0, *np.repeat(heights, 2), 0]),
+        "text": [texts[0], *(t for t in texts for _ in range(2)), texts[-1]],
+        "hoverinfo": "text",
+        "name": f"closed form {name}",
+        "fill": "tozeroy",
+        "fillcolor": METHOD_COLOURS[name] + "33",
+        "line": {"color": METHOD_COLOURS[name], "width": 2, "dash": "solid" if name == "A" else "4px,2px"},
+    }
+
+
+def slip_maps(summary: Summary) -> dict | None:
+    """Slip against friction angle, a panel a method: above the line, a contact slips. None where nothing is loaded."""
+    maps = {name: own.angles for name, own in summary.methods.items() if own.angles.sum()}
+    if not maps:
+        return None
+    whole_map = sum(maps.values())
+    bins = len(whole_map)
+    slip_step, friction_step = 180 / bins, 90 / bins
+    x0, x1 = _used(whole_map.sum(0), friction_step, 90)
+    top = max(_used(whole_map.sum(1), slip_step, 180)[1], x1)
+    traces, axes, notes = [], {}, []
+    for index, (name, counts) in enumerate(maps.items()):
+        suffix = "" if index == 0 else str(index + 1)
+        traces += _slip_panel(counts, suffix, (x0, x1), (slip_step, friction_step), top, first=index == 0)
+        gap = 0.025
+        width = (1 - gap * (len(maps) - 1)) / len(maps)
+        left = index * (width + gap)
+        axes["xaxis" + suffix] = axis("friction angle atan μ [°]", range=[x0, x1], domain=[left, left + width], anchor="y" + suffix)
+        title = "slip angle [°]" if index == 0 else ""
+        axes["yaxis" + suffix] = axis(
+            title, range=[0, top], anchor="x" + suffix, showticklabels=index == 0, **({"matches": "y"} if index else {})
+        )
+        text = f"<b>{method_title(name)}</b><br>above the line: {_above(counts)}"
+        notes.append({"text": text, "x": left, "y": 1.02, "xref": "paper", "yref": "paper", "yanchor": "bottom", "xanchor": "left"})
+    for note in notes:
+        note |= {"showarrow": False, "align": "left"}
+    peak = max(int(own.max()) for own in maps.values())
+    shape = layout(430, **axes, annotations=notes, showlegend=False, coloraxis=_count_colours(peak))
+    shape["margin"] |= {"t": 56, "r": 84}
+    return {"data": traces, "layout": shape}
+
+
+def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float, first: bool) -> list[dict]:
+    slip_step, friction_step = steps
+    columns = slice(round(across[0] / friction_step), round(across[1] / friction_step))
+    shown = counts[: round(top / slip_step), columns]
+    place = {"xaxis": "x" + suffix, "yaxis": "y" + suffix}
+    heat = {
+        "type": "heatmap",
+        "x0": across[0] + friction_step / 2,
+        "dx": friction_step,
+        "y0": slip_step / 2,
+        "dy": slip_step,
+        "z": [[float(f"{np.log10(c):.4g}") if c else None for c in row] for row in shown.tolist()],
+        "customdata": shown.tolist(),
+        "coloraxis": "coloraxis",
+        "hoverongaps": False,
+        "hovertemplate": "slip %{y:.0f}°, friction %{x:.1f}°: %{customdata} contacts<extra></extra>",
+        **place,
+    }
+    line = {
+        "type": "scatter",
+        "mode": "lines+text" if first else "lines",
+        "x": list(across),
+        "y": list(across),
+        "text": ["", "slip = friction angle "] if first else None,
+        "textposition": "bottom left",
+        "textfont": {"size": 11, "color": METHOD_COLOURS["B"]},
+        "line": {"color": METHOD_COLOURS["B"], "width": 1.5},
+        "hoverinfo": "skip",
+        **place,
+    }
+    return [heat, line]
+
+
+def _above(counts: np.ndarray) -> str:
+    """Share of contacts in bins that lie wholly above the line; a bin that the line crosses is not counted."""
+    slip_step, friction_step = 180 / len(counts), 90 / len(counts)
+    above = slip_step * np.arange(len(counts))[:, None] >= friction_step * (1 + np.arange(len(counts)))
+    return share(int(counts[above].sum()), int(counts.sum()))
+
+
+def _used(totals: np.ndarray, step: float, limit: float) -> tuple[float, float]:
+    """The range of the bins in use, in degrees, with some room."""
+    used = np.flatnonzero(totals)
+    room = max(4 * step, 4)
+    return max(0, used[0] * step - room), min(limit, (used[-1] + 1) * step + room)
+
+
+def _count_colours(peak: int) -> dict:
+    ticks = list(range(int(np.log10(max(peak, 1))) + 1))
+    # The palest shade still stands out from the page; the greys leave the colours to methods and verdicts.
+    shades = ["#d5dde6", "#a9b8c8", "#6f8499", "#3f5368", "#101c2b"]
+    return {
+        "cmin": 0,
+        "cmax": max(1, float(np.log10(max(peak, 1)))),
+        "colorscale": [[i / 4, shade] for i, shade in enumerate(shades)],
+        "colorbar": {"title": {"text": "contacts"}, "tickvals": ticks, "ticktext": [whole(10**t) for t in ticks], "thickness": 12},
+    }
+
+
+def _rounded(values) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]

@@ -1,0 +1,110 @@
+"""How the report shows things: one colour for each method and verdict, and numbers as a person reads them."""
+
+import math
+from html import escape
+
+from jaxgrasp.batch.methods import METHODS
+from jaxgrasp.model.solution import Verdict
+
+# The palette of Okabe and Ito, safe for colour-blind readers. Closed forms are warm, optima are cool: where the two
+# are drawn together, warm is what may slip.
+METHOD_COLOURS = {"A": "#E69F00", "B": "#D55E00", "A-optimum": "#56B4E9", "B-optimum": "#0072B2"}
+VERDICT_COLOURS = {
+    Verdict.CLOSED_FORM_OPTIMAL: "#009E73",
+    Verdict.OPTIMAL: "#8FD3BC",
+    Verdict.OUTSIDE_CONES: "#CC79A7",
+    Verdict.INFEASIBLE: "#5A5A5A",
+    Verdict.NO_CONTACTS: "#BDBDBD",
+    Verdict.NOT_CONVERGED: "#F0E442",
+    Verdict.INVALID_DATA: "#000000",
+}
+VERDICT_TITLES = {
+    Verdict.CLOSED_FORM_OPTIMAL: "closed form, inside every cone",
+    Verdict.OPTIMAL: "optimum, held by a cone",
+    Verdict.OUTSIDE_CONES: "balances, but slips or pulls",
+    Verdict.INFEASIBLE: "no allowed forces exist",
+    Verdict.NO_CONTACTS: "no contact can carry a force",
+    Verdict.NOT_CONVERGED: "not decided",
+    Verdict.INVALID_DATA: "invalid data",
+}
+INK, MUTED, GRID = "#1c2530", "#5b6673", "#e3e7ec"
+WRENCH_COLOUR = "#222222"
+NOTHING = "–"
+
+
+def method_title(name: str) -> str:
+    """``A`` as "closed form A", ``A-optimum`` as it is."""
+    return f"{'optimum' if METHODS[name].constrained else 'closed form'} {name[0]}"
+
+
+def whole(count: int) -> str:
+    """A count with its thousands apart."""
+    return f"{count:,}".replace(",", "\u202f")
+
+
+def counted(count: int, unit: str) -> str:
+    """A count and what it counts: "1 grasp", "2 grasps"."""
+    return f"{whole(count)} {unit}{'' if count == 1 else 's'}"
+
+
+def share(part: int, total: int) -> str:
+    """A percentage that says 0% and 100% only where it is exactly that."""
+    if total == 0:
+        return NOTHING
+    if part in (0, total):
+        return "0%" if part == 0 else "100%"
+    percent = 100 * part / total
+    if percent < 0.1:
+        return "<0.1%"
+    return ">99.9%" if percent > 99.9 else f"{percent:.1f}%"
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number of a few significant digits, with a power of ten only where it helps."""
+    if value is None or math.isnan(value):
+        return NOTHING
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if value == 0:
+        return "0"
+    if 1e-3 <= abs(value) < 1e5:
+        places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        text = f"{value:.{places}f}"
+        return (text.rstrip("0").rstrip(".") if places else text).replace("-", "−")
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    power = str(int(exponent)).translate(str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"))
+    return f"{mantissa} × 10{power}".replace("-", "−")
+
+
+def percentage(value: float) -> str:
+    """A ratio as a percentage of a few significant digits."""
+    return number(100 * value) + "%" if math.isfinite(value) else number(value)
+
+
+def degrees(radians: float) -> str:
+    return number(math.degrees(radians)) + "°" if math.isfinite(radians) else NOTHING
+
+
+def seconds(value: float) -> str:
+    """A duration in the unit that suits it."""
+    for unit, size in (("s", 1), ("ms", 1e-3), ("µs", 1e-6)):
+        if value >= size:
+            return f"{number(value / size)} {unit}"
+    return f"{number(value / 1e-9)} ns" if value > 0 else NOTHING
+
+
+def swatch(colour: str) -> str:
+    """A small square of a colour, to tie text to a figure."""
+    return f'<span class="swatch" style="background:{colour}"></span>'
+
+
+def table(head: list[str], rows: list[list[str]], kind: str = "") -> str:
+    """An HTML table; cells are HTML already, so text from outside must be escaped before."""
+    top = "".join(f"<th>{cell}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def text(value: object) -> str:
+    """Text from outside, safe inside HTML and attributes."""
+    return escape(str(value), quote=True)

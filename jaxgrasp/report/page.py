@@ -1,0 +1,94 @@
+"""Writes the report of an evaluation: one HTML file that opens offline, whatever the size of the data."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.batch.engine import Times
+from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.report import sections
+from jaxgrasp.report.bundle import asset, plotly_bundle
+from jaxgrasp.report.look import counted, text
+from jaxgrasp.report.tiles import tiles_html
+from jaxgrasp.report.worst import worst_html
+
+# The page may run what it carries and may fetch nothing: the browser itself holds it to opening offline.
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
+)
+
+
+def write_report(
+    path: str | os.PathLike, summary: Summary, times: Times, *, title: str, details: dict[str, str]
+) -> None:
+    """Write the report of an evaluation, whole or not at all.
+
+    Args:
+        path: the HTML file to write.
+        summary: what was found.
+        times: what it took.
+        title: the page's heading.
+        details: names and texts that say where the numbers come from: input, versions, date, command.
+
+    Raises:
+        ImportError: plotly is not installed.
+    """
+    page = report_html(summary, times, title=title, details=details)
+    replace_file(Path(path), lambda stream: stream.write(page.encode()))
+
+
+def report_html(summary: Summary, times: Times, *, title: str, details: dict[str, str]) -> str:
+    """The page as text."""
+    library = plotly_bundle()
+    parts = (
+        ("verdicts", "Verdicts", sections.verdicts_html(summary)),
+        ("distributions", "How far the closed forms are from their optima", sections.distributions_html(summary)),
+        ("angles", "Slip angle against friction angle", sections.angles_html(summary)),
+        ("worst", "Where the closed form is furthest from its optimum", worst_html(summary)),
+        ("times", "Time and accuracy", sections.times_html(summary, times)),
+        ("details", "Details", sections.details_html(details)),
+    )
+    body = "\n".join(f'<section id="{name}"><h2>{heading}</h2>{content}</section>' for name, heading, content in parts)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="generator" content="jaxgrasp">
+<title>{text(title)}</title>
+<style>
+{asset("style.css")}</style>
+</head>
+<body>
+<main>
+<header><h1>{text(title)}</h1><p class="lead">{_lead(summary)}</p></header>
+<noscript><p class="note">The figures need JavaScript; the numbers and tables do not.</p></noscript>
+{tiles_html(summary)}
+{body}
+<footer>Written by jaxgrasp. Figures by plotly.js, MIT licence, © Plotly, Inc.; it is inside this file, which fetches nothing.
+SI units throughout.</footer>
+</main>
+<script type="text/plain" id="library">{library}</script>
+<script>
+{asset("page.js")}</script>
+</body>
+</html>
+"""
+
+
+def _lead(summary: Summary) -> str:
+    """What was evaluated, in one sentence."""
+    used = np.flatnonzero(summary.sizes)
+    each = ""
+    if len(used):
+        each = f", {used[0]} each" if len(used) == 1 else f", {used[0]} to {used[-1]} each"
+    sentence = f"{counted(summary.grasps, 'grasp')} with {counted(summary.contacts, 'contact')}{each}"
+    if summary.problems != summary.grasps:
+        sentence += f"; {counted(summary.problems, 'problem')}, one for each grasp and wrench"
+    if summary.set_aside:
+        sentence += f"; {counted(summary.set_aside, 'grasp')} set aside for faults in the data"
+    return sentence + "."

@@ -1,0 +1,172 @@
+"""The parts of the page below the headline: each figure with the sentences that define what it shows."""
+
+from jaxgrasp.batch.engine import Times
+from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.report import figures
+from jaxgrasp.report.bundle import embedded
+from jaxgrasp.report.look import (
+    METHOD_COLOURS,
+    VERDICT_COLOURS,
+    VERDICT_TITLES,
+    counted,
+    degrees,
+    method_title,
+    number,
+    percentage,
+    seconds,
+    share,
+    swatch,
+    table,
+    text,
+    whole,
+)
+from jaxgrasp.report.tiles import unit
+
+QUANTITIES = (
+    (
+        "price",
+        "Price of friction",
+        "(F* − F) / F*",
+        "The share of the optimum's objective F* that the closed form, at F ≤ F*, leaves out by ignoring friction.",
+        percentage,
+    ),
+    (
+        "distance",
+        "Force distance",
+        "|f − f*| / |f*|",
+        "How far the closed form's forces f lie from the optimum's f*, over all contacts of a grasp.",
+        number,
+    ),
+    (
+        "violation",
+        "Cone violation [N]",
+        "max(|t| − μ n, 0) [N]",
+        "The closed form's tangential force |t| beyond friction's limit μ n, at its worst contact.",
+        lambda value: f"{number(value)} N",
+    ),
+)
+
+
+def figure_html(name: str, figure: dict) -> str:
+    return f'<div class="figure" data-figure="{name}-data" style="min-height:{figure["layout"]["height"]}px"></div>' + embedded(
+        f"{name}-data", figure
+    )
+
+
+def verdicts_html(summary: Summary) -> str:
+    """Bars, and the exact counts with what each verdict means."""
+    if not summary.methods:
+        return "<p class='note'>No method was evaluated.</p>"
+    rows = [
+        [
+            f"{swatch(VERDICT_COLOURS[verdict])}{VERDICT_TITLES[verdict]}",
+            *(whole(own.count(verdict)) for own in summary.methods.values()),
+            f'<span class="wide">{text(verdict.advice)}</span>',
+        ]
+        for verdict in Verdict
+    ]
+    head = ["verdict", *(method_title(name) for name in summary.methods), "what it means"]
+    note = (
+        "Closed forms A and B balance the wrench and only monitor friction; each optimum adds the friction cones to the "
+        "same objective."
+    )
+    counts = f"<details><summary>Exact counts, and what each verdict means</summary>{table(head, rows)}</details>"
+    return f'<p class="note">{note}</p>{figure_html("verdicts", figures.verdict_bars(summary))}{counts}'
+
+
+def distributions_html(summary: Summary) -> str:
+    """Three quantities, closed forms A and B on the same axes."""
+    if not any(own.compared for own in summary.comparisons.values()):
+        return "<p class='note'>No closed form was compared with its optimum: it takes both, and a problem that has one.</p>"
+    panels = []
+    for field, title, label, meaning, shown in QUANTITIES:
+        histograms = {name: getattr(own, field) for name, own in summary.comparisons.items()}
+        figure = figures.distribution(histograms, label)
+        drawn = figure_html(field, figure) if figure else '<p class="empty">All values are zero.</p>'
+        panels.append(f'<div class="panel3"><h3>{title}</h3><p class="note">{meaning}</p>{drawn}{_quantiles(histograms, shown)}</div>')
+    note = (
+        "Closed form against its own optimum, over all problems that have one. Where the closed form is already optimal all "
+        "three are exactly zero, which a logarithmic axis cannot show: the tables give that share."
+    )
+    return f'<p class="note">{note}</p><div class="three">{"".join(panels)}</div>'
+
+
+def _quantiles(histograms: dict[str, LogHistogram], shown) -> str:
+    rows = [
+        [
+            f"{swatch(METHOD_COLOURS[name])}{name}",
+            share(own.zeros, own.total),
+            *((shown(own.quantile(q)) if own.total else "–") for q in (0.5, 0.95, 1)),
+        ]
+        for name, own in histograms.items()
+    ]
+    return table(["", "exactly 0", "median", "95%", "largest"], rows, "tight")
+
+
+def angles_html(summary: Summary) -> str:
+    figure = figures.slip_maps(summary)
+    if figure is None:
+        return "<p class='note'>No contact carries a force in any answer.</p>"
+    sampled = max(int(own.angles.sum()) for own in summary.methods.values())
+    first = "" if unit(summary) == "grasp" else " under the first wrench"
+    note = (
+        "Slip angle: between a contact's force and its inward normal, 0° where it presses straight, above 90° where it "
+        "pulls. A contact above the line slip = friction angle slips. "
+        f"A sample of at most {counted(sampled, 'loaded contact')} of answers that balance the wrench{first}; the shares "
+        "count cells that lie wholly above the line."
+    )
+    return f'<p class="note">{note}</p>{figure_html("angles", figure)}'
+
+
+def times_html(summary: Summary, times: Times) -> str:
+    """Time next to error: a time alone says nothing."""
+    rows = []
+    for name, own in summary.methods.items():
+        spent = times.solving.get(name, 0.0)
+        each = spent / times.problems if times.problems else 0.0
+        optimum = name.endswith("optimum")
+        skipped = own.count(Verdict.CLOSED_FORM_OPTIMAL)
+        solved = summary.problems - skipped
+        rows.append(
+            [
+                f"{swatch(METHOD_COLOURS[name])}{method_title(name)}",
+                seconds(each),
+                seconds(spent),
+                f"{whole(skipped)} ({share(skipped, summary.problems)})" if optimum else "–",
+                number(own.steps / solved) if optimum and solved else "–",
+                number(own.largest_residual),
+                degrees(own.smallest_margin),
+            ]
+        )
+    head = [
+        "method",
+        f"time a {unit(summary)}",
+        "in all",
+        "no solve needed",
+        "Newton steps a solve",
+        "largest residual",
+        "smallest friction margin",
+    ]
+    return table(head, rows) + _times_note(summary, times)
+
+
+def _times_note(summary: Summary, times: Times) -> str:
+    notes = [f"Compiling took {seconds(times.compiling)} more." if times.compiling else "Nothing had to be compiled."]
+    if any(name.endswith("optimum") for name in times.solving):
+        notes.append("An optimum's time includes the closed form that it starts from.")
+        notes.append("No solve is needed where the closed form is already optimal.")
+    if times.problems > summary.problems:
+        notes.append(f"Timed on {whole(times.problems)} problems, {whole(times.problems - summary.problems)} of them padding.")
+    elif times.problems < summary.problems:
+        notes.append(f"Timed on the {counted(times.problems, 'problem')} that this run solved.")
+    notes.append("Residual: |G f − w| over the forces and moments at work, dimensionless; of answers that balance the wrench.")
+    bad = counted(summary.set_aside, "grasp")
+    notes.append(f"Set aside for faults in the data: {bad}." if summary.set_aside else "No grasp was set aside for faults.")
+    return f'<p class="note">{" ".join(notes)}</p>'
+
+
+def details_html(details: dict[str, str]) -> str:
+    rows = "".join(f"<dt>{text(name)}</dt><dd>{text(value)}</dd>" for name, value in details.items())
+    return f'<dl class="details">{rows}</dl>' if rows else "<p class='note'>None were given.</p>"

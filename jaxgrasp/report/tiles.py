@@ -1,0 +1,152 @@
+"""The headline of the report: a few large numbers, each in a sentence that says what it counts."""
+
+from dataclasses import dataclass
+
+from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.report.look import METHOD_COLOURS, counted, percentage, share, swatch, whole
+
+SOLVED = (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A heading, large numbers with the method that each belongs to, and a sentence."""
+
+    heading: str
+    numbers: list[tuple[str, str]]
+    sentence: str
+
+    def html(self) -> str:
+        large = "".join(f'<div class="row">{label}<span class="large">{value}</span></div>' for label, value in self.numbers)
+        return f'<section class="tile"><h2>{self.heading}</h2>{large}<p>{self.sentence}</p></section>'
+
+
+def unit(summary: Summary) -> str:
+    """What is counted: a grasp has one problem for each of its wrenches."""
+    return "grasp" if summary.problems == summary.grasps else "problem"
+
+
+def tiles(summary: Summary) -> list[Tile]:
+    """The tiles that the evaluated methods allow, the most asked for first."""
+    return [
+        *_holding(summary),
+        *(tile for name in "AB" for tile in _right_as_it_stands(summary, name)),
+        *_price(summary),
+        *_deceiving(summary),
+        *_infeasible(summary),
+    ]
+
+
+def tiles_html(summary: Summary) -> str:
+    return '<div class="tiles">' + "".join(tile.html() for tile in tiles(summary)) + "</div>"
+
+
+def _optimum(summary: Summary) -> str | None:
+    """The optimum that says what holds: uniform sharing lets every contact carry a force."""
+    return next((name for name in ("A-optimum", "B-optimum") if name in summary.methods), None)
+
+
+def _holding(summary: Summary) -> list[Tile]:
+    name = _optimum(summary)
+    if name is None:
+        return []
+    holds = summary.methods[name].count(*SOLVED)
+    sentence = (
+        f"{whole(holds)} of {counted(summary.problems, unit(summary))}: there are contact forces inside every friction "
+        "cone that give the wrench."
+    )
+    other = summary.methods.get("B-optimum")
+    if name == "A-optimum" and other is not None and other.count(*SOLVED) != holds:
+        sentence += f" With B's sharing, where a contact of no squeeze carries nothing: {whole(other.count(*SOLVED))}."
+    return [Tile("Hold with friction", [("", share(holds, summary.problems))], sentence)]
+
+
+def _right_as_it_stands(summary: Summary, name: str) -> list[Tile]:
+    optimum, closed = summary.methods.get(f"{name}-optimum"), summary.methods.get(name)
+    if optimum is None and closed is None:
+        return []
+    right = (optimum or closed).count(Verdict.CLOSED_FORM_OPTIMAL)
+    if optimum is not None:
+        total, among = optimum.count(*SOLVED), "that hold"
+    else:
+        total, among = summary.problems, "in all"
+    equation = {"A": "eq. 11", "B": "eq. 15"}[name]
+    sentence = (
+        f"{whole(right)} of the {whole(total)} {among}: the forces of {equation} lie inside every friction cone, so "
+        "they are the constrained optimum and nothing has to be solved."
+    )
+    return [Tile(f"Closed form {name} is right as it stands", [(_label(name), share(right, total))], sentence)]
+
+
+def _price(summary: Summary) -> list[Tile]:
+    rows = [(_label(name), three_quantiles(own.price)) for name, own in summary.comparisons.items()]
+    if not rows:
+        return []
+    binding = []
+    for name, own in summary.comparisons.items():
+        bound = LogHistogram(own.price.counts, 0, own.price.largest)
+        if bound.total:
+            binding.append(f"{percentage(bound.quantile(0.5))} for {name}")
+    sentence = (
+        "Median, 95% and largest over all that hold: the share (F* − F) / F* of the optimum's objective F* that the "
+        "closed form, at F, leaves out by ignoring friction."
+    )
+    if binding:
+        sentence += f" Where it is not zero, its median is {' and '.join(binding)}."
+    return [Tile("Price of friction", rows, sentence)]
+
+
+def three_quantiles(histogram: LogHistogram) -> str:
+    if histogram.total == 0:
+        return "–"
+    return " <i>·</i> ".join(percentage(histogram.quantile(q)) for q in (0.5, 0.95, 1))
+
+
+def _deceiving(summary: Summary) -> list[Tile]:
+    """Closed forms that balance the wrench with forces that friction forbids."""
+    rows, notes = [], []
+    for name in "AB":
+        closed, optimum = summary.methods.get(name), summary.methods.get(f"{name}-optimum")
+        if closed is None:
+            continue
+        outside = closed.count(Verdict.OUTSIDE_CONES)
+        if optimum is None:
+            rows.append((_label(name), share(outside, summary.problems)))
+            notes.append(f"{name}: {whole(outside)}; whether allowed forces exist was not evaluated.")
+            continue
+        avoidable = optimum.count(Verdict.OPTIMAL)
+        rows.append((_label(name), share(avoidable, summary.problems)))
+        # What the contacts cannot reach at all, the closed form calls infeasible too.
+        forbidden = max(0, optimum.count(Verdict.INFEASIBLE) - closed.count(Verdict.INFEASIBLE))
+        notes.append(f"{name}: {whole(avoidable)}, and {whole(forbidden)} more where no allowed forces exist.")
+    if not rows:
+        return []
+    sentence = "The closed form balances the wrench, but a contact slips or pulls, though allowed forces exist. "
+    return [Tile("The closed form deceives", rows, sentence + " ".join(notes))]
+
+
+def _infeasible(summary: Summary) -> list[Tile]:
+    name = _optimum(summary)
+    if name is None:
+        return []
+    own = summary.methods[name]
+    proved = own.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
+    sentence = (
+        f"{counted(proved, unit(summary))}: no allowed forces give the wrench, and a certificate proves it — a direction "
+        "in which the load moves the object and no contact can push back."
+    )
+    closed = summary.methods.get(name[0])
+    if closed is not None:
+        beyond = closed.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
+        sentence += f" {whole(beyond)} of them stay out of reach whatever the friction."
+    undecided = own.count(Verdict.NOT_CONVERGED)
+    sentence += f" Not decided: {whole(undecided)}." if undecided else " None was left undecided."
+    invalid = own.count(Verdict.INVALID_DATA)
+    sentence += f" Invalid data: {whole(invalid)}." if invalid else ""
+    return [Tile("Cannot hold", [("", share(proved, summary.problems))], sentence)]
+
+
+def _label(name: str) -> str:
+    return f'<span class="name">{swatch(METHOD_COLOURS[name])}{name}</span>'

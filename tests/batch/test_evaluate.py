@@ -1,0 +1,243 @@
+"""Evaluations: equal to the single answers, whatever the order, padding, chunk, device or interruption."""
+
+import copy
+import dataclasses
+import json
+import os
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp.batch import blocks
+from jaxgrasp.batch.evaluation import evaluate
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.shards import ResultFolder
+from jaxgrasp.batch.sources import MemorySource
+from jaxgrasp.batch.stream import Plan, evaluate_stream
+from jaxgrasp.batch.summary_json import from_json, to_json
+from jaxgrasp.batch.summary_text import summary_text
+from jaxgrasp.model.solution import Verdict
+from tests.batch.conftest import make_sets
+
+SIZES = [3, 5, 4, 2, 5, 3, 4, 5]
+
+
+@pytest.fixture(scope="module")
+def sets():
+    return make_sets(SIZES * 5, wrenches=2)
+
+
+@pytest.fixture(scope="module")
+def whole(sets):
+    return evaluate(sets)
+
+
+@pytest.mark.parametrize(
+    ("method", "function", "sharing"),
+    [
+        ("A", "closed_form", "uniform"),
+        ("B", "closed_form", "squeeze"),
+        ("A-optimum", "constrained_optimum", "uniform"),
+        ("B-optimum", "constrained_optimum", "squeeze"),
+    ],
+)
+def test_equals_the_single_answers(sets, whole, method, function, sharing):
+    result = whole.results[method]
+    grasp = jax.tree.map(lambda x: x[:, None], sets.padded(6))
+    alone = getattr(jaxgrasp, function)(grasp, sets.wrench, sharing)
+    np.testing.assert_array_equal(result.verdict, alone.verdict)
+    there = np.arange(6) < sets.sizes[:, None]
+    forces = np.swapaxes(np.asarray(alone.forces), 1, 2)[there]
+    np.testing.assert_allclose(result.forces, forces, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result.objective, alone.objective, rtol=1e-9, atol=1e-12)
+
+
+def test_margins_and_violations_agree_with_the_angles(sets, whole):
+    for result in whole.results.values():
+        beyond = result.violation > 1e-9
+        np.testing.assert_array_equal(beyond, result.margin < -1e-9)
+
+
+def test_a_closed_form_costs_no_more_than_its_optimum(whole):
+    for name in ("A", "B"):
+        closed, best = whole.results[name], whole.results[f"{name}-optimum"]
+        solved = best.verdict <= Verdict.OPTIMAL
+        assert solved.any()
+        assert np.all(closed.objective[solved] <= best.objective[solved] * (1 + 1e-9) + 1e-12)
+
+
+def test_order_does_not_matter(sets, whole):
+    order = np.random.default_rng(1).permutation(len(sets))
+    shuffled = evaluate(sets.rows(order))
+    np.testing.assert_allclose(
+        shuffled.results["B-optimum"].objective, whole.results["B-optimum"].objective[order], rtol=1e-9, atol=1e-12
+    )
+
+
+def test_shapes_of_their_own_change_nothing(sets, whole, monkeypatch):
+    monkeypatch.setattr(blocks, "WORTH_A_SHAPE", 1)
+    assert len(set(blocks.widths(sets.sizes, 2))) == 3
+    apart = evaluate(sets, methods=("B",))
+    np.testing.assert_allclose(apart.results["B"].forces, whole.results["B"].forces, rtol=1e-9, atol=1e-9)
+
+
+def test_only_what_is_asked_for_is_computed(sets):
+    some = evaluate(sets, methods=("B",))
+    assert set(some.results) == {"B"} and not some.summary.comparisons
+    with pytest.raises(ValueError, match="method 'C' is unknown: expected some of A, B"):
+        evaluate(sets, methods=("C",))
+    with pytest.raises(ValueError, match="methods is empty"):
+        evaluate(sets, methods=())
+
+
+def test_a_batch_of_grasps_is_taken_as_it_is():
+    sets = make_sets([5] * 4)
+    result = evaluate(sets.padded(5), sets.wrench[:, 0], methods=("B",)).results["B"]
+    assert result.forces.shape == (20, 1, 3)
+    with pytest.raises(ValueError, match="wrenches is None"):
+        evaluate(sets.padded(5))
+
+
+def test_float64_needs_its_mode(sets):
+    with jax.enable_x64(False), pytest.raises(ValueError, match="64-bit mode is off"):
+        evaluate(sets)
+    single = evaluate(sets, methods=("B",), dtype="float32")
+    assert single.results["B"].forces.dtype == np.float32
+
+
+def test_a_bad_grasp_stops_or_is_set_aside(sets, whole):
+    friction = sets.friction.copy()
+    friction[sets.offsets[7]] = np.nan
+    spoiled = dataclasses.replace(sets, friction=friction)
+    with pytest.raises(jaxgrasp.GraspError, match=r"friction\[7, 0\]"):
+        evaluate(spoiled)
+    rest = evaluate(spoiled, skip_bad=True)
+    assert rest.summary.set_aside == 1 and len(rest.sets) == len(sets) - 1
+    kept = np.arange(len(sets)) != 7
+    np.testing.assert_allclose(rest.results["B"].objective, whole.results["B"].objective[kept], rtol=1e-9, atol=1e-12)
+
+
+def read_results(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    return manifest, [np.load(folder / entry["file"], allow_pickle=False) for entry in manifest["shards"]]
+
+
+def plan(**changes) -> Plan:
+    return Plan(chunk=16, **changes)
+
+
+def streamed(sets, folder, resume=False, **changes):
+    wanted = plan(**changes)
+    out = ResultFolder(folder, wanted.identity("sets", len(sets)), resume)
+    return evaluate_stream(MemorySource(sets), wanted, out)
+
+
+def assert_same_summary(a, b):
+    a, b = copy.deepcopy(to_json(a)), copy.deepcopy(to_json(b))
+    for case in a["worst"] + b["worst"]:
+        for name in ("closed", "optimum", "price", "margin", "violation"):
+            case.pop(name)
+    for methods in (a["methods"], b["methods"]):
+        for method in methods.values():
+            method.pop("largest_residual"), method.pop("smallest_margin")
+    for comparisons in (a["comparisons"], b["comparisons"]):
+        for comparison in comparisons.values():
+            for name in ("price", "distance", "violation"):
+                comparison[name].pop("largest")
+    assert a == b
+
+
+def test_a_stream_says_what_the_whole_says(sets, whole, tmp_path):
+    outcome = streamed(sets, tmp_path)
+    assert_same_summary(outcome.summary, whole.summary)
+    manifest, (results,) = read_results(tmp_path)
+    assert manifest["complete"] and manifest["shards"][0]["file"] == "results.npz"
+    np.testing.assert_array_equal(results["grasp"], np.arange(len(sets)))
+    np.testing.assert_array_equal(results["offsets"], sets.offsets)
+    np.testing.assert_allclose(results["B-optimum.forces"], whole.results["B-optimum"].forces, rtol=1e-9, atol=1e-9)
+    assert sorted(os.listdir(tmp_path)) == ["manifest.json", "results.npz"]
+
+
+class Interrupted(MemorySource):
+    """A source that fails in its third chunk, after the check that reads all of it once."""
+
+    passes = 0
+
+    def chunks(self, size, start=0):
+        self.passes += 1
+        for number, part in enumerate(super().chunks(size, start)):
+            if self.passes == 2 and number == 2:
+                raise KeyboardInterrupt
+            yield part
+
+
+def test_an_interrupted_stream_goes_on(sets, whole, tmp_path):
+    wanted = plan()
+    identity = wanted.identity("sets", len(sets))
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_stream(Interrupted(sets), wanted, ResultFolder(tmp_path, identity, resume=False))
+    manifest, _ = read_results(tmp_path)
+    assert not manifest["complete"] and len(manifest["shards"]) >= 1
+    (tmp_path / ".shard-00009.npz.1.partial").write_bytes(b"half")
+    with pytest.raises(GraspFileError, match="--resume goes on"):
+        ResultFolder(tmp_path, identity, resume=False)
+    with pytest.raises(GraspFileError, match="dtype = 'float64', not 'float32'"):
+        streamed(sets, tmp_path, resume=True, dtype="float32")
+    outcome = streamed(sets, tmp_path, resume=True)
+    assert outcome.resumed in (16, 32)
+    assert_same_summary(outcome.summary, whole.summary)
+    _, (results,) = read_results(tmp_path)
+    np.testing.assert_array_equal(results["grasp"], np.arange(len(sets)))
+    assert sorted(os.listdir(tmp_path)) == ["manifest.json", "results.npz"]
+
+
+def test_a_finished_evaluation_is_replaced_but_nothing_else(sets, tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    streamed(sets, tmp_path, methods=("B",))
+    streamed(sets, tmp_path, methods=("A",))
+    _, (results,) = read_results(tmp_path)
+    assert "A.forces" in results and "B.forces" not in results
+    assert (tmp_path / "mine.txt").read_text() == "keep"
+
+
+def test_a_stream_stops_before_computing_at_a_bad_grasp(sets, tmp_path):
+    points = sets.points.copy()
+    points[-1] = np.inf
+    spoiled = dataclasses.replace(sets, points=points)
+    with pytest.raises(jaxgrasp.GraspError, match=r"points\[39, 4\]"):
+        streamed(spoiled, tmp_path)
+    assert os.listdir(tmp_path) == []
+    outcome = streamed(spoiled, tmp_path, skip_bad=True)
+    assert outcome.summary.set_aside == 1
+    _, (results,) = read_results(tmp_path)
+    assert 39 not in results["grasp"]
+
+
+def test_an_unwritable_folder_is_refused(sets, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(GraspFileError, match="cannot be written"):
+        streamed(sets, tmp_path / "file" / "out")
+
+
+def test_summaries_survive_json(whole):
+    data = json.loads(json.dumps(to_json(whole.summary)))
+    assert_same_summary(from_json(data), whole.summary)
+
+
+def test_summaries_merge(sets, whole):
+    halves = [evaluate(sets.rows(part)).summary for part in (slice(0, 17), slice(17, None))]
+    merged = halves[0].merged(halves[1])
+    assert merged.problems == whole.summary.problems
+    for name, method in whole.summary.methods.items():
+        np.testing.assert_array_equal(merged.methods[name].verdicts, method.verdicts)
+    np.testing.assert_array_equal(merged.comparisons["A"].price.counts, whole.summary.comparisons["A"].price.counts)
+
+
+def test_the_text_says_the_numbers(whole):
+    text = summary_text(whole.summary, whole.times, 1.5)
+    assert text.startswith("40 grasps of 2 to 5 contacts, 155 contacts in all, 80 wrenches")
+    holds = whole.summary.methods["B-optimum"].count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
+    assert f"{100 * holds / 80:.1f} %" in text
+    assert "price of friction" in text and "1.5 s in all" in text

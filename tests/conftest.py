@@ -1,0 +1,20 @@
+"""Tests run in 64-bit mode, keep compiled code between runs, and check array shapes at every call."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_enable_x64", True)
+# Compiling is most of the suite's time; the cache is keyed by the code itself, so it cannot go stale.
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxgrasp" / "jax"
+jax.config.update("jax_compilation_cache_dir", os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(_CACHE))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """An empty folder that is the working directory too, so that nothing else is written to."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path

@@ -1,0 +1,84 @@
+"""The house: lazy names, layers, array shapes checked, nothing global touched."""
+
+import importlib
+import pkgutil
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import pytest
+
+import jaxgrasp
+
+
+def in_a_new_process(code: str) -> None:
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+def test_every_public_name_loads():
+    for name in jaxgrasp.__all__:
+        assert getattr(jaxgrasp, name).__name__ == name if hasattr(getattr(jaxgrasp, name), "__name__") else True
+    assert set(jaxgrasp.__all__) <= set(dir(jaxgrasp))
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = jaxgrasp.nonsense
+
+
+def test_no_public_name_is_the_name_of_a_module_beside_it():
+    beside = {module.name for module in pkgutil.iter_modules(jaxgrasp.__path__)}
+    assert not beside & set(jaxgrasp.__all__)
+
+
+def test_public_functions_are_documented():
+    for name in jaxgrasp.__all__:
+        thing = getattr(jaxgrasp, name)
+        assert thing.__doc__ and len(thing.__doc__) > 20, name
+
+
+def test_importing_the_package_loads_nothing():
+    in_a_new_process("import sys, jaxgrasp; assert not {'jax', 'numpy', 'mujoco', 'plotly'} & set(sys.modules)")
+
+
+def test_importing_everything_changes_no_global():
+    names = [m.name for m in pkgutil.walk_packages(jaxgrasp.__path__, "jaxgrasp.") if not m.name.endswith(".machine")]
+    in_a_new_process(
+        "import importlib, logging, warnings, jax\n"
+        "before = (jax.config.values.copy(), logging.root.level, list(logging.root.handlers), list(warnings.filters))\n"
+        f"[importlib.import_module(name) for name in {names!r}]\n"
+        "after = (jax.config.values.copy(), logging.root.level, list(logging.root.handlers), list(warnings.filters))\n"
+        "assert before == after\n"
+        "import sys; assert not {'mujoco', 'plotly', 'matplotlib', 'clarabel'} & set(sys.modules)"
+    )
+
+
+def test_layers():
+    run = subprocess.run([sys.executable, "-c", "from importlinter.cli import lint_imports; exit(lint_imports())"])
+    assert run.returncode == 0
+
+
+def test_array_shapes_are_checked_while_the_tests_run():
+    with pytest.raises(jaxtyping.TypeCheckError):
+        jaxgrasp.Grasp(jnp.zeros((3, 3)), jnp.zeros((3, 3)), jnp.zeros(4), jnp.zeros(3))
+    with pytest.raises(jaxtyping.TypeCheckError):
+        jaxgrasp.grasp_matrix(jnp.zeros((3, 2)))
+
+
+def test_lost_precision_is_said():
+    grasp = jax.tree.map(lambda x: x.astype("float64"), example())
+    with jax.enable_x64(False), pytest.warns(UserWarning, match="float64 data are computed in float32"):
+        jaxgrasp.closed_form(grasp, grasp.points[0].repeat(2))
+
+
+def example():
+    import numpy as np
+
+    points = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+    return jaxgrasp.Grasp(points, -points, np.ones(3), np.ones(3))
+
+
+def test_modules_import_alone():
+    # An import cycle shows only when one of its modules comes first.
+    for name in ("jaxgrasp.force.cones", "jaxgrasp.batch.worst", "jaxgrasp.model.faults"):
+        in_a_new_process(f"import {name}")
+        importlib.import_module(name)

@@ -51,9 +51,8 @@ def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, out
     verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
     objective = jnp.sum(dual.spread(lanes, outcome.forces), 0, keepdims=True)
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
-    linear, angular = multiplier_out(
-        Vec(*outcome.multiplier[:3]), vec.times(stretch, Vec(*outcome.multiplier[3:])), frame
-    )
+    linear, angular = dual.parts(outcome.multiplier)
+    linear, angular = multiplier_out(linear, vec.times(stretch, angular), frame)
     one = jnp.ones((1, size), error.dtype)
     certificate = _certificate(lanes, frame, stretch, outcome, verdict, one)
     return Answer(
@@ -82,7 +81,7 @@ def backward_error(lanes: Lanes, forces: Vec, stretch: Vec) -> Array:
 
     def relative(scales: Vec) -> Array:
         rest = dual.residual(lanes, forces, scales)
-        wrench = (*lanes.force, *vec.times(scales, lanes.torque))
+        wrench = dual.load(lanes, scales)
         reach2 = sum(s * s * (size2 - r * r) for s, r in zip(scales, lanes.arms, strict=True))
         through_contacts = jnp.sum(jnp.sqrt(1 + jnp.maximum(reach2, 0)) * push, 0, keepdims=True)
         return vec.safe_divide(_length(rest), _length(wrench) + through_contacts)
@@ -91,17 +90,16 @@ def backward_error(lanes: Lanes, forces: Vec, stretch: Vec) -> Array:
 
 
 def _length(six: Six) -> Array:
-    return jnp.sqrt(sum(x * x for x in six))
+    return jnp.sqrt(dual.inner(six, six))
 
 
 def _certificate(lanes: Lanes, frame: Frame, stretch: Vec, outcome: Outcome, verdict: Array, one: Array) -> Array:
     """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself."""
     proven = verdict == Verdict.INFEASIBLE
-    linear, angular = (Vec(*(jnp.where(proven, c, 0) for c in outcome.certificate[i : i + 3])) for i in (0, 3))
+    proof = jnp.where(proven, outcome.certificate, 0)
     bare = verdict == Verdict.NO_CONTACTS
     rest = dual.residual(lanes, outcome.forces, Vec(*(jnp.ones_like(c) for c in stretch)))
-    linear = vec.where(bare, Vec(*rest[:3]), linear)
-    angular = vec.where(bare, Vec(*rest[3:]), angular)
+    linear, angular = dual.parts(jnp.where(bare, rest, proof))
     linear, angular = certificate_out(linear, angular, frame)
     return _rows((*linear, *angular), one)
 

@@ -23,9 +23,8 @@ def proves_infeasible(lanes: Lanes, direction: Six, stretch: Vec) -> Array:
     can_move = lanes.weights > 0
     largest = jnp.max(jnp.where(can_move, push, 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
-    wrench = (*lanes.force, *vec.times(stretch, lanes.torque))
-    work = sum(w * d for w, d in zip(wrench, direction, strict=True)) - jnp.sum(fixed, 0, keepdims=True)
-    rounding = 64 * jnp.finfo(work.dtype).eps * jnp.sqrt(sum(d * d for d in direction))
+    work = dual.inner(dual.load(lanes, stretch), direction) - jnp.sum(fixed, 0, keepdims=True)
+    rounding = 64 * jnp.finfo(work.dtype).eps * jnp.sqrt(dual.inner(direction, direction))
     return (work > rounding) & (largest * tolerances(work.dtype).proof <= work)
 
 
@@ -38,4 +37,4 @@ def out_of_range(lanes: Lanes, stretch: Vec) -> tuple[Array, Six]:
     beyond = Vec(*(jnp.where(s > 0, 0, t) for s, t in zip(stretch, lanes.torque, strict=True)))
     # Loads are of order one here, so this compares with the whole load.
     missed = vec.norm(beyond) > tolerances(zero.dtype).range
-    return missed, (zero, zero, zero, *beyond)
+    return missed, dual.six(Vec(zero, zero, zero), beyond)

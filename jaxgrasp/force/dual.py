@@ -20,8 +20,27 @@ from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.symmetric import Lower
 from jaxgrasp.numerics.vec import Vec
 
-Six = tuple[Array, ...]
-"""Six components: linear, then angular."""
+Six = Array
+"""``(6, B)``: linear components over angular ones."""
+
+
+def six(linear: Vec, angular: Vec) -> Six:
+    return jnp.concatenate(jnp.broadcast_arrays(*linear, *angular))
+
+
+def parts(x: Six) -> tuple[Vec, Vec]:
+    """The linear and the angular components, each ``(1, B)``."""
+    rows = [x[i : i + 1] for i in range(6)]
+    return Vec(*rows[:3]), Vec(*rows[3:])
+
+
+def inner(a: Six, b: Six) -> Array:
+    return jnp.sum(a * b, 0, keepdims=True)
+
+
+def load(lanes: Lanes, stretch: Vec) -> Six:
+    """The wrench asked for."""
+    return six(lanes.force, vec.times(stretch, lanes.torque))
 
 
 class Forces(NamedTuple):
@@ -31,7 +50,7 @@ class Forces(NamedTuple):
     """Squeezing forces plus what the multiplier asks for, before projection."""
     twist: Vec
     """The multiplier's velocity at each contact."""
-    parts: cones.Split
+    sides: cones.Split
     forces: Vec
 
 
@@ -45,35 +64,34 @@ class Value(NamedTuple):
 
 def twist_at(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
     """Velocity of the multiplier, as a twist, at each contact."""
-    angular = vec.times(stretch, Vec(*multiplier[3:]))
-    return vec.add(Vec(*multiplier[:3]), vec.cross(angular, lanes.arms))
+    linear, angular = parts(multiplier)
+    return vec.add(linear, vec.cross(vec.times(stretch, angular), lanes.arms))
 
 
 def best_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Forces:
     twist = twist_at(lanes, multiplier, stretch)
     target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
-    parts = cones.split(target, lanes.normals, lanes.friction)
-    return Forces(target, twist, parts, cones.project(target, lanes.normals, lanes.friction, parts))
+    sides = cones.split(target, lanes.normals, lanes.friction)
+    return Forces(target, twist, sides, cones.project(target, lanes.normals, lanes.friction, sides))
 
 
 def residual(lanes: Lanes, forces: Vec, stretch: Vec) -> Six:
     """w - G f."""
     linear = vec.sub(lanes.force, vec.total(forces))
     angular = vec.sub(lanes.torque, vec.total(vec.cross(lanes.arms, forces)))
-    return (*linear, *vec.times(stretch, angular))
+    return six(linear, vec.times(stretch, angular))
 
 
 def evaluate(lanes: Lanes, multiplier: Six, stretch: Vec) -> Value:
     best = best_forces(lanes, multiplier, stretch)
     gradient = residual(lanes, best.forces, stretch)
-    jacobian = cones.derivative(lanes.normals, lanes.friction, best.parts)
+    jacobian = cones.derivative(lanes.normals, lanes.friction, best.sides)
     return Value(dual_value(lanes, best, multiplier, stretch), gradient, curvature(lanes, jacobian, stretch))
 
 
 def dual_value(lanes: Lanes, best: Forces, multiplier: Six, stretch: Vec) -> Array:
     """w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing."""
-    wrench = (*lanes.force, *vec.times(stretch, lanes.torque))
-    work = sum(w * x for w, x in zip(wrench, multiplier, strict=True))
+    work = inner(load(lanes, stretch), multiplier)
     own = spread(lanes, best.forces) - vec.dot(best.twist, best.forces)
     return work + jnp.sum(own, 0, keepdims=True)
 

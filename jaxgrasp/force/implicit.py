@@ -48,7 +48,7 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
     answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
     linear, angular = multiplier_in(solution.multiplier, frame)
     inverse = Vec(*(vec.safe_divide(jnp.ones_like(s), s) for s in stretch))
-    at: Six = tuple(jnp.where(answered, x, 0) for x in (*linear, *vec.times(inverse, angular)))
+    at = jnp.where(answered, dual.six(linear, vec.times(inverse, angular)), 0)
 
     def forces(lanes: Lanes, multiplier: Six) -> Vec:
         if constrained:
@@ -65,7 +65,7 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
         f = forces(lanes, multiplier)
         return f, jnp.sum(dual.spread(lanes, f), 0, keepdims=True)
 
-    _, (forces_moved, objective_moved) = jax.jvp(outputs, (lanes, at), (lanes_moved, tuple(turned)))
+    _, (forces_moved, objective_moved) = jax.jvp(outputs, (lanes, at), (lanes_moved, turned))
     return _out(frame, stretch, answered, forces_moved, turned, objective_moved)
 
 
@@ -95,33 +95,33 @@ def _in_frame(problem: Problem, frame: Frame) -> Lanes:
 
 def _curvature(lanes: Lanes, at: Six, stretch: Vec, constrained: bool) -> symmetric.Lower:
     if constrained:
-        parts = dual.best_forces(lanes, at, stretch).parts
-        return dual.curvature(lanes, cones.derivative(lanes.normals, lanes.friction, parts), stretch)
+        sides = dual.best_forces(lanes, at, stretch).sides
+        return dual.curvature(lanes, cones.derivative(lanes.normals, lanes.friction, sides), stretch)
     one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
     return dual.curvature(lanes, [[one], [zero, one], [zero, zero, one]], stretch)
 
 
-def _solve(curvature: symmetric.Lower, right: Six) -> list[Array]:
+def _solve(curvature: symmetric.Lower, right: Six) -> Six:
     """x with H x = right, where H may be singular: then some x that fits, since the forces do not see the rest.
 
     A tiny multiple of the identity makes the factorisation safe, and two rounds of refinement take its
     effect away again in every direction that the forces do see.
     """
-    small = 64 * jnp.finfo(right[0].dtype).eps
+    small = 64 * jnp.finfo(right.dtype).eps
     damped = [[entry + small if i == j else entry for j, entry in enumerate(row)] for i, row in enumerate(curvature)]
     factors = symmetric.factor(damped)
-    x = symmetric.solve(factors, right)
+    rows = [right[i : i + 1] for i in range(6)]
+    x = symmetric.solve(factors, rows)
     for _ in range(2):
-        rest = [b - hx for b, hx in zip(right, symmetric.multiply(curvature, x), strict=True)]
+        rest = [b - hx for b, hx in zip(rows, symmetric.multiply(curvature, x), strict=True)]
         x = [p + q for p, q in zip(x, symmetric.solve(factors, rest), strict=True)]
-    return x
+    return jnp.concatenate(x)
 
 
-def _out(
-    frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: list[Array], objective: Array
-) -> Tangent:
+def _out(frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: Six, objective: Array) -> Tangent:
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
-    linear, angular = multiplier_out(Vec(*multiplier[:3]), vec.times(stretch, Vec(*multiplier[3:])), frame)
+    linear, angular = dual.parts(multiplier)
+    linear, angular = multiplier_out(linear, vec.times(stretch, angular), frame)
     return Tangent(
         forces=jnp.stack([jnp.where(answered, c, 0) for c in forces_out(forces, frame)]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,

@@ -59,7 +59,7 @@ def ascend(
     Lanes that are ``frozen`` stay where they are.
     """
     zero = jnp.zeros_like(frozen, lanes.squeeze.dtype)
-    nothing: Six = (zero,) * 6
+    nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
     state = Ascent(start, zero - jnp.inf, nothing, zero, zero, nothing, steps, frozen, frozen)
 
@@ -76,7 +76,7 @@ def ascend(
 
 
 def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | None, state: Ascent) -> Ascent:
-    trial = _move(state.point, state.length, state.direction)
+    trial = state.point + state.length * state.direction
     at = dual.evaluate(lanes, trial, stretch)
     value, ascent, curvature = at.value, at.gradient, at.curvature
     if proximal is not None:
@@ -88,20 +88,17 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
     size2 = whitened_square(metric, ascent)
     converged = has_converged(lanes, trial, ascent, size2, value)
     direction = _direction(metric, curvature, ascent, size2)
-    slope = _inner(ascent, direction)
+    slope = dual.inner(ascent, direction)
     halved = jnp.where(accepted, 1, state.length / 2)
     stuck = ~accepted & (halved < SHORTEST_STEP)
 
-    def pick(new, old):
-        return tuple(jnp.where(accepted, p, q) for p, q in zip(new, old, strict=True))
-
     return Ascent(
-        point=pick(trial, state.point),
+        point=jnp.where(accepted, trial, state.point),
         value=jnp.where(accepted, value, state.value),
-        direction=pick(direction, state.direction),
+        direction=jnp.where(accepted, direction, state.direction),
         slope=jnp.where(accepted, slope, state.slope),
         length=jnp.where(state.done, state.length, halved),
-        gradient=pick(at.gradient, state.gradient),
+        gradient=jnp.where(accepted, at.gradient, state.gradient),
         # The look at the starting point, of length zero, is no step.
         steps=state.steps + (~state.done & (state.length > 0)).astype(jnp.int32),
         done=state.done | stuck | (accepted & converged),
@@ -111,10 +108,9 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
 
 def _pulled(at: dual.Value, trial: Six, proximal: Proximal):
     """Value, gradient and curvature with the proximal pull."""
-    offset = [x - c for x, c in zip(trial, proximal.centre, strict=True)]
-    rho = proximal.strength
-    value = at.value - rho * sum(o * o for o in offset) / 2
-    gradient = tuple(g - rho * o for g, o in zip(at.gradient, offset, strict=True))
+    offset, rho = trial - proximal.centre, proximal.strength
+    value = at.value - rho * dual.inner(offset, offset) / 2
+    gradient = at.gradient - rho * offset
     curvature = [list(row) for row in at.curvature]
     for i in range(6):
         curvature[i][i] = curvature[i][i] + rho
@@ -123,7 +119,7 @@ def _pulled(at: dual.Value, trial: Six, proximal: Proximal):
 
 def has_converged(lanes: Lanes, point: Six, gradient: Six, size2: Array, value: Array) -> Array:
     tol = tolerances(value.dtype)
-    gap = jnp.abs(_inner(point, gradient))
+    gap = jnp.abs(dual.inner(point, gradient))
     own = jnp.sum(dual.spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))), 0, keepdims=True)
     return (size2 <= tol.gradient**2) & (gap <= tol.gap * jnp.maximum(jnp.abs(value), own))
 
@@ -140,12 +136,4 @@ def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, size2:
         damped[i][i] = damped[i][i] + damping
         for j in range(i + 1):
             damped[3 + i][3 + j] = damped[3 + i][3 + j] + damping * metric.inertia[i][j]
-    return tuple(symmetric.solve(symmetric.factor(damped), gradient))
-
-
-def _move(point: Six, length: Array, direction: Six) -> Six:
-    return tuple(x + length * d for x, d in zip(point, direction, strict=True))
-
-
-def _inner(a: Six, b: Six) -> Array:
-    return jnp.asarray(sum(p * q for p, q in zip(a, b, strict=True)))
+    return jnp.concatenate(symmetric.solve(symmetric.factor(damped), [gradient[i : i + 1] for i in range(6)]))

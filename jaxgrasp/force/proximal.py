@@ -37,7 +37,7 @@ def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome
     """The optimum of whitened lanes that are not ``decided`` and whose closed form is not optimal already."""
     optimal = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
     search = _Search(
-        point=tuple(jnp.where(optimal | decided, m, 0) for m in closed.multiplier),
+        point=jnp.where(optimal | decided, closed.multiplier, 0),
         verdict=jnp.where(optimal, closed.verdict, Verdict.NOT_CONVERGED),
         steps=closed.steps,
         certificate=closed.certificate,
@@ -71,13 +71,12 @@ def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: 
     hopeless = ~optimal & proves_infeasible(lanes, rest, stretch)
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
-    unstretched = (*rest[:3], *vec.times(stretch, Vec(*rest[3:])))
+    linear, angular = dual.parts(rest)
+    unstretched = dual.six(linear, vec.times(stretch, angular))
     return _Search(
-        point=tuple(jnp.where(open_, p, q) for p, q in zip(ascent.point, search.point, strict=True)),
+        point=jnp.where(open_, ascent.point, search.point),
         verdict=jnp.where(open_, verdict, search.verdict),
         steps=search.steps + jnp.where(open_, ascent.steps, 0),
-        certificate=tuple(
-            jnp.where(open_ & hopeless, d, c) for d, c in zip(unstretched, search.certificate, strict=True)
-        ),
+        certificate=jnp.where(open_ & hopeless, unstretched, search.certificate),
         decided=search.decided | optimal | hopeless,
     )

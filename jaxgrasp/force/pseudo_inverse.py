@@ -54,8 +54,8 @@ def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Vec]:
 def closed_multiplier(lanes: Lanes, stretch: Vec, metric: Metric) -> Six:
     """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
     squeezing = vec.scale(lanes.squeeze, lanes.normals)
-    rest = dual.residual(lanes, squeezing, stretch)
-    return (*rest[:3], *symmetric.solve(metric.factors, rest[3:]))
+    linear, angular = dual.parts(dual.residual(lanes, squeezing, stretch))
+    return dual.six(linear, Vec(*symmetric.solve(metric.factors, angular)))
 
 
 def free_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
@@ -66,5 +66,5 @@ def free_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
 
 def whitened_square(metric: Metric, gradient: Six) -> Array:
     """Squared length of a wrench as the contacts see it: g.(G W G^T)^-1 g."""
-    angular = symmetric.solve(metric.factors, gradient[3:])
-    return vec.dot(Vec(*gradient[:3]), Vec(*gradient[:3])) + vec.dot(Vec(*gradient[3:]), Vec(*angular))
+    linear, angular = dual.parts(gradient)
+    return vec.dot(linear, linear) + vec.dot(angular, Vec(*symmetric.solve(metric.factors, angular)))

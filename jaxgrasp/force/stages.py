@@ -83,7 +83,7 @@ def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
 
 
 def _no_proof(lanes: Lanes) -> Six:
-    return (jnp.zeros_like(lanes.force.x),) * 6
+    return dual.six(lanes.force, lanes.torque) * 0
 
 
 def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
@@ -92,7 +92,7 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     lanes, frame = normalise(lanes)
     metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
     linear, angular = multiplier_in(prior.multiplier, frame)
-    start = (*linear, *angular)
+    start = dual.six(linear, angular)
     ascent = ascend(lanes, stretch, metric, start, ill, limit)
     forces = dual.best_forces(lanes, ascent.point, stretch).forces
     converged = ascent.converged & ~ill

@@ -104,10 +104,9 @@ def _check_sharing(sharing: str) -> None:
 @partial(jax.jit, static_argnames=("sharing", "constrained"))
 def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharing: str, constrained: bool) -> Solution:
     """Flatten the leading axes, solve, and restore them."""
-    points = jnp.asarray(points)
-    n = points.shape[-2]
+    n = _contacts(points)
     if sharing != "given":
-        weights = squeeze if sharing == "squeeze" else jnp.ones(points.shape[:-1], points.dtype)
+        weights = squeeze if sharing == "squeeze" else jnp.ones(np.shape(points)[:-1])
     given = {
         "points": (points, (n, 3)),
         "normals": (normals, (n, 3)),
@@ -117,7 +116,8 @@ def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharin
         "weights": (weights, (n,)),
         "wrench": (wrench, (6,)),
     }
-    arrays = {name: jnp.asarray(array, points.dtype) for name, (array, _) in given.items() if array is not None}
+    dtype = _precision(points, normals, friction, squeeze, wrench)
+    arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = jnp.broadcast_shapes(*leading.values())
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
@@ -133,6 +133,19 @@ def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharin
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
 
 
+def _contacts(points: AnyArray) -> int:
+    shape = np.shape(points)
+    if len(shape) < 2 or shape[-1] != 3 or shape[-2] == 0:
+        raise ValueError(f"points has shape {shape}: expected (..., n, 3) with at least one contact")
+    return shape[-2]
+
+
+def _precision(*arrays: AnyArray) -> np.dtype:
+    """The finest floating-point precision among the arrays: that of integers and plain numbers does not count."""
+    floats = [a.dtype for a in map(jnp.asarray, arrays) if jnp.issubdtype(a.dtype, jnp.floating) and not a.weak_type]
+    return np.dtype(max(floats, key=lambda d: d.itemsize, default=jnp.asarray(0.0).dtype))
+
+
 def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, ...]:
     if array.shape[max(array.ndim - len(tail), 0) :] != tail:
         raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, tail))})")
@@ -140,9 +153,8 @@ def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, 
 
 
 def _warn_of_lost_precision(arrays: tuple) -> None:
-    if not jax.config.read("jax_enable_x64") and any(
-        isinstance(a, np.ndarray) and a.dtype == np.float64 for a in arrays
-    ):
+    given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in arrays)
+    if given and not jax.config.read("jax_enable_x64"):
         warnings.warn(
             "float64 data are computed in float32, since JAX's 64-bit mode is off: "
             "call jax.config.update('jax_enable_x64', True) first, or pass float32 arrays",

@@ -15,6 +15,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.force import implicit, stages
+from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.solution import Solution
 
@@ -35,10 +36,10 @@ def solver(constrained: bool) -> Callable[[Problem], Solution]:
     return outer
 
 
-def _batched(solve: Callable[[Problem], stages.Answer]) -> Callable[[Problem], Solution]:
+def _batched(solve: Callable[[Problem], Answer]) -> Callable[[Problem], Solution]:
     @custom_vmap
     def flat(problem: Problem) -> Solution:
-        answer = solve(problem)
+        answer = solve(problem) if problem.size else _nothing(solve, problem)
         return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
 
     @flat.def_vmap
@@ -50,6 +51,13 @@ def _batched(solve: Callable[[Problem], stages.Answer]) -> Callable[[Problem], S
         return split, jax.tree.map(lambda _: True, split)
 
     return flat
+
+
+def _nothing(solve: Callable[[Problem], Answer], problem: Problem) -> Answer:
+    """The answers of a batch without problems."""
+    one = jax.tree.map(lambda x: jnp.zeros((1, *x.shape[1:]), x.dtype), problem)
+    shapes = jax.eval_shape(solve, one)
+    return jax.tree.map(lambda x: jnp.zeros((0, *x.shape[1:]), x.dtype), shapes)
 
 
 def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem, int]:

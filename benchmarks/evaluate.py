@@ -1,0 +1,80 @@
+"""Throughput of ``jaxgrasp evaluate``: both closed forms and both optima, reading and writing included.
+
+    python -m benchmarks.evaluate --out benchmarks/results/evaluate.json
+
+Each run is a process of its own, as a user starts it; the first of each size fills the compilation cache
+and is not counted. Compiling (loading compiled code, then) is reported apart.
+"""
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.machine import machine
+from benchmarks.problems import problems
+
+RUN = """
+import resource, sys
+from jaxgrasp.cli.main import main
+code = main(["evaluate", sys.argv[1], "--out", sys.argv[2], "--no-report"])
+print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+sys.exit(code)
+"""
+
+
+def write_grasps(path: Path, count: int, n: int) -> None:
+    drawn = problems("ordinary", n, count, seed=0)
+    columns = {name: getattr(drawn, name) for name in ("points", "normals", "friction", "squeeze", "wrench")}
+    np.savez(path, version=1, **columns)
+
+
+def run_once(file: Path, out: Path) -> dict:
+    said = subprocess.run([sys.executable, "-c", RUN, file, out], check=True, capture_output=True, text=True).stdout
+    summary = json.loads((out / "summary.json").read_text())
+    peak = int(said.rsplit("peak ", 1)[1]) / 1024
+    working = summary["seconds"] - summary["times"]["compiling"]
+    return {"seconds": working, "compiling": summary["times"]["compiling"], "peak_mib": peak, "summary": summary}
+
+
+def measure(count: int, n: int, repeats: int) -> dict:
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / "grasps.npz"
+        write_grasps(file, count, n)
+        runs = [run_once(file, Path(scratch) / "out") for _ in range(repeats + 1)]
+    counted = runs[1:]
+    seconds = statistics.median(run["seconds"] for run in counted)
+    methods = counted[0]["summary"]["summary"]["methods"]
+    return {
+        "grasps": count,
+        "contacts": n,
+        "seconds": seconds,
+        "grasps_per_second": count / seconds,
+        "first_run_compiling_seconds": runs[0]["compiling"],
+        "peak_mib": max(run["peak_mib"] for run in counted),
+        "verdicts": {name: method["verdicts"] for name, method in methods.items()},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--largest", type=int, default=1_000_000)
+    arguments = parser.parse_args()
+    rows = [measure(count, 5, arguments.repeats) for count in (100_000, 1_000_000) if count <= arguments.largest]
+    arguments.out.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
+    print("| grasps of 5 contacts | seconds | grasps a second | peak memory |\n|---|---|---|---|")
+    for row in rows:
+        print(
+            f"| {row['grasps']:,} | {row['seconds']:.2f} | {row['grasps_per_second']:,.0f} | {row['peak_mib']:.0f} MiB |"
+        )
+
+
+if __name__ == "__main__":
+    main()

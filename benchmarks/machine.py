@@ -1,0 +1,36 @@
+"""What a figure was measured on: enough to compare, nothing that names the machine."""
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+PACKAGES = ("jaxgrasp", "jax", "jaxlib", "numpy", "equinox", "scipy", "clarabel", "mujoco")
+
+
+def machine() -> dict:
+    return {
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "versions": {name: found for name in PACKAGES if (found := _version(name))},
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    facts = dict(line.split(":", 1) for line in lines if ":" in line)
+    named = {name.strip(): value.strip() for name, value in facts.items()}
+    wide = "AVX-512" if "avx512f" in named.get("flags", "") else "AVX2" if "avx2" in named.get("flags", "") else ""
+    return " ".join(filter(None, [named.get("model name", platform.machine()), wide]))
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,27 @@
+"""README's Python runs as it stands."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+import jaxgrasp
+
+README = Path(__file__).parent.parent / "README.md"
+
+
+def test_the_ten_lines_run(capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.S)
+    assert len(code.strip().splitlines()) <= 16
+    names: dict = {}
+    exec(compile(code, "README", "exec"), names)
+    assert capsys.readouterr().out
+    best = names["best"]
+    assert jaxgrasp.Verdict(int(best.verdict)).solved
+    np.testing.assert_allclose(np.asarray(best.forces).sum(0), np.asarray(names["wrench"])[:3], atol=1e-9)
+    assert names["by_squeeze"].shape == (3, 3, 3)
+
+
+def test_the_quick_start_has_two_lines():
+    block = re.search(r"<!-- quick start -->\n```bash\n(.*?)```\n<!-- end -->", README.read_text(), re.S)
+    assert block and len(block[1].strip().splitlines()) == 2

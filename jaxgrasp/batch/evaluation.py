@@ -63,7 +63,9 @@ def evaluate(
     good, kept = usable(sets, skip_bad)
     good = good.astype(kind)
     results = run(engine, good)
-    return Evaluation(good, results, summarise(good, results, set_aside=len(sets) - len(kept)), engine.times)
+    return Evaluation(
+        good, results, summarise(good, results, numbers=kept, set_aside=len(sets) - len(kept)), engine.times
+    )
 
 
 def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:

@@ -88,7 +88,7 @@ def evaluate_stream(
             sets, kept = usable(plan.adjustments.apply(raw), plan.skip_bad, first)
             sets = sets.astype(np.dtype(plan.dtype))
             results = run(engine, sets, _rows_per_shape(source, plan))
-            part = summarise(sets, results, set_aside=len(raw) - len(kept), first_grasp=first)
+            part = summarise(sets, results, numbers=first + kept, set_aside=len(raw) - len(kept))
             summary = part if summary is None else summary.merged(part)
             if pending:
                 pending.result()

@@ -100,9 +100,9 @@ class Summary:
 
 
 def summarise(
-    sets: ContactSets, results: dict[str, MethodResult], *, set_aside: int = 0, first_grasp: int = 0
+    sets: ContactSets, results: dict[str, MethodResult], *, numbers: np.ndarray, set_aside: int = 0
 ) -> Summary:
-    """The summary of one chunk, whose first grasp has the number ``first_grasp``."""
+    """The summary of one chunk, whose grasps have these ``numbers`` in the input."""
     comparisons: dict[str, Comparison] = {}
     worst: list[dict] = []
     for name in [method.name for method in METHODS.values() if not method.constrained]:
@@ -111,7 +111,7 @@ def summarise(
             comparison, price = _compare(sets, results[name], results[optimum])
             comparisons[name] = comparison
             if name == "B" or "B" not in results:
-                worst = worst_cases(sets, results[name], results[optimum], price, name, first_grasp)
+                worst = worst_cases(sets, results[name], results[optimum], price, name, numbers)
     return Summary(
         grasps=len(sets),
         contacts=len(sets.points),

@@ -14,9 +14,9 @@ def worst_cases(
     optimum: MethodResult,
     price: np.ndarray,
     method: str,
-    first_grasp: int,
+    numbers: np.ndarray,
 ) -> list[dict]:
-    """The problems of highest price, worst first; only those that have one."""
+    """The problems of highest price, worst first; only those that have one. ``numbers``: of the grasps in the input."""
     flat = price.ravel()
     order = np.argsort(-flat, kind="stable")[:KEPT]
     cases = []
@@ -25,7 +25,7 @@ def worst_cases(
         own = slice(sets.offsets[grasp], sets.offsets[grasp + 1])
         cases.append(
             {
-                "grasp": first_grasp + grasp,
+                "grasp": int(numbers[grasp]),
                 "wrench_number": wrench,
                 "method": method,
                 "labels": {name: str(values[grasp]) for name, values in sets.labels.items()},

@@ -84,13 +84,9 @@ def backward_error(lanes: Lanes, forces: Vec, stretch: Vec) -> Array:
         wrench = dual.load(lanes, scales)
         reach2 = sum(s * s * (size2 - r * r) for s, r in zip(scales, lanes.arms, strict=True))
         through_contacts = jnp.sum(jnp.sqrt(1 + jnp.maximum(reach2, 0)) * push, 0, keepdims=True)
-        return vec.safe_divide(_length(rest), _length(wrench) + through_contacts)
+        return vec.safe_divide(dual.length(rest), dual.length(wrench) + through_contacts)
 
     return jnp.maximum(relative(Vec(one, one, one)), relative(stretch))
-
-
-def _length(six: Six) -> Array:
-    return jnp.sqrt(dual.inner(six, six))
 
 
 def _certificate(lanes: Lanes, frame: Frame, stretch: Vec, outcome: Outcome, verdict: Array, one: Array) -> Array:

@@ -24,7 +24,7 @@ def proves_infeasible(lanes: Lanes, direction: Six, stretch: Vec) -> Array:
     largest = jnp.max(jnp.where(can_move, push, 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
     work = dual.inner(dual.load(lanes, stretch), direction) - jnp.sum(fixed, 0, keepdims=True)
-    rounding = 64 * jnp.finfo(work.dtype).eps * jnp.sqrt(dual.inner(direction, direction))
+    rounding = 64 * jnp.finfo(work.dtype).eps * dual.length(direction)
     return (work > rounding) & (largest * tolerances(work.dtype).proof <= work)
 
 

@@ -38,6 +38,10 @@ def inner(a: Six, b: Six) -> Array:
     return jnp.sum(a * b, 0, keepdims=True)
 
 
+def length(x: Six) -> Array:
+    return jnp.sqrt(inner(x, x))
+
+
 def load(lanes: Lanes, stretch: Vec) -> Six:
     """The wrench asked for."""
     return six(lanes.force, vec.times(stretch, lanes.torque))
@@ -60,6 +64,8 @@ class Value(NamedTuple):
     value: Array
     gradient: Six
     curvature: Lower
+    push: Array
+    """Sum of the normal forces: how large the numbers are that the gradient is a difference of."""
 
 
 def twist_at(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
@@ -86,7 +92,12 @@ def evaluate(lanes: Lanes, multiplier: Six, stretch: Vec) -> Value:
     best = best_forces(lanes, multiplier, stretch)
     gradient = residual(lanes, best.forces, stretch)
     jacobian = cones.derivative(lanes.normals, lanes.friction, best.sides)
-    return Value(dual_value(lanes, best, multiplier, stretch), gradient, curvature(lanes, jacobian, stretch))
+    value = dual_value(lanes, best, multiplier, stretch)
+    return Value(value, gradient, curvature(lanes, jacobian, stretch), total_push(lanes, best.forces))
+
+
+def total_push(lanes: Lanes, forces: Vec) -> Array:
+    return jnp.sum(vec.dot(forces, lanes.normals), 0, keepdims=True)
 
 
 def dual_value(lanes: Lanes, best: Forces, multiplier: Six, stretch: Vec) -> Array:

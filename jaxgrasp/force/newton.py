@@ -86,8 +86,8 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
     better = value >= state.value + ARMIJO * state.length * state.slope - noise
     accepted = better & ~state.done
     size2 = whitened_square(metric, ascent)
-    converged = has_converged(lanes, trial, ascent, size2, value)
-    direction = _direction(metric, curvature, ascent, size2)
+    converged = has_converged(lanes, trial, ascent, size2, value, at.push)
+    direction = _direction(metric, curvature, ascent, _damping(size2, proximal))
     slope = dual.inner(ascent, direction)
     halved = jnp.where(accepted, 1, state.length / 2)
     stuck = ~accepted & (halved < SHORTEST_STEP)
@@ -117,20 +117,29 @@ def _pulled(at: dual.Value, trial: Six, proximal: Proximal):
     return value, gradient, curvature
 
 
-def has_converged(lanes: Lanes, point: Six, gradient: Six, size2: Array, value: Array) -> Array:
+def has_converged(
+    lanes: Lanes, point: Six, gradient: Six, size2: Array, value: Array, push: Array, slack: float = 1.0
+) -> Array:
+    """Whether residual and duality gap are at the rounding that forces of this size allow, times ``slack``."""
     tol = tolerances(value.dtype)
     gap = jnp.abs(dual.inner(point, gradient))
     own = jnp.sum(dual.spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))), 0, keepdims=True)
-    return (size2 <= tol.gradient**2) & (gap <= tol.gap * jnp.maximum(jnp.abs(value), own))
+    balanced = size2 <= (slack * tol.gradient * (1 + push)) ** 2
+    return balanced & (gap <= slack * tol.gap * jnp.maximum(jnp.abs(value), own))
 
 
-def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, size2: Array) -> Six:
-    """Newton's direction, damped in proportion to the residual, so that a singular Hessian bends it only mildly.
+def _damping(size2: Array, proximal: Proximal | None) -> Array:
+    """In proportion to the residual, so that a singular Hessian bends the direction only mildly.
 
-    The damping vanishes with the residual: convergence stays quadratic.
+    It vanishes with the residual: convergence stays quadratic. A proximal pull makes it needless, and
+    where the multiplier must run far it would be in the way.
     """
     floor = 16 * jnp.finfo(size2.dtype).eps
-    damping = floor + jnp.minimum(1e-3, 1e-3 * jnp.sqrt(size2))
+    return floor + (jnp.zeros_like(size2) if proximal else jnp.minimum(1e-3, 1e-3 * jnp.sqrt(size2)))
+
+
+def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, damping: Array) -> Six:
+    """Newton's direction, damped in the metric of the unconstrained problem."""
     damped = [list(row) for row in curvature]
     for i in range(3):
         damped[i][i] = damped[i][i] + damping

@@ -23,6 +23,9 @@ from jaxgrasp.numerics.vec import Vec
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
+LAST_SLACK = 16.0
+"""At the last level an answer may be this much coarser: near the limit of what the contacts can exert, the
+multiplier is so large that its own rounding stands in the way."""
 
 
 class _Search(NamedTuple):
@@ -55,24 +58,26 @@ def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome
 
     start = jnp.asarray(STRONGEST, lanes.squeeze.dtype)
     _, search = lax.while_loop(unfinished, fall, (start, search))
-    best = dual.best_forces(lanes, search.point, stretch).forces
+    best, good = _judge(lanes, stretch, metric, search.point, LAST_SLACK)
+    verdict = jnp.where(~search.decided & good, Verdict.OPTIMAL, search.verdict)
     forces = vec.where(optimal | decided, closed.forces, best)
-    return Outcome(forces, search.point, search.verdict, search.steps, search.certificate, jnp.zeros_like(decided))
+    return Outcome(forces, search.point, verdict, search.steps, search.certificate, jnp.zeros_like(decided))
 
 
 def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: _Search) -> _Search:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
     pull = Proximal(strength, search.point)
     ascent = ascend(lanes, stretch, metric, search.point, search.decided, STEPS_PER_LEVEL, pull)
-    best = dual.best_forces(lanes, ascent.point, stretch)
-    rest = dual.residual(lanes, best.forces, stretch)
-    value = dual.dual_value(lanes, best, ascent.point, stretch)
-    optimal = has_converged(lanes, ascent.point, rest, whitened_square(metric, rest), value)
-    hopeless = ~optimal & proves_infeasible(lanes, rest, stretch)
+    forces, optimal = _judge(lanes, stretch, metric, ascent.point, 1.0)
+    rest = dual.residual(lanes, forces, stretch)
+    # Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
+    run = ascent.point - search.point
+    by_rest, by_run = (~optimal & proves_infeasible(lanes, d, stretch) for d in (rest, run))
+    hopeless = by_rest | by_run
+    linear, angular = dual.parts(jnp.where(by_rest, rest, run / jnp.maximum(dual.length(run), 1)))
+    unstretched = dual.six(linear, vec.times(stretch, angular))
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
-    linear, angular = dual.parts(rest)
-    unstretched = dual.six(linear, vec.times(stretch, angular))
     return _Search(
         point=jnp.where(open_, ascent.point, search.point),
         verdict=jnp.where(open_, verdict, search.verdict),
@@ -80,3 +85,11 @@ def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: 
         certificate=jnp.where(open_ & hopeless, unstretched, search.certificate),
         decided=search.decided | optimal | hopeless,
     )
+
+
+def _judge(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, slack: float) -> tuple[Vec, Array]:
+    """The forces of a multiplier, and whether they are the optimum."""
+    best = dual.best_forces(lanes, point, stretch)
+    rest = dual.residual(lanes, best.forces, stretch)
+    value, push = dual.dual_value(lanes, best, point, stretch), dual.total_push(lanes, best.forces)
+    return best.forces, has_converged(lanes, point, rest, whitened_square(metric, rest), value, push, slack)

@@ -31,17 +31,19 @@ def layout(height: int, **more) -> dict:
     return {
         "font": FONT,
         "height": height,
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "margin": {"l": 60, "r": 16, "t": 16, "b": 48},
+        "paper_bgcolor": "#ffffff",
+        "plot_bgcolor": "#ffffff",
+        "margin": {"l": 60, "r": 16, "t": 30, "b": 48},
+        "modebar": {"bgcolor": "rgba(255,255,255,0.7)", "color": "#a9b3be", "activecolor": INK},
         "hoverlabel": {"bgcolor": "#ffffff", "bordercolor": MUTED, "font": {"color": INK}},
         **more,
     }
 
 
 def axis(title: str, **more) -> dict:
+    name = {"text": title, "standoff": 8, "font": {"size": 13}}
     line = {"showline": True, "linecolor": MUTED, "ticks": "outside", "tickcolor": MUTED, "ticklen": 4}
-    return {"title": {"text": title, "standoff": 8}, "gridcolor": GRID, "zeroline": False, **line, **more}
+    return {"title": name, "tickfont": {"size": 12}, "gridcolor": GRID, "zeroline": False, **line, **more}
 
 
 def verdict_bars(summary: Summary) -> dict:
@@ -61,7 +63,7 @@ def verdict_bars(summary: Summary) -> dict:
                 "y": [method_title(name) for name in names],
                 "x": parts,
                 "marker": {"color": VERDICT_COLOURS[verdict], "line": {"color": "#ffffff", "width": 1}},
-                "text": [f"{share(c, summary.problems)}" if part > 4 else "" for c, part in zip(counts, parts, strict=True)],
+                "text": [share(c, summary.problems) if c > 0.04 * summary.problems else "" for c in counts],
                 "textposition": "inside",
                 "insidetextanchor": "middle",
                 "textangle": 0,
@@ -71,14 +73,15 @@ def verdict_bars(summary: Summary) -> dict:
             }
         )
     shape = layout(
-        120 + 46 * len(names),
+        144 + 46 * len(names),
         barmode="stack",
         bargap=0.28,
         xaxis=axis("share [%]", range=[0, 100]),
         yaxis={"autorange": "reversed", "ticklabelstandoff": 6, "automargin": True},
+        showlegend=True,
         legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "traceorder": "normal"},
     )
-    shape["margin"] |= {"l": 110, "t": 40}
+    shape["margin"] |= {"l": 110, "t": 64}
     return {"data": traces, "layout": shape}
 
 
@@ -90,11 +93,12 @@ def distribution(histograms: dict[str, LogHistogram], title: str) -> dict | None
     first = min(int(u[0]) for u in used if len(u)) // COARSE * COARSE
     last = max(int(u[-1]) for u in used if len(u)) // COARSE * COARSE + COARSE
     traces = [_outline(name, own, first, last) for name, own in histograms.items()]
-    # Exponents are labelled no closer than whole decades, and at most about six of them.
-    apart = max(1, round((last - first) / PER_DECADE / 6))
+    # Exponents are labelled no closer than whole decades, and at most about four of them.
+    apart = max(1, round((last - first) / PER_DECADE / 4))
+    ends = np.log10(EDGES[[first, last]]).tolist()
     shape = layout(
         270,
-        xaxis=axis(title, type="log", dtick=apart, exponentformat="power", range=[np.log10(EDGES[first]), np.log10(EDGES[last])]),
+        xaxis=axis(title, type="log", dtick=apart, exponentformat="power", range=ends),
         yaxis=axis("share [%]", rangemode="tozero"),
         showlegend=False,
         hovermode="closest",
@@ -121,9 +125,10 @@ def _outline(name: str, histogram: LogHistogram, first: int, last: int) -> dict:
         "text": [texts[0], *(t for t in texts for _ in range(2)), texts[-1]],
         "hoverinfo": "text",
         "name": f"closed form {name}",
-        "fill": "tozeroy",
-        "fillcolor": METHOD_COLOURS[name] + "33",
-        "line": {"color": METHOD_COLOURS[name], "width": 2, "dash": "solid" if name == "A" else "4px,2px"},
+        # Only one is filled: two fills would mix to a third colour that belongs to no method.
+        "fill": "tozeroy" if name == "A" else "none",
+        "fillcolor": METHOD_COLOURS[name] + "40",
+        "line": {"color": METHOD_COLOURS[name], "width": 1.5 if name == "A" else 2.5},
     }
 
 
@@ -132,34 +137,43 @@ def slip_maps(summary: Summary) -> dict | None:
     maps = {name: own.angles for name, own in summary.methods.items() if own.angles.sum()}
     if not maps:
         return None
-    whole_map = sum(maps.values())
+    whole_map = np.sum(list(maps.values()), axis=0)
     bins = len(whole_map)
     slip_step, friction_step = 180 / bins, 90 / bins
-    x0, x1 = _used(whole_map.sum(0), friction_step, 90)
-    top = max(_used(whole_map.sum(1), slip_step, 180)[1], x1)
-    traces, axes, notes = [], {}, []
+    x0, x1 = _used(whole_map.sum(0), friction_step, 90.0)
+    # Room above the line even where nothing slips, to see that nothing does.
+    top = max(_used(whole_map.sum(1), slip_step, 180.0)[1], x1 + 20)
+    axes: dict[str, dict] = {}
+    traces, notes = [], []
     for index, (name, counts) in enumerate(maps.items()):
         suffix = "" if index == 0 else str(index + 1)
-        traces += _slip_panel(counts, suffix, (x0, x1), (slip_step, friction_step), top, first=index == 0)
-        gap = 0.025
-        width = (1 - gap * (len(maps) - 1)) / len(maps)
-        left = index * (width + gap)
-        axes["xaxis" + suffix] = axis("friction angle atan μ [°]", range=[x0, x1], domain=[left, left + width], anchor="y" + suffix)
-        title = "slip angle [°]" if index == 0 else ""
-        axes["yaxis" + suffix] = axis(
-            title, range=[0, top], anchor="x" + suffix, showticklabels=index == 0, **({"matches": "y"} if index else {})
-        )
+        traces += _slip_panel(counts, suffix, (x0, x1), (slip_step, friction_step), top)
+        # A lone panel stays as narrow as one of two: angles stretched over the whole page are hard to compare.
+        pitch = 1 / max(2, len(maps))
+        left = index * pitch
+        axes |= _panel_axes(suffix, (x0, x1), top, [left, left + pitch - 0.02])
         text = f"<b>{method_title(name)}</b><br>above the line: {_above(counts)}"
-        notes.append({"text": text, "x": left, "y": 1.02, "xref": "paper", "yref": "paper", "yanchor": "bottom", "xanchor": "left"})
+        place = {"x": left, "y": 1.02, "xref": "paper", "yref": "paper", "yanchor": "bottom", "xanchor": "left"}
+        notes.append({"text": text, **place})
+    notes.append(_line_note(suffix, x0, x1, top))
     for note in notes:
         note |= {"showarrow": False, "align": "left"}
     peak = max(int(own.max()) for own in maps.values())
-    shape = layout(430, **axes, annotations=notes, showlegend=False, coloraxis=_count_colours(peak))
-    shape["margin"] |= {"t": 56, "r": 84}
+    shape = layout(450, **axes, annotations=notes, showlegend=False, coloraxis=_count_colours(peak))
+    shape["margin"] |= {"t": 76, "r": 84}
     return {"data": traces, "layout": shape}
 
 
-def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float, first: bool) -> list[dict]:
+def _panel_axes(suffix: str, across: tuple, top: float, domain: list[float]) -> dict:
+    """A panel's own axes; the panels share the left one's slip angles, and zoom with it."""
+    shared = {"showticklabels": False, "matches": "y"} if suffix else {}
+    return {
+        "xaxis" + suffix: axis("friction angle atan μ [°]", range=list(across), domain=domain, anchor="y" + suffix),
+        "yaxis" + suffix: axis("" if suffix else "slip angle [°]", range=[0, top], anchor="x" + suffix, **shared),
+    }
+
+
+def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float) -> list[dict]:
     slip_step, friction_step = steps
     columns = slice(round(across[0] / friction_step), round(across[1] / friction_step))
     shown = counts[: round(top / slip_step), columns]
@@ -179,17 +193,23 @@ def _slip_panel(counts, suffix: str, across: tuple, steps: tuple, top: float, fi
     }
     line = {
         "type": "scatter",
-        "mode": "lines+text" if first else "lines",
+        "mode": "lines",
         "x": list(across),
         "y": list(across),
-        "text": ["", "slip = friction angle "] if first else None,
-        "textposition": "bottom left",
-        "textfont": {"size": 11, "color": METHOD_COLOURS["B"]},
         "line": {"color": METHOD_COLOURS["B"], "width": 1.5},
         "hoverinfo": "skip",
         **place,
     }
     return [heat, line]
+
+
+def _line_note(suffix: str, x0: float, x1: float, top: float) -> dict:
+    """Names the line, in the last panel: an optimum's, if there is one, has nothing above the line."""
+    text = "<b>slips</b> above the line<br>slip = friction angle"
+    font = {"size": 11, "color": METHOD_COLOURS["B"]}
+    place = {"x": x0 + 0.06 * (x1 - x0), "y": min(x1, top - 18), "xref": "x" + suffix, "yref": "y" + suffix}
+    anchor = {"xanchor": "left", "yanchor": "bottom"}
+    return {"text": text, "font": font, "bgcolor": "rgba(255,255,255,0.85)", **anchor, **place}
 
 
 def _above(counts: np.ndarray) -> str:
@@ -203,18 +223,19 @@ def _used(totals: np.ndarray, step: float, limit: float) -> tuple[float, float]:
     """The range of the bins in use, in degrees, with some room."""
     used = np.flatnonzero(totals)
     room = max(4 * step, 4)
-    return max(0, used[0] * step - room), min(limit, (used[-1] + 1) * step + room)
+    return max(0.0, float(used[0]) * step - room), min(limit, float(used[-1] + 1) * step + room)
 
 
 def _count_colours(peak: int) -> dict:
     ticks = list(range(int(np.log10(max(peak, 1))) + 1))
     # The palest shade still stands out from the page; the greys leave the colours to methods and verdicts.
     shades = ["#d5dde6", "#a9b8c8", "#6f8499", "#3f5368", "#101c2b"]
+    title = {"text": "contacts", "font": {"size": 13}}
     return {
         "cmin": 0,
         "cmax": max(1, float(np.log10(max(peak, 1)))),
         "colorscale": [[i / 4, shade] for i, shade in enumerate(shades)],
-        "colorbar": {"title": {"text": "contacts"}, "tickvals": ticks, "ticktext": [whole(10**t) for t in ticks], "thickness": 12},
+        "colorbar": {"title": title, "tickvals": ticks, "ticktext": [whole(10**t) for t in ticks], "thickness": 12},
     }
 
 

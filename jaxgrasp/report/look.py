@@ -29,7 +29,7 @@ VERDICT_TITLES = {
 }
 INK, MUTED, GRID = "#1c2530", "#5b6673", "#e3e7ec"
 WRENCH_COLOUR = "#222222"
-NOTHING = "–"
+NOTHING = "\N{EN DASH}"
 
 
 def method_title(name: str) -> str:
@@ -59,33 +59,43 @@ def share(part: int, total: int) -> str:
     return ">99.9%" if percent > 99.9 else f"{percent:.1f}%"
 
 
-def number(value: float, digits: int = 3) -> str:
+def number(value: float | int, digits: int = 3) -> str:
     """A number of a few significant digits, with a power of ten only where it helps."""
-    if value is None or math.isnan(value):
+    if math.isnan(value):
         return NOTHING
     if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
+        return "∞" if value > 0 else "\N{MINUS SIGN}∞"
     if value == 0:
         return "0"
     if 1e-3 <= abs(value) < 1e5:
         places = max(0, digits - 1 - math.floor(math.log10(abs(value))))
         text = f"{value:.{places}f}"
-        return (text.rstrip("0").rstrip(".") if places else text).replace("-", "−")
+        return (text.rstrip("0").rstrip(".") if places else text).replace("-", "\N{MINUS SIGN}")
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     power = str(int(exponent)).translate(str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"))
-    return f"{mantissa} × 10{power}".replace("-", "−")
+    return f"{mantissa} \N{MULTIPLICATION SIGN} 10{power}".replace("-", "\N{MINUS SIGN}")
 
 
-def percentage(value: float) -> str:
-    """A ratio as a percentage of a few significant digits."""
-    return number(100 * value) + "%" if math.isfinite(value) else number(value)
+def percentage(value: float | int) -> str:
+    """A ratio as a percentage of a few significant digits, and of more where it would round to 100%."""
+    if not math.isfinite(value):
+        return number(value)
+    if 0.9995 <= value < 1:
+        places = math.ceil(-math.log10(1 - value)) - 2
+        return f"{100 * value:.{places}f}%"
+    return number(100 * value) + "%"
+
+
+def short_percentage(value: float) -> str:
+    """A ratio as a percentage of two digits, for where there is little room."""
+    return ">99.9%" if 0.999 < value < 1 else f"{number(100 * value, 2)}%" if math.isfinite(value) else number(value)
 
 
 def degrees(radians: float) -> str:
     return number(math.degrees(radians)) + "°" if math.isfinite(radians) else NOTHING
 
 
-def seconds(value: float) -> str:
+def seconds(value: float | int) -> str:
     """A duration in the unit that suits it."""
     for unit, size in (("s", 1), ("ms", 1e-3), ("µs", 1e-6)):
         if value >= size:

@@ -1,7 +1,12 @@
 // Unpacks the plotting library, draws the figures, and shows one three-dimensional case at a time.
 "use strict";
 (async function () {
-  const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
+  // Dragging zooms and a double click undoes it; what is left is saving a picture and going home.
+  const BUTTONS = ["lasso2d", "select2d", "zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "autoScale2d", "zoom3d", "pan3d",
+    "orbitRotation", "tableRotation", "resetCameraLastSave3d"];
+  // By itself plotly offers to send a figure's data to its makers' cloud: a report keeps its data to itself.
+  const PRIVATE = { showSendToCloud: false, plotlyServerURL: "", displaylogo: false };
+  const config = { ...PRIVATE, responsive: true, modeBarButtonsToRemove: BUTTONS };
   const stored = (id) => JSON.parse(document.getElementById(id).textContent);
   const figures = document.querySelectorAll("[data-figure]");
 

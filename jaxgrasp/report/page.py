@@ -69,8 +69,8 @@ def report_html(summary: Summary, times: Times, *, title: str, details: dict[str
 <noscript><p class="note">The figures need JavaScript; the numbers and tables do not.</p></noscript>
 {tiles_html(summary)}
 {body}
-<footer>Written by jaxgrasp. Figures by plotly.js, MIT licence, © Plotly, Inc.; it is inside this file, which fetches nothing.
-SI units throughout.</footer>
+<footer>Written by jaxgrasp. Figures by plotly.js, MIT licence, © Plotly, Inc.; it is inside this file, which
+fetches nothing. SI units throughout.</footer>
 </main>
 <script type="text/plain" id="library">{library}</script>
 <script>

@@ -2,9 +2,12 @@
 
 import numpy as np
 
+from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report.figures import layout
-from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, WRENCH_COLOUR, degrees, number
+from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, VERDICT_COLOURS, WRENCH_COLOUR, degrees, number
 
+MUCH_LARGER = 4
+"""Ratio of forces from which the optimum's arrows have a scale of their own."""
 SIDES = 28
 """Corners of a friction cone's rim."""
 CONE, NORMAL, ARROW, HEAD = 0.34, 0.42, 0.9, 0.11
@@ -25,17 +28,15 @@ class Case:
         spread = float(np.linalg.norm(self.points - self.centroid, axis=1).max())
         self.spread = spread if spread > 0 else 0.01
 
-    @property
-    def scale(self) -> tuple[float, float]:
-        """A round length of arrow [m] and the round force [N] that it stands for, the same for all arrows."""
-        forces = np.vstack([self.closed, self.optimum, self.wrench[None, :3]])
-        largest = np.linalg.norm(forces, axis=1).max() or 1.0
-        length = _round_up(self.spread / 5)
-        return length, _round_up(largest * length / (ARROW * self.spread))
-
-    def arrow(self, force: np.ndarray) -> np.ndarray:
-        length, newtons = self.scale
-        return force * (length / newtons)
+        self.length = _round_up(self.spread / 5)
+        """A round length of arrow [m], which stands for ``newtons`` or ``optimum_newtons``."""
+        own, other = _largest(self.closed, self.wrench[None, :3]), _largest(self.optimum)
+        # Near infeasibility the optimum's forces grow without bound, and one scale would hide the closed form's.
+        if max(own, other) <= MUCH_LARGER * min(own, other):
+            own = other = max(own, other)
+        self.newtons, self.optimum_newtons = (
+            _round_up(size * self.length / (ARROW * self.spread)) for size in (own, other)
+        )
 
     def angles(self, forces: np.ndarray) -> np.ndarray:
         """Slip angle of each contact [rad]; NaN where it carries nothing, for zero force has no slip angle."""
@@ -45,38 +46,58 @@ class Case:
 
 
 def scene(case: Case) -> dict:
-    """The figure. Lengths in metres on equal axes; all arrows share one scale."""
-    optimum = f"{case.name}-optimum"
-    normals = case.points + NORMAL * case.spread * case.normals
-    force = case.centroid[None], case.wrench[None, :3]
+    """The figure. Lengths in metres on equal axes; the legend states each arrow's scale."""
+    name = case.name
+    warm, cool = METHOD_COLOURS[name], METHOD_COLOURS[f"{name}-optimum"]
     traces = [
         _cones(case),
-        _lines("inward normal", case.points, normals, MUTED, 2, dash="dot"),
-        *_arrows(case, f"closed form {case.name}", case.points, case.closed, METHOD_COLOURS[case.name], 7),
-        *_arrows(case, f"optimum {case.name}", case.points, case.optimum, METHOD_COLOURS[optimum], 5),
-        *_arrows(case, "wrench's force, at the centroid", *force, WRENCH_COLOUR, 5),
+        _lines("inward normal", case.points, case.points + NORMAL * case.spread * case.normals, MUTED, 2, dash="dot"),
+        *_contact_arrows(case, f"closed form {name}", case.closed, case.newtons, warm, 7),
+        *_contact_arrows(case, f"optimum {name}", case.optimum, case.optimum_newtons, cool, 5),
+        *_wrench_arrow(case),
         _contacts(case),
     ]
-    axes = {f"{name}axis": _axis(name) for name in "xyz"}
-    camera = {"eye": {"x": 1.25, "y": 1.25, "z": 0.75}}
+    # A cube about the centroid that holds everything: equal axes, and no case jumps in size when another is chosen.
+    reach = 1.04 * max(_reach(trace, case.centroid) for trace in traces)
+    middle = dict(zip("xyz", case.centroid.tolist(), strict=True))
+    axes = {f"{a}axis": _axis(a, at - reach, at + reach) for a, at in middle.items()}
+    camera = {"eye": {"x": 1.17, "y": 1.17, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.08}}
     shape = layout(
-        560,
-        scene={"aspectmode": "data", "camera": camera, **axes},
+        600,
+        scene={"aspectmode": "cube", "camera": camera, **axes},
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0, "itemsizing": "constant"},
     )
-    shape["margin"] = {"l": 0, "r": 0, "t": 30, "b": 0}
+    shape["margin"] = {"l": 0, "r": 0, "t": 70, "b": 0}
     return {"data": traces, "layout": shape}
 
 
 def scale_text(case: Case) -> str:
-    length, newtons = case.scale
-    return f"{number(1000 * length)} mm of arrow stand for {number(newtons)} N, for every arrow."
+    """The scale of the arrows in words."""
+    length = f"{number(1000 * case.length)} mm stand for"
+    if case.newtons == case.optimum_newtons:
+        return f"{length} {number(case.newtons)} N, for all arrows."
+    ratio = number(case.optimum_newtons / case.newtons)
+    return (
+        f"{length} {number(case.newtons)} N for the closed form and the wrench, and for "
+        f"{number(case.optimum_newtons)} N for the optimum, on a scale {ratio} times as coarse."
+    )
 
 
-def _axis(name: str) -> dict:
+def _axis(name: str, low: float, high: float) -> dict:
     font = {"size": 11, "color": MUTED}
-    return {"title": {"text": f"{name} [m]", "font": font}, "tickfont": font, "nticks": 5, "gridcolor": GRID,
-            "showbackground": False, "zeroline": False}  # fmt: skip
+    look = {
+        "title": {"text": f"{name} [m]", "font": font},
+        "tickfont": font,
+        "gridcolor": GRID,
+        "showbackground": False,
+    }
+    return {**look, "nticks": 6, "range": [low, high], "zeroline": False}
+
+
+def _reach(trace: dict, centre: np.ndarray) -> float:
+    """How far a trace reaches from a point along any axis."""
+    coordinates = np.array([trace[axis] for axis in "xyz"], float)
+    return float(np.nanmax(np.abs(coordinates - centre[:, None])))
 
 
 def _contacts(case: Case) -> dict:
@@ -105,39 +126,51 @@ def _contact_text(case: Case, index: int) -> str:
 
 
 def _force_text(case: Case, title: str, forces: np.ndarray, index: int) -> str:
-    size = np.linalg.norm(forces[index])
+    size = float(np.linalg.norm(forces[index]))
     slip, limit = case.angles(forces)[index], np.arctan(case.friction[index])
     if np.isnan(slip):
         return f"{title}: no load"
-    return f"{title}: |f| {number(size)} N, slip {degrees(slip)}, friction {degrees(limit)}, margin {degrees(limit - slip)}"
+    angles = f"slip {degrees(slip)}, friction {degrees(limit)}, margin {degrees(limit - slip)}"
+    return f"{title}: |f| {number(size)} N, {angles}"
 
 
-def _arrows(case: Case, title: str, tails: np.ndarray, forces: np.ndarray, colour: str, width: int) -> list[dict]:
-    """Shafts and heads; a force of zero has neither."""
+def _contact_arrows(case: Case, title: str, forces: np.ndarray, newtons: float, colour: str, width: int) -> list[dict]:
+    """A force at every contact that carries one."""
     loaded = np.flatnonzero(np.any(forces != 0, axis=1))
-    if not len(loaded):
+    texts = [f"contact {i + 1}<br>{_force_text(case, title, forces, i)}" for i in loaded.tolist()]
+    return _arrows(case, title, case.points[loaded], forces[loaded], newtons, texts, colour, width)
+
+
+def _wrench_arrow(case: Case) -> list[dict]:
+    force, torque = (float(np.linalg.norm(part)) for part in (case.wrench[:3], case.wrench[3:]))
+    if force == 0:
         return []
-    tails, arrows = tails[loaded], case.arrow(forces[loaded])
+    texts = [f"wrench: |force| {number(force)} N, |torque| {number(torque)} N·m about the origin"]
+    tail, arrow = case.centroid[None], case.wrench[None, :3]
+    return _arrows(case, "wrench's force", tail, arrow, case.newtons, texts, WRENCH_COLOUR, 5)
+
+
+def _arrows(case: Case, title: str, tails, forces, newtons: float, texts, colour: str, width: int) -> list[dict]:
+    """Shafts and heads; no trace at all where there is no force."""
+    if not len(forces):
+        return []
+    arrows = forces * (case.length / newtons)
     lengths = np.linalg.norm(arrows, axis=1, keepdims=True)
     heads = np.minimum(HEAD * case.spread, 0.5 * lengths)
     tips, along = tails + arrows, arrows / lengths
-    at_contacts = len(forces) == len(case.points) and "wrench" not in title
-    if at_contacts:
-        texts = [f"contact {i + 1}<br>{_force_text(case, title, forces, i)}" for i in loaded]
-    else:
-        torque = number(float(np.linalg.norm(case.wrench[3:])))
-        texts = [f"wrench: |force| {number(float(np.linalg.norm(forces)))} N, |torque| {torque} N·m about the origin"]
-    shafts = _lines(title, tails, tips - heads * along, colour, width, texts)
-    rims = 0.3 * heads
-    tops = _mesh(tips, -along, heads, rims, colour, 1.0, 12, closed=True)
+    name = f"{title} ({number(1000 * case.length)} mm = {number(newtons)} N)"
+    shafts = _lines(name, tails, tips - heads * along, colour, width, texts)
+    tops = _mesh(tips, -along, heads, 0.3 * heads, colour, 1.0, 12, closed=True)
     return [shafts | {"legendgroup": title}, tops | {"legendgroup": title, "hoverinfo": "skip"}]
 
 
-def _lines(title: str, tails, tips, colour: str, width: int, texts: list[str] | None = None, dash: str = "solid") -> dict:
+def _lines(title: str, tails, tips, colour: str, width: int, texts=None, dash: str = "solid") -> dict:
     """Separate segments in one trace: each is ended by a gap."""
     gap = np.full_like(tails, np.nan)
     path = np.stack([tails, tips, gap], 1).reshape(-1, 3)
-    hover = {"hovertext": [t for text in texts for t in (text, text, "")], "hoverinfo": "text"} if texts else {"hoverinfo": "skip"}
+    hover: dict = {"hoverinfo": "skip"}
+    if texts:
+        hover = {"hovertext": [t for text in texts for t in (text, text, "")], "hoverinfo": "text"}
     line = {"color": colour, "width": width, "dash": dash}
     return {"type": "scatter3d", "mode": "lines", "name": title, **_xyz(path), "line": line, **hover}
 
@@ -146,7 +179,9 @@ def _cones(case: Case) -> dict:
     """Friction cones of equal side, so that large friction opens the cone and does not enlarge it."""
     angle = np.arctan(case.friction)[:, None]
     side = CONE * case.spread
-    trace = _mesh(case.points, case.normals, side * np.cos(angle), side * np.sin(angle), "#009E73", 0.18, SIDES, closed=False)
+    heights, radii = side * np.cos(angle), side * np.sin(angle)
+    colour = VERDICT_COLOURS[Verdict.CLOSED_FORM_OPTIMAL]
+    trace = _mesh(case.points, case.normals, heights, radii, colour, 0.18, SIDES, closed=False)
     return trace | {"name": "friction cone", "showlegend": True, "hoverinfo": "skip"}
 
 
@@ -163,8 +198,8 @@ def _mesh(apexes, axes, heights, radii, colour: str, opacity: float, sides: int,
     if closed:
         faces = np.concatenate([faces, np.column_stack([np.ones(sides, int), at, after])])
     faces = (faces + (sides + 2) * np.arange(len(apexes))[:, None, None]).reshape(-1, 3)
-    corner_lists = dict(zip("ijk", faces.T.tolist(), strict=True))
-    return {"type": "mesh3d", **_xyz(corners.reshape(-1, 3)), **corner_lists, "color": colour, "opacity": opacity, "flatshading": False}
+    triangles = dict(zip("ijk", faces.T.tolist(), strict=True))
+    return {"type": "mesh3d", **_xyz(corners.reshape(-1, 3)), **triangles, "color": colour, "opacity": opacity}
 
 
 def _across(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -182,7 +217,13 @@ def _xyz(points: np.ndarray) -> dict:
     return dict(zip("xyz", columns, strict=True))
 
 
+def _largest(*forces: np.ndarray) -> float:
+    return float(np.linalg.norm(np.vstack(forces), axis=1).max())
+
+
 def _round_up(value: float) -> float:
     """The next number of the form 1, 2 or 5 times a power of ten."""
+    if value == 0:
+        return 1.0
     power = 10.0 ** np.floor(np.log10(value))
     return float(next(step for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9)) * power)

@@ -8,6 +8,7 @@ from jaxgrasp.report import figures
 from jaxgrasp.report.bundle import embedded
 from jaxgrasp.report.look import (
     METHOD_COLOURS,
+    NOTHING,
     VERDICT_COLOURS,
     VERDICT_TITLES,
     counted,
@@ -28,21 +29,21 @@ QUANTITIES = (
     (
         "price",
         "Price of friction",
-        "(F* − F) / F*",
+        "(F* \N{MINUS SIGN} F) / F*",
         "The share of the optimum's objective F* that the closed form, at F ≤ F*, leaves out by ignoring friction.",
         percentage,
     ),
     (
         "distance",
         "Force distance",
-        "|f − f*| / |f*|",
+        "|f \N{MINUS SIGN} f*| / |f*|",
         "How far the closed form's forces f lie from the optimum's f*, over all contacts of a grasp.",
         number,
     ),
     (
         "violation",
         "Cone violation [N]",
-        "max(|t| − μ n, 0) [N]",
+        "max(|t| \N{MINUS SIGN} μ n, 0) [N]",
         "The closed form's tangential force |t| beyond friction's limit μ n, at its worst contact.",
         lambda value: f"{number(value)} N",
     ),
@@ -50,15 +51,15 @@ QUANTITIES = (
 
 
 def figure_html(name: str, figure: dict) -> str:
-    return f'<div class="figure" data-figure="{name}-data" style="min-height:{figure["layout"]["height"]}px"></div>' + embedded(
-        f"{name}-data", figure
-    )
+    """A place of the figure's height, so that the page does not jump when it is drawn, and the figure's data."""
+    height = f"min-height:{figure['layout']['height']}px"
+    return f'<div class="figure" data-figure="{name}-data" style="{height}"></div>' + embedded(f"{name}-data", figure)
 
 
 def verdicts_html(summary: Summary) -> str:
     """Bars, and the exact counts with what each verdict means."""
-    if not summary.methods:
-        return "<p class='note'>No method was evaluated.</p>"
+    if not summary.methods or not summary.problems:
+        return "<p class='note'>Nothing was evaluated.</p>"
     rows = [
         [
             f"{swatch(VERDICT_COLOURS[verdict])}{VERDICT_TITLES[verdict]}",
@@ -67,10 +68,14 @@ def verdicts_html(summary: Summary) -> str:
         ]
         for verdict in Verdict
     ]
-    head = ["verdict", *(method_title(name) for name in summary.methods), "what it means"]
+    head = [
+        "verdict",
+        *(f"<span class='name'>{method_title(name)}</span>" for name in summary.methods),
+        "<span class='wide'>what it means</span>",
+    ]
     note = (
-        "Closed forms A and B balance the wrench and only monitor friction; each optimum adds the friction cones to the "
-        "same objective."
+        "Closed forms A and B balance the wrench and only monitor friction; each optimum adds the friction cones to "
+        "the same objective."
     )
     counts = f"<details><summary>Exact counts, and what each verdict means</summary>{table(head, rows)}</details>"
     return f'<p class="note">{note}</p>{figure_html("verdicts", figures.verdict_bars(summary))}{counts}'
@@ -79,16 +84,19 @@ def verdicts_html(summary: Summary) -> str:
 def distributions_html(summary: Summary) -> str:
     """Three quantities, closed forms A and B on the same axes."""
     if not any(own.compared for own in summary.comparisons.values()):
-        return "<p class='note'>No closed form was compared with its optimum: it takes both, and a problem that has one.</p>"
+        return (
+            "<p class='note'>Nothing to compare: it takes a closed form, its optimum, and a problem that has one.</p>"
+        )
     panels = []
     for field, title, label, meaning, shown in QUANTITIES:
         histograms = {name: getattr(own, field) for name, own in summary.comparisons.items()}
         figure = figures.distribution(histograms, label)
         drawn = figure_html(field, figure) if figure else '<p class="empty">All values are zero.</p>'
-        panels.append(f'<div class="panel3"><h3>{title}</h3><p class="note">{meaning}</p>{drawn}{_quantiles(histograms, shown)}</div>')
+        said = f'<h3>{title}</h3><p class="note">{meaning}</p>'
+        panels.append(f'<div class="panel3">{said}{drawn}{_quantiles(histograms, shown)}</div>')
     note = (
-        "Closed form against its own optimum, over all problems that have one. Where the closed form is already optimal all "
-        "three are exactly zero, which a logarithmic axis cannot show: the tables give that share."
+        "Closed form against its own optimum, over all problems that have one. Where the closed form is already "
+        "optimal all three are exactly zero, which a logarithmic axis cannot show: the tables give that share."
     )
     return f'<p class="note">{note}</p><div class="three">{"".join(panels)}</div>'
 
@@ -98,7 +106,7 @@ def _quantiles(histograms: dict[str, LogHistogram], shown) -> str:
         [
             f"{swatch(METHOD_COLOURS[name])}{name}",
             share(own.zeros, own.total),
-            *((shown(own.quantile(q)) if own.total else "–") for q in (0.5, 0.95, 1)),
+            *((shown(own.quantile(q)) if own.total else NOTHING) for q in (0.5, 0.95, 1.0)),
         ]
         for name, own in histograms.items()
     ]
@@ -114,8 +122,8 @@ def angles_html(summary: Summary) -> str:
     note = (
         "Slip angle: between a contact's force and its inward normal, 0° where it presses straight, above 90° where it "
         "pulls. A contact above the line slip = friction angle slips. "
-        f"A sample of at most {counted(sampled, 'loaded contact')} of answers that balance the wrench{first}; the shares "
-        "count cells that lie wholly above the line."
+        f"A sample of at most {counted(sampled, 'loaded contact')} of answers that balance the wrench{first}; the "
+        "shares count cells that lie wholly above the line."
     )
     return f'<p class="note">{note}</p>{figure_html("angles", figure)}'
 
@@ -134,8 +142,8 @@ def times_html(summary: Summary, times: Times) -> str:
                 f"{swatch(METHOD_COLOURS[name])}{method_title(name)}",
                 seconds(each),
                 seconds(spent),
-                f"{whole(skipped)} ({share(skipped, summary.problems)})" if optimum else "–",
-                number(own.steps / solved) if optimum and solved else "–",
+                f"{whole(skipped)} ({share(skipped, summary.problems)})" if optimum else NOTHING,
+                number(own.steps / solved) if optimum and solved else NOTHING,
                 number(own.largest_residual),
                 degrees(own.smallest_margin),
             ]
@@ -158,12 +166,15 @@ def _times_note(summary: Summary, times: Times) -> str:
         notes.append("An optimum's time includes the closed form that it starts from.")
         notes.append("No solve is needed where the closed form is already optimal.")
     if times.problems > summary.problems:
-        notes.append(f"Timed on {whole(times.problems)} problems, {whole(times.problems - summary.problems)} of them padding.")
+        padding = whole(times.problems - summary.problems)
+        notes.append(f"Timed on {whole(times.problems)} problems, {padding} of them padding.")
     elif times.problems < summary.problems:
         notes.append(f"Timed on the {counted(times.problems, 'problem')} that this run solved.")
-    notes.append("Residual: |G f − w| over the forces and moments at work, dimensionless; of answers that balance the wrench.")
-    bad = counted(summary.set_aside, "grasp")
-    notes.append(f"Set aside for faults in the data: {bad}." if summary.set_aside else "No grasp was set aside for faults.")
+    notes.append(
+        "Residual, of answers that balance the wrench: |G f \N{MINUS SIGN} w| over the forces and moments at work."
+    )
+    bad = counted(summary.set_aside, "grasp") if summary.set_aside else "none"
+    notes.append(f"Set aside for faults in the data: {bad}.")
     return f'<p class="note">{" ".join(notes)}</p>'
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.report.look import METHOD_COLOURS, counted, percentage, share, swatch, whole
+from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, percentage, share, short_percentage, swatch, whole
 
 SOLVED = (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
@@ -19,7 +19,9 @@ class Tile:
     sentence: str
 
     def html(self) -> str:
-        large = "".join(f'<div class="row">{label}<span class="large">{value}</span></div>' for label, value in self.numbers)
+        large = "".join(
+            f'<div class="row">{label}<span class="large">{value}</span></div>' for label, value in self.numbers
+        )
         return f'<section class="tile"><h2>{self.heading}</h2>{large}<p>{self.sentence}</p></section>'
 
 
@@ -59,15 +61,16 @@ def _holding(summary: Summary) -> list[Tile]:
     )
     other = summary.methods.get("B-optimum")
     if name == "A-optimum" and other is not None and other.count(*SOLVED) != holds:
-        sentence += f" With B's sharing, where a contact of no squeeze carries nothing: {whole(other.count(*SOLVED))}."
+        sentence += f" By B's optimum, whose contacts of no squeeze carry nothing, {whole(other.count(*SOLVED))} do."
     return [Tile("Hold with friction", [("", share(holds, summary.problems))], sentence)]
 
 
 def _right_as_it_stands(summary: Summary, name: str) -> list[Tile]:
     optimum, closed = summary.methods.get(f"{name}-optimum"), summary.methods.get(name)
-    if optimum is None and closed is None:
+    either = optimum or closed
+    if either is None:
         return []
-    right = (optimum or closed).count(Verdict.CLOSED_FORM_OPTIMAL)
+    right = either.count(Verdict.CLOSED_FORM_OPTIMAL)
     if optimum is not None:
         total, among = optimum.count(*SOLVED), "that hold"
     else:
@@ -90,8 +93,8 @@ def _price(summary: Summary) -> list[Tile]:
         if bound.total:
             binding.append(f"{percentage(bound.quantile(0.5))} for {name}")
     sentence = (
-        "Median, 95% and largest over all that hold: the share (F* − F) / F* of the optimum's objective F* that the "
-        "closed form, at F, leaves out by ignoring friction."
+        "Median, 95% and largest over all that hold: the share (F* \N{MINUS SIGN} F) / F* of the optimum's objective "
+        "F* that the closed form, at F, leaves out by ignoring friction."
     )
     if binding:
         sentence += f" Where it is not zero, its median is {' and '.join(binding)}."
@@ -100,12 +103,12 @@ def _price(summary: Summary) -> list[Tile]:
 
 def three_quantiles(histogram: LogHistogram) -> str:
     if histogram.total == 0:
-        return "–"
-    return " <i>·</i> ".join(percentage(histogram.quantile(q)) for q in (0.5, 0.95, 1))
+        return NOTHING
+    return " <i>·</i> ".join(short_percentage(histogram.quantile(q)) for q in (0.5, 0.95, 1.0))
 
 
 def _deceiving(summary: Summary) -> list[Tile]:
-    """Closed forms that balance the wrench with forces that friction forbids."""
+    """Closed forms that balance the wrench with forces that friction forbids, though it allows others."""
     rows, notes = [], []
     for name in "AB":
         closed, optimum = summary.methods.get(name), summary.methods.get(f"{name}-optimum")
@@ -114,16 +117,16 @@ def _deceiving(summary: Summary) -> list[Tile]:
         outside = closed.count(Verdict.OUTSIDE_CONES)
         if optimum is None:
             rows.append((_label(name), share(outside, summary.problems)))
-            notes.append(f"{name}: {whole(outside)}; whether allowed forces exist was not evaluated.")
+            notes.append(f"{name}: {whole(outside)}, whether or not allowed forces exist, which was not evaluated.")
             continue
         avoidable = optimum.count(Verdict.OPTIMAL)
         rows.append((_label(name), share(avoidable, summary.problems)))
         # What the contacts cannot reach at all, the closed form calls infeasible too.
         forbidden = max(0, optimum.count(Verdict.INFEASIBLE) - closed.count(Verdict.INFEASIBLE))
-        notes.append(f"{name}: {whole(avoidable)}, and {whole(forbidden)} more where no allowed forces exist.")
+        notes.append(f"{name}: {whole(avoidable)} though allowed forces exist, and {whole(forbidden)} where none do.")
     if not rows:
         return []
-    sentence = "The closed form balances the wrench, but a contact slips or pulls, though allowed forces exist. "
+    sentence = "The closed form balances the wrench, but a contact slips or pulls. "
     return [Tile("The closed form deceives", rows, sentence + " ".join(notes))]
 
 
@@ -134,11 +137,13 @@ def _infeasible(summary: Summary) -> list[Tile]:
     own = summary.methods[name]
     proved = own.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
     sentence = (
-        f"{counted(proved, unit(summary))}: no allowed forces give the wrench, and a certificate proves it — a direction "
-        "in which the load moves the object and no contact can push back."
+        f"{counted(proved, unit(summary))}: no allowed forces give the wrench, and a certificate proves it, a motion "
+        "of the object that the load drives and no contact can resist."
     )
+    if proved == 0:
+        sentence = f"No {unit(summary)} was proved to have no allowed forces."
     closed = summary.methods.get(name[0])
-    if closed is not None:
+    if proved and closed is not None:
         beyond = closed.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
         sentence += f" {whole(beyond)} of them stay out of reach whatever the friction."
     undecided = own.count(Verdict.NOT_CONVERGED)

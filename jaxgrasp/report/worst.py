@@ -22,18 +22,21 @@ def worst_html(summary: Summary) -> str:
         f'<option value="{i}">{i + 1}: {_title(case, several)}, price {percentage(case["price"])}</option>'
         for i, case in enumerate(summary.worst)
     )
-    panels = "".join(_panel(i, case, data, several) for i, (case, data) in enumerate(zip(cases, summary.worst, strict=True)))
+    panels = "".join(
+        _panel(i, case, data, several) for i, (case, data) in enumerate(zip(cases, summary.worst, strict=True))
+    )
+    warm, cool = swatch(METHOD_COLOURS[name]), swatch(METHOD_COLOURS[name + "-optimum"])
     intro = (
-        f"The {counted(len(cases), 'problem')} of the highest price of friction, closed form {name} "
-        f"{swatch(METHOD_COLOURS[name])} against its optimum {swatch(METHOD_COLOURS[name + '-optimum'])}. Arrows are what the "
-        "hand exerts on the object. Each cone holds the forces that friction allows; an arrow outside its cone slips, one "
-        "that points away from it pulls."
+        f"The {counted(len(cases), 'problem')} of the highest price of friction, closed form {name} {warm} against its "
+        f"optimum {cool}. Arrows are what the hand exerts on the object. Each cone holds the forces that friction "
+        "allows: an arrow outside its cone slips, one that points away from it pulls. A price near 100% often means a "
+        "wrench near the limit of what friction can hold, where the optimum has to squeeze hard."
     )
     return f"""<p class="note">{intro}</p>
 {_overview(summary.worst, several)}
-<div class="chooser"><button type="button" id="before" aria-label="previous case">‹</button>
+<div class="chooser"><button type="button" id="before" aria-label="previous case">&lsaquo;</button>
 <select id="case" aria-label="case">{choices}</select>
-<button type="button" id="after" aria-label="next case">›</button>
+<button type="button" id="after" aria-label="next case">&rsaquo;</button>
 <span class="note">Drag to turn, scroll to zoom, hover for numbers, click the legend to hide.</span></div>
 <div class="case"><div id="scene" class="figure"></div><div>{panels}</div></div>
 {embedded("scenes", [scene(case) for case in cases])}"""
@@ -46,18 +49,28 @@ def _title(case: dict, several: bool) -> str:
 
 def _overview(cases: list[dict], several: bool) -> str:
     labels = list(dict.fromkeys(name for case in cases for name in case["labels"]))
-    head = ["", "grasp", *(["wrench"] if several else []), *map(text, labels)]
+    head = [
+        "",
+        "grasp",
+        *(["wrench"] if several else []),
+        *(f'<span class="label">{text(name)}</span>' for name in labels),
+    ]
     head += ["contacts", "price of friction", "smallest friction margin", "largest cone violation"]
     rows = []
     for i, case in enumerate(cases):
         button = f'<button type="button" class="pick" data-case="{i}" aria-label="show case {i + 1}">{i + 1}</button>'
         row = [button, str(case["grasp"]), *([str(case["wrench_number"])] if several else [])]
         row += [f'<span class="label">{text(case["labels"].get(name, ""))}</span>' for name in labels]
-        row += [str(len(case["points"])), percentage(case["price"]), degrees(case["margin"]), f"{number(case['violation'])} N"]
+        row += [
+            str(len(case["points"])),
+            percentage(case["price"]),
+            degrees(case["margin"]),
+            f"{number(case['violation'])} N",
+        ]
         rows.append(row)
     return table(head, rows, "overview") + (
-        "<p class='note'>Grasps are numbered from 0, in the order of the input. Margin: friction angle less slip angle, of the "
-        "closed form's worst contact. Violation: its tangential force beyond friction's limit.</p>"
+        "<p class='note'>Grasps are numbered from 0, in the order of the input. Margin: friction angle less slip "
+        "angle, of the closed form's worst contact. Violation: its tangential force beyond friction's limit.</p>"
     )
 
 
@@ -84,7 +97,12 @@ def _panel(index: int, case: Case, data: dict, several: bool) -> str:
         for i in range(len(case.points))
     ]
     warm, cool = swatch(METHOD_COLOURS[case.name]), swatch(METHOD_COLOURS[case.name + "-optimum"])
-    head = ["contact", "friction angle", "squeeze [N]", f"{warm}|f| [N]", f"{warm}slip", f"{cool}|f| [N]", f"{cool}slip"]
+    head = [
+        "contact",
+        "friction angle",
+        "squeeze [N]",
+        *(f'<span class="name">{s}{t}</span>' for s in (warm, cool) for t in ("|f| [N]", "slip")),
+    ]
     hidden = " hidden" if index else ""
     lines = "".join(f"<p>{fact}</p>" for fact in facts)
     title = f"<h3>Case {index + 1}: {_title(data, several)}</h3>"

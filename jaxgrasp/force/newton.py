@@ -58,7 +58,9 @@ def ascend(
 
     Lanes that are ``frozen`` stay where they are.
     """
-    zero = jnp.zeros_like(frozen, lanes.squeeze.dtype)
+    # A grasp that many wrenches share has one column here; where each lane stands is its own.
+    frozen = jnp.broadcast_to(frozen, start[:1].shape)
+    zero = jnp.zeros_like(start[:1])
     nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
     state = Ascent(start, zero - jnp.inf, nothing, zero, zero, nothing, steps, frozen, frozen)

@@ -1,0 +1,1 @@
+"""Seeded problems, independent references and timed comparisons; shared with the tests, not installed."""

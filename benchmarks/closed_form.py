@@ -1,0 +1,201 @@
+"""Time and error of the closed form, beside a plain batch-first Cholesky; failures included.
+
+    python -m benchmarks.closed_form --out benchmarks/results/closed_form.json
+
+The whole public call is timed, with residual, verdict, objective and certificate; the rival computes forces alone.
+"""
+
+import os
+
+# One thread, decided before JAX starts its pool.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import argparse
+import json
+import platform
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxgrasp
+from benchmarks import problems as P
+from benchmarks import references as R
+from jaxgrasp import Grasp, Verdict
+
+SIZES, BATCHES, DTYPES = (3, 5, 10, 20), (1_000, 100_000), (np.float64, np.float32)
+ERROR_LIMIT = {"float64": 1e-6, "float32": 1e-2}
+RESIDUAL_LIMIT = {"float64": 1e-10, "float32": 1e-4}
+"""A user who looks at the residual distrusts an answer above this."""
+STRESS_SIZE, STRESS_COUNT = 5, 1_000
+
+
+@jax.jit
+def ours(problem) -> jaxgrasp.Solution:
+    points, normals, friction, squeeze, wrench = problem
+    return jaxgrasp.closed_form(Grasp(points, normals, friction, squeeze), wrench, squeeze)
+
+
+@jax.jit
+def cholesky(problem) -> jax.Array:
+    """Eq. 15 as one writes it at first: batch-first, G W G^T whole, about the frame's own origin."""
+    points, normals, _, squeeze, wrench = problem
+    matrix = jaxgrasp.grasp_matrix(points)
+    weights = jnp.repeat(squeeze, 3, -1)
+    squeezing = (squeeze[..., None] * normals).reshape(weights.shape)
+    gram = jnp.einsum("bij,bj,bkj->bik", matrix, weights, matrix)
+    rest = wrench - jnp.einsum("bij,bj->bi", matrix, squeezing)
+    multiplier = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(gram), True), rest[..., None])[..., 0]
+    forces = squeezing + weights * jnp.einsum("bij,bi->bj", matrix, multiplier)
+    return forces.reshape(points.shape)
+
+
+METHODS: dict[str, Callable] = {"closed_form": ours, "plain Cholesky": cholesky}
+
+
+def arrays(problem: P.Problems) -> tuple:
+    return tuple(jax.device_put(getattr(problem, name)) for name in R.ARRAYS)
+
+
+def force_error(problem: P.Problems, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Largest error of a problem's forces relative to its largest force, and the reference's rank."""
+    expected, rank = R.closed_form_reference(problem, problem.squeeze)
+    largest = np.sqrt(np.sum(expected**2, -1)).max(-1)
+    apart = np.sqrt(np.sum((np.asarray(forces) - expected) ** 2, -1)).max(-1)
+    return np.asarray(apart / np.where(largest > 0, largest, 1), float), rank
+
+
+def timings(repeats: int) -> list[dict]:
+    rows = []
+    for dtype in DTYPES:
+        for n in SIZES:
+            for batch in BATCHES:
+                problem = P.problems("ordinary", n, batch, seed=0).cast(dtype)
+                rows += time_one(problem, np.dtype(dtype).name, n, batch, repeats)
+    return rows
+
+
+def time_one(problem: P.Problems, dtype: str, n: int, batch: int, repeats: int) -> list[dict]:
+    """Rivals take turns in one process, so that the machine's moods hit both."""
+    data = arrays(problem)
+    seconds: dict[str, list[float]] = {name: [] for name in METHODS}
+    for name, method in METHODS.items():
+        jax.block_until_ready(method(data))
+    for _ in range(repeats):
+        for name, method in METHODS.items():
+            start = time.perf_counter()
+            jax.block_until_ready(method(data))
+            seconds[name].append(time.perf_counter() - start)
+    judged = problem._replace(**{name: getattr(problem, name)[:1_000] for name in R.ARRAYS})
+    rows = []
+    for name, method in METHODS.items():
+        answer = jax.device_get(method(data))
+        forces = getattr(answer, "forces", answer)[:1_000]
+        error, _ = force_error(judged, forces)
+        rows.append(
+            {
+                "method": name,
+                "dtype": dtype,
+                "n": n,
+                "batch": batch,
+                "threads": 1,
+                "microseconds": float(np.median(seconds[name])) / batch * 1e6,
+                "median_error": float(np.median(error)),
+                "max_error": float(np.max(np.nan_to_num(error, nan=np.inf))),
+                "verdicts": counts(answer.verdict) if name == "closed_form" else None,
+            }
+        )
+    return rows
+
+
+def errors() -> list[dict]:
+    rows = []
+    for dtype in DTYPES:
+        name = np.dtype(dtype).name
+        for kind in P.KINDS:
+            problem = P.problems(kind, STRESS_SIZE, STRESS_COUNT, seed=0).cast(dtype)
+            answer, rival = jax.device_get((ours(arrays(problem)), cholesky(arrays(problem))))
+            error, rank = force_error(problem, answer.forces)
+            rival_error, _ = force_error(problem, rival)
+            answered = answer.verdict <= Verdict.OUTSIDE_CONES
+            silent = answered & (answer.residual <= RESIDUAL_LIMIT[name]) & ~(error <= ERROR_LIMIT[name])
+            rows.append(
+                {
+                    "kind": kind,
+                    "dtype": name,
+                    "n": STRESS_SIZE,
+                    "count": STRESS_COUNT,
+                    "answered": int(answered.sum()),
+                    "median_error": float(np.median(error[answered])) if answered.any() else None,
+                    "max_error": float(error[answered].max()) if answered.any() else None,
+                    "max_residual": float(answer.residual[answered].max()) if answered.any() else None,
+                    "wrong_and_unflagged": int(silent.sum()),
+                    "of_these_with_reduced_rank": int((silent & (answer.rank < rank)).sum()),
+                    "rival_wrong": int((~(rival_error <= ERROR_LIMIT[name])).sum()),
+                    "verdicts": counts(answer.verdict),
+                }
+            )
+    return rows
+
+
+def counts(verdicts: np.ndarray) -> dict[str, int]:
+    return {Verdict(int(v)).name: int((verdicts == v).sum()) for v in np.unique(verdicts)}
+
+
+def machine() -> dict:
+    model = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        model = names[0] if names else model
+    packages = {name: version(name) for name in ("jaxgrasp", "jax", "jaxlib", "numpy")}
+    return {"cpu": model, "cores": os.cpu_count(), "python": platform.python_version(), **packages}
+
+
+def markdown(report: dict) -> str:
+    lines = ["| dtype | n | batch | closed_form µs | plain Cholesky µs | max error | rival's max error |", "|" + "---|" * 7]
+    rows = report["timings"]
+    for mine, other in zip(rows[::2], rows[1::2], strict=True):
+        lines.append(
+            f"| {mine['dtype']} | {mine['n']} | {mine['batch']:,} | {mine['microseconds']:.3f} | "
+            f"{other['microseconds']:.3f} | {mine['max_error']:.1e} | {other['max_error']:.1e} |"
+        )
+    lines += ["", "| kind | dtype | answered | median error | max error | max residual | wrong, unflagged | of these rank < reference's | rival wrong |"]
+    lines.append("|" + "---|" * 9)
+    for row in report["errors"]:
+        shown = [f"{row[key]:.1e}" if row[key] is not None else "-" for key in ("median_error", "max_error", "max_residual")]
+        lines.append(
+            f"| {row['kind']} | {row['dtype']} | {row['answered']} | {' | '.join(shown)} | "
+            f"{row['wrong_and_unflagged']} | {row['of_these_with_reduced_rank']} | {row['rival_wrong']} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, help="where the JSON goes")
+    parser.add_argument("--repeats", type=int, default=21)
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    report = {
+        "machine": machine(),
+        "error_limit": ERROR_LIMIT,
+        "residual_limit": RESIDUAL_LIMIT,
+        "extended_precision": bool(R.EXTENDED),
+        "timings": timings(options.repeats),
+        "errors": errors(),
+    }
+    if options.out:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(json.dumps(report, indent=1) + "\n")
+    print(markdown(report))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,284 @@
+"""Independent references and judges: NumPy in extended precision, and Clarabel; nothing here comes from jaxgrasp.
+
+Everything but Clarabel works on batches: points and normals ``(B, n, 3)``, friction, squeeze and sharing weights
+``(B, n)``, wrench ``(B, 6)``, as ``np.longdouble`` inside (64-bit mantissa on x86). Where the platform's long double
+is a double, ``EXTENDED`` is False and the judgements are only as fine as that.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.problems import Problems
+
+Wide = np.longdouble
+EXTENDED = np.finfo(Wide).eps < 1e-18
+
+
+class Centred(NamedTuple):
+    """A problem about the weighted centroid, lengths in units of the weighted radius, in extended precision."""
+
+    arms: np.ndarray
+    normals: np.ndarray
+    friction: np.ndarray
+    squeeze: np.ndarray
+    weights: np.ndarray
+    wrench: np.ndarray
+    centre: np.ndarray
+    length: np.ndarray
+
+    def twist_here(self, twist: np.ndarray) -> np.ndarray:
+        """A (linear, angular) vector about the frame's origin, at the centroid and in this unit of length."""
+        twist = np.asarray(twist, Wide)
+        linear = twist[:, :3] + np.cross(twist[:, 3:], self.centre)
+        return np.concatenate([linear, twist[:, 3:] * self.length[:, None]], -1)
+
+    def velocities(self, twist_here: np.ndarray) -> np.ndarray:
+        """G^T twist: the velocity at each contact."""
+        return twist_here[:, None, :3] + np.cross(twist_here[:, None, 3:], self.arms)
+
+
+class Judgement(NamedTuple):
+    """How good forces and a multiplier are. All but ``backward_error`` and ``violation`` rest on both."""
+
+    backward_error: np.ndarray
+    """|w - G f| / (|w| + sum |G_i| max(|f_i|, s_i)), centred and length-scaled.
+
+    The squeezing forces count as data: without them an optimum of zero force, right to the last digit of what it was
+    computed from, would have no meaningful error."""
+    violation: np.ndarray
+    """Largest distance of a force from its cone, relative to the largest force or squeeze."""
+    primal: np.ndarray
+    dual: np.ndarray
+    gap: np.ndarray
+    """|primal - dual| relative to max(primal, sum of s^2 / 2k)."""
+    rounding: np.ndarray
+    """How far, on the scale of ``gap``, the optimum moves when every wrench entry and point coordinate moves by one
+    rounding of its own dtype: no method that reads these data can be expected to do much better."""
+
+
+def centred(problem: Problems, weights: np.ndarray, present: np.ndarray | None = None) -> Centred:
+    """The problem in extended precision; absent contacts are dropped by zeroing their data."""
+    p, a = np.asarray(problem.points, Wide), np.asarray(problem.normals, Wide)
+    mu, s, k = (np.asarray(x, Wide) for x in (problem.friction, problem.squeeze, weights))
+    if present is not None:
+        there = present > 0.5
+        p, a = (np.where(there[..., None], x, 0) for x in (p, a))
+        mu, s, k = (np.where(there, x, 0) for x in (mu, s, k))
+    a = a / _or_one(_length(a))[..., None]
+    share = k / _or_one(k.sum(-1, keepdims=True))
+    centre = np.sum(share[..., None] * p, 1)
+    arms = np.where(k[..., None] > 0, p - centre[:, None], p - centre[:, None] if present is None else 0)
+    length = np.sqrt(np.sum(share * np.sum(arms**2, -1), -1))
+    # Contacts in one point, but for rounding of the mean, have no length of their own.
+    tiny = 16 * np.finfo(Wide).eps * _length(centre)
+    length = np.where(length > tiny, length, _or_one(_length(centre)))
+    force, torque = np.asarray(problem.wrench, Wide)[:, :3], np.asarray(problem.wrench, Wide)[:, 3:]
+    about = (torque - np.cross(centre, force)) / length[:, None]
+    return Centred(arms / length[:, None, None], a, mu, s, k, np.concatenate([force, about], -1), centre, length)
+
+
+def judge(
+    problem: Problems,
+    weights: np.ndarray,
+    forces: np.ndarray,
+    multiplier: np.ndarray,
+    present: np.ndarray | None = None,
+) -> Judgement:
+    """Primal and dual quality of a proposed optimum of the cone-constrained problem.
+
+    Any multiplier gives a lower bound of the optimum (weak duality) and any allowed, balancing forces an upper one;
+    so a small gap with a small backward error and violation proves the answer, whoever computed it.
+    """
+    here = centred(problem, weights, present)
+    f = np.asarray(forces, Wide)
+    twist = here.twist_here(multiplier)
+    primal, own = _spread(here, f).sum(-1), _spread(here, np.zeros_like(f)).sum(-1)
+    dual = dual_objective(here, twist)
+    scale = np.maximum(primal, own)
+    apart = np.abs(primal - dual)
+    gap = np.where(apart == 0, 0, apart / np.where(scale > 0, scale, np.finfo(float).tiny))
+    largest = np.maximum(_length(f).max(-1), here.squeeze.max(-1))
+    # A contact of weight zero keeps its squeezing force, which lies on its normal.
+    off = _length(f - project(f, here.normals, here.friction)).max(-1)
+    moved = _rounding(problem, np.asarray(multiplier, Wide), np.where(here.weights[..., None] > 0, f, 0))
+    return Judgement(backward_error(here, f), off / _or_one(largest), primal, dual, gap, moved / _or_one(scale))
+
+
+def _rounding(problem: Problems, twist: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """The multiplier is the optimum's derivative by the wrench; times f, by the points."""
+    through_wrench = np.sum(np.abs(twist * problem.wrench), -1)
+    by_points = np.abs(np.cross(forces, twist[:, None, 3:]))
+    through_points = np.sum(by_points * np.abs(np.where(forces != 0, problem.points, 0)), (-1, -2))
+    return np.finfo(problem.wrench.dtype).eps * (through_wrench + through_points)
+
+
+def dual_objective(here: Centred, twist: np.ndarray) -> np.ndarray:
+    """q(twist) = w.twist + sum of min over the cone of |f - s a|^2 / 2k - v.f; fixed contacts give -v.s a."""
+    v = here.velocities(twist)
+    target = here.squeeze[..., None] * here.normals
+    best = project(target + here.weights[..., None] * v, here.normals, here.friction)
+    best = np.where(here.weights[..., None] > 0, best, target)
+    return np.sum(here.wrench * twist, -1) + (_spread(here, best) - np.sum(v * best, -1)).sum(-1)
+
+
+def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndarray:
+    """The closest point of each Coulomb cone, by its three cases."""
+    along = np.sum(u * normals, -1)
+    across = u - along[..., None] * normals
+    size = _length(across)
+    inside = size <= friction * along
+    apex = ~inside & (friction * size <= -along)
+    height = (along + friction * size) / (1 + friction**2)
+    direction = across / _or_one(size)[..., None]
+    edge = height[..., None] * (normals + friction[..., None] * direction)
+    return np.where(inside[..., None], u, np.where(apex[..., None], 0, edge))
+
+
+def backward_error(here: Centred, forces: np.ndarray) -> np.ndarray:
+    reach = np.sqrt(1 + np.sum(here.arms**2, -1))
+    rest = here.wrench - resultant(here, forces)
+    size = _length(here.wrench) + np.sum(reach * np.maximum(_length(forces), here.squeeze), -1)
+    return _length(rest) / _or_one(size)
+
+
+def resultant(here: Centred, forces: np.ndarray) -> np.ndarray:
+    return np.concatenate([forces.sum(1), np.cross(here.arms, forces).sum(1)], -1)
+
+
+def closed_form_reference(
+    problem: Problems, weights: np.ndarray, present: np.ndarray | None = None, cut: float = 1e-14
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closed-form forces and rank, by a one-sided Jacobi SVD of W^(1/2) G^T in extended precision.
+
+    Singular values below ``cut`` times the largest count as zero: the forces are then those that balance what
+    can be balanced, by the multiplier of minimal norm.
+    """
+    here = centred(problem, weights, present)
+    root = np.sqrt(here.weights / _or_one(here.weights.max(-1, keepdims=True)))
+    columns = np.stack([here.velocities(np.broadcast_to(np.eye(6, dtype=Wide)[i], (len(root), 6))) for i in range(6)], 1)
+    left = (root[:, None, :, None] * columns).reshape(len(root), 6, -1)
+    right = np.broadcast_to(np.eye(6, dtype=Wide), (len(root), 6, 6)).copy()
+    left, right = _orthogonalise(left, right)
+    sizes = _length(left)
+    kept = sizes > cut * sizes.max(-1, keepdims=True)
+    squeezing = here.squeeze[..., None] * here.normals
+    rest = here.wrench - resultant(here, squeezing)
+    wanted = np.where(kept, np.einsum("bij,bj->bi", right, rest) / np.where(kept, sizes, 1) ** 2, 0)
+    moved = np.einsum("bi,bij->bj", wanted, left).reshape(squeezing.shape)
+    forces = squeezing + root[..., None] * moved
+    return forces, np.where(here.weights.sum(-1) > 0, kept.sum(-1), 0)
+
+
+def _orthogonalise(left: np.ndarray, right: np.ndarray, sweeps: int = 14) -> tuple[np.ndarray, np.ndarray]:
+    """Rotate rows of ``left`` until they are orthogonal (Hestenes), and ``right`` along with them."""
+    for _ in range(sweeps):
+        for p in range(5):
+            for q in range(p + 1, 6):
+                lp, lq = left[:, p].copy(), left[:, q].copy()
+                mixed = np.sum(lp * lq, -1)
+                half_gap = (np.sum(lq * lq, -1) - np.sum(lp * lp, -1)) / 2
+                reach = np.abs(half_gap) + np.sqrt(half_gap**2 + mixed**2)
+                tangent = np.where(half_gap < 0, -mixed, mixed) / _or_one(reach)
+                cosine = (1 / np.sqrt(1 + tangent**2))[:, None]
+                sine = tangent[:, None] * cosine
+                left[:, p], left[:, q] = cosine * lp - sine * lq, sine * lp + cosine * lq
+                rp, rq = right[:, p].copy(), right[:, q].copy()
+                right[:, p], right[:, q] = cosine * rp - sine * rq, sine * rp + cosine * rq
+    return left, right
+
+
+def proven_need(
+    problem: Problems, weights: np.ndarray, certificate: np.ndarray, present: np.ndarray | None = None
+) -> np.ndarray:
+    """Total normal force, in units of the load, that a certificate proves any solution to need.
+
+    For allowed forces w.d = sum of f_i.v_i <= (sum of normal forces) times the largest work per unit of normal
+    force; the load is squeeze, force, and torque over the contacts' radius. Infinite where no contact can do any
+    work along d; zero or less where d proves nothing.
+    """
+    here = centred(problem, weights, present)
+    twist = here.twist_here(certificate)
+    v = here.velocities(twist)
+    along = np.sum(v * here.normals, -1)
+    support = along + here.friction * _length(v - along[..., None] * here.normals)
+    movable = here.weights > 0
+    work = np.sum(here.wrench * twist, -1) - np.sum(np.where(movable, 0, here.squeeze * along), -1)
+    largest = np.max(np.where(movable, support, 0), -1)
+    load = here.squeeze.sum(-1) + _length(here.wrench[:, :3]) + _length(here.wrench[:, 3:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        need = np.where(largest > 0, work / np.where(largest > 0, largest, 1), np.where(work > 0, np.inf, 0))
+        return need / _or_one(load)
+
+
+def clarabel_optimum(problem: Problems, weights: np.ndarray, index: int = 0) -> tuple[np.ndarray, np.ndarray, str]:
+    """Forces, multiplier about the frame's origin, and Clarabel's status, for one problem of a batch.
+
+    The cones are posed as they are, in the contact's own axes, on a problem brought to order one. Contacts of
+    weight zero are constants. The status says ``Solved`` for an optimum and ``PrimalInfeasible`` for a proof of
+    none; judge the answer by ``judge`` before trusting it.
+    """
+    import clarabel
+    from scipy import sparse
+
+    one = problem._replace(**{name: getattr(problem, name)[index : index + 1] for name in ARRAYS})
+    here = centred(one, weights[index : index + 1])
+    arms, normals, mu, s, k, w = (np.asarray(x[0], float) for x in here[:6])
+    load = float(s.sum() + np.linalg.norm(w)) or 1.0
+    free = k > 0
+    kept, unit = int(free.sum()), float(k.sum()) or 1.0
+    held = np.where(free[:, None], 0, s[:, None] * normals)
+    rest = (w - np.concatenate([held.sum(0), np.cross(arms, held).sum(0)])) / load
+    k_free, s_free = k[free] / unit, s[free] / load
+    cost = sparse.csc_matrix(np.diag(np.repeat(1 / k_free, 3)))
+    linear = -((s_free / k_free)[:, None] * normals[free]).ravel()
+    grasp = np.concatenate([np.concatenate([np.eye(3), _cross_matrix(r)]) for r in arms[free]], 1)
+    cones = np.zeros((3 * kept, 3 * kept))
+    for i, (a, m) in enumerate(zip(normals[free], mu[free], strict=True)):
+        cones[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = -np.vstack([m * a, *_tangents(a)])
+    normal_rows = np.zeros((kept, 3 * kept))
+    for i, a in enumerate(normals[free]):
+        # With no friction the second-order cone would let a force pull.
+        normal_rows[i, 3 * i : 3 * i + 3] = -a
+    constraints = sparse.csc_matrix(np.concatenate([grasp, normal_rows, cones]))
+    bound = np.concatenate([rest, np.zeros(4 * kept)])
+    kinds = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(kept)] + [clarabel.SecondOrderConeT(3)] * kept
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 200
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    settings.tol_infeas_abs = settings.tol_infeas_rel = 1e-10
+    answer = clarabel.DefaultSolver(cost, linear, constraints, bound, kinds, settings).solve()
+    forces = held.copy()
+    forces[free] += load * np.asarray(answer.x).reshape(-1, 3)
+    twist = -np.asarray(answer.z)[:6] * load / unit
+    centre, length = np.asarray(here.centre[0], float), float(here.length[0])
+    angular = twist[3:] / length
+    return forces, np.concatenate([twist[:3] - np.cross(angular, centre), angular]), str(answer.status)
+
+
+ARRAYS = ("points", "normals", "friction", "squeeze", "wrench")
+
+
+def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    return first, np.cross(normal, first)
+
+
+def _cross_matrix(r: np.ndarray) -> np.ndarray:
+    return np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])
+
+
+def _spread(here: Centred, forces: np.ndarray) -> np.ndarray:
+    apart = forces - here.squeeze[..., None] * here.normals
+    moves = here.weights > 0
+    return np.where(moves, np.sum(apart**2, -1) / np.where(moves, 2 * here.weights, 1), 0)
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.sum(np.asarray(vectors) ** 2, -1))
+
+
+def _or_one(values: np.ndarray) -> np.ndarray:
+    return np.where(values > 0, values, 1)

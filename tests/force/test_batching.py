@@ -1,0 +1,156 @@
+"""One route for every way of asking: leading axes, vmap, nested vmaps and loops give the same answers."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from benchmarks import problems as P
+from jaxgrasp import Grasp, Verdict
+
+COUNT, N = 64, 3
+METHODS = {"closed": jaxgrasp.closed_form, "optimum": jaxgrasp.constrained_optimum}
+FIELDS = ("forces", "multiplier", "objective")
+
+
+@pytest.fixture(scope="module")
+def rows():
+    """Ordinary problems, a hopeless one and one with bad data among them."""
+    problem = P.problems("ordinary", N, COUNT, seed=21)
+    hopeless = P.problems("infeasible", N, 1, seed=22)
+    arrays = [getattr(problem, name).copy() for name in ("points", "normals", "friction", "squeeze", "wrench")]
+    for array, other in zip(arrays, hopeless[1:6], strict=True):
+        array[9] = other[0]
+    arrays[0][17, 2, 1] = np.nan
+    return tuple(arrays)
+
+
+def solve(method: str, points, normals, friction, squeeze, wrench):
+    return METHODS[method](Grasp(points, normals, friction, squeeze), wrench, squeeze)
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def flat(request, rows):
+    return request.param, jax.device_get(solve(request.param, *rows))
+
+
+def same(got, expected, rtol: float = 1e-12):
+    """Equal verdicts, and fields equal to ``rtol`` of each problem's own size; NaN nowhere."""
+    np.testing.assert_array_equal(np.asarray(got.verdict).ravel(), expected.verdict.ravel())
+    np.testing.assert_array_equal(np.asarray(got.rank).ravel(), expected.rank.ravel())
+    for name in FIELDS:
+        a = np.asarray(getattr(got, name)).reshape(expected.verdict.size, -1)
+        b = getattr(expected, name).reshape(expected.verdict.size, -1)
+        assert np.isfinite(a).all()
+        assert (np.abs(a - b).max(-1) <= rtol * np.abs(b).max(-1)).all(), name
+
+
+def test_the_samples_meet_every_outcome(flat):
+    method, expected = flat
+    assert expected.verdict[17] == Verdict.INVALID_DATA
+    others = np.delete(expected.verdict, [9, 17])
+    if method == "optimum":
+        assert expected.verdict[9] == Verdict.INFEASIBLE
+        assert set(others.tolist()) == {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL}
+    else:
+        assert set(others.tolist()) == {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES}
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (4, 1, 16)])
+def test_any_leading_axes(flat, rows, shape):
+    method, expected = flat
+    got = solve(method, *(x.reshape(*shape, *x.shape[1:]) for x in rows))
+    assert got.forces.shape == (*shape, N, 3) and got.multiplier.shape == (*shape, 6)
+    for name in ("verdict", "residual", "objective", "steps", "rank"):
+        assert getattr(got, name).shape == shape
+    same(got, expected)
+
+
+def test_vmap_of_a_single_call_is_the_batch(flat, rows):
+    method, expected = flat
+    same(jax.vmap(lambda *x: solve(method, *x))(*rows), expected)
+
+
+def test_vmap_of_vmap_under_jit_is_the_batch(flat, rows):
+    method, expected = flat
+    nested = jax.jit(jax.vmap(jax.vmap(lambda *x: solve(method, *x))))
+    same(nested(*(x.reshape(8, 8, *x.shape[1:]) for x in rows)), expected)
+
+
+def test_loop_over_single_calls_is_the_batch(flat, rows):
+    method, expected = flat
+    alone = [jax.device_get(solve(method, *(x[i] for x in rows))) for i in range(COUNT)]
+    assert alone[0].forces.shape == (N, 3) and alone[0].verdict.shape == ()
+    # Another batch size is other machine code: rounding differs, and Newton stops at another point of its tolerance.
+    same(jax.tree.map(lambda *leaves: np.stack(leaves), *alone), expected, 1e-12 if method == "closed" else 1e-8)
+
+
+def test_mapped_axis_may_be_any(flat, rows):
+    method, expected = flat
+    last = tuple(np.moveaxis(x, 0, -1) for x in rows)
+    same(jax.vmap(lambda *x: solve(method, *x), in_axes=-1)(*last), expected)
+
+
+def test_one_grasp_serves_many_wrenches(request, flat, rows):
+    """Broadcast, mapped over wrenches alone, or written out: one answer."""
+    method, _ = flat
+    if method == "optimum":
+        reason = "newton.ascend starts its loop with the shape of the grasp, not of the wrenches: TypeError"
+        request.applymarker(pytest.mark.xfail(strict=True, raises=TypeError, reason=reason))
+    grasp, wrenches = tuple(x[0] for x in rows[:4]), rows[4]
+    wide = tuple(np.broadcast_to(x, (COUNT, *x.shape)).copy() for x in grasp)
+    expected = jax.device_get(solve(method, *wide, wrenches))
+    same(solve(method, *grasp, wrenches), expected)
+    same(solve(method, *(x[None] for x in grasp), wrenches), expected)
+    same(jax.vmap(lambda w: solve(method, *grasp, w))(wrenches), expected)
+    assert len(set(expected.verdict.tolist())) > 1
+
+
+def test_many_grasps_share_a_wrench(flat, rows):
+    method, _ = flat
+    wrench = rows[4][0]
+    expected = jax.device_get(solve(method, *rows[:4], np.broadcast_to(wrench, (COUNT, 6)).copy()))
+    same(solve(method, *rows[:4], wrench), expected)
+
+
+def test_grasps_cross_wrenches(flat, rows):
+    """(8, 1) grasps against (1, 8) wrenches."""
+    method, _ = flat
+    grasps = tuple(np.delete(x, [9, 17], 0)[:8] for x in rows[:4])
+    wrenches = np.delete(rows[4], [9, 17], 0)[:8]
+    crossed = solve(method, *(x[:, None] for x in grasps), wrenches[None])
+    expected = jax.device_get(solve(method, *(np.repeat(x, 8, 0) for x in grasps), np.tile(wrenches, (8, 1))))
+    assert crossed.forces.shape == (8, 8, N, 3)
+    same(crossed, expected)
+
+
+@pytest.mark.parametrize("count", [129, 300])
+def test_batches_that_do_not_fill_their_tiles(flat, count):
+    """Around the tile of 128 problems: the last tile overlaps, the unfinished are gathered."""
+    method, _ = flat
+    problem = P.problems("ordinary", N, count, seed=23)
+    arrays = tuple(getattr(problem, name) for name in ("points", "normals", "friction", "squeeze", "wrench"))
+    whole = jax.device_get(solve(method, *arrays))
+    for start in (0, count - COUNT):
+        part = jax.device_get(solve(method, *(x[start : start + COUNT] for x in arrays)))
+        same(jax.tree.map(lambda x, start=start: x[start : start + COUNT], whole), part)
+
+
+def test_neighbours_of_bad_data_are_untouched(flat, rows):
+    method, expected = flat
+    poisoned = tuple(x.copy() for x in rows)
+    poisoned[0][5] = np.nan
+    poisoned[4][33] = np.inf
+    poisoned[1][60] = 0.0
+    got = jax.device_get(solve(method, *poisoned))
+    bad = np.isin(np.arange(COUNT), [5, 33, 60])
+    assert (got.verdict[bad] == Verdict.INVALID_DATA).all()
+    same(jax.tree.map(lambda x: x[~bad], got), jax.tree.map(lambda x: x[~bad], expected))
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(got))
+
+
+def test_a_single_bad_problem_does_not_raise(flat, rows):
+    method, _ = flat
+    got = solve(method, *(x[17] for x in rows))
+    assert int(got.verdict) == Verdict.INVALID_DATA
+    assert (np.asarray(got.forces) == 0).all()

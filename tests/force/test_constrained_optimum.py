@@ -1,0 +1,376 @@
+"""Laws of the constrained optimum: allowed, balanced, best, and never silently wrong.
+
+Every answer is judged by ``benchmarks.references`` alone: extended precision, nothing of the solver's own.
+"""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from benchmarks import problems as P
+from benchmarks import references as R
+from jaxgrasp import Grasp, Verdict
+
+COUNT = 64
+SHARINGS = ("squeeze", "uniform")
+GAP, BALANCE, ROUNDING = 1e-8, 1e-10, 1e-13
+DISOWNED = 2e-10
+"""Above this the solver itself calls no answer sound (eps^(5/8) = 1.6e-10, in its own coordinates)."""
+
+
+def solve(problem: P.Problems, weights, present: np.ndarray | None = None, safety=1.0):
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze, present)
+    return jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench, weights, safety=safety))
+
+
+def solved(solution) -> np.ndarray:
+    return (solution.verdict == Verdict.OPTIMAL) | (solution.verdict == Verdict.CLOSED_FORM_OPTIMAL)
+
+
+def lane(problem: P.Problems, i: int) -> P.Problems:
+    return problem._replace(**{name: getattr(problem, name)[i : i + 1] for name in R.ARRAYS})
+
+
+def relative(forces: np.ndarray, expected: np.ndarray) -> np.ndarray:
+    return np.abs(forces - expected).max((1, 2)) / np.abs(expected).max((1, 2))
+
+
+@pytest.fixture(scope="module", params=[(3, "squeeze"), (5, "squeeze"), (5, "uniform")], ids=str)
+def case(request):
+    """Ordinary problems, their weights, their solution and its judgement."""
+    n, sharing = request.param
+    problem = P.problems("ordinary", n, COUNT, seed=1)
+    weights = problem.weights(sharing)
+    solution = solve(problem, weights)
+    return problem, weights, solution, R.judge(problem, weights, solution.forces, solution.multiplier)
+
+
+def test_ordinary_problems_are_solved(case):
+    _, _, solution, judged = case
+    assert solved(solution).all()
+    assert 0.25 < (solution.verdict == Verdict.OPTIMAL).mean() < 0.8  # half of them have an active cone
+    assert judged.gap.max() < GAP
+    assert judged.backward_error.max() < BALANCE
+    assert judged.violation.max() < ROUNDING
+    assert (solution.certificate == 0).all() and (solution.rank == 6).all()
+
+
+def test_objective_is_that_of_the_forces(case):
+    _, _, solution, judged = case
+    np.testing.assert_allclose(solution.objective, np.asarray(judged.primal, float), rtol=1e-11)
+
+
+def test_friction_has_a_price(case):
+    """The closed form is a relaxation: no dearer, and the same where its forces are allowed."""
+    problem, weights, solution, _ = case
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+    closed = jax.device_get(jaxgrasp.closed_form(grasp, problem.wrench, weights))
+    same = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
+    assert (same == (solution.verdict == Verdict.CLOSED_FORM_OPTIMAL)).all()
+    assert relative(solution.forces[same], closed.forces[same]).max() < 1e-14
+    assert (solution.steps[same] == 0).all() and (solution.steps[~same] > 0).all()
+    own = np.sum(np.where(weights > 0, problem.squeeze**2 / (2 * weights), 0), -1)
+    scale = np.maximum(solution.objective, own)
+    assert (solution.objective[~same] > closed.objective[~same] - GAP * scale[~same]).all()
+    assert ((solution.objective - closed.objective)[~same] > 1e-6 * scale[~same]).mean() > 0.9
+
+
+def test_agrees_with_clarabel(case):
+    problem, weights, solution, judged = case
+    compared = 0
+    for i in range(COUNT):
+        forces, multiplier, status = R.clarabel_optimum(problem, weights, i)
+        other = R.judge(lane(problem, i), weights[i : i + 1], forces[None], multiplier[None])
+        # Clarabel stops early now and then: its own gap says whether it can serve as a reference.
+        if not status.endswith("Solved") or other.gap[0] > 1e-9 or other.backward_error[0] > 1e-9:
+            continue
+        compared += 1
+        scale = max(judged.primal[i], other.primal[0])
+        assert abs(judged.primal[i] - other.primal[0]) <= 2 * GAP * scale
+        # Strong convexity turns a gap into a distance of forces: |f - g|^2 / 2k <= gap.
+        largest = np.abs(forces).max()
+        assert np.abs(solution.forces[i] - forces).max() <= 1e-3 * largest
+    assert compared > 0.8 * COUNT
+
+
+def turned(problem: P.Problems, q: np.ndarray) -> P.Problems:
+    wrench = np.concatenate([problem.wrench[:, :3] @ q.T, problem.wrench[:, 3:] @ q.T], -1)
+    return problem._replace(points=problem.points @ q.T, normals=problem.normals @ q.T, wrench=wrench)
+
+
+def moved(problem: P.Problems, offset: np.ndarray) -> P.Problems:
+    force = problem.wrench[:, :3]
+    wrench = np.concatenate([force, problem.wrench[:, 3:] + np.cross(offset, force)], -1)
+    return problem._replace(points=problem.points + offset, wrench=wrench)
+
+
+def same_answer(solution, forces, expected):
+    assert solved(solution).all()
+    assert relative(forces, expected.forces).max() < 1e-7
+
+
+def test_rotation_turns_the_forces(case):
+    problem, weights, solution, _ = case
+    q, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
+    q *= np.linalg.det(q)
+    other = solve(turned(problem, q), weights)
+    same_answer(other, other.forces @ q, solution)
+
+
+def test_moving_the_frame_changes_nothing(case):
+    problem, weights, solution, _ = case
+    other = solve(moved(problem, np.array([0.5, -1.0, 2.0])), weights)
+    same_answer(other, other.forces, solution)
+
+
+@pytest.mark.parametrize("length, force", [(1e3, 1.0), (1.0, 1e-6), (1e-3, 1e6)])
+def test_units_scale_the_forces(case, length, force):
+    problem, weights, solution, _ = case
+    scaled = problem._replace(
+        points=problem.points * length,
+        squeeze=problem.squeeze * force,
+        wrench=problem.wrench * np.repeat([force, force * length], 3),
+    )
+    other = solve(scaled, scaled.squeeze if weights is problem.squeeze else weights)
+    same_answer(other, other.forces / force, solution)
+
+
+def test_order_of_contacts_does_not_matter(case):
+    problem, weights, solution, _ = case
+    order = np.roll(np.arange(problem.squeeze.shape[1]), 2)
+    shuffled = problem._replace(**{name: getattr(problem, name)[:, order] for name in P.Contacts._fields})
+    other = solve(shuffled, weights[:, order])
+    assert relative(other.forces, solution.forces[:, order]).max() < 1e-7
+
+
+@pytest.fixture(scope="module")
+def padded():
+    """Three contacts among five places, the other two holding garbage."""
+    three = P.problems("ordinary", 3, COUNT, seed=1)
+    place = np.array([0, 2, 4])
+    filled = {}
+    for name in P.Contacts._fields:
+        values = getattr(three, name)
+        filled[name] = np.full((COUNT, 5, *values.shape[2:]), np.nan)
+        filled[name][:, 1] = -1e30
+        filled[name][:, place] = values
+    present = np.zeros((COUNT, 5))
+    present[:, place] = 1
+    return three, three._replace(**filled), present, place
+
+
+def test_absent_contacts_change_nothing(padded):
+    three, wide, present, place = padded
+    bare, other = solve(three, three.squeeze), solve(wide, wide.squeeze, present)
+    assert (other.forces[:, [1, 3]] == 0).all()
+    assert relative(other.forces[:, place], bare.forces).max() < 1e-8
+    assert (other.verdict == bare.verdict).all()
+
+
+def test_nobody_there(padded):
+    _, wide, present, _ = padded
+    nobody = solve(wide, wide.squeeze, 0 * present)
+    assert (nobody.verdict == Verdict.NO_CONTACTS).all()
+    assert (nobody.forces == 0).all() and (nobody.rank == 0).all()
+    assert (np.sum(nobody.certificate * wide.wrench, -1) > 0).all()
+
+
+def test_known_answers_of_a_pair(padded):
+    """Two antipodal contacts lift until friction ends; torque about their line is out of reach."""
+    _, wide, present, _ = padded
+    points, normals = wide.points.copy(), wide.normals.copy()
+    points[:, 0], points[:, 2] = [1, 0, 0], [-1, 0, 0]
+    normals[:, 0], normals[:, 2] = [-1, 0, 0], [1, 0, 0]
+    pair = np.zeros_like(present)
+    pair[:, [0, 2]] = 1
+    wrench = np.zeros((COUNT, 6))
+    wrench[:, 2] = 2.0
+    wrench[1, 3] = 1.0
+    friction, squeeze = np.full_like(present, 0.5), np.full_like(present, 4.0)
+    friction[2] = 0.2  # less than a quarter: the squeezing of 4 N no longer holds 1 N a contact
+    problem = P.Problems("pair", points, normals, friction, squeeze, wrench, None)
+    solution = solve(problem, problem.squeeze, pair)
+    np.testing.assert_allclose(solution.forces[0, [0, 2]], [[-4, 0, 1], [4, 0, 1]], atol=1e-12)
+    assert solution.verdict[0] == Verdict.CLOSED_FORM_OPTIMAL and solution.rank[0] == 5
+    assert solution.verdict[1] == Verdict.INFEASIBLE
+    direction = solution.certificate[1] / np.linalg.norm(solution.certificate[1])
+    np.testing.assert_allclose(direction, [0, 0, 0, 1, 0, 0], atol=1e-12)
+    assert solution.verdict[2] == Verdict.OPTIMAL
+    # Presses just hard enough: 5 N, so that the largest force is (W/2) sqrt(1 + 1/mu^2).
+    np.testing.assert_allclose(solution.forces[2, [0, 2]], [[-5, 0, 1], [5, 0, 1]], atol=1e-8)
+    largest = np.linalg.norm(solution.forces[2], axis=-1).max()
+    np.testing.assert_allclose(largest, np.sqrt(1 + 1 / 0.2**2), rtol=1e-8)
+
+
+def test_named_sharings_are_their_weights():
+    problem = P.problems("ordinary", 3, COUNT, seed=1)
+    named = solve(problem, "squeeze")
+    assert (named.forces == solve(problem, problem.squeeze).forces).all()
+
+
+def test_weight_zero_keeps_its_squeezing_force():
+    """Fixed contacts press with s a whatever happens; the others share the rest."""
+    problem = P.problems("ordinary", 5, COUNT, seed=11)
+    weights = np.ones((COUNT, 5))
+    weights[:, 0] = 0
+    rng = np.random.default_rng(12)
+    held = problem.squeeze[:, :1, None] * problem.normals[:, :1]
+    others = P.Contacts(*(getattr(problem, name)[:, 1:] for name in P.Contacts._fields))
+    forces = np.concatenate([held, P.allowed_forces(rng, others, others.squeeze)], 1)
+    problem = problem._replace(wrench=P.exact_wrench(problem.points, forces))
+    solution = solve(problem, weights)
+    assert solved(solution).all()
+    np.testing.assert_allclose(solution.forces[:, :1], held, rtol=1e-14, atol=1e-14)
+    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
+    assert judged.gap.max() < GAP and judged.backward_error.max() < BALANCE and judged.violation.max() < ROUNDING
+
+
+def test_safety_divides_the_friction():
+    problem = P.problems("ordinary", 3, COUNT, seed=1)
+    plain = solve(problem._replace(friction=problem.friction / 1.25), problem.squeeze)
+    safe = solve(problem, problem.squeeze, safety=1.25)
+    assert relative(safe.forces, plain.forces).max() < 1e-12 and (safe.verdict == plain.verdict).all()
+    across = safe.forces - np.sum(safe.forces * problem.normals, -1, keepdims=True) * problem.normals
+    used = np.linalg.norm(across, axis=-1) / np.maximum(np.sum(safe.forces * problem.normals, -1), 1e-300)
+    limit = problem.friction / 1.25 * (1 + 1e-9)
+    assert (used <= limit)[solved(safe)].all()
+    for bad in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="safety"):
+            solve(problem, problem.squeeze, safety=bad)
+
+
+def test_bad_data_leave_their_neighbours_alone(case):
+    problem, weights, solution, _ = case
+    arrays = {name: getattr(problem, name).copy() for name in R.ARRAYS}
+    arrays["points"][3, 1, 0] = np.nan
+    arrays["normals"][10, 0] = 0.0
+    arrays["friction"][20, 2] = -0.5
+    arrays["squeeze"][30, 1] = np.inf
+    arrays["wrench"][40, 4] = np.nan
+    bad = np.isin(np.arange(COUNT), [3, 10, 20, 30, 40])
+    other = solve(problem._replace(**arrays), weights)
+    assert (other.verdict[bad] == Verdict.INVALID_DATA).all()
+    assert (other.verdict[~bad] == solution.verdict[~bad]).all()
+    assert relative(other.forces[~bad], solution.forces[~bad]).max() < 1e-12
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(other))
+
+
+NOT_CONVERGED_SHARE = {"wide_squeeze": 0.004, "combined": 0.004, "near_collinear": 0.004, "some_zero_squeeze": 0.004}
+"""Most NOT_CONVERGED answers allowed per kind: at most 1 in 1,000 was measured, in n = 3; none elsewhere."""
+
+
+def never_wrong(kind: str, sharing: str, n: int, count: int, seed: int, gap: float | None = GAP) -> float:
+    """Assert that what claims to be an answer or a proof is one; return the share of NOT_CONVERGED.
+
+    With ``gap`` None the gap may be as large as rounding of wrench and points explains, and the backward error as
+    large as the solver itself lets pass.
+    """
+    problem = P.problems(kind, n, count, seed)
+    weights = problem.weights(sharing)
+    solution = solve(problem, weights)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))
+    known = {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED}
+    if not weights.any():
+        known = {Verdict.NO_CONTACTS}
+    assert set(solution.verdict.tolist()) <= known
+    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
+    good = solved(solution)
+    assert judged.backward_error[good].max(initial=0) <= (DISOWNED if gap is None else BALANCE)
+    assert judged.violation[good].max(initial=0) <= ROUNDING
+    allowed = np.maximum(GAP, judged.rounding) if gap is None else gap
+    assert np.all((judged.gap <= allowed)[good]), f"largest gap {judged.gap[good].max()}"
+    hopeless = solution.verdict == Verdict.INFEASIBLE
+    assert R.proven_need(problem, weights, solution.certificate)[hopeless].min(initial=np.inf) > 1e6
+    assert (solution.certificate[good] == 0).all()
+    if problem.feasible is True:
+        assert not hopeless.any()
+    if problem.feasible is False:
+        assert not good.any()
+    return float((solution.verdict == Verdict.NOT_CONVERGED).mean())
+
+
+FAR_AND_THIN = pytest.mark.xfail(
+    strict=True,
+    reason="gaps up to 1e-7: contacts 1e-7 off a line, in a frame hundreds of radii away, lose digits when torque is "
+    "moved to the centroid; the data's own rounding does as much",
+)
+THIN = pytest.mark.xfail(
+    strict=True,
+    reason="backward errors up to 1.5e-10 where the closed form is optimal and contacts lie 1e-7 off a line: the turn "
+    "into principal axes costs digits of the small arms, and no refinement brings them back",
+)
+BROKEN_LITERALLY = {"combined": FAR_AND_THIN, "near_collinear": THIN}
+KINDS_LITERALLY = [pytest.param(kind, marks=BROKEN_LITERALLY.get(kind, ())) for kind in P.KINDS]
+
+
+ROUNDS = [(sharing, n, seed) for sharing in SHARINGS for n in (3, 5) for seed in range(4)]
+
+
+@pytest.mark.parametrize("kind", KINDS_LITERALLY)
+def test_never_silently_wrong(kind):
+    for sharing, n, seed in ROUNDS:
+        never_wrong(kind, sharing, n, COUNT, seed)
+
+
+@pytest.mark.parametrize("kind", BROKEN_LITERALLY)
+def test_never_wrong_by_more_than_the_data(kind):
+    """Where the law above fails, the gap is no larger than rounding of wrench and points explains."""
+    for sharing, n, seed in ROUNDS:
+        never_wrong(kind, sharing, n, COUNT, seed, gap=None)
+
+
+ZERO_FORCE = pytest.mark.xfail(
+    strict=True,
+    reason="where no force at all is the only answer, forces of 1e-12 are NOT_CONVERGED: their residual is measured "
+    "against themselves",
+)
+
+
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=ZERO_FORCE if k == "zero_wrench" else ()) for k in P.KINDS])
+def test_hardly_ever_gives_up(kind):
+    for sharing in SHARINGS:
+        shares = [never_wrong(kind, sharing, n, COUNT, seed, gap=None) for n in (3, 5) for seed in range(4)]
+        assert np.mean(shares) <= NOT_CONVERGED_SHARE.get(kind, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 5, 10, 20])
+def test_never_silently_wrong_at_length(n):
+    for kind in P.KINDS:
+        for sharing in SHARINGS:
+            gap = None if kind in BROKEN_LITERALLY else GAP
+            share = never_wrong(kind, sharing, n, 1000, 3, gap)
+            if kind != "zero_wrench":
+                assert share <= NOT_CONVERGED_SHARE.get(kind, 0)
+
+
+SINGLE_GAP, SINGLE_BALANCE = 1e-5, 1e-4
+
+
+@pytest.mark.parametrize("kind", ["ordinary", "high_friction", "coincident_some", "coincident_all", "scales"])
+def test_single_precision_answers_are_answers(kind):
+    problem = P.problems(kind, 3, COUNT, seed=3).cast(np.float32)
+    solution = solve(problem, problem.squeeze)
+    assert solution.forces.dtype == np.float32
+    judged = R.judge(problem, problem.squeeze, solution.forces, solution.multiplier)
+    good = solved(solution)
+    assert good.mean() >= 0.95
+    assert (judged.gap <= np.maximum(SINGLE_GAP, judged.rounding))[good].all()
+    assert judged.backward_error[good].max() < SINGLE_BALANCE
+    assert judged.violation[good].max() < 1e-6
+    assert not (solution.verdict == Verdict.INFEASIBLE).any()
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="torque about the contacts' line that a float32 grasp reaches only with large forces is called INFEASIBLE "
+    "on a certificate that proves nothing: certify.out_of_range does not ask what its direction proves",
+)
+def test_single_precision_proofs_are_proofs():
+    for kind in ("near_collinear", "combined"):
+        problem = P.problems(kind, 3, COUNT, seed=3).cast(np.float32)
+        solution = solve(problem, problem.squeeze)
+        hopeless = solution.verdict == Verdict.INFEASIBLE
+        # Half of what double precision must prove in digits.
+        assert R.proven_need(problem, problem.squeeze, solution.certificate)[hopeless].min(initial=np.inf) > 1e2

@@ -1,0 +1,325 @@
+"""Derivatives: forward, reverse and differences agree, and stay finite where the answer has a kink or is none.
+
+Each compiled derivative serves a batch of ``COUNT`` problems, so that every law below costs one compilation.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrasp
+from benchmarks import problems as P
+from jaxgrasp import Grasp, Verdict
+
+COUNT, N = 64, 3
+INPUTS = ("points", "normals", "friction", "squeeze", "wrench", "weights")
+METHODS = {"closed": jaxgrasp.closed_form, "optimum": jaxgrasp.constrained_optimum}
+
+
+def answers(method: str, inputs):
+    """The differentiable fields as a function of all inputs."""
+    points, normals, friction, squeeze, wrench, weights = inputs
+    solution = METHODS[method](Grasp(points, normals, friction, squeeze), wrench, weights)
+    return solution.forces, solution.multiplier, solution.objective
+
+
+def loss(method: str, inputs, pull):
+    return sum(jnp.vdot(p, a) for p, a in zip(pull, answers(method, inputs), strict=True))
+
+
+class Compiled:
+    """Value, forward and reverse derivative of one method, compiled once."""
+
+    def __init__(self, method: str):
+        self.method = method
+        self.value = jax.jit(lambda x: answers(method, x))
+        self.forward = jax.jit(lambda x, t: jax.jvp(lambda x: answers(method, x), (x,), (t,)))
+        self.reverse = jax.jit(lambda x, pull: jax.grad(lambda x: loss(method, x, pull))(x))
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def compiled(request) -> Compiled:
+    return Compiled(request.param)
+
+
+def inputs_of(problem: P.Problems, weights: np.ndarray | None = None):
+    weights = problem.squeeze if weights is None else weights
+    return (problem.points, problem.normals, problem.friction, problem.squeeze, problem.wrench, weights)
+
+
+def steps(inputs, seed: int):
+    """Random directions, of the size of each input."""
+    rng = np.random.default_rng(seed)
+    sizes = (0.05, 1.0, 1.0, 5.0, 1.0, 5.0)
+    return tuple(size * rng.normal(size=x.shape) for size, x in zip(sizes, inputs, strict=True))
+
+
+def anything_like(parts):
+    """Random cotangents; all ones would see only the sum of forces, which equilibrium fixes."""
+    rng = np.random.default_rng(14)
+    return tuple(rng.normal(size=np.shape(part)) for part in parts)
+
+
+def only(name: str, moved):
+    return tuple(m if name in (field, "all") else 0 * m for field, m in zip(INPUTS, moved, strict=True))
+
+
+def along(inputs, moved, length: float):
+    return tuple(x + length * m for x, m in zip(inputs, moved, strict=True))
+
+
+def size_of(array: np.ndarray) -> np.ndarray:
+    return np.abs(np.asarray(array).reshape(COUNT, -1)).max(-1)
+
+
+def smooth_lanes(inputs, multiplier) -> np.ndarray:
+    """Problems with every contact well away from its cone's surface and apex: no kink within a difference's reach."""
+    points, normals, friction, squeeze, _, weights = inputs
+    twist = multiplier[:, None, :3] + np.cross(multiplier[:, None, 3:], points)
+    target = squeeze[..., None] * normals + weights[..., None] * twist
+    along_normal = np.sum(target * normals, -1)
+    across = np.linalg.norm(target - along_normal[..., None] * normals, axis=-1)
+    size = np.linalg.norm(target, axis=-1)
+    surface = np.abs(across - friction * along_normal) / size
+    polar = np.abs(friction * across + along_normal) / size
+    return (np.minimum(surface, polar).min(-1) > 0.1) & (across / size > 0.02).all(-1)
+
+
+@pytest.fixture(scope="module")
+def ordinary():
+    return inputs_of(P.problems("ordinary", N, COUNT, seed=1))
+
+
+@pytest.mark.parametrize("name", [*INPUTS, "all"])
+def test_forward_is_the_limit_of_differences(compiled, ordinary, name):
+    """Fourth-order central differences, at two step lengths of which the better counts, lane by lane."""
+    moved = only(name, steps(ordinary, seed=2))
+    _, tangent = compiled.forward(ordinary, moved)
+    at = [np.asarray(a) for a in compiled.value(ordinary)]
+    lanes = smooth_lanes(ordinary, at[1]) if compiled.method == "optimum" else np.ones(COUNT, bool)
+    assert lanes.sum() > COUNT / 4
+    errors = []
+    for h in (1e-4, 1e-5):
+        far = [compiled.value(along(ordinary, moved, q * h)) for q in (-2, -1, 1, 2)]
+        errors.append([])
+        for field in range(3):
+            a, b, c, d = (np.asarray(values[field]) for values in far)
+            difference = (a - 8 * b + 8 * c - d) / (12 * h)
+            scale = size_of(tangent[field]) + size_of(at[field])
+            errors[-1].append(size_of(difference - tangent[field]) / scale)
+    best = np.minimum(*np.asarray(errors))[:, lanes]
+    assert best.max() < 1e-5
+    assert np.median(best) < 1e-8
+    if name not in ("friction",) or compiled.method == "optimum":
+        assert size_of(tangent[0])[lanes].max() > 0  # a derivative that is always zero would pass otherwise
+
+
+def test_closed_form_does_not_see_friction(ordinary):
+    _, tangent = Compiled("closed").forward(ordinary, only("friction", steps(ordinary, seed=2)))
+    assert all((np.asarray(t) == 0).all() for t in tangent)
+
+
+def test_reverse_is_the_transpose_of_forward(compiled, ordinary):
+    rng = np.random.default_rng(3)
+    moved = steps(ordinary, seed=4)
+    at, tangent = compiled.forward(ordinary, moved)
+    pull = tuple(rng.normal(size=a.shape) / (1 + size_of(a).reshape(-1, *[1] * (a.ndim - 1))) for a in at)
+    pulled = compiled.reverse(ordinary, pull)
+    for name, m, p in zip(INPUTS, moved, pulled, strict=True):
+        _, one = compiled.forward(ordinary, only(name, moved))
+        forward = sum(np.sum((np.asarray(t) * q).reshape(COUNT, -1), -1) for t, q in zip(one, pull, strict=True))
+        reverse = np.sum((np.asarray(p) * m).reshape(COUNT, -1), -1)
+        scale = sum(np.sum(np.abs(np.asarray(t) * q).reshape(COUNT, -1), -1) for t, q in zip(one, pull, strict=True))
+        assert (np.abs(forward - reverse) <= 1e-9 * (scale + np.abs(reverse))).all(), name
+
+
+def test_derivatives_of_the_closed_form_are_exact(ordinary):
+    """dF/dw is the weighted pseudo-inverse itself, and dq*/dw is the multiplier."""
+    closed = Compiled("closed")
+    for j in range(6):
+        direction = np.zeros((COUNT, 6))
+        direction[:, j] = 1
+        moved = tuple(0 * x for x in ordinary[:4]) + (direction, 0 * ordinary[5])
+        (_, multiplier, _), (forces, _, objective) = closed.forward(ordinary, moved)
+        np.testing.assert_allclose(objective, multiplier[:, j], rtol=1e-9, atol=1e-9 * np.abs(multiplier).max())
+        matrix = np.asarray(jaxgrasp.grasp_matrix(ordinary[0]))
+        carried = np.einsum("bij,bj->bi", matrix, np.asarray(forces).reshape(COUNT, -1))
+        np.testing.assert_allclose(carried, direction, atol=1e-10)
+
+
+def test_value_of_the_optimum_moves_by_the_multiplier(ordinary):
+    """The envelope theorem: d objective / d wrench = multiplier, cones active or not."""
+    optimum = Compiled("optimum")
+    pull = (np.zeros((COUNT, N, 3)), np.zeros((COUNT, 6)), np.ones(COUNT))
+    gradient = optimum.reverse(ordinary, pull)[4]
+    multiplier = np.asarray(optimum.value(ordinary)[1])
+    error = size_of(gradient - multiplier) / size_of(multiplier)
+    assert error.max() < 1e-6
+
+
+def hessian_vector(method: str):
+    @jax.jit
+    def product(x, pull, t):
+        return jax.jvp(jax.grad(lambda x: loss(method, x, pull)), (x,), (t,))
+
+    return product
+
+
+def check_hessian(method: str, ordinary):
+    """H v equals the difference of gradients, and v'H u = u'H v lane by lane."""
+    compiled, product = Compiled(method), hessian_vector(method)
+    rng = np.random.default_rng(5)
+    at = [np.asarray(a) for a in compiled.value(ordinary)]
+    pull = tuple(rng.normal(size=a.shape) / (1 + size_of(a).reshape(-1, *[1] * (a.ndim - 1))) for a in at)
+    u, v = steps(ordinary, seed=6), steps(ordinary, seed=7)
+    lanes = smooth_lanes(ordinary, at[1]) if method == "optimum" else np.ones(COUNT, bool)
+    _, hv = product(ordinary, pull, v)
+    _, hu = product(ordinary, pull, u)
+
+    def inner(a, b):
+        return sum(np.sum((np.asarray(p) * q).reshape(COUNT, -1), -1) for p, q in zip(a, b, strict=True))
+
+    size = sum(np.sum(np.abs(np.asarray(p) * q).reshape(COUNT, -1), -1) for p, q in zip(hv, u, strict=True))
+    assert (np.abs(inner(hv, u) - inner(hu, v)) <= 1e-6 * size)[lanes].all()
+    h = 1e-5
+    errors = []
+    far = [compiled.reverse(along(ordinary, v, q * h), pull) for q in (-2, -1, 1, 2)]
+    for field in range(len(INPUTS)):
+        a, b, c, d = (np.asarray(values[field]) for values in far)
+        difference = (a - 8 * b + 8 * c - d) / (12 * h)
+        errors.append(size_of(difference - hv[field]) / (size_of(hv[field]) + size_of(b) + 1e-9))
+    worst = np.asarray(errors)[:, lanes]
+    assert worst.max() < 1e-3 and np.median(worst) < 1e-6
+    assert inner(hv, u)[lanes].any()
+
+
+def test_hessian_vector_products_of_the_closed_form(ordinary):
+    check_hessian("closed", ordinary)
+
+
+@pytest.mark.slow
+def test_hessian_vector_products_of_the_optimum(ordinary):
+    check_hessian("optimum", ordinary)
+
+
+def with_bad_lanes(ordinary):
+    """Ordinary problems with an infeasible and three invalid ones among them."""
+    rows = [x.copy() for x in ordinary]
+    hopeless = inputs_of(P.problems("infeasible", N, 2, seed=8))
+    for row, other in zip(rows, hopeless, strict=True):
+        row[[5, 50]] = other
+    rows[0][7, 1, 0] = np.nan
+    rows[4][20, 2] = np.inf
+    rows[2][30, 0] = -1.0
+    bad = np.isin(np.arange(COUNT), [7, 20, 30])
+    return tuple(rows), bad, np.isin(np.arange(COUNT), [5, 50])
+
+
+def test_unanswerable_problems_have_zero_derivatives(compiled, ordinary):
+    rows, invalid, hopeless = with_bad_lanes(ordinary)
+    silent = invalid | hopeless if compiled.method == "optimum" else invalid
+    moved = steps(ordinary, seed=9)
+    _, tangent = compiled.forward(rows, moved)
+    _, clean = compiled.forward(ordinary, moved)
+    pull = anything_like(tangent)
+    pulled, clean_pulled = compiled.reverse(rows, pull), compiled.reverse(ordinary, pull)
+    untouched = ~(invalid | hopeless)
+    for got, expected in zip((*tangent, *pulled), (*clean, *clean_pulled), strict=True):
+        got, expected = np.asarray(got), np.asarray(expected)
+        assert np.isfinite(got).all()
+        assert (got[silent] == 0).all()
+        assert (np.abs(got - expected) <= 1e-9 * np.abs(expected).max()).reshape(COUNT, -1).all(-1)[untouched].all()
+
+
+@pytest.mark.parametrize("kind", ["invalid", "infeasible"])
+def test_a_batch_of_nothing_else(compiled, ordinary, kind):
+    """No neighbour lends its branch: every problem of the batch is unanswerable."""
+    if kind == "invalid":
+        rows = (np.full_like(ordinary[0], np.nan), *ordinary[1:])
+    else:
+        rows = inputs_of(P.problems("infeasible", N, COUNT, seed=8))
+    _, tangent = compiled.forward(rows, steps(ordinary, seed=9))
+    pulled = compiled.reverse(rows, anything_like(tangent))
+    zero = kind == "invalid" or compiled.method == "optimum"
+    for part in (*tangent, *pulled):
+        assert np.isfinite(part).all()
+        assert not zero or (np.asarray(part) == 0).all()
+
+
+@pytest.mark.parametrize("kind", ["zero_squeeze", "some_zero_squeeze", "zero_friction", "zero_wrench"])
+def test_kinks_of_the_data_are_finite(compiled, kind):
+    """Apex, zero tangential force, zero squeeze: the double ``where`` at work."""
+    problem = P.problems(kind, N, COUNT, seed=10)
+    for weights in (problem.squeeze, np.ones_like(problem.squeeze)):
+        rows = inputs_of(problem, weights)
+        _, tangent = compiled.forward(rows, steps(rows, seed=11))
+        pulled = compiled.reverse(rows, anything_like(tangent))
+        assert all(np.isfinite(part).all() for part in (*tangent, *pulled))
+
+
+def symmetric_triangle():
+    """Contacts whose closed form is purely normal, whatever the wrench along the axis is added to."""
+    angle = np.arange(3) * 2 * np.pi / 3
+    points = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    return points, -points
+
+
+def test_kinks_of_the_answer_are_finite(compiled):
+    """Zero tangential force; a force on the cone's surface; all forces at the apex; coincident contacts."""
+    points, normals = symmetric_triangle()
+    rows = [np.broadcast_to(x, (COUNT, *x.shape)).copy() for x in (points, normals)]
+    friction, squeeze = np.full((COUNT, 3), 0.5), np.full((COUNT, 3), 4.0)
+    wrench = np.zeros((COUNT, 6))
+    wrench[1::4, 2] = 6.0  # 2 N up at each contact, 4 N of normal force, mu 0.5: exactly on the surface
+    squeeze[2::4] = 0.0  # nothing to do and nothing wanted: the apex
+    rows[0][3::4] = points[0]  # one point
+    inputs = (*rows, friction, squeeze, wrench, np.ones((COUNT, 3)))
+    _, tangent = compiled.forward(inputs, steps(inputs, seed=12))
+    pulled = compiled.reverse(inputs, anything_like(tangent))
+    assert all(np.isfinite(part).all() for part in (*tangent, *pulled))
+    # At a kink one element of the generalised Jacobian: forces still move so as to balance the wrench.
+    moved = only("wrench", steps(inputs, seed=12))
+    _, (forces, _, _) = compiled.forward(inputs, moved)
+    full_rank = np.arange(COUNT) % 4 == 0
+    carried = np.einsum("ij,bj->bi", np.asarray(jaxgrasp.grasp_matrix(points)), np.asarray(forces).reshape(COUNT, -1))
+    np.testing.assert_allclose(carried[full_rank], moved[4][full_rank], atol=1e-9)
+
+
+def test_absent_contacts_have_zero_derivative():
+    # Four of five stay: a pair could not balance the wrench, and its derivatives would be zero anyway.
+    problem = P.problems("ordinary", 5, COUNT, seed=13)
+    grasp = Grasp(problem.points.copy(), problem.normals, problem.friction, problem.squeeze, np.ones((COUNT, 5)))
+    grasp.present[:, 1] = 0
+    grasp.points[:, 1] = np.nan
+
+    @jax.jit
+    def pulled(grasp, wrench):
+        return jax.grad(lambda g: (jaxgrasp.closed_form(g, wrench, g.squeeze).forces ** 2).sum())(grasp)
+
+    gradient = pulled(grasp, problem.wrench)
+    for field in (gradient.points, gradient.normals, gradient.friction, gradient.squeeze, gradient.present):
+        field = np.asarray(field)
+        assert np.isfinite(field).all() and (field[:, 1] == 0).all()
+    assert np.abs(gradient.points).max() > 0
+
+
+def test_nested_vmaps_differentiate_alike(compiled, ordinary):
+    """Reverse mode inside vmap of vmap equals the batch's own."""
+    square = tuple(x.reshape(8, 8, *x.shape[1:]) for x in ordinary)
+
+    def single(*x):
+        # Not the plain sum: equilibrium fixes that, and its derivatives are zero.
+        return jax.grad(lambda x: (answers(compiled.method, x)[0] ** 2).sum())(x)
+
+    nested = jax.jit(jax.vmap(jax.vmap(single)))(*square)
+    pull = (2 * np.asarray(compiled.value(ordinary)[0]), np.zeros((COUNT, 6)), np.zeros(COUNT))
+    for got, expected in zip(nested, compiled.reverse(ordinary, pull), strict=True):
+        got, expected = np.asarray(got).reshape(np.shape(expected)), np.asarray(expected)
+        assert (size_of(got - expected) <= 1e-9 * (1 + size_of(expected))).all()
+
+
+def test_verdicts_of_the_samples(ordinary):
+    """The laws above were tried on both kinds of answer."""
+    solution = jaxgrasp.constrained_optimum(Grasp(*ordinary[:4]), ordinary[4], ordinary[5])
+    assert {int(v) for v in np.asarray(solution.verdict)} == {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL}

@@ -18,3 +18,10 @@ def folder(tmp_path, monkeypatch) -> Path:
     """An empty folder that is the working directory too, so that nothing else is written to."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_compiled_code():
+    """Every compiled function holds memory maps, and a process may have only some 65,000 of them."""
+    yield
+    jax.clear_caches()

@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="file.npz; the report goes to file.json")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--count", type=int, default=3200, help="grips to keep")
+    parser.add_argument("--count", type=int, default=3360, help="grips to keep")
     options = parser.parse_args(arguments)
     attempts = list(until(options.count, options.seed))
     kept = [grip for grip in attempts if grip.contacts is not None]

@@ -16,7 +16,7 @@ SHAPES = {
 _SIZES = {
     "precision": ((0.008, 0.026), (0.008, 0.026), (0.015, 0.055)),
     "power": ((0.015, 0.038), (0.015, 0.038), (0.025, 0.075)),
-    "firm": ((0.010, 0.018), (0.020, 0.029), (0.030, 0.060)),
+    "firm": ((0.009, 0.015), (0.022, 0.030), (0.030, 0.060)),
 }
 """Ranges of half sizes [m] along the three axes; what is round has the first for its radius."""
 _GEOM = {

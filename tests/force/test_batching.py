@@ -34,8 +34,12 @@ def flat(request, rows):
     return request.param, jax.device_get(solve(request.param, *rows))
 
 
-def same(got, expected, rtol: float = 1e-12):
-    """Equal verdicts, and fields equal to ``rtol`` of each problem's own size; NaN nowhere."""
+def same(got, expected):
+    """Equal verdicts, and answers equal to 1e-12 of each problem's own size; NaN nowhere.
+
+    Forces of an INFEASIBLE problem are where the search was when the proof stood: no answer, and no tighter than it.
+    """
+    rtol = np.where(expected.verdict.ravel() == Verdict.INFEASIBLE, 1e-6, 1e-12)
     np.testing.assert_array_equal(np.asarray(got.verdict).ravel(), expected.verdict.ravel())
     np.testing.assert_array_equal(np.asarray(got.rank).ravel(), expected.rank.ravel())
     for name in FIELDS:
@@ -81,8 +85,7 @@ def test_loop_over_single_calls_is_the_batch(flat, rows):
     method, expected = flat
     alone = [jax.device_get(solve(method, *(x[i] for x in rows))) for i in range(COUNT)]
     assert alone[0].forces.shape == (N, 3) and alone[0].verdict.shape == ()
-    # Another batch size is other machine code: rounding differs, and Newton stops at another point of its tolerance.
-    same(jax.tree.map(lambda *leaves: np.stack(leaves), *alone), expected, 1e-12 if method == "closed" else 1e-8)
+    same(jax.tree.map(lambda *leaves: np.stack(leaves), *alone), expected)
 
 
 def test_mapped_axis_may_be_any(flat, rows):
@@ -91,12 +94,9 @@ def test_mapped_axis_may_be_any(flat, rows):
     same(jax.vmap(lambda *x: solve(method, *x), in_axes=-1)(*last), expected)
 
 
-def test_one_grasp_serves_many_wrenches(request, flat, rows):
+def test_one_grasp_serves_many_wrenches(flat, rows):
     """Broadcast, mapped over wrenches alone, or written out: one answer."""
     method, _ = flat
-    if method == "optimum":
-        reason = "newton.ascend starts its loop with the shape of the grasp, not of the wrenches: TypeError"
-        request.applymarker(pytest.mark.xfail(strict=True, raises=TypeError, reason=reason))
     grasp, wrenches = tuple(x[0] for x in rows[:4]), rows[4]
     wide = tuple(np.broadcast_to(x, (COUNT, *x.shape)).copy() for x in grasp)
     expected = jax.device_get(solve(method, *wide, wrenches))

@@ -42,11 +42,15 @@ def test_columns_fit_together(sets):
 
 def test_sets_are_diverse(sets):
     n = np.diff(sets["offsets"])
-    assert n.min() == 2 and n.max() >= 15 and n.max() <= 20
+    sizes, sets_of_size = np.unique(n, return_counts=True)
+    assert sizes.tolist() == list(range(2, 21))
+    assert sets_of_size.min() >= 10 and sets_of_size[0] >= 100
     assert set(sets["object"]) == {"sphere", "cylinder", "box", "capsule"}
     for column, least in (("hand", 0.4), ("grip", 0.2), ("object", 0.15)):
         shares = np.unique(sets[column], return_counts=True)[1] / len(n)
         assert shares.min() >= least, column
+    for hand in set(sets["hand"]):
+        assert np.mean(sets["grip"][sets["hand"] == hand] == "precision") >= 0.2, hand
 
 
 def test_values_have_no_faults(sets):

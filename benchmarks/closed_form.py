@@ -85,7 +85,7 @@ def time_one(problem: P.Problems, dtype: str, n: int, batch: int, repeats: int) 
     """Rivals take turns in one process, so that the machine's moods hit both."""
     data = arrays(problem)
     seconds: dict[str, list[float]] = {name: [] for name in METHODS}
-    for name, method in METHODS.items():
+    for method in METHODS.values():
         jax.block_until_ready(method(data))
     for _ in range(repeats):
         for name, method in METHODS.items():
@@ -159,17 +159,26 @@ def machine() -> dict:
 
 
 def markdown(report: dict) -> str:
-    lines = ["| dtype | n | batch | closed_form µs | plain Cholesky µs | max error | rival's max error |", "|" + "---|" * 7]
+    lines = [
+        "| dtype | n | batch | closed_form µs | plain Cholesky µs | max error | rival's max error |",
+        "|" + "---|" * 7,
+    ]
     rows = report["timings"]
     for mine, other in zip(rows[::2], rows[1::2], strict=True):
         lines.append(
             f"| {mine['dtype']} | {mine['n']} | {mine['batch']:,} | {mine['microseconds']:.3f} | "
             f"{other['microseconds']:.3f} | {mine['max_error']:.1e} | {other['max_error']:.1e} |"
         )
-    lines += ["", "| kind | dtype | answered | median error | max error | max residual | wrong, unflagged | of these rank < reference's | rival wrong |"]
+    lines += [
+        "",
+        "| kind | dtype | answered | median error | max error | max residual | wrong, unflagged "
+        "| of these rank < reference's | rival wrong |",
+    ]
     lines.append("|" + "---|" * 9)
     for row in report["errors"]:
-        shown = [f"{row[key]:.1e}" if row[key] is not None else "-" for key in ("median_error", "max_error", "max_residual")]
+        shown = [
+            f"{row[key]:.1e}" if row[key] is not None else "-" for key in ("median_error", "max_error", "max_residual")
+        ]
         lines.append(
             f"| {row['kind']} | {row['dtype']} | {row['answered']} | {' | '.join(shown)} | "
             f"{row['wrong_and_unflagged']} | {row['of_these_with_reduced_rank']} | {row['rival_wrong']} |"

@@ -72,7 +72,8 @@ def main() -> None:
     print("| grasps of 5 contacts | seconds | grasps a second | peak memory |\n|---|---|---|---|")
     for row in rows:
         print(
-            f"| {row['grasps']:,} | {row['seconds']:.2f} | {row['grasps_per_second']:,.0f} | {row['peak_mib']:.0f} MiB |"
+            f"| {row['grasps']:,} | {row['seconds']:.2f} | {row['grasps_per_second']:,.0f} "
+            f"| {row['peak_mib']:.0f} MiB |"
         )
 
 

@@ -1,6 +1,6 @@
 """README's picture: one of the shipped grips whose closed form slips, with its optimum.
 
-    python -m benchmarks.grip_picture --out benchmarks/results/grip.png
+python -m benchmarks.grip_picture --out benchmarks/results/grip.png
 """
 
 import argparse

@@ -156,7 +156,9 @@ def closed_form_reference(
     """
     here = centred(problem, weights, present)
     root = np.sqrt(here.weights / _or_one(here.weights.max(-1, keepdims=True)))
-    columns = np.stack([here.velocities(np.broadcast_to(np.eye(6, dtype=Wide)[i], (len(root), 6))) for i in range(6)], 1)
+    columns = np.stack(
+        [here.velocities(np.broadcast_to(np.eye(6, dtype=Wide)[i], (len(root), 6))) for i in range(6)], 1
+    )
     left = (root[:, None, :, None] * columns).reshape(len(root), 6, -1)
     right = np.broadcast_to(np.eye(6, dtype=Wide), (len(root), 6, 6)).copy()
     left, right = _orthogonalise(left, right)

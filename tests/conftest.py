@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import jax
+import jaxtyping
 import pytest
 
 jax.config.update("jax_enable_x64", True)
@@ -18,6 +19,12 @@ def folder(tmp_path, monkeypatch) -> Path:
     """An empty folder that is the working directory too, so that nothing else is written to."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def unchecked(monkeypatch) -> None:
+    """Array shapes unchecked, as in a user's program, which has only our own messages."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -39,10 +39,11 @@ def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[tuple[np.nda
     wide = widths(sets.sizes, sets.wrenches)
     different = np.unique(wide)
     step = chunk if len(different) == 1 else max(1, chunk // 8)
+    step = -(-step // devices) * devices
     for width in different:
         rows = np.flatnonzero(wide == width)
         chosen = sets if len(rows) == len(sets) else sets.rows(rows)
-        missing = -len(rows) % int(np.lcm(step, devices))
+        missing = -len(rows) % step
         widened = jax.tree.map(partial(_widen, missing=missing, repeats=sets.wrenches), chosen.padded(int(width)))
         yield rows, widened, _widen(chosen.wrench, missing, 1).reshape(-1, 6)
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.model.faults import Fault, GraspError, value_faults
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.faults import Fault, GraspError, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
@@ -56,10 +57,12 @@ class ContactSets:
             grasp: contacts ``(N, n)``, or ``(n,)`` for one grasp.
             wrench: ``(N, 6)`` or ``(N, W, 6)``; ``(6,)`` serves every grasp.
         """
+        for fault in shape_faults(grasp):
+            raise GraspError(fault)
         points = np.asarray(grasp.points)
-        if points.ndim not in (2, 3) or points.shape[-1] != 3:
+        if points.ndim > 3:
             raise GraspError(Fault("points", (), f"an array of shape {points.shape}", "a shape (n, 3) or (N, n, 3)"))
-        points = points.reshape(-1, *points.shape[-2:])
+        points = points if points.ndim == 3 else points[None]
         count, n, _ = points.shape
         present = (
             np.ones((count, n), bool) if grasp.present is None else np.asarray(grasp.present).reshape(count, n) > 0.5
@@ -80,7 +83,9 @@ class ContactSets:
     def rows(self, chosen: slice | np.ndarray) -> "ContactSets":
         """Some of the grasps: a slice, or an array of indices."""
         if isinstance(chosen, slice):
-            start, stop, _ = chosen.indices(len(self))
+            start, stop, step = chosen.indices(len(self))
+            if step != 1:
+                return self.rows(np.arange(start, stop, step))
             stop = max(start, stop)
             own: slice | np.ndarray = slice(self.offsets[start], self.offsets[stop])
             offsets = self.offsets[start : stop + 1] - self.offsets[start]
@@ -112,6 +117,22 @@ class ContactSets:
 
         points, normals, friction, squeeze = (spread(getattr(self, name)) for name in CONTACT_FIELDS)
         return Grasp(points, normals, friction, squeeze, present=there.astype(self.points.dtype))
+
+    def towards_middle(self) -> np.ndarray:
+        """From each contact to the mean of its grasp's contacts, ``(M, 3)`` [m]."""
+        held = np.flatnonzero(self.sizes)
+        if not len(held):
+            return np.zeros((0, 3))
+        sizes = self.sizes[held]
+        middle = np.add.reduceat(self.points, self.offsets[:-1][held], axis=0) / sizes[:, None]
+        return np.repeat(middle, sizes, axis=0) - self.points
+
+    def reach(self) -> np.ndarray:
+        """Largest distance of a contact from the middle, of each grasp that has any [m]."""
+        starts = self.offsets[:-1][self.sizes > 0]
+        return (
+            np.maximum.reduceat(np.linalg.norm(self.towards_middle(), axis=1), starts) if len(starts) else np.zeros(0)
+        )
 
     def astype(self, dtype: np.dtype) -> "ContactSets":
         """The same sets in another precision."""
@@ -150,3 +171,14 @@ def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:
             )
         )
     return wrench
+
+
+def as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None) -> ContactSets:
+    """Contact sets out of what the public functions take."""
+    if isinstance(grasps, Grasp):
+        if wrenches is None:
+            raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
+        return ContactSets.from_grasp(grasps, np.asarray(wrenches))
+    if wrenches is None:
+        return grasps
+    return replace(grasps, wrench=as_wrenches(np.asarray(wrenches), len(grasps)))

@@ -22,44 +22,55 @@ WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
     """Read a small set; errors name the line and the column."""
     path, fill = Path(path), fill or {}
-    with open(path, newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream)
-        header = reader.fieldnames or []
-        needed = ["grasp", *POINT, *NORMAL, *WRENCH, *(c for c in ("friction", "squeeze") if c not in fill)]
-        missing = [column for column in needed if column not in header]
-        if missing:
-            raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}")
-        lines = list(reader)
-    if not lines:
+    try:
+        header, numbered = _read_lines(path)
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise GraspFileError(path, f"it is not CSV in UTF-8 ({error})") from error
+    needed = ["grasp", *POINT, *NORMAL, *WRENCH, *(c for c in ("friction", "squeeze") if c not in fill)]
+    missing = [column for column in needed if column not in header]
+    if missing:
+        raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}")
+    doubled = {column for column in header if header.count(column) > 1}
+    if doubled:
+        raise GraspFileError(path, f"it has the column {min(doubled)} twice")
+    if not numbered:
         raise GraspFileError(path, "it holds no grasps")
-    for line, row in enumerate(lines, 2):
+    lines, rows = zip(*numbered, strict=True)
+    for line, row in numbered:
         if None in row or None in row.values():
             raise GraspFileError(path, f"line {line} has {'more' if None in row else 'fewer'} cells than the header")
 
     def numbers(columns: tuple[str, ...]) -> np.ndarray:
-        return np.array([[_number(path, line, c, row[c]) for c in columns] for line, row in enumerate(lines, 2)])
+        return np.array([[_number(path, line, c, row[c]) for c in columns] for line, row in numbered])
 
-    keys = [row["grasp"] for row in lines]
+    keys = [row["grasp"] for row in rows]
     starts = [i for i, key in enumerate(keys) if i == 0 or key != keys[i - 1]]
-    _check_runs(path, keys, starts)
+    _check_runs(path, keys, starts, lines)
     wrench = numbers(WRENCH)
-    offsets = np.array([*starts, len(lines)])
+    offsets = np.array([*starts, len(rows)])
     for i, start in enumerate(starts):
         differs = np.flatnonzero(
             (wrench[start : offsets[i + 1]] != wrench[start]).any(1) & np.isfinite(wrench[start]).all()
         )
         if len(differs):
-            raise GraspFileError(path, f"line {start + differs[0] + 2} has another wrench than the grasp's first line")
+            raise GraspFileError(path, f"line {lines[start + differs[0]]} has another wrench than its grasp's first")
     contacts = {
-        column: np.full(len(lines), fill[column])
+        column: np.full(len(rows), fill[column])
         if column in fill and column not in header
         else numbers((column,))[:, 0]
         for column in ("friction", "squeeze")
     }
-    labels = {name: np.array([lines[start][name] for start in starts]) for name in LABELS if name in header}
+    labels = {name: np.array([rows[start][name] for start in starts]) for name in LABELS if name in header}
     return ContactSets(
         numbers(POINT), numbers(NORMAL), **contacts, offsets=offsets, wrench=wrench[starts][:, None], labels=labels
     )
+
+
+def _read_lines(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """The header, and each row with the number of its (last) line."""
+    with open(path, newline="", encoding="utf-8-sig") as stream:
+        reader = csv.DictReader(stream)
+        return list(reader.fieldnames or []), [(reader.line_num, row) for row in reader]
 
 
 def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
@@ -82,7 +93,7 @@ def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
 
 
 def _quoted(cell: str) -> str:
-    return '"' + cell.replace('"', '""') + '"' if any(c in cell for c in ',"\n') else cell
+    return '"' + cell.replace('"', '""') + '"' if any(c in cell for c in ',"\n\r') else cell
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
@@ -92,11 +103,11 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
         raise GraspFileError(path, f"line {line}, column {column} is {text!r}: expected a number") from None
 
 
-def _check_runs(path: Path, keys: list[str], starts: list[int]) -> None:
+def _check_runs(path: Path, keys: list[str], starts: list[int], lines: tuple[int, ...]) -> None:
     seen: set[str] = set()
     for start in starts:
         if keys[start] in seen:
             raise GraspFileError(
-                path, f"line {start + 2} returns to grasp {keys[start]!r}: expected its lines together"
+                path, f"line {lines[start]} returns to grasp {keys[start]!r}: expected its lines together"
             )
         seen.add(keys[start])

@@ -60,10 +60,13 @@ class Engine:
     def devices(self) -> int:
         return self._mesh.size
 
-    def run(self, grasp: Grasp, wrench: np.ndarray) -> dict[str, MethodResult]:
-        """Every method on a block ``(B, n)``, ``(B, 6)``, whose size the number of devices divides."""
+    def run(self, grasp: Grasp, wrench: np.ndarray, problems: int) -> dict[str, MethodResult]:
+        """Every method on a block ``(B, n)``, ``(B, 6)``, whose size the number of devices divides.
+
+        ``problems`` of them are the user's, the rest fill the block.
+        """
         grasp, loads = jax.tree.map(self._put, (grasp, wrench))
-        self.times.problems += len(wrench)
+        self.times.problems += problems
         results: dict[str, MethodResult] = {}
         for sharing in dict.fromkeys(method.sharing for method in self.methods):
             results |= self._one_sharing(sharing, grasp, loads)

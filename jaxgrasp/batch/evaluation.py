@@ -1,12 +1,12 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import jax
 import numpy as np
 
 from jaxgrasp.batch.blocks import blocks
-from jaxgrasp.batch.contact_sets import ContactSets, as_wrenches
+from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.methods import METHODS, methods_named
 from jaxgrasp.batch.summary import Summary, summarise
@@ -52,16 +52,11 @@ def evaluate(
         GraspError: for the first fault of the data, before anything is computed.
         ValueError: for an unknown method, or float64 asked for while JAX's 64-bit mode is off.
     """
-    sets = _as_sets(grasps, wrenches)
-    kind = np.dtype(dtype or sets.points.dtype)
-    if kind == np.float64 and not jax.config.read("jax_enable_x64"):
-        raise ValueError(
-            "dtype is float64 while JAX's 64-bit mode is off: call jax.config.update('jax_enable_x64', True) first, "
-            "or pass dtype='float32'"
-        )
+    sets = as_sets(grasps, wrenches)
+    kind = _precision(sets, dtype)
+    sets = sets.astype(kind)
     engine = Engine(methods_named(methods), devices)
     good, kept = usable(sets, skip_bad)
-    good = good.astype(kind)
     results = run(engine, good)
     return Evaluation(
         good, results, summarise(good, results, numbers=kept, set_aside=len(sets) - len(kept)), engine.times
@@ -84,7 +79,10 @@ def run(engine: Engine, sets: ContactSets, chunk: int = 1) -> dict[str, MethodRe
 
     ``chunk`` is the number of grasps in a full chunk, for a stream of them; see ``blocks``.
     """
-    parts = [(rows, engine.run(grasp, wrench)) for rows, grasp, wrench in blocks(sets, chunk, engine.devices)]
+    parts = [
+        (rows, engine.run(grasp, wrench, len(rows) * sets.wrenches))
+        for rows, grasp, wrench in blocks(sets, chunk, engine.devices)
+    ]
     results = {}
     for method in engine.methods:
         shaped = {field.name: _empty(field.name, sets) for field in fields(MethodResult)}
@@ -127,11 +125,13 @@ def _contacts_of(rows: np.ndarray, sets: ContactSets) -> np.ndarray:
     return np.repeat(sets.offsets[:-1][rows] - (ends - sizes), sizes) + np.arange(ends[-1] if len(ends) else 0)
 
 
-def _as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None) -> ContactSets:
-    if isinstance(grasps, Grasp):
-        if wrenches is None:
-            raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
-        return ContactSets.from_grasp(grasps, np.asarray(wrenches))
-    if wrenches is None:
-        return grasps
-    return replace(grasps, wrench=as_wrenches(np.asarray(wrenches), len(grasps)))
+def _precision(sets: ContactSets, dtype: str | np.dtype | None) -> np.dtype:
+    kind = np.dtype(dtype or np.result_type(*(getattr(sets, name) for name in (*CONTACT_FIELDS, "wrench")), np.float32))
+    if kind not in (np.float32, np.float64):
+        raise ValueError(f"dtype is {kind}: expected float32 or float64")
+    if kind == np.float64 and not jax.config.read("jax_enable_x64"):
+        raise ValueError(
+            "dtype is float64 while JAX's 64-bit mode is off: call jax.config.update('jax_enable_x64', True) first, "
+            "or pass dtype='float32'"
+        )
+    return kind

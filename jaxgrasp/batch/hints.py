@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
-from jaxgrasp.batch.evaluation import run
+from jaxgrasp.batch.evaluation import run, usable
 from jaxgrasp.batch.methods import methods_named
 from jaxgrasp.batch.sources import GraspSource, looks_like_millimetres
 from jaxgrasp.batch.stream import Plan
@@ -18,9 +18,11 @@ SAMPLE = 256
 
 def hints(source: GraspSource, plan: Plan, summary: Summary) -> list[str]:
     """Sentences for the user; usually none."""
-    found = []
+    found: list[str] = []
     sample = next(source.chunks(SAMPLE))
-    sample = plan.adjustments.apply(sample)
+    sample, _ = usable(plan.adjustments.apply(sample), skip_bad=True)
+    if not len(sample):
+        return found
     if looks_like_millimetres(sample):
         found.append("contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m.")
     if _points_away(sample):
@@ -38,10 +40,8 @@ def hints(source: GraspSource, plan: Plan, summary: Summary) -> list[str]:
 
 def _points_away(sets: ContactSets) -> bool:
     """Whether the normals of most grasps point away from the contacts' own middle, as no convex object's do."""
-    starts = sets.offsets[:-1]
-    middle = np.add.reduceat(sets.points, starts, axis=0) / sets.sizes[:, None]
-    inward = np.einsum("ci,ci->c", np.repeat(middle, sets.sizes, axis=0) - sets.points, sets.normals)
-    return bool(np.mean(np.add.reduceat(inward, starts) < 0) > 0.8)
+    inward = np.einsum("ci,ci->c", sets.towards_middle(), sets.normals)
+    return bool(np.mean(np.add.reduceat(inward, sets.offsets[:-1]) < 0) > 0.8)
 
 
 def _share_that_holds(summary: Summary) -> float:
@@ -50,8 +50,6 @@ def _share_that_holds(summary: Summary) -> float:
 
 
 def _holds_turned_round(sample: ContactSets, plan: Plan) -> bool:
-    if any(sample.faults()):
-        return False
     turned = replace(sample, normals=-sample.normals).astype(np.dtype(plan.dtype))
     engine = Engine(methods_named(("B-optimum",)), devices=1)
     verdicts = run(engine, turned)["B-optimum"].verdict

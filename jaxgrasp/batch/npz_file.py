@@ -14,6 +14,7 @@ Other columns are left alone. Nothing is ever unpickled.
 
 import os
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO
@@ -25,6 +26,8 @@ from jaxgrasp.batch.file_error import GraspFileError
 
 VERSION = 1
 LABELS = ("name", "source", "object", "hand")
+DAMAGE = (ValueError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, KeyError)
+"""What the standard library raises on a broken, encrypted or otherwise odd archive."""
 
 
 class Column:
@@ -39,7 +42,7 @@ class Column:
             if version not in header:
                 raise ValueError(f"NPY version {version}")
             self.shape, fortran, self.dtype = header[version](self._stream)
-        except (ValueError, zipfile.BadZipFile, OSError, EOFError) as error:
+        except DAMAGE as error:
             raise GraspFileError(path, f"its column {name!r} cannot be read ({error})") from error
         if self.dtype.hasobject:
             raise GraspFileError(path, f"its column {name!r} holds pickled objects: expected plain numbers or text")
@@ -53,7 +56,7 @@ class Column:
         size = rows * self._row_bytes
         try:
             data = self._stream.read(size)
-        except (zipfile.BadZipFile, OSError, EOFError) as error:
+        except DAMAGE as error:
             raise GraspFileError(self._path, f"its column {self.name!r} is damaged ({error})") from error
         if len(data) != size:
             raise GraspFileError(self._path, f"its column {self.name!r} ends early: the file is truncated")
@@ -81,9 +84,10 @@ class NpzGrasps:
             self._archive = zipfile.ZipFile(self.path)
         except FileNotFoundError:
             raise
-        except (zipfile.BadZipFile, OSError) as error:
+        except DAMAGE as error:
             raise GraspFileError(self.path, "it is not a complete .npz archive") from error
-        self.names = [member.removesuffix(".npy") for member in self._archive.namelist()]
+        members = self._archive.namelist()
+        self.names = [member.removesuffix(".npy") for member in members if member.endswith(".npy")]
         self._check_names()
         self._shapes = {
             name: self._open(name).shape for name in self.names if name in (*CONTACT_FIELDS, "wrench", "offsets")
@@ -110,6 +114,12 @@ class NpzGrasps:
     @property
     def largest(self) -> int:
         return int(np.diff(self.offsets).max(initial=0))
+
+    @property
+    def fingerprint(self) -> int:
+        """Checksum of the checksums that the archive keeps of its members."""
+        parts = [f"{member.filename} {member.CRC} {member.file_size}" for member in self._archive.infolist()]
+        return zlib.crc32("\n".join(sorted(parts)).encode())
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
         """The grasps from ``start`` on, ``size`` at a time, in order."""
@@ -153,7 +163,11 @@ class NpzGrasps:
         wanted = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
         missing = [name for name in wanted if name not in self.names]
         if missing:
-            hint = "".join(f"; --{name} gives one value to all" for name in missing if name in ("friction", "squeeze"))
+            hint = "".join(
+                f"; jaxgrasp evaluate --{name} gives one value to all"
+                for name in missing
+                if name in ("friction", "squeeze")
+            )
             raise GraspFileError(
                 self.path,
                 f"it lacks {', '.join(map(repr, missing))} and holds {', '.join(self.names) or 'nothing'}{hint}",
@@ -162,8 +176,11 @@ class NpzGrasps:
     def _check_version(self) -> None:
         if "version" not in self.names:
             return
-        with self._archive.open("version.npy") as stream:
-            version = np.lib.format.read_array(stream, allow_pickle=False)
+        try:
+            with self._archive.open("version.npy") as stream:
+                version = np.lib.format.read_array(stream, allow_pickle=False)
+        except DAMAGE as error:
+            raise GraspFileError(self.path, f"its version cannot be read ({error})") from error
         if version.shape != () or version != VERSION:
             raise GraspFileError(self.path, f"its version is {version}: this jaxgrasp reads version {VERSION}")
 
@@ -175,6 +192,8 @@ class NpzGrasps:
                     self.path, f"points has shape {shape}: expected (N, n, 3), or (M, 3) with a column 'offsets'"
                 )
             return np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
+        if not shape:
+            raise GraspFileError(self.path, "points is a single number: expected (M, 3)")
         column = self._open("offsets")
         if len(column.shape) != 1 or column.shape[0] == 0 or not np.issubdtype(column.dtype, np.integer):
             raise GraspFileError(
@@ -217,12 +236,12 @@ def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
     """Write a grasp file, whole or not at all."""
     path = Path(path)
     uniform = len(sets) > 0 and np.all(sets.sizes == sets.largest)
-    columns = {name: getattr(sets, name) for name in CONTACT_FIELDS}
+    columns = {name: np.ascontiguousarray(getattr(sets, name)) for name in CONTACT_FIELDS}
     if uniform:
         columns = {name: a.reshape(len(sets), sets.largest, *a.shape[1:]) for name, a in columns.items()}
     else:
         columns["offsets"] = np.asarray(sets.offsets, np.int64)
-    wrench = sets.wrench[:, 0] if sets.wrenches == 1 else sets.wrench
+    wrench = np.ascontiguousarray(sets.wrench[:, 0] if sets.wrenches == 1 else sets.wrench)
     texts = {name: np.asarray(values, str) for name, values in sets.labels.items()}
     whole = {"version": np.array(VERSION), "wrench": wrench, **columns, **texts}
     replace_file(path, lambda stream: save_arrays(stream, whole))

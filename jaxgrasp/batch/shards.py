@@ -7,6 +7,7 @@ the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts.
 
 import json
 import os
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -17,6 +18,10 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import replace_file, save_arrays
 
 MANIFEST = "manifest.json"
+OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
+PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
+BESIDE = ("summary.json", "report.html")
+"""What the command line writes beside the results, and what is stale without them."""
 SMALL = 64 << 20
 """Results up to this many bytes end as one file instead of shards."""
 
@@ -39,24 +44,30 @@ class ResultFolder:
             probe.unlink()
         except OSError as error:
             raise GraspFileError(folder, f"the output folder cannot be written ({error.strerror})") from error
-        self.manifest = {"version": 1, **identity, "shards": [], "complete": False}
+        self._earlier: dict | None = None
+        self.manifest: dict = {"version": 1, **identity, "shards": [], "complete": False}
         if (folder / MANIFEST).exists():
             self._take_up(identity, resume)
-        named = {entry["file"] for entry in self.manifest["shards"]}
-        for leftover in (*folder.glob(".*.partial"), *folder.glob("shard-*.npz")):
-            if leftover.name not in named:
-                leftover.unlink()
+        elif unknown := [path.name for path in folder.iterdir() if OURS.fullmatch(path.name)]:
+            raise GraspFileError(folder, f"it holds {unknown[0]} of unknown origin: choose another --out, or move it")
 
     def _take_up(self, identity: dict, resume: bool) -> None:
-        found = json.loads((self.folder / MANIFEST).read_text())
+        try:
+            found = json.loads((self.folder / MANIFEST).read_text())
+            complete, entries = found["complete"], found["shards"]
+            files = [entry["file"] for entry in entries]
+        except (ValueError, KeyError, TypeError) as error:
+            raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
+        if not all(OURS.fullmatch(name) for name in files):
+            raise GraspFileError(self.folder, f"its {MANIFEST} names files that are not ours")
         if not resume:
-            if found.get("complete"):
-                self.clear(found)
-                return
-            raise GraspFileError(
-                self.folder, "it holds an unfinished evaluation: --resume goes on with it, or choose another --out"
-            )
-        differing = [key for key, value in identity.items() if found.get(key) != value]
+            if not complete and entries:
+                raise GraspFileError(
+                    self.folder, "it holds an unfinished evaluation: --resume goes on with it, or choose another --out"
+                )
+            self._earlier = found
+            return
+        differing = [key for key, value in self.manifest.items() if key in identity and found.get(key) != value]
         if differing:
             key = differing[0]
             raise GraspFileError(
@@ -65,11 +76,16 @@ class ResultFolder:
             )
         self.manifest = found
 
-    def clear(self, found: dict) -> None:
-        """Remove the files of an earlier, finished evaluation; nothing else in the folder is touched."""
-        for entry in found["shards"]:
-            (self.folder / entry["file"]).unlink(missing_ok=True)
-        (self.folder / MANIFEST).unlink()
+    def begin(self) -> None:
+        """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
+        if self._earlier:
+            for name in (*(entry["file"] for entry in self._earlier["shards"]), *BESIDE):
+                (self.folder / name).unlink(missing_ok=True)
+        named = {entry["file"] for entry in self.manifest["shards"]}
+        for path in self.folder.iterdir():
+            if PARTIAL.fullmatch(path.name) or (OURS.fullmatch(path.name) and path.name not in named):
+                path.unlink()
+        self._write_manifest()
 
     @property
     def done(self) -> int:

@@ -2,6 +2,7 @@
 
 import os
 import warnings
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,10 +10,10 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_sets
 from jaxgrasp.batch.csv_file import read_csv, write_csv
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import NpzGrasps, write_npz
+from jaxgrasp.batch.npz_file import LABELS, NpzGrasps, write_npz
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
@@ -30,6 +31,11 @@ class GraspSource(Protocol):
 
     @property
     def largest(self) -> int: ...
+
+    @property
+    def fingerprint(self) -> int:
+        """A checksum of the contents."""
+        ...
 
     def __len__(self) -> int: ...
 
@@ -52,6 +58,13 @@ class MemorySource:
     @property
     def largest(self) -> int:
         return self._sets.largest
+
+    @property
+    def fingerprint(self) -> int:
+        sum_ = 0
+        for name in (*CONTACT_FIELDS, "offsets", "wrench"):
+            sum_ = zlib.crc32(np.ascontiguousarray(getattr(self._sets, name)).tobytes(), sum_)
+        return sum_
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
         for first in range(start, len(self), size):
@@ -121,21 +134,21 @@ def save_grasps(
     Raises:
         GraspError: for the first entry that is not usable.
     """
-    if isinstance(grasps, Grasp):
-        if wrenches is None:
-            raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
-        grasps = ContactSets.from_grasp(grasps, np.asarray(wrenches))
+    sets = as_sets(grasps, wrenches)
+    for name, values in labels.items():
+        if name not in LABELS:
+            raise ValueError(f"label {name!r} is unknown: expected some of {', '.join(LABELS)}")
+        if np.shape(values) != (len(sets),):
+            raise ValueError(f"{name} has shape {np.shape(values)}: expected ({len(sets)},), a text for each grasp")
     if labels:
-        grasps = replace(grasps, labels={name: np.asarray(values, str) for name, values in labels.items()})
-    for fault in grasps.faults():
+        sets = replace(sets, labels={name: np.asarray(values, str) for name, values in labels.items()})
+    for fault in sets.faults():
         raise GraspError(fault)
     writer = write_csv if Path(path).suffix.lower() == ".csv" else write_npz
-    writer(path, grasps)
+    writer(path, sets)
 
 
 def looks_like_millimetres(sets: ContactSets) -> bool:
     """Whether most grasps are larger than any hand, as they are when lengths are in millimetres."""
-    starts = sets.offsets[:-1]
-    middle = np.add.reduceat(sets.points, starts, axis=0) / sets.sizes[:, None]
-    reach = np.linalg.norm(sets.points - np.repeat(middle, sets.sizes, axis=0), axis=1)
-    return bool(np.median(np.maximum.reduceat(reach, starts)) > MILLIMETRES_LIKELY)
+    reach = sets.reach()
+    return bool(len(reach) and np.median(reach) > MILLIMETRES_LIKELY)

@@ -31,12 +31,13 @@ class Plan:
     skip_bad: bool = False
     adjustments: Adjustments = field(default_factory=Adjustments)
 
-    def identity(self, source: str, count: int) -> dict:
+    def identity(self, name: str, source: GraspSource) -> dict:
         """What must be equal for results to belong to the same evaluation."""
         adjusted = {"outward_normals": self.adjustments.outward_normals, **self.adjustments.fill}
         return {
-            "input": source,
-            "grasps": count,
+            "input": name,
+            "fingerprint": source.fingerprint,
+            "grasps": len(source),
             "methods": list(self.methods),
             "chunk": self.chunk,
             "dtype": self.dtype,
@@ -81,6 +82,8 @@ def evaluate_stream(
     summary = _summary_so_far(folder) if resumed and folder else None
     if not plan.skip_bad and not resumed:
         check_all(source, plan.adjustments, plan.chunk)
+    if folder:
+        folder.begin()
     constrained = {method.name for method in methods if method.constrained}
     with ThreadPoolExecutor(1) as writer:
         pending: Future | None = None

@@ -41,6 +41,8 @@ def summary_text(summary: Summary, times: Times, seconds: float) -> str:
 
 def _what_was_read(summary: Summary) -> str:
     sizes = [n for n, count in enumerate(summary.sizes) if count]
+    if not sizes:
+        return f"no usable grasps; {summary.set_aside:,} bad grasps set aside"
     span = f"{sizes[0]}" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]}"
     text = f"{summary.grasps:,} grasps of {span} contacts, {summary.contacts:,} contacts in all"
     if summary.problems != summary.grasps:

@@ -1,6 +1,7 @@
 """``jaxgrasp evaluate``: from a file of grasps to results, a summary and a report."""
 
 import json
+import math
 import platform
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -27,30 +28,42 @@ def evaluate_command(arguments: Evaluate) -> int:
     """Evaluate once, or once for each swept value of friction and squeeze."""
     if arguments.chunk < 1:
         raise ValueError(f"chunk is {arguments.chunk}: expected a number of grasps, 1 or more")
+    for name in ("friction", "squeeze"):
+        _check_values(name, getattr(arguments, name))
     set_up_jax(arguments.dtype)
     sweeping = len(arguments.friction) > 1 or len(arguments.squeeze) > 1
     for friction, squeeze in product(arguments.friction or (None,), arguments.squeeze or (None,)):
         adjustments = Adjustments(arguments.normals == "outward", friction, squeeze)
         folder = arguments.out
         if sweeping:
-            label = "-".join(f"{name}-{value:g}" for name, value in adjustments.fill.items())
+            label = "-".join(f"{name}-{value!r}" for name, value in adjustments.fill.items())
             folder = folder / label
             print(f"\n== {label} ==")
         _evaluate_one(arguments, adjustments, folder)
     return 0
 
 
+def _check_values(name: str, values: tuple[float, ...]) -> None:
+    for index, value in enumerate(values):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"{name}[{index}] is {value}: expected a finite number, zero or more")
+        if value in values[:index]:
+            raise ValueError(f"{name}[{index}] is {value}, for the second time: expected different values")
+
+
 def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> None:
     plan = Plan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments)
     path = data_path(arguments)
     with opened(arguments, adjustments) as source:
-        folder = ResultFolder(out, plan.identity(path.name, len(source)), arguments.resume)
+        folder = ResultFolder(out, plan.identity(path.name, source), arguments.resume)
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
             outcome = evaluate_stream(source, plan, folder, bar.update)
         print(summary_text(outcome.summary, outcome.times, outcome.seconds))
         for hint in hints(source, plan, outcome.summary):
             print(f"hint: {hint}")
-    _write_summary(out / "summary.json", outcome, arguments)
+    # A resumed evaluation that was finished already has nothing new to say, and no times.
+    if outcome.times.problems or not (out / "summary.json").exists():
+        _write_summary(out / "summary.json", outcome, arguments)
     print(f"results: {out}")
     if arguments.report:
         _write_report(out / "report.html", path, outcome, arguments)

@@ -51,20 +51,16 @@ def validate_command(arguments: Validate) -> int:
 
 
 def _facts(sets: ContactSets) -> dict:
-    starts = sets.offsets[:-1]
-    middle = np.add.reduceat(sets.points, starts, axis=0) / sets.sizes[:, None]
-    reach = np.linalg.norm(sets.points - np.repeat(middle, sets.sizes, axis=0), axis=1)
-
     def span(values: np.ndarray) -> tuple[float, float]:
-        return float(np.min(values)), float(np.max(values))
+        return float(np.min(values, initial=np.inf)), float(np.max(values, initial=-np.inf))
 
     return {
         "sizes": sets.sizes,
-        "radius": span(np.maximum.reduceat(reach, starts)),
+        "radius": span(sets.reach()),
         "friction": span(sets.friction),
         "squeeze": span(sets.squeeze),
         "force": span(np.linalg.norm(sets.wrench[..., :3], axis=-1)),
         "torque": span(np.linalg.norm(sets.wrench[..., 3:], axis=-1)),
-        "labels": {name: np.unique(values) for name, values in sets.labels.items()},
+        "labels": {name: np.unique(values.astype(str)) for name, values in sets.labels.items()},
         "millimetres": looks_like_millimetres(sets),
     }

@@ -45,7 +45,7 @@ def check_grasp(grasp: Grasp) -> Grasp:
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(grasp)):
         raise TypeError("check_grasp needs concrete arrays: call it outside jit, vmap and grad")
-    for fault in shape_faults(grasp):
+    for fault in (*shape_faults(grasp), *dtype_faults(grasp)):
         raise GraspError(fault)
     fields = {name: np.asarray(getattr(grasp, name)) for name in ("points", "normals", "friction", "squeeze")}
     present = None if grasp.present is None else np.asarray(grasp.present)
@@ -55,7 +55,7 @@ def check_grasp(grasp: Grasp) -> Grasp:
 
 
 def shape_faults(grasp: Grasp) -> Iterator[Fault]:
-    """Fields of a Grasp whose shape or dtype does not fit ``points``."""
+    """Fields of a Grasp whose shape does not fit ``points``."""
     shape = np.shape(grasp.points)
     if len(shape) < 2 or shape[-1] != 3:
         yield Fault("points", (), f"an array of shape {shape}", "a shape (..., n, 3)")
@@ -65,8 +65,12 @@ def shape_faults(grasp: Grasp) -> Iterator[Fault]:
         array = getattr(grasp, name)
         if not (name == "present" and array is None) and np.shape(array) != expected:
             yield Fault(name, (), f"an array of shape {np.shape(array)}", f"the shape {expected} that points imply")
+
+
+def dtype_faults(grasp: Grasp) -> Iterator[Fault]:
+    """Fields of a Grasp that hold no floating-point numbers, or of another precision than ``points``."""
     dtype = np.asarray(grasp.points).dtype
-    for name in ("points", *wanted):
+    for name in ("points", "normals", "friction", "squeeze", "present"):
         array = getattr(grasp, name)
         if array is None:
             continue

@@ -16,6 +16,7 @@ def same(a: ContactSets, b: ContactSets) -> None:
 
 def test_slices_and_indices_choose_the_same_rows(ragged):
     same(ragged.rows(slice(2, 5)), ragged.rows(np.array([2, 3, 4])))
+    same(ragged.rows(slice(0, 6, 2)), ragged.rows(np.array([0, 2, 4])))
     assert len(ragged.rows(slice(3, 3))) == 0
     assert len(ragged.rows(np.array([], int))) == 0
 

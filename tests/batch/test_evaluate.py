@@ -130,7 +130,7 @@ def plan(**changes) -> Plan:
 
 def streamed(sets, folder, resume=False, **changes):
     wanted = plan(**changes)
-    out = ResultFolder(folder, wanted.identity("sets", len(sets)), resume)
+    out = ResultFolder(folder, wanted.identity("sets", MemorySource(sets)), resume)
     return evaluate_stream(MemorySource(sets), wanted, out)
 
 
@@ -175,7 +175,7 @@ class Interrupted(MemorySource):
 
 def test_an_interrupted_stream_goes_on(sets, whole, tmp_path):
     wanted = plan()
-    identity = wanted.identity("sets", len(sets))
+    identity = wanted.identity("sets", MemorySource(sets))
     with pytest.raises(KeyboardInterrupt):
         evaluate_stream(Interrupted(sets), wanted, ResultFolder(tmp_path, identity, resume=False))
     manifest, _ = read_results(tmp_path)
@@ -213,6 +213,71 @@ def test_a_stream_stops_before_computing_at_a_bad_grasp(sets, tmp_path):
     assert outcome.summary.set_aside == 1
     _, (results,) = read_results(tmp_path)
     assert 39 not in results["grasp"]
+
+
+def test_resuming_with_other_data_is_refused(sets, tmp_path):
+    wanted = plan()
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_stream(
+            Interrupted(sets), wanted, ResultFolder(tmp_path, wanted.identity("sets", MemorySource(sets)), resume=False)
+        )
+    other = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
+    with pytest.raises(GraspFileError, match="fingerprint"):
+        streamed(other, tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("name", ["results.npz", "shard-00000.npz"])
+def test_files_of_unknown_origin_are_left_alone(sets, tmp_path, name):
+    (tmp_path / name).write_bytes(b"mine")
+    with pytest.raises(GraspFileError, match=f"it holds {name} of unknown origin"):
+        streamed(sets, tmp_path)
+    assert (tmp_path / name).read_bytes() == b"mine"
+
+
+def test_a_run_that_fails_leaves_earlier_results(sets, tmp_path):
+    streamed(sets, tmp_path, methods=("B",))
+    before = (tmp_path / "results.npz").read_bytes()
+    spoiled = dataclasses.replace(sets, friction=np.full_like(sets.friction, np.nan))
+    with pytest.raises(jaxgrasp.GraspError):
+        streamed(spoiled, tmp_path)
+    assert (tmp_path / "results.npz").read_bytes() == before
+
+
+@pytest.mark.parametrize("text", ["[1]", "{", '{"complete": true}', '{"complete": true, "shards": [{"file": "../x"}]}'])
+def test_a_foreign_manifest_is_refused(sets, tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(GraspFileError, match="not one of ours|not ours"):
+        streamed(sets, tmp_path)
+
+
+def test_nothing_usable_is_said(sets):
+    spoiled = dataclasses.replace(sets, friction=np.full_like(sets.friction, np.nan))
+    nothing = evaluate(spoiled, skip_bad=True, methods=("B",))
+    assert summary_text(nothing.summary, nothing.times, 1.0).startswith("no usable grasps; 40 bad grasps set aside")
+
+
+@pytest.mark.parametrize("devices", [1, 2, 6, 12])
+def test_chunks_are_filled_no_further_than_needed(devices):
+    (block,) = blocks.blocks(make_sets([4] * 64), 64, devices)
+    assert 64 <= len(block[2]) < 64 + devices and len(block[2]) % devices == 0
+
+
+def test_integers_are_taken_as_numbers(unchecked):
+    points = np.array([[[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]])
+    grasp = jaxgrasp.Grasp(points, -points.astype(float), np.full((1, 4), 0.5), np.ones((1, 4)))
+    result = evaluate(grasp, np.array([[0, 0, 0.75, 0, 0, 0]]), methods=("B",)).results["B"]
+    np.testing.assert_allclose(result.forces[:, 0, 2], 0.1875)
+    with pytest.raises(ValueError, match="dtype is float16: expected float32 or float64"):
+        evaluate(grasp, np.zeros(6), dtype="float16")
+
+
+def test_shapes_that_only_happen_to_fit_are_refused(unchecked):
+    grasp = make_sets([4] * 5).padded(4)
+    turned = dataclasses.replace(grasp, friction=grasp.friction.T)
+    with pytest.raises(
+        jaxgrasp.GraspError, match=r"friction is an array of shape \(4, 5\): expected the shape \(5, 4\)"
+    ):
+        evaluate(turned, np.zeros(6))
 
 
 def test_an_unwritable_folder_is_refused(sets, tmp_path):

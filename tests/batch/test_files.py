@@ -217,3 +217,50 @@ def test_a_bad_csv_names_the_line(folder, text, message):
     (folder / "set.csv").write_text(text)
     with pytest.raises(jaxgrasp.GraspFileError, match=message):
         jaxgrasp.load_grasps("set.csv")
+
+
+def test_the_line_of_a_fault_counts_blank_lines(folder):
+    (folder / "set.csv").write_text(CSV + ROW + "\n\n" + ROW.replace("0.5", "half"))
+    with pytest.raises(jaxgrasp.GraspFileError, match="line 5, column friction"):
+        jaxgrasp.load_grasps("set.csv")
+
+
+def test_other_encodings_are_refused(folder):
+    (folder / "set.csv").write_bytes((CSV + ROW).replace("0.5", "\xe9").encode("latin-1"))
+    with pytest.raises(jaxgrasp.GraspFileError, match="not CSV in UTF-8"):
+        jaxgrasp.load_grasps("set.csv")
+
+
+def test_any_memory_order_is_written(folder):
+    sets = make_sets([3, 5])
+    wrenches = np.asfortranarray(sets.wrench[:, 0])
+    jaxgrasp.save_grasps("set.npz", dataclasses.replace(sets, points=np.asfortranarray(sets.points)), wrenches)
+    same(jaxgrasp.load_grasps("set.npz"), sets)
+
+
+def test_given_wrenches_replace_those_of_the_sets(folder):
+    jaxgrasp.save_grasps("set.npz", make_sets([3, 5]), np.ones((2, 6)))
+    assert np.all(jaxgrasp.load_grasps("set.npz").wrench == 1)
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [({"names": ["a", "b"]}, "label 'names' is unknown"), ({"name": ["a"]}, r"name has shape \(1,\): expected \(2,\)")],
+)
+def test_labels_are_checked(folder, unchecked, labels, message):
+    with pytest.raises(ValueError, match=message):
+        jaxgrasp.save_grasps("set.npz", make_sets([3, 5]), **labels)
+    assert os.listdir(folder) == []
+
+
+def test_damage_anywhere_in_a_compressed_file_is_one_clear_error(folder):
+    np.savez_compressed("good.npz", version=1, **columns(make_sets([30, 50])))
+    data = (folder / "good.npz").read_bytes()
+    for place in range(0, len(data), 97):
+        spoiled = bytearray(data)
+        spoiled[place] ^= 0xFF
+        (folder / "set.npz").write_bytes(spoiled)
+        try:
+            jaxgrasp.load_grasps("set.npz")
+        except (jaxgrasp.GraspFileError, jaxgrasp.GraspError):
+            pass

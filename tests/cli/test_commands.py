@@ -62,6 +62,8 @@ def test_validate_lists_every_fault(grasps, capsys):
         (["grasps.npz", "--chunk", "0"], "chunk is 0: expected"),
         (["grasps.npz", "--out", "grasps.npz/out"], "output folder cannot be written"),
         (["."], "is a directory"),
+        (["grasps.npz", "--friction", "0.3", "-1"], "friction[1] is -1.0: expected"),
+        (["grasps.npz", "--squeeze", "2", "2"], "squeeze[1] is 2.0, for the second time"),
     ],
 )
 def test_errors_are_one_line(grasps, arguments, message):

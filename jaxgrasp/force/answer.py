@@ -74,10 +74,14 @@ def rank(frame: Frame, stretch: Vec) -> Array:
 
 
 def backward_error(lanes: Lanes, forces: Vec, stretch: Vec) -> Array:
-    """|w - G f| / (|w| + sum of |G_i||f_i|), in the lanes' coordinates and as stretched: the larger."""
+    """|w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as stretched: the larger.
+
+    The squeezing force counts because f_i is computed from it: where zero is the right answer, an error
+    cannot be measured against that.
+    """
     one = jnp.ones_like(lanes.force.x)
     size2 = vec.dot(lanes.arms, lanes.arms)
-    push = vec.norm(forces)
+    push = jnp.maximum(vec.norm(forces), lanes.squeeze)
 
     def relative(scales: Vec) -> Array:
         rest = dual.residual(lanes, forces, scales)

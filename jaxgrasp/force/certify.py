@@ -35,6 +35,8 @@ def out_of_range(lanes: Lanes, stretch: Vec) -> tuple[Array, Six]:
     """
     zero = jnp.zeros_like(lanes.force.x)
     beyond = Vec(*(jnp.where(s > 0, 0, t) for s, t in zip(stretch, lanes.torque, strict=True)))
+    direction = dual.six(Vec(zero, zero, zero), beyond)
     # Loads are of order one here, so this compares with the whole load.
     missed = vec.norm(beyond) > tolerances(zero.dtype).range
-    return missed, dual.six(Vec(zero, zero, zero), beyond)
+    one = jnp.ones_like(zero)
+    return missed & proves_infeasible(lanes, direction, Vec(one, one, one)), direction

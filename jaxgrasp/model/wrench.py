@@ -26,9 +26,9 @@ def grasp_matrix(points: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 
 
 
 def weight_wrench(
-    mass: Float[AnyArray, "*batch"] | float,
-    center_of_mass: Float[AnyArray, "*batch 3"],
-    gravity: Float[AnyArray, "*batch 3"],
+    mass: Float[AnyArray, "*#batch"] | float,
+    center_of_mass: Float[AnyArray, "*#batch 3"],
+    gravity: Float[AnyArray, "*#batch 3"],
 ) -> Float[Array, "*batch 6"]:
     """The wrench that contacts must exert to hold a weight.
 

@@ -14,10 +14,8 @@ if hasattr(os, "sched_setaffinity"):
 
 import argparse
 import json
-import platform
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -27,6 +25,7 @@ import numpy as np
 import jaxgrasp
 from benchmarks import problems as P
 from benchmarks import references as R
+from benchmarks.machine import machine
 from jaxgrasp import Grasp, Verdict
 
 SIZES, BATCHES, DTYPES = (3, 5, 10, 20), (1_000, 100_000), (np.float64, np.float32)
@@ -146,16 +145,6 @@ def errors() -> list[dict]:
 
 def counts(verdicts: np.ndarray) -> dict[str, int]:
     return {Verdict(int(v)).name: int((verdicts == v).sum()) for v in np.unique(verdicts)}
-
-
-def machine() -> dict:
-    model = platform.processor() or platform.machine()
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        names = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
-    packages = {name: version(name) for name in ("jaxgrasp", "jax", "jaxlib", "numpy")}
-    return {"cpu": model, "cores": os.cpu_count(), "python": platform.python_version(), **packages}
 
 
 def markdown(report: dict) -> str:

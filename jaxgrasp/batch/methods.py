@@ -16,11 +16,6 @@ class Method:
     sharing: str
     constrained: bool
 
-    @property
-    def closed(self) -> "Method":
-        """The closed form with the same sharing."""
-        return METHODS[self.name[0]]
-
 
 METHODS = {
     method.name: method

@@ -50,8 +50,6 @@ def load(lanes: Lanes, stretch: Vec) -> Six:
 class Forces(NamedTuple):
     """The best forces for a multiplier, and what they came from."""
 
-    target: Vec
-    """Squeezing forces plus what the multiplier asks for, before projection."""
     twist: Vec
     """The multiplier's velocity at each contact."""
     sides: cones.Split
@@ -78,7 +76,7 @@ def best_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Forces:
     twist = twist_at(lanes, multiplier, stretch)
     target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
     sides = cones.split(target, lanes.normals, lanes.friction)
-    return Forces(target, twist, sides, cones.project(target, lanes.normals, lanes.friction, sides))
+    return Forces(twist, sides, cones.project(target, lanes.normals, lanes.friction, sides))
 
 
 def residual(lanes: Lanes, forces: Vec, stretch: Vec) -> Six:

@@ -15,6 +15,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.vec import Vec
@@ -111,7 +112,7 @@ def normalise(lanes: Lanes) -> tuple[Lanes, Frame]:
     centre = vec.add(first, rest)
     length = vec.safe_sqrt(jnp.sum(k * vec.dot(arms, arms), 0, keepdims=True))
     # Contacts that coincide but for rounding have no length of their own.
-    blur = rank_cut(length.dtype) * jnp.sqrt(vec.dot(centre, centre))
+    blur = tolerances(length.dtype).rank * jnp.sqrt(vec.dot(centre, centre))
     length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec.dot(centre, centre)), 1))
     pull = vec.norm(lanes.force) + vec.norm(torque) / length
     load = jnp.sum(lanes.squeeze, 0, keepdims=True) + pull
@@ -126,11 +127,6 @@ def normalise(lanes: Lanes) -> tuple[Lanes, Frame]:
         torque=vec.scale(1 / (load * length), torque),
     )
     return normalised, Frame(centre, length, weight, load)
-
-
-def rank_cut(dtype: jnp.dtype) -> float:
-    """Relative spread of the contacts below which a direction of torque counts as out of reach."""
-    return 64 * float(jnp.finfo(dtype).eps)
 
 
 def inertia(lanes: Lanes) -> list[list[Array]]:

@@ -37,8 +37,6 @@ class Ascent(NamedTuple):
     slope: Array
     length: Array
     """Step length to try next."""
-    gradient: Six
-    """w - G f at ``point``, without the proximal pull."""
     steps: Array
     done: Array
     """Converged, or unable to move on."""
@@ -63,7 +61,7 @@ def ascend(
     zero = jnp.zeros_like(start[:1])
     nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
-    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, nothing, steps, frozen, frozen)
+    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, steps, frozen, frozen)
 
     def unfinished(carry):
         count, state = carry
@@ -100,7 +98,6 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
         direction=jnp.where(accepted, direction, state.direction),
         slope=jnp.where(accepted, slope, state.slope),
         length=jnp.where(state.done, state.length, halved),
-        gradient=jnp.where(accepted, at.gradient, state.gradient),
         # The look at the starting point, of length zero, is no step.
         steps=state.steps + (~state.done & (state.length > 0)).astype(jnp.int32),
         done=state.done | stuck | (accepted & converged),

@@ -2,8 +2,8 @@
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int, Num
+from jaxtyping import Float, Int
 
 AnyArray = jax.Array | np.ndarray
 
-__all__ = ["AnyArray", "Float", "Int", "Num"]
+__all__ = ["AnyArray", "Float", "Int"]

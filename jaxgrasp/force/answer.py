@@ -44,17 +44,16 @@ def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, out
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
     solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
     answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)
-    error = backward_error(lanes, outcome.forces, stretch)
+    rest, error, objective, _ = measure(lanes, outcome.forces, stretch)
     unsound = answered & ~(error <= tolerances(error.dtype).balance)
     verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, outcome.verdict)
     verdict = jnp.where(frame.weight > 0, verdict, Verdict.NO_CONTACTS)
     verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
-    objective = jnp.sum(dual.spread(lanes, outcome.forces), 0, keepdims=True)
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
     linear, angular = dual.parts(outcome.multiplier)
     linear, angular = multiplier_out(linear, vec.times(stretch, angular), frame)
     one = jnp.ones((1, size), error.dtype)
-    certificate = _certificate(lanes, frame, stretch, outcome, verdict, one)
+    certificate = _certificate(frame, outcome, verdict, rest, one)
     return Answer(
         forces=jnp.stack([c * one for c in forces_out(outcome.forces, frame)]).transpose(2, 1, 0),
         multiplier=_rows((*linear, *angular), one),
@@ -73,32 +72,55 @@ def rank(frame: Frame, stretch: Vec) -> Array:
     return jnp.where(frame.weight > 0, 3 + turns, 0)
 
 
-def backward_error(lanes: Lanes, forces: Vec, stretch: Vec) -> Array:
-    """|w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as stretched: the larger.
+class Measured(NamedTuple):
+    """Forces as they are, whatever they were meant to be."""
+
+    rest: Six
+    """w - G f, unstretched."""
+    error: Array
+    objective: Array
+    push: Array
+    """Sum of the normal forces."""
+
+
+def measure(lanes: Lanes, forces: Vec, stretch: Vec) -> Measured:
+    """What the forces leave of the wrench, their objective, and their backward error
+
+    |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as stretched: the larger.
 
     The squeezing force counts because f_i is computed from it: where zero is the right answer, an error
     cannot be measured against that.
     """
-    one = jnp.ones_like(lanes.force.x)
+    plain = Vec(*(jnp.ones_like(s) for s in stretch))
     size2 = vec.dot(lanes.arms, lanes.arms)
     push = jnp.maximum(vec.norm(forces), lanes.squeeze)
 
-    def relative(scales: Vec) -> Array:
-        rest = dual.residual(lanes, forces, scales)
-        wrench = dual.load(lanes, scales)
+    def through_contacts(scales: Vec) -> Array:
         reach2 = sum(s * s * (size2 - r * r) for s, r in zip(scales, lanes.arms, strict=True))
-        through_contacts = jnp.sum(jnp.sqrt(1 + jnp.maximum(reach2, 0)) * push, 0, keepdims=True)
-        return vec.safe_divide(dual.length(rest), dual.length(wrench) + through_contacts)
+        return jnp.sqrt(1 + jnp.maximum(reach2, 0)) * push
 
-    return jnp.maximum(relative(Vec(one, one, one)), relative(stretch))
+    objective, total_push, *through, fx, fy, fz, tx, ty, tz = vec.totals(
+        dual.spread(lanes, forces),
+        vec.dot(forces, lanes.normals),
+        through_contacts(plain),
+        through_contacts(stretch),
+        *dual.wrench_terms(lanes, forces),
+    )
+    force, torque = vec.sub(lanes.force, Vec(fx, fy, fz)), vec.sub(lanes.torque, Vec(tx, ty, tz))
+
+    def relative(scales: Vec, through: Array) -> Array:
+        rest = dual.length(dual.six(force, vec.times(scales, torque)))
+        return vec.safe_divide(rest, dual.length(dual.load(lanes, scales)) + through)
+
+    error = jnp.maximum(relative(plain, through[0]), relative(stretch, through[1]))
+    return Measured(dual.six(force, torque), error, objective, total_push)
 
 
-def _certificate(lanes: Lanes, frame: Frame, stretch: Vec, outcome: Outcome, verdict: Array, one: Array) -> Array:
+def _certificate(frame: Frame, outcome: Outcome, verdict: Array, rest: Six, one: Array) -> Array:
     """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself."""
     proven = verdict == Verdict.INFEASIBLE
     proof = jnp.where(proven, outcome.certificate, 0)
     bare = verdict == Verdict.NO_CONTACTS
-    rest = dual.residual(lanes, outcome.forces, Vec(*(jnp.ones_like(c) for c in stretch)))
     linear, angular = dual.parts(jnp.where(bare, rest, proof))
     linear, angular = certificate_out(linear, angular, frame)
     return _rows((*linear, *angular), one)

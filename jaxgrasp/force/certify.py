@@ -23,7 +23,7 @@ def proves_infeasible(lanes: Lanes, direction: Six, stretch: Vec) -> Array:
     can_move = lanes.weights > 0
     largest = jnp.max(jnp.where(can_move, push, 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
-    work = dual.inner(dual.load(lanes, stretch), direction) - jnp.sum(fixed, 0, keepdims=True)
+    work = dual.inner(dual.load(lanes, stretch), direction) - vec.totals(fixed)[0]
     rounding = 64 * jnp.finfo(work.dtype).eps * dual.length(direction)
     return (work > rounding) & (largest * tolerances(work.dtype).proof <= work)
 

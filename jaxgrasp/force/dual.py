@@ -35,7 +35,7 @@ def parts(x: Six) -> tuple[Vec, Vec]:
 
 
 def inner(a: Six, b: Six) -> Array:
-    return jnp.sum(a * b, 0, keepdims=True)
+    return sum(a[i : i + 1] * b[i : i + 1] for i in range(1, 6)) + a[:1] * b[:1]
 
 
 def length(x: Six) -> Array:
@@ -81,28 +81,49 @@ def best_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Forces:
 
 def residual(lanes: Lanes, forces: Vec, stretch: Vec) -> Six:
     """w - G f."""
-    linear = vec.sub(lanes.force, vec.total(forces))
-    angular = vec.sub(lanes.torque, vec.total(vec.cross(lanes.arms, forces)))
+    return _unbalanced(lanes, stretch, vec.totals(*wrench_terms(lanes, forces)))
+
+
+def wrench_terms(lanes: Lanes, forces: Vec) -> tuple[Array, ...]:
+    """What each contact adds to the wrench: force, then torque."""
+    return (*forces, *vec.cross(lanes.arms, forces))
+
+
+def _unbalanced(lanes: Lanes, stretch: Vec, wrench: list[Array]) -> Six:
+    linear, angular = vec.sub(lanes.force, Vec(*wrench[:3])), vec.sub(lanes.torque, Vec(*wrench[3:]))
     return six(linear, vec.times(stretch, angular))
 
 
 def evaluate(lanes: Lanes, multiplier: Six, stretch: Vec) -> Value:
     best = best_forces(lanes, multiplier, stretch)
-    gradient = residual(lanes, best.forces, stretch)
     jacobian = cones.derivative(lanes.normals, lanes.friction, best.sides)
-    value = dual_value(lanes, best, multiplier, stretch)
-    return Value(value, gradient, curvature(lanes, jacobian, stretch), total_push(lanes, best.forces))
-
-
-def total_push(lanes: Lanes, forces: Vec) -> Array:
-    return jnp.sum(vec.dot(forces, lanes.normals), 0, keepdims=True)
+    sums = vec.totals(*_value_terms(lanes, best)) + vec.stacked_totals(*_curvature_terms(lanes, jacobian))
+    value, gradient, push = _value(lanes, multiplier, stretch, sums[:VALUE_TERMS])
+    return Value(value, gradient, _curvature_of(sums[VALUE_TERMS:], stretch), push)
 
 
 def dual_value(lanes: Lanes, best: Forces, multiplier: Six, stretch: Vec) -> Array:
-    """w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing."""
-    work = inner(load(lanes, stretch), multiplier)
+    """The dual at a multiplier whose best forces are known."""
+    return _value(lanes, multiplier, stretch, vec.totals(*_value_terms(lanes, best)))[0]
+
+
+def total_push(lanes: Lanes, forces: Vec) -> Array:
+    """Sum of the normal forces."""
+    return vec.totals(vec.dot(forces, lanes.normals))[0]
+
+
+VALUE_TERMS = 8
+
+
+def _value_terms(lanes: Lanes, best: Forces) -> tuple[Array, ...]:
+    # w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing.
     own = spread(lanes, best.forces) - vec.dot(best.twist, best.forces)
-    return work + jnp.sum(own, 0, keepdims=True)
+    return own, vec.dot(best.forces, lanes.normals), *wrench_terms(lanes, best.forces)
+
+
+def _value(lanes: Lanes, multiplier: Six, stretch: Vec, sums: list[Array]) -> tuple[Array, Six, Array]:
+    own, push, *wrench = sums
+    return inner(load(lanes, stretch), multiplier) + own, _unbalanced(lanes, stretch, wrench), push
 
 
 def spread(lanes: Lanes, forces: Vec) -> Array:
@@ -113,18 +134,23 @@ def spread(lanes: Lanes, forces: Vec) -> Array:
 
 def curvature(lanes: Lanes, jacobian: Lower, stretch: Vec) -> Lower:
     """Sum of k G D G^T over contacts, for a symmetric 3x3 matrix D of each: lower triangle, 6x6."""
+    return _curvature_of(vec.stacked_totals(*_curvature_terms(lanes, jacobian)), stretch)
+
+
+def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:
     k, r = lanes.weights, lanes.arms
     d = [[k * jacobian[max(i, j)][min(i, j)] for j in range(3)] for i in range(3)]
     columns = [vec.cross(r, Vec(d[0][j], d[1][j], d[2][j])) for j in range(3)]  # [r]x D, column by column
     mixed = [Vec(columns[0][i], columns[1][i], columns[2][i]) for i in range(3)]  # its rows
     angular = [vec.cross(r, row) for row in mixed]  # rows of [r]x D [r]x^T
-
-    # One sum over a stack: 21 separate ones would each compute their terms from the start again.
     terms = [d[i][j] for i in range(3) for j in range(i + 1)]
     terms += [mixed[i][j] for i in range(3) for j in range(3)]
     terms += [angular[i][j] for i in range(3) for j in range(i + 1)]
-    sums = jnp.sum(jnp.stack(terms), 1)
-    entry = iter(sums[q : q + 1] for q in range(21))
+    return terms
+
+
+def _curvature_of(sums: list[Array], stretch: Vec) -> Lower:
+    entry = iter(sums)
     linear_rows = [[next(entry) for _ in range(i + 1)] for i in range(3)]
     mixed_rows = [[stretch[i] * next(entry) for _ in range(3)] for i in range(3)]
     angular_rows = [[stretch[i] * stretch[j] * next(entry) for j in range(i + 1)] for i in range(3)]

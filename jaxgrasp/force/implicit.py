@@ -63,7 +63,7 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
 
     def outputs(lanes: Lanes, multiplier: Six) -> tuple[Vec, Array]:
         f = forces(lanes, multiplier)
-        return f, jnp.sum(dual.spread(lanes, f), 0, keepdims=True)
+        return f, vec.totals(dual.spread(lanes, f))[0]
 
     _, (forces_moved, objective_moved) = jax.jvp(outputs, (lanes, at), (lanes_moved, turned))
     return _out(frame, stretch, answered, forces_moved, turned, objective_moved)

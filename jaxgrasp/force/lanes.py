@@ -76,7 +76,7 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     good = finite & (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
     there = None if problem.present is None else problem.present.T > 0.5
     lane_good = jnp.all(good if there is None else good | ~there, 0, keepdims=True)
-    valid = lane_good & jnp.isfinite(jnp.sum(wrench, 0, keepdims=True))
+    valid = lane_good & jnp.isfinite(sum(wrench[i : i + 1] for i in range(6)))
     use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
 
     def keep(array: Array) -> Array:
@@ -101,21 +101,21 @@ def _components(array: Array) -> Vec:
 
 def normalise(lanes: Lanes) -> tuple[Lanes, Frame]:
     """Coordinates of order one about the weighted centroid."""
-    weight = jnp.sum(lanes.weights, 0, keepdims=True)
+    weight, squeeze = vec.totals(lanes.weights, lanes.squeeze)
     k = lanes.weights / jnp.where(weight > 0, weight, 1)
-    first = vec.total(vec.scale(k, lanes.arms))
+    first = Vec(*vec.totals(*vec.scale(k, lanes.arms)))
     rough = vec.sub(lanes.arms, first)
     # The first mean is off by rounding of the frame's distance; a second one mends that.
-    rest = vec.total(vec.scale(k, rough))
+    rest = Vec(*vec.totals(*vec.scale(k, rough)))
     arms = vec.sub(rough, rest)
     torque = vec.sub(vec.sub(lanes.torque, vec.cross(first, lanes.force)), vec.cross(rest, lanes.force))
     centre = vec.add(first, rest)
-    length = vec.safe_sqrt(jnp.sum(k * vec.dot(arms, arms), 0, keepdims=True))
+    length = vec.safe_sqrt(vec.totals(k * vec.dot(arms, arms))[0])
     # Contacts that coincide but for rounding have no length of their own.
     blur = tolerances(length.dtype).rank * jnp.sqrt(vec.dot(centre, centre))
     length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec.dot(centre, centre)), 1))
     pull = vec.norm(lanes.force) + vec.norm(torque) / length
-    load = jnp.sum(lanes.squeeze, 0, keepdims=True) + pull
+    load = squeeze + pull
     load = jnp.where(load > 0, load, 1)
     normalised = Lanes(
         arms=vec.scale(1 / length, arms),
@@ -132,16 +132,8 @@ def normalise(lanes: Lanes) -> tuple[Lanes, Frame]:
 def inertia(lanes: Lanes) -> list[list[Array]]:
     """Sum of k (|r|^2 I - r r^T) over the contacts: the torque block of G W G^T."""
     r, kr = lanes.arms, vec.scale(lanes.weights, lanes.arms)
-
-    def moment(a: Array, b: Array) -> Array:
-        return jnp.sum(a * b, 0, keepdims=True)
-
-    xx, yy, zz = moment(kr.x, r.x), moment(kr.y, r.y), moment(kr.z, r.z)
-    return [
-        [yy + zz],
-        [-moment(kr.x, r.y), xx + zz],
-        [-moment(kr.x, r.z), -moment(kr.y, r.z), xx + yy],
-    ]
+    xx, yy, zz, xy, xz, yz = vec.totals(kr.x * r.x, kr.y * r.y, kr.z * r.z, kr.x * r.y, kr.x * r.z, kr.y * r.z)
+    return [[yy + zz], [-xy, xx + zz], [-xz, -yz, xx + yy]]
 
 
 def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:

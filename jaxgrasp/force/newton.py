@@ -10,15 +10,20 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.force import dual
+from jaxgrasp.force.answer import measure
 from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.tolerances import tolerances
-from jaxgrasp.numerics import symmetric
+from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.vec import Vec
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
+CUTS = (0.1, 0.5)
+"""A refused step is cut to between these parts of its length."""
+DAMPING, STRONGEST = 0.03, 0.1
+"""Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
 
 
 class Proximal(NamedTuple):
@@ -37,10 +42,15 @@ class Ascent(NamedTuple):
     slope: Array
     length: Array
     """Step length to try next."""
+    caution: Array
+    """How many times the usual damping the next direction gets: more where the last ones overshot."""
+    size2: Array
+    """Squared residual at ``point``; 0 before anything was evaluated."""
     steps: Array
     done: Array
-    """Converged, or unable to move on."""
-    converged: Array
+    """At the optimum as far as can be told from here, or stuck."""
+    stuck: Array
+    """Unable to move on."""
 
 
 def ascend(
@@ -61,7 +71,7 @@ def ascend(
     zero = jnp.zeros_like(start[:1])
     nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
-    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, steps, frozen, frozen)
+    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen)
 
     def unfinished(carry):
         count, state = carry
@@ -86,23 +96,54 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
     better = value >= state.value + ARMIJO * state.length * state.slope - noise
     accepted = better & ~state.done
     size2 = whitened_square(metric, ascent)
-    converged = has_converged(lanes, trial, ascent, size2, value, at.push)
-    direction = _direction(metric, curvature, ascent, _damping(size2, proximal))
-    slope = dual.inner(ascent, direction)
-    halved = jnp.where(accepted, 1, state.length / 2)
-    stuck = ~accepted & (halved < SHORTEST_STEP)
+    caution = _caution(state)
+    direction = _direction(metric, curvature, ascent, _damping(size2, caution, proximal))
+    arrived = has_converged(lanes, trial, ascent, size2, value, at.push)
+    leap = ~arrived & _next_arrives(state, size2)
+    halved = jnp.where(accepted, 1, state.length * _cut(state, ascent))
+    stuck = ~accepted & ~state.done & (halved < SHORTEST_STEP)
 
     return Ascent(
-        point=jnp.where(accepted, trial, state.point),
+        point=jnp.where(accepted, jnp.where(leap, trial + direction, trial), state.point),
         value=jnp.where(accepted, value, state.value),
         direction=jnp.where(accepted, direction, state.direction),
-        slope=jnp.where(accepted, slope, state.slope),
+        slope=jnp.where(accepted, dual.inner(ascent, direction), state.slope),
         length=jnp.where(state.done, state.length, halved),
+        caution=jnp.where(accepted, caution, state.caution),
+        size2=jnp.where(accepted, size2, state.size2),
         # The look at the starting point, of length zero, is no step.
-        steps=state.steps + (~state.done & (state.length > 0)).astype(jnp.int32),
-        done=state.done | stuck | (accepted & converged),
-        converged=state.converged | (accepted & converged),
+        steps=state.steps + (~state.done & (state.length > 0)) + (accepted & leap),
+        done=state.done | stuck | (accepted & (arrived | leap)),
+        stuck=state.stuck | stuck,
     )
+
+
+def _next_arrives(state: Ascent, size2: Array) -> Array:
+    """Whether the next full step will land at the optimum, so that it can be taken without looking there.
+
+    Close to the optimum the residual falls as its own square; the last step's fall gives the factor. Whoever
+    reads the point judges it anyway.
+    """
+    wanted = 0.1 * tolerances(size2.dtype).gradient
+    quadratic = size2**3 <= (wanted * state.size2) ** 2
+    return (state.length == 1) & (size2 < 1e-8) & quadratic
+
+
+def _caution(state: Ascent) -> Array:
+    """More where only a part of the last step was any good, less again with every step that was good as a whole."""
+    shortened = (state.length > 0) & (state.length < 1)
+    more = state.caution / jnp.where(shortened, jnp.maximum(state.length, 1e-3), 1)
+    return jnp.where(shortened, more, jnp.maximum(state.caution / 10, 1))
+
+
+def _cut(state: Ascent, ascent: Six) -> Array:
+    """How much to shorten a refused step.
+
+    The slope along the line falls from positive to negative, and mostly late, beyond the kink that was not
+    foreseen: where its chord meets zero, the value is still rising.
+    """
+    overshot = jnp.maximum(-dual.inner(ascent, state.direction), state.slope)
+    return jnp.clip(2 * vec.safe_divide(state.slope, state.slope + overshot), *CUTS)
 
 
 def _pulled(at: dual.Value, trial: Six, proximal: Proximal):
@@ -122,19 +163,30 @@ def has_converged(
     """Whether residual and duality gap are at the rounding that forces of this size allow, times ``slack``."""
     tol = tolerances(value.dtype)
     gap = jnp.abs(dual.inner(point, gradient))
-    own = jnp.sum(dual.spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))), 0, keepdims=True)
+    (own,) = vec.totals(dual.spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))))
     balanced = size2 <= (slack * tol.gradient * (1 + push)) ** 2
     return balanced & (gap <= slack * tol.gap * jnp.maximum(jnp.abs(value), own))
 
 
-def _damping(size2: Array, proximal: Proximal | None) -> Array:
-    """In proportion to the residual, so that a singular Hessian bends the direction only mildly.
+def is_optimal(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, best: Vec, slack: float = 1.0) -> Array:
+    """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
+    found = measure(lanes, best, stretch)
+    linear, angular = dual.parts(found.rest)
+    rest = dual.six(linear, vec.times(stretch, angular))
+    return has_converged(lanes, point, rest, whitened_square(metric, rest), found.objective, found.push, slack)
+
+
+def _damping(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
+    """In proportion to the residual, so that a singular Hessian, as of contacts that have let go, gives a direction
+    of sensible length.
 
     It vanishes with the residual: convergence stays quadratic. A proximal pull makes it needless, and
     where the multiplier must run far it would be in the way.
     """
     floor = 16 * jnp.finfo(size2.dtype).eps
-    return floor + (jnp.zeros_like(size2) if proximal else jnp.minimum(1e-3, 1e-3 * jnp.sqrt(size2)))
+    if proximal is not None:
+        return jnp.zeros_like(size2) + floor
+    return floor + jnp.minimum(DAMPING * caution * jnp.sqrt(size2), STRONGEST)
 
 
 def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, damping: Array) -> Six:

@@ -15,8 +15,8 @@ from jaxgrasp.force.answer import Outcome
 from jaxgrasp.force.certify import proves_infeasible
 from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Lanes
-from jaxgrasp.force.newton import Proximal, ascend, has_converged
-from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.force.newton import Proximal, ascend, is_optimal
+from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
@@ -89,7 +89,5 @@ def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: 
 
 def _judge(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, slack: float) -> tuple[Vec, Array]:
     """The forces of a multiplier, and whether they are the optimum."""
-    best = dual.best_forces(lanes, point, stretch)
-    rest = dual.residual(lanes, best.forces, stretch)
-    value, push = dual.dual_value(lanes, best, point, stretch), dual.total_push(lanes, best.forces)
-    return best.forces, has_converged(lanes, point, rest, whitened_square(metric, rest), value, push, slack)
+    best = dual.best_forces(lanes, point, stretch).forces
+    return best, is_optimal(lanes, stretch, metric, point, best, slack)

@@ -6,12 +6,13 @@
    and a proof where no forces exist.
 """
 
+import math
 from functools import partial
 
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force import cones, dual, newton, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range
 from jaxgrasp.force.dual import Six
@@ -24,7 +25,7 @@ from jaxgrasp.numerics.vec import Vec
 
 TILE = 128
 CAREFUL_TILE = 16
-STEPS = (5, 30)
+STEPS = (5, 6, 30)
 """Evaluations that each Newton stage may spend, after each of which the unfinished are gathered again."""
 
 
@@ -54,11 +55,17 @@ def finish_optimum(problem: Problem, answer: Answer) -> Answer:
 
     def newton(stage: Array, answer: Answer) -> Answer:
         tile = partial(_newton_tile, limit=jnp.asarray(STEPS)[stage])
-        return over_chosen(tile, problem, answer, _waiting(answer), TILE)
+        return over_chosen(tile, problem, answer, _waiting(answer), _newton_width(problem))
 
-    # A loop rather than two calls: both stages are one piece of compiled code.
+    # A loop rather than two calls: the stages are one piece of compiled code.
     answer = lax.fori_loop(0, len(STEPS), newton, answer)
     return over_chosen(partial(_careful_tile, constrained=True), problem, answer, answer.undecided, CAREFUL_TILE)
+
+
+def _newton_width(problem: Problem) -> int:
+    """Problems in a tile: few, since all wait for the slowest, and so few that a step's work stays in the cache."""
+    contacts = problem.points.shape[1]
+    return max(16, min(64, 2 ** int(math.log2(200 / contacts))))
 
 
 def _waiting(answer: Answer) -> Array:
@@ -94,14 +101,15 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     linear, angular = multiplier_in(prior.multiplier, frame)
     start = dual.six(linear, angular)
     ascent = ascend(lanes, stretch, metric, start, ill, limit)
-    forces = dual.best_forces(lanes, ascent.point, stretch).forces
-    converged = ascent.converged & ~ill
-    verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.OUTSIDE_CONES)
-    steps = ascent.steps + prior.steps
-    outcome = Outcome(forces, ascent.point, verdict, steps, _no_proof(lanes), ~converged)
+    best = dual.best_forces(lanes, ascent.point, stretch).forces
+    converged = newton.is_optimal(lanes, stretch, metric, ascent.point, best) & ~ill
+    verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)
+    outcome = Outcome(best, ascent.point, verdict, ascent.steps + prior.steps, _no_proof(lanes), ~converged)
     answer = write(lanes, frame, stretch, valid, problem.size, outcome)
-    # An answer that its own residual disowns goes to the careful pass.
-    return answer._replace(undecided=answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
+    # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
+    undecided = answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED)
+    more = undecided & ~(ascent.stuck | converged | ill)[0]
+    return answer._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, answer.verdict), undecided=undecided)
 
 
 def _careful_tile(problem: Problem, _: Answer, constrained: bool) -> Answer:

@@ -14,6 +14,9 @@ from jax import Array, lax
 Tree = TypeVar("Tree")
 Out = TypeVar("Out")
 
+FEW = 4
+"""A batch of so few is computed whole when any of it is chosen: gathering would cost more."""
+
 
 def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int) -> Out:
     """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time.
@@ -37,9 +40,11 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
     """``results`` with those of the ``chosen`` problems replaced by ``function(arguments, results)`` of them.
 
     The chosen ones are gathered, in order, into as many tiles as they need; when none is chosen nothing
-    runs. The time is that of the chosen problems plus one pass over the batch.
+    runs. ``function`` may meet problems that were not chosen; what it says of them is dropped. The time is that of the chosen problems plus one pass over the batch.
     """
     size = chosen.shape[0]
+    if size <= FEW:
+        return lax.cond(jnp.any(chosen), lambda r: _merge(chosen, r, function(arguments, r)), lambda r: r, results)
     tile = min(tile, size)
     count = jnp.sum(chosen, dtype=jnp.int32)
 
@@ -58,9 +63,13 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
         gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
         _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
         place = jnp.maximum(last - 1, 0)
-        return jax.tree.map(lambda r, g: jnp.where(_beside(chosen, r), g[place], r), results, gathered)
+        return _merge(chosen, results, jax.tree.map(lambda g: g[place], gathered))
 
     return lax.cond(count > 0, replace, lambda results: results, results)
+
+
+def _merge(chosen: Array, results: Out, replaced: Out) -> Out:
+    return jax.tree.map(lambda r, new: jnp.where(_beside(chosen, r), new, r), results, replaced)
 
 
 def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:

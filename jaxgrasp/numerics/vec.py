@@ -10,6 +10,9 @@ import jax.numpy as jnp
 from jax import Array
 
 
+FEW = 8
+
+
 class Vec(NamedTuple):
     """Three components that broadcast against each other."""
 
@@ -48,9 +51,21 @@ def cross(a: Vec, b: Vec) -> Vec:
     return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
-def total(a: Vec) -> Vec:
-    """Sum over contacts, the first axis, which stays with length 1."""
-    return Vec(*(jnp.sum(c, 0, keepdims=True) for c in a))
+def totals(*terms: Array) -> list[Array]:
+    """Sums over contacts, the first axis, which stays with length 1.
+
+    For a few problems one reduction over a stack, since each reduction costs a call three allocations; for many
+    separate ones, since the stack would be written to memory first.
+    """
+    if max(term.shape[-1] for term in terms) > FEW:
+        return [jnp.sum(term, 0, keepdims=True) for term in terms]
+    return stacked_totals(*terms)
+
+
+def stacked_totals(*terms: Array) -> list[Array]:
+    """Sums over contacts by one reduction: for terms that share so much work that none should compute it alone."""
+    sums = jnp.sum(jnp.stack(jnp.broadcast_arrays(*terms)), 1)
+    return [sums[i : i + 1] for i in range(len(terms))]
 
 
 def where(condition: Array, a: Vec, b: Vec) -> Vec:

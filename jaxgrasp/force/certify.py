@@ -10,13 +10,13 @@ from jax import Array
 
 from jaxgrasp.force import cones, dual
 from jaxgrasp.force.dual import Six
-from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force.lanes import Frame, Lanes, blur
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
 
 
-def proves_infeasible(lanes: Lanes, direction: Six, stretch: Vec) -> Array:
+def proves_infeasible(lanes: Lanes, frame: Frame, direction: Six, stretch: Vec) -> Array:
     """Whether ``direction`` (stretched coordinates) shows that the load is out of any sensible force's reach."""
     twist = dual.twist_at(lanes, direction, stretch)
     push = cones.support(twist, lanes.normals, lanes.friction)
@@ -24,11 +24,14 @@ def proves_infeasible(lanes: Lanes, direction: Six, stretch: Vec) -> Array:
     largest = jnp.max(jnp.where(can_move, push, 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
     work = dual.inner(dual.load(lanes, stretch), direction) - vec.totals(fixed)[0]
-    rounding = 64 * jnp.finfo(work.dtype).eps * dual.length(direction)
-    return (work > rounding) & (largest * tolerances(work.dtype).proof <= work)
+    # Written out, the direction loses its last digits, and more of them the further away the frame is.
+    linear, angular = dual.parts(direction)
+    size = dual.length(dual.six(linear, vec.times(stretch, angular)))
+    rounding = 4 * jnp.finfo(work.dtype).eps * size * blur(frame)
+    return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
-def out_of_range(lanes: Lanes, stretch: Vec) -> tuple[Array, Six]:
+def out_of_range(lanes: Lanes, frame: Frame, stretch: Vec) -> tuple[Array, Six]:
     """Whether torque is asked for about axes that no contact reaches, and that torque as a direction.
 
     The direction is in unstretched coordinates, where a stretch of zero would hide it.
@@ -39,4 +42,4 @@ def out_of_range(lanes: Lanes, stretch: Vec) -> tuple[Array, Six]:
     # Loads are of order one here, so this compares with the whole load.
     missed = vec.norm(beyond) > tolerances(zero.dtype).range
     one = jnp.ones_like(zero)
-    return missed & proves_infeasible(lanes, direction, Vec(one, one, one)), direction
+    return missed & proves_infeasible(lanes, frame, direction, Vec(one, one, one)), direction

@@ -20,7 +20,6 @@ from jaxgrasp.force.lanes import (
     forces_out,
     multiplier_in,
     multiplier_out,
-    normalise,
     principal,
     read,
     turn,
@@ -72,7 +71,7 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
 def _constants(problem: Problem) -> tuple[Frame, Vec]:
     """Principal frame and stretch of the problem, held constant."""
     lanes, _ = read(lax.stop_gradient(problem))
-    lanes, frame = principal(*normalise(lanes))
+    lanes, frame = principal(lanes)
     _, stretch = pseudo_inverse.whitened_metric(lanes, frame)
     return frame, stretch
 

@@ -91,11 +91,8 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
     value, ascent, curvature = at.value, at.gradient, at.curvature
     if proximal is not None:
         value, ascent, curvature = _pulled(at, trial, proximal)
-    eps = jnp.finfo(value.dtype).eps
-    noise = 8 * eps * (1 + jnp.abs(value))
-    better = value >= state.value + ARMIJO * state.length * state.slope - noise
-    accepted = better & ~state.done
     size2 = whitened_square(metric, ascent)
+    accepted = _is_better(state, trial, value, size2) & ~state.done
     caution = _caution(state)
     direction = _direction(metric, curvature, ascent, _damping(size2, caution, proximal))
     arrived = has_converged(lanes, trial, ascent, size2, value, at.push)
@@ -116,6 +113,17 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
         done=state.done | stuck | (accepted & (arrived | leap)),
         stuck=state.stuck | stuck,
     )
+
+
+def _is_better(state: Ascent, trial: Six, value: Array, size2: Array) -> Array:
+    """Whether the value rises enough, rounding aside.
+
+    It is a difference of numbers as large as the multiplier: where that hides the rise, a smaller residual shows it.
+    """
+    eps = jnp.finfo(value.dtype).eps
+    rise = value - state.value - ARMIJO * state.length * state.slope
+    noise = 8 * eps * (1 + jnp.abs(value))
+    return (rise >= -noise) | ((rise >= -noise - 8 * eps * dual.length(trial)) & (size2 < state.size2))
 
 
 def _next_arrives(state: Ascent, size2: Array) -> Array:

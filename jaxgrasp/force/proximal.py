@@ -14,7 +14,7 @@ from jaxgrasp.force import dual
 from jaxgrasp.force.answer import Outcome
 from jaxgrasp.force.certify import proves_infeasible
 from jaxgrasp.force.dual import Six
-from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force.lanes import Frame, Lanes
 from jaxgrasp.force.newton import Proximal, ascend, is_optimal
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.model.solution import Verdict
@@ -36,7 +36,9 @@ class _Search(NamedTuple):
     decided: Array
 
 
-def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome, decided: Array) -> Outcome:
+def proximal_optimum(
+    lanes: Lanes, frame: Frame, stretch: Vec, metric: Metric, closed: Outcome, decided: Array
+) -> Outcome:
     """The optimum of whitened lanes that are not ``decided`` and whose closed form is not optimal already."""
     optimal = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
     search = _Search(
@@ -46,7 +48,7 @@ def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome
         certificate=closed.certificate,
         decided=decided | optimal,
     )
-    weakest = 64 * float(jnp.finfo(lanes.squeeze.dtype).eps)
+    weakest = 4 * float(jnp.finfo(lanes.squeeze.dtype).eps)
 
     def unfinished(carry):
         strength, search = carry
@@ -54,7 +56,7 @@ def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome
 
     def fall(carry):
         strength, search = carry
-        return strength / 10, _level(lanes, stretch, metric, strength, search)
+        return strength / 10, _level(lanes, frame, stretch, metric, strength, search)
 
     start = jnp.asarray(STRONGEST, lanes.squeeze.dtype)
     _, search = lax.while_loop(unfinished, fall, (start, search))
@@ -64,7 +66,7 @@ def proximal_optimum(lanes: Lanes, stretch: Vec, metric: Metric, closed: Outcome
     return Outcome(forces, search.point, verdict, search.steps, search.certificate, jnp.zeros_like(decided))
 
 
-def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: _Search) -> _Search:
+def _level(lanes: Lanes, frame: Frame, stretch: Vec, metric: Metric, strength: Array, search: _Search) -> _Search:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
     pull = Proximal(strength, search.point)
     ascent = ascend(lanes, stretch, metric, search.point, search.decided, STEPS_PER_LEVEL, pull)
@@ -72,7 +74,7 @@ def _level(lanes: Lanes, stretch: Vec, metric: Metric, strength: Array, search: 
     rest = dual.residual(lanes, forces, stretch)
     # Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     run = ascent.point - search.point
-    by_rest, by_run = (~optimal & proves_infeasible(lanes, d, stretch) for d in (rest, run))
+    by_rest, by_run = (~optimal & proves_infeasible(lanes, frame, d, stretch) for d in (rest, run))
     hopeless = by_rest | by_run
     linear, angular = dual.parts(jnp.where(by_rest, rest, run / jnp.maximum(dual.length(run), 1)))
     unstretched = dual.six(linear, vec.times(stretch, angular))

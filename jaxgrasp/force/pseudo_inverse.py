@@ -7,7 +7,7 @@ from jax import Array
 
 from jaxgrasp.force import dual
 from jaxgrasp.force.dual import Six
-from jaxgrasp.force.lanes import Frame, Lanes, inertia
+from jaxgrasp.force.lanes import Frame, Lanes, blur, inertia
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.vec import Vec
@@ -41,9 +41,7 @@ def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Vec]:
     """
     matrix = inertia(lanes)
     diagonal = [matrix[i][i] for i in range(3)]
-    # The frame's distance blurs the coordinates that the spread is taken from.
-    blur = 1 + jnp.sqrt(vec.dot(frame.centre, frame.centre)) / frame.length
-    cut = (tolerances(diagonal[0].dtype).rank * blur) ** 2
+    cut = (tolerances(diagonal[0].dtype).rank * blur(frame)) ** 2
     stretch = Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
     rows = [[stretch[i] * stretch[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
     for i in range(3):
@@ -53,8 +51,18 @@ def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Vec]:
 
 def closed_multiplier(lanes: Lanes, stretch: Vec, metric: Metric) -> Six:
     """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
-    squeezing = vec.scale(lanes.squeeze, lanes.normals)
-    linear, angular = dual.parts(dual.residual(lanes, squeezing, stretch))
+    return _balancing(lanes, vec.scale(lanes.squeeze, lanes.normals), stretch, metric)
+
+
+def refined_multiplier(lanes: Lanes, stretch: Vec, metric: Metric) -> Six:
+    """The same, corrected by what it leaves unbalanced: a whitened metric is only the identity but for rounding."""
+    multiplier = closed_multiplier(lanes, stretch, metric)
+    return multiplier + _balancing(lanes, free_forces(lanes, multiplier, stretch), stretch, metric)
+
+
+def _balancing(lanes: Lanes, forces: Vec, stretch: Vec, metric: Metric) -> Six:
+    """The multiplier that balances what these forces leave of the wrench."""
+    linear, angular = dual.parts(dual.residual(lanes, forces, stretch))
     return dual.six(linear, Vec(*symmetric.solve(metric.factors, angular)))
 
 

@@ -114,14 +114,14 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
 
 def _careful_tile(problem: Problem, _: Answer, constrained: bool) -> Answer:
     lanes, valid = read(problem)
-    lanes, frame = principal(*normalise(lanes))
+    lanes, frame = principal(lanes)
     metric, stretch = pseudo_inverse.whitened_metric(lanes, frame)
-    multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
+    multiplier = pseudo_inverse.refined_multiplier(lanes, stretch, metric)
     forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
     verdict = _closed_verdict(lanes, forces)
-    missed, direction = out_of_range(lanes, stretch)
+    missed, direction = out_of_range(lanes, frame, stretch)
     outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, jnp.zeros_like(missed))
     if constrained:
-        outcome = proximal_optimum(lanes, stretch, metric, outcome, missed)
+        outcome = proximal_optimum(lanes, frame, stretch, metric, outcome, missed)
     outcome = outcome._replace(verdict=jnp.where(missed, Verdict.INFEASIBLE, outcome.verdict))
     return write(lanes, frame, stretch, valid, problem.size, outcome)

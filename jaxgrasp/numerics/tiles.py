@@ -40,7 +40,8 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
     """``results`` with those of the ``chosen`` problems replaced by ``function(arguments, results)`` of them.
 
     The chosen ones are gathered, in order, into as many tiles as they need; when none is chosen nothing
-    runs. ``function`` may meet problems that were not chosen; what it says of them is dropped. The time is that of the chosen problems plus one pass over the batch.
+    runs. ``function`` may meet problems that were not chosen; what it says of them is dropped. The time is
+    that of the chosen problems plus one pass over the batch.
     """
     size = chosen.shape[0]
     if size <= FEW:

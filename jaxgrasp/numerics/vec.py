@@ -9,8 +9,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-
 FEW = 8
+"""Problems in a batch for which the number of operations counts, not their size."""
 
 
 class Vec(NamedTuple):

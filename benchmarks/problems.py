@@ -1,58 +1,42 @@
-"""Seeded grasp problems, ordinary and nasty, for tests and benchmarks; NumPy only.
+"""Seeded grasp problems, ordinary and nasty, for tests and benchmarks; NumPy, and Clarabel for the limit kinds.
 
 A feasible wrench is made as G f with f well inside the cones (eighty per cent of the friction), so that rounding of
-the wrench cannot push the problem over the edge. Wrenches at a given share of the reachable limit need a solver to
-find that limit and do not belong here.
+the wrench cannot push the problem over the edge. The ``limit`` kinds lie at a given share of the largest wrench that
+the grasp can exert in some direction, as ``benchmarks.limits`` finds and proves it.
 
 Share of ``ordinary`` problems whose optimum has an active cone, measured over 4,000 problems at n = 3/5/8/10/20:
 0.43/0.49/0.50/0.48/0.46 for method B, 0.48/0.60/0.64/0.63/0.63 for method A.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
+
+from benchmarks.limits import reachable_limit
+from benchmarks.problem_data import Contacts, Problems
 
 INSIDE = 0.8
 """Part of the friction that the forces behind a feasible wrench use at most."""
 AWAY = (0.2, 3.0)
 """How far loads lie from the squeezing forces, in logarithms: tuned for about half of the ordinary problems active."""
-
-
-class Problems(NamedTuple):
-    """A batch of problems of one kind, in float64."""
-
-    kind: str
-    points: np.ndarray
-    normals: np.ndarray
-    friction: np.ndarray
-    squeeze: np.ndarray
-    wrench: np.ndarray
-    feasible: bool | None
-    """True or False where the construction decides it for every sharing; None where it depends on the sharing."""
-
-    def cast(self, dtype: type) -> "Problems":
-        """The same problems rounded to ``dtype``: other problems, strictly speaking."""
-        arrays = {name: getattr(self, name).astype(dtype) for name in self._fields if name not in ("kind", "feasible")}
-        return self._replace(**arrays)
-
-    def weights(self, sharing: str) -> np.ndarray:
-        """The sharing weights k of a named method."""
-        return {"squeeze": self.squeeze, "uniform": np.ones_like(self.squeeze)}[sharing]
-
-
-class Contacts(NamedTuple):
-    """Contacts before a wrench is chosen."""
-
-    points: np.ndarray
-    normals: np.ndarray
-    friction: np.ndarray
-    squeeze: np.ndarray
+LIMIT_WIDTH = 1e-6
+"""Relative distance of the bounds of a limit above which a problem is drawn again."""
+LEAST_LIMIT = 1e-3
+"""Smallest theta, d being as large as forces of the mean squeeze make it, below which a problem is drawn again."""
 
 
 def problems(kind: str, n: int, count: int, seed: int) -> Problems:
-    """``count`` problems of ``n`` contacts; the same arguments give the same problems on every machine."""
+    """``count`` problems of ``n`` contacts; the same arguments give the same problems on every machine.
+
+    Raises:
+        ValueError: for a kind that does not exist, or that needs more contacts.
+        ImportError: for a limit kind, if Clarabel is missing.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"kind is {kind!r}: expected one of {', '.join(KINDS)}")
+    if n < LEAST_CONTACTS.get(kind, 1):
+        raise ValueError(f"n is {n}: {kind} problems need at least {LEAST_CONTACTS.get(kind, 1)} contacts")
     rng = np.random.default_rng([seed, n, KINDS_IN_ORDER.index(kind)])
     return KINDS[kind](rng, kind, n, count)
 
@@ -95,18 +79,25 @@ def allowed_forces(rng: Generator, contacts: Contacts, press: np.ndarray) -> np.
     return press[..., None] * (contacts.normals + across)
 
 
-def _feasible(rng: Generator, kind: str, contacts: Contacts, feasible: bool | None = True) -> Problems:
-    """Contacts and the wrench of forces inside their cones, near the squeezing forces or far from them."""
+def _inner_forces(rng: Generator, contacts: Contacts) -> np.ndarray:
+    """Forces inside the contacts' cones, near the squeezing forces or far from them."""
     count, n = contacts.squeeze.shape
     # How far the load is from the squeezing forces decides how often a cone is active at the optimum.
     away = _log_uniform(rng, *AWAY, (count, 1))
     press = contacts.squeeze * np.exp(away * rng.uniform(-1.5, 1.5, (count, n)))
     near = allowed_forces(rng, contacts, press)
     # Less tangential force where the load is close to the squeezing, or no closed form would be inside.
-    forces = contacts.normals * press[..., None] + np.minimum(away, 1)[..., None] * (
+    return contacts.normals * press[..., None] + np.minimum(away, 1)[..., None] * (
         near - contacts.normals * press[..., None]
     )
-    return Problems(kind, *contacts, exact_wrench(contacts.points, forces), feasible)
+
+
+def _feasible(rng: Generator, kind: str, contacts: Contacts, feasible: bool | None = True) -> Problems:
+    return _loaded(kind, contacts, _inner_forces(rng, contacts), feasible)
+
+
+def _loaded(kind: str, contacts: Contacts, forces: np.ndarray, feasible: bool | None) -> Problems:
+    return Problems(kind, *contacts, exact_wrench(contacts.points, forces), feasible, forces)
 
 
 def _ordinary(rng: Generator, kind: str, n: int, count: int) -> Problems:
@@ -173,28 +164,69 @@ def _zero_squeeze(rng: Generator, kind: str, n: int, count: int) -> Problems:
 
 def _zero_wrench(rng: Generator, kind: str, n: int, count: int) -> Problems:
     contacts = _ordinary_contacts(rng, n, count)
-    return Problems(kind, *contacts, np.zeros((count, 6)), True)
+    return _loaded(kind, contacts, np.zeros((count, n, 3)), True)
 
 
-def _infeasible(rng: Generator, kind: str, n: int, count: int) -> Problems:
-    """Every contact pushes against a common twist, and the wrench works along it: nothing balances that."""
+def _one_sided(rng: Generator, n: int, count: int) -> tuple[Contacts, np.ndarray]:
+    """Contacts that all push against a common motion, and its velocity at each of them: nothing drives it on."""
     contacts = _ordinary_contacts(rng, n, count)
     middle = contacts.points.mean(-2, keepdims=True)
     linear, angular = _directions(rng, count, 1), _directions(rng, count, 1) / 0.05
     # Half of the escapes are pure translations.
     angular *= (np.arange(count) % 2)[:, None, None]
-    away = unit(linear + np.cross(angular, contacts.points - middle))
+    velocity = linear + np.cross(angular, contacts.points - middle)
+    away = unit(velocity)
     # Tilted by at most atan(0.5), and friction at most 1: no force in a cone works along the escape.
     across = rng.normal(size=away.shape)
     across = unit(across - np.sum(across * away, -1, keepdims=True) * away)
     normals = unit(-away + rng.uniform(0, 0.5, (count, n, 1)) * across)
-    contacts = contacts._replace(normals=normals)
-    part = _feasible(rng, kind, contacts, feasible=False)
-    escape = np.concatenate([linear - np.cross(angular, middle), angular], -1)[:, 0]
-    lost = np.sum(part.wrench * escape, -1, keepdims=True) / np.sum(escape**2, -1, keepdims=True)
+    return contacts._replace(normals=normals), velocity
+
+
+def _infeasible(rng: Generator, kind: str, n: int, count: int) -> Problems:
+    """Every contact pushes against a common motion, and the wrench works along it: nothing balances that."""
+    contacts, velocity = _one_sided(rng, n, count)
+    forces = _inner_forces(rng, contacts)
+    # Pulling forces, so that the wrench is one of the grasp's range, however few its contacts.
+    speed2 = np.sum(velocity**2, (-2, -1), keepdims=True)
     strength = rng.uniform(0.05, 1.0, (count, 1)) * contacts.squeeze.sum(-1, keepdims=True)
-    wrench = part.wrench - lost * escape + strength * escape / np.linalg.norm(escape, axis=-1, keepdims=True)
-    return part._replace(wrench=wrench)
+    wanted = strength[..., None] * np.sqrt(speed2 / n)
+    pull = (wanted - np.sum(forces * velocity, (-2, -1), keepdims=True)) / speed2
+    return _loaded(kind, contacts, forces + pull * velocity, feasible=False)._replace(witness=None)
+
+
+def _at_limit(share: float) -> Callable[..., Problems]:
+    """Wrenches w0 + share theta d, where w0 lies well inside what the grasp can exert and theta is the most it can."""
+
+    def make(rng: Generator, kind: str, n: int, count: int) -> Problems:
+        found: list[Problems] = []
+        while sum(len(batch.wrench) for batch in found) < count:
+            found.append(_near_limit(rng, kind, n, count, share))
+
+        def joined(name: str) -> np.ndarray:
+            return np.concatenate([getattr(batch, name) for batch in found])[:count]
+
+        contacts = Contacts(*(joined(name) for name in Contacts._fields))
+        return Problems(kind, *contacts, joined("wrench"), share < 1, joined("witness") if share < 1 else None)
+
+    return make
+
+
+def _near_limit(rng: Generator, kind: str, n: int, count: int, share: float) -> Problems:
+    """At most ``count`` problems: those whose limit is proven to ``LIMIT_WIDTH`` and not next to nothing."""
+    contacts, velocity = _one_sided(rng, n, count)
+    inner = _inner_forces(rng, contacts)
+    pushes = rng.normal(size=(count, n, 3)) * contacts.squeeze.mean(-1)[:, None, None]
+    # Of d and -d the one that works along the escape has an end for certain.
+    pushes *= np.sign(np.sum(pushes * velocity, (-2, -1), keepdims=True))
+    problem = _loaded(kind, contacts, inner, True)
+    limit = reachable_limit(problem, contacts.squeeze, exact_wrench(contacts.points, pushes))
+    good = (limit.width < LIMIT_WIDTH) & (limit.lower > LEAST_LIMIT)
+    theta = limit.upper[good][:, None, None]
+    contacts = Contacts(*(x[good] for x in contacts))
+    if share < 1:
+        return _loaded(kind, contacts, inner[good] + share * (limit.forces[good] - inner[good]), True)
+    return _loaded(kind, contacts, inner[good] + share * theta * pushes[good], False)._replace(witness=None)
 
 
 def _scaled(contacts: Contacts, length: np.ndarray, force: np.ndarray) -> Contacts:
@@ -215,11 +247,15 @@ def _far_frame(rng: Generator, kind: str, n: int, count: int) -> Problems:
 
 
 def _combined(rng: Generator, kind: str, n: int, count: int) -> Problems:
-    """Near a line, slippery, unevenly squeezed, of any size, in a frame metres away."""
+    """Near a line, slippery or sticky, unevenly squeezed or not at all, of any size, in a frame metres away."""
     contacts = _on_a_line(rng, _ordinary_contacts(rng, n, count))
-    contacts = contacts._replace(
-        friction=rng.uniform(0.05, 0.1, (count, n)), squeeze=_log_uniform(rng, 1e-3, 1e2, (count, n))
-    )
+    # Lots up to 0.15 squeeze nothing, up to 0.3 have no friction, up to 0.4 a lot. Three contacts that squeeze, two of
+    # them with friction, keep the wrench away from the limit by every sharing: here rounding is no small matter.
+    lot = rng.uniform(np.array([0.3, 0.3, 0.15, *np.zeros(n)])[:n], 1.0, (count, n))
+    idle, slick, sticky = lot < 0.15, (lot >= 0.15) & (lot < 0.3), (lot >= 0.3) & (lot < 0.4)
+    friction = np.select([slick, sticky], [0.0, 10.0], rng.uniform(0.05, 0.1, (count, n)))
+    squeeze = np.where(idle, 0.0, _log_uniform(rng, 1e-3, 1e2, (count, n)))
+    contacts = contacts._replace(friction=friction, squeeze=squeeze)
     length = _log_uniform(rng, 1e-2, 1e2, (count, 1, 1)) / 0.05
     force = _log_uniform(rng, 1e-4, 1e4, (count, 1))
     contacts = _scaled(contacts, length, force)
@@ -242,7 +278,14 @@ KINDS: dict[str, Callable[[Generator, str, int, int], Problems]] = {
     "scales": _scales,
     "far_frame": _far_frame,
     "combined": _combined,
+    "limit_99": _at_limit(0.99),
+    "limit_101": _at_limit(1.01),
+    "limit_9999": _at_limit(0.9999),
+    "limit_10001": _at_limit(1.0001),
 }
 KINDS_IN_ORDER = tuple(KINDS)
 """A kind's place seeds it: add new ones at the end."""
 STRESS_KINDS = tuple(kind for kind in KINDS if kind != "ordinary")
+LIMIT_KINDS = tuple(kind for kind in KINDS if kind.startswith("limit"))
+LEAST_CONTACTS = {"near_collinear": 2, "coincident_some": 2, "coincident_all": 2}
+"""One contact is near no line and in no other's place."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.problems import Problems
+from benchmarks.problem_data import Problems
 
 Wide = np.longdouble
 EXTENDED = np.finfo(Wide).eps < 1e-18
@@ -65,14 +65,14 @@ def centred(problem: Problems, weights: np.ndarray, present: np.ndarray | None =
         there = present > 0.5
         p, a = (np.where(there[..., None], x, 0) for x in (p, a))
         mu, s, k = (np.where(there, x, 0) for x in (mu, s, k))
-    a = a / _or_one(_length(a))[..., None]
-    share = k / _or_one(k.sum(-1, keepdims=True))
+    a = a / or_one(norm(a))[..., None]
+    share = k / or_one(k.sum(-1, keepdims=True))
     centre = np.sum(share[..., None] * p, 1)
     arms = np.where(k[..., None] > 0, p - centre[:, None], p - centre[:, None] if present is None else 0)
     length = np.sqrt(np.sum(share * np.sum(arms**2, -1), -1))
     # Contacts in one point, but for rounding of the mean, have no length of their own.
-    tiny = 16 * np.finfo(Wide).eps * _length(centre)
-    length = np.where(length > tiny, length, _or_one(_length(centre)))
+    tiny = 16 * np.finfo(Wide).eps * norm(centre)
+    length = np.where(length > tiny, length, or_one(norm(centre)))
     force, torque = np.asarray(problem.wrench, Wide)[:, :3], np.asarray(problem.wrench, Wide)[:, 3:]
     about = (torque - np.cross(centre, force)) / length[:, None]
     return Centred(arms / length[:, None, None], a, mu, s, k, np.concatenate([force, about], -1), centre, length)
@@ -98,11 +98,11 @@ def judge(
     scale = np.maximum(primal, own)
     apart = np.abs(primal - dual)
     gap = np.where(apart == 0, 0, apart / np.where(scale > 0, scale, np.finfo(float).tiny))
-    largest = np.maximum(_length(f).max(-1), here.squeeze.max(-1))
+    largest = np.maximum(norm(f).max(-1), here.squeeze.max(-1))
     # A contact of weight zero keeps its squeezing force, which lies on its normal.
-    off = _length(f - project(f, here.normals, here.friction)).max(-1)
+    off = norm(f - project(f, here.normals, here.friction)).max(-1)
     moved = _rounding(problem, np.asarray(multiplier, Wide), np.where(here.weights[..., None] > 0, f, 0))
-    return Judgement(backward_error(here, f), off / _or_one(largest), primal, dual, gap, moved / _or_one(scale))
+    return Judgement(backward_error(here, f), off / or_one(largest), primal, dual, gap, moved / or_one(scale))
 
 
 def _rounding(problem: Problems, twist: np.ndarray, forces: np.ndarray) -> np.ndarray:
@@ -126,11 +126,11 @@ def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndar
     """The closest point of each Coulomb cone, by its three cases."""
     along = np.sum(u * normals, -1)
     across = u - along[..., None] * normals
-    size = _length(across)
+    size = norm(across)
     inside = size <= friction * along
     apex = ~inside & (friction * size <= -along)
     height = (along + friction * size) / (1 + friction**2)
-    direction = across / _or_one(size)[..., None]
+    direction = across / or_one(size)[..., None]
     edge = height[..., None] * (normals + friction[..., None] * direction)
     return np.where(inside[..., None], u, np.where(apex[..., None], 0, edge))
 
@@ -138,8 +138,8 @@ def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndar
 def backward_error(here: Centred, forces: np.ndarray) -> np.ndarray:
     reach = np.sqrt(1 + np.sum(here.arms**2, -1))
     rest = here.wrench - resultant(here, forces)
-    size = _length(here.wrench) + np.sum(reach * np.maximum(_length(forces), here.squeeze), -1)
-    return _length(rest) / _or_one(size)
+    size = norm(here.wrench) + np.sum(reach * np.maximum(norm(forces), here.squeeze), -1)
+    return norm(rest) / or_one(size)
 
 
 def resultant(here: Centred, forces: np.ndarray) -> np.ndarray:
@@ -155,14 +155,14 @@ def closed_form_reference(
     can be balanced, by the multiplier of minimal norm.
     """
     here = centred(problem, weights, present)
-    root = np.sqrt(here.weights / _or_one(here.weights.max(-1, keepdims=True)))
+    root = np.sqrt(here.weights / or_one(here.weights.max(-1, keepdims=True)))
     columns = np.stack(
         [here.velocities(np.broadcast_to(np.eye(6, dtype=Wide)[i], (len(root), 6))) for i in range(6)], 1
     )
     left = (root[:, None, :, None] * columns).reshape(len(root), 6, -1)
     right = np.broadcast_to(np.eye(6, dtype=Wide), (len(root), 6, 6)).copy()
     left, right = _orthogonalise(left, right)
-    sizes = _length(left)
+    sizes = norm(left)
     kept = sizes > cut * sizes.max(-1, keepdims=True)
     squeezing = here.squeeze[..., None] * here.normals
     rest = here.wrench - resultant(here, squeezing)
@@ -181,7 +181,7 @@ def _orthogonalise(left: np.ndarray, right: np.ndarray, sweeps: int = 14) -> tup
                 mixed = np.sum(lp * lq, -1)
                 half_gap = (np.sum(lq * lq, -1) - np.sum(lp * lp, -1)) / 2
                 reach = np.abs(half_gap) + np.sqrt(half_gap**2 + mixed**2)
-                tangent = np.where(half_gap < 0, -mixed, mixed) / _or_one(reach)
+                tangent = np.where(half_gap < 0, -mixed, mixed) / or_one(reach)
                 cosine = (1 / np.sqrt(1 + tangent**2))[:, None]
                 sine = tangent[:, None] * cosine
                 left[:, p], left[:, q] = cosine * lp - sine * lq, sine * lp + cosine * lq
@@ -203,14 +203,14 @@ def proven_need(
     twist = here.twist_here(certificate)
     v = here.velocities(twist)
     along = np.sum(v * here.normals, -1)
-    support = along + here.friction * _length(v - along[..., None] * here.normals)
+    support = along + here.friction * norm(v - along[..., None] * here.normals)
     movable = here.weights > 0
     work = np.sum(here.wrench * twist, -1) - np.sum(np.where(movable, 0, here.squeeze * along), -1)
     largest = np.max(np.where(movable, support, 0), -1)
-    load = here.squeeze.sum(-1) + _length(here.wrench[:, :3]) + _length(here.wrench[:, 3:])
+    load = here.squeeze.sum(-1) + norm(here.wrench[:, :3]) + norm(here.wrench[:, 3:])
     with np.errstate(divide="ignore", invalid="ignore"):
         need = np.where(largest > 0, work / np.where(largest > 0, largest, 1), np.where(work > 0, np.inf, 0))
-        return need / _or_one(load)
+        return need / or_one(load)
 
 
 def clarabel_optimum(problem: Problems, weights: np.ndarray, index: int = 0) -> tuple[np.ndarray, np.ndarray, str]:
@@ -237,7 +237,7 @@ def clarabel_optimum(problem: Problems, weights: np.ndarray, index: int = 0) -> 
     grasp = np.concatenate([np.concatenate([np.eye(3), _cross_matrix(r)]) for r in arms[free]], 1)
     cones = np.zeros((3 * kept, 3 * kept))
     for i, (a, m) in enumerate(zip(normals[free], mu[free], strict=True)):
-        cones[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = -np.vstack([m * a, *_tangents(a)])
+        cones[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = -np.vstack([m * a, *tangents(a)])
     normal_rows = np.zeros((kept, 3 * kept))
     for i, a in enumerate(normals[free]):
         # With no friction the second-order cone would let a force pull.
@@ -262,7 +262,7 @@ def clarabel_optimum(problem: Problems, weights: np.ndarray, index: int = 0) -> 
 ARRAYS = ("points", "normals", "friction", "squeeze", "wrench")
 
 
-def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     return first, np.cross(normal, first)
@@ -278,9 +278,9 @@ def _spread(here: Centred, forces: np.ndarray) -> np.ndarray:
     return np.where(moves, np.sum(apart**2, -1) / np.where(moves, 2 * here.weights, 1), 0)
 
 
-def _length(vectors: np.ndarray) -> np.ndarray:
+def norm(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.sum(np.asarray(vectors) ** 2, -1))
 
 
-def _or_one(values: np.ndarray) -> np.ndarray:
+def or_one(values: np.ndarray) -> np.ndarray:
     return np.where(values > 0, values, 1)

@@ -30,6 +30,8 @@ class MethodResult:
     residual: np.ndarray
     objective: np.ndarray
     steps: np.ndarray
+    route: np.ndarray
+    """Codes of [`jaxgrasp.Route`][]."""
     certificate: np.ndarray
     """``(B, 6)``."""
     margin: np.ndarray
@@ -87,7 +89,7 @@ class Engine:
                 answer, own = self._timed(stages.finish_optimum, problem, first)
             self.times.solving[method.name] += spent + own
             margin, violation, _ = self._timed(_margins, grasp, answer.forces)
-            names = ("forces", "verdict", "residual", "objective", "steps", "certificate")
+            names = ("forces", "verdict", "residual", "objective", "steps", "route", "certificate")
             host = {name: np.asarray(getattr(answer, name)) for name in names}
             results[method.name] = MethodResult(**host, margin=np.asarray(margin), violation=np.asarray(violation))
         return results

@@ -96,7 +96,7 @@ def _empty(name: str, sets: ContactSets) -> np.ndarray:
     if name == "forces":
         return np.empty((len(sets.points), sets.wrenches, 3), sets.points.dtype)
     tail = (6,) if name == "certificate" else ()
-    whole = {"verdict": np.int8, "steps": np.int32}
+    whole = {"verdict": np.int8, "steps": np.int32, "route": np.int8}
     return np.empty((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
 
 

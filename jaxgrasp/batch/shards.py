@@ -1,8 +1,8 @@
 """Results on disk: one file a chunk and a manifest, so that an interrupt costs at most a chunk.
 
 A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
-``.steps``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; and ``grasp (N,)``,
-the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts.
+``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; and
+``grasp (N,)``, the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts.
 """
 
 import json
@@ -45,7 +45,7 @@ class ResultFolder:
         except OSError as error:
             raise GraspFileError(folder, f"the output folder cannot be written ({error.strerror})") from error
         self._earlier: dict | None = None
-        self.manifest: dict = {"version": 1, **identity, "shards": [], "complete": False}
+        self.manifest: dict = {"version": 2, **identity, "shards": [], "complete": False}
         if (folder / MANIFEST).exists():
             self._take_up(identity, resume)
         elif unknown := [path.name for path in folder.iterdir() if OURS.fullmatch(path.name)]:

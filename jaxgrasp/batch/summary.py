@@ -9,7 +9,7 @@ from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.methods import METHODS
 from jaxgrasp.batch.worst import KEPT, worst_cases
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Route, Verdict
 
 ANGLE_BINS = 90
 SAMPLED_CONTACTS = 20_000
@@ -23,6 +23,8 @@ class MethodSummary:
     """Problems by verdict code."""
     steps: int
     """Newton steps in all."""
+    routes: np.ndarray
+    """Problems by the code of the pass that answered them, a [`jaxgrasp.Route`][]."""
     largest_residual: float
     """Of the answers that claim to balance the wrench."""
     smallest_margin: float
@@ -35,6 +37,7 @@ class MethodSummary:
         return MethodSummary(
             self.verdicts + other.verdicts,
             self.steps + other.steps,
+            self.routes + other.routes,
             max(self.largest_residual, other.largest_residual),
             min(self.smallest_margin, other.smallest_margin),
             self.angles + other.angles,
@@ -129,6 +132,7 @@ def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
     return MethodSummary(
         verdicts=np.bincount(result.verdict.ravel(), minlength=len(Verdict)),
         steps=int(result.steps.sum()),
+        routes=np.bincount(result.route.ravel(), minlength=len(Route)),
         largest_residual=float(np.max(result.residual[answered], initial=0)),
         smallest_margin=float(np.min(result.margin[answered], initial=np.inf)),
         angles=_angles(sets, result),

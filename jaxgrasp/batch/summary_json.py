@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.summary import Comparison, MethodSummary, Summary
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Route, Verdict
 
 _HISTOGRAMS = ("price", "distance", "violation")
 
@@ -38,6 +38,7 @@ def _method_to_json(method: MethodSummary) -> dict:
     return {
         "verdicts": {verdict.name: int(method.verdicts[verdict]) for verdict in Verdict},
         "steps": method.steps,
+        "routes": {route.name: int(method.routes[route]) for route in Route},
         "largest_residual": method.largest_residual,
         # JSON has no infinity; a method without a loaded contact has no margin.
         "smallest_margin": margin if np.isfinite(margin) else None,
@@ -54,6 +55,7 @@ def _method_from_json(data: dict) -> MethodSummary:
     return MethodSummary(
         verdicts=np.array([data["verdicts"][verdict.name] for verdict in Verdict]),
         steps=data["steps"],
+        routes=np.array([data["routes"][route.name] for route in Route]),
         largest_residual=data["largest_residual"],
         smallest_margin=np.inf if margin is None else margin,
         angles=angles,

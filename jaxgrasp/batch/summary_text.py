@@ -4,8 +4,9 @@ import math
 
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.methods import METHODS
 from jaxgrasp.batch.summary import Summary
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Route, Verdict
 
 _ROWS = (
     ("holds inside every cone", (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)),
@@ -17,6 +18,9 @@ _ROWS = (
     ("not decided", (Verdict.NOT_CONVERGED,)),
     ("invalid data", (Verdict.INVALID_DATA,)),
 )
+
+
+_SOLVER_ROUTES = (Route.CLOSED_FORM, Route.FAST, Route.CAREFUL)
 
 
 def summary_text(summary: Summary, times: Times, seconds: float) -> str:
@@ -67,12 +71,11 @@ def _quantiles(label: str, histogram: LogHistogram, show) -> str:
 
 
 def _closing(summary: Summary, times: Times, seconds: float) -> str:
-    skipped = sum(
-        m.count(Verdict.CLOSED_FORM_OPTIMAL) for name, m in summary.methods.items() if name.endswith("optimum")
-    )
     text = f"{_duration(seconds)} in all, {_duration(times.compiling)} of it compiling."
-    if skipped:
-        text += f" {skipped:,} optima were skipped, since the closed form was optimal already."
+    optima = [m.routes for name, m in summary.methods.items() if METHODS[name].constrained]
+    if optima:
+        skipped, fast, careful = (int(sum(routes[route] for routes in optima)) for route in _SOLVER_ROUTES)
+        text += f"\nOptima: {skipped:,} skipped, the closed form being one; {fast:,} found fast, {careful:,} with care."
     return text
 
 

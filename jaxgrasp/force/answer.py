@@ -9,7 +9,7 @@ from jaxgrasp.force import dual
 from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Frame, Lanes, certificate_out, forces_out, multiplier_out
 from jaxgrasp.force.tolerances import tolerances
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
 
@@ -23,6 +23,7 @@ class Answer(NamedTuple):
     residual: Array
     objective: Array
     steps: Array
+    route: Array
     rank: Array
     certificate: Array
     undecided: Array
@@ -40,7 +41,9 @@ class Outcome(NamedTuple):
     undecided: Array
 
 
-def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome) -> Answer:
+def write(
+    lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, route: Route
+) -> Answer:
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
     solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
     answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)
@@ -61,6 +64,7 @@ def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, out
         residual=_row(error, size),
         objective=_row(unit * objective, size),
         steps=_row(outcome.steps, size).astype(jnp.int32),
+        route=jnp.full((size,), route, jnp.int32),
         rank=_row(rank(frame, stretch), size).astype(jnp.int32),
         certificate=certificate,
         undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),

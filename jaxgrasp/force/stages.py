@@ -19,7 +19,7 @@ from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
 from jaxgrasp.force.newton import ascend
 from jaxgrasp.force.proximal import proximal_optimum
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
 from jaxgrasp.numerics.vec import Vec
 
@@ -81,7 +81,7 @@ def _closed_tile(problem: Problem) -> Answer:
     forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
     steps = jnp.zeros_like(ill, jnp.int32)
     outcome = Outcome(forces, multiplier, _closed_verdict(lanes, forces), steps, _no_proof(lanes), ill)
-    return write(lanes, frame, stretch, valid, problem.size, outcome)
+    return write(lanes, frame, stretch, valid, problem.size, outcome, Route.CLOSED_FORM)
 
 
 def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
@@ -105,7 +105,7 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     converged = newton.is_optimal(lanes, stretch, metric, ascent.point, best) & ~ill
     verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)
     outcome = Outcome(best, ascent.point, verdict, ascent.steps + prior.steps, _no_proof(lanes), ~converged)
-    answer = write(lanes, frame, stretch, valid, problem.size, outcome)
+    answer = write(lanes, frame, stretch, valid, problem.size, outcome, Route.FAST)
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
     undecided = answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED)
     more = undecided & ~(ascent.stuck | converged | ill)[0]
@@ -124,4 +124,4 @@ def _careful_tile(problem: Problem, _: Answer, constrained: bool) -> Answer:
     if constrained:
         outcome = proximal_optimum(lanes, frame, stretch, metric, outcome, missed)
     outcome = outcome._replace(verdict=jnp.where(missed, Verdict.INFEASIBLE, outcome.verdict))
-    return write(lanes, frame, stretch, valid, problem.size, outcome)
+    return write(lanes, frame, stretch, valid, problem.size, outcome, Route.CAREFUL)

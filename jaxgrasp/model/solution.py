@@ -51,11 +51,24 @@ class Verdict(IntEnum):
         return self in (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
 
+class Route(IntEnum):
+    """Which pass answered a problem, and so what the answer cost. The codes are stable in files."""
+
+    CLOSED_FORM = 0
+    """The first pass: a closed form, which for an optimum means that the solve was skipped."""
+    FAST = 1
+    """Newton's method on the dual, with gathered problems."""
+    CAREFUL = 2
+    """Principal axes, whitened unknowns, and for an optimum a proximal pull."""
+    GIVEN = 3
+    """A solver that the user gave."""
+
+
 class Solution(eqx.Module):
     """Contact forces and how good they are, for one problem or a batch.
 
     Differentiate its fields (``forces``, ``multiplier``, ``objective``), not the whole: ``verdict``,
-    ``steps`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
+    ``steps``, ``route`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
     """
 
     forces: Float[Array, "*batch n 3"]
@@ -71,6 +84,8 @@ class Solution(eqx.Module):
     """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing."""
     steps: Int[Array, "*batch"]
     """Newton steps taken; 0 where the closed form was already optimal."""
+    route: Int[Array, "*batch"]
+    """Code of a [`jaxgrasp.Route`][]: the pass that answered."""
     rank: Int[Array, "*batch"]
     """Rank of the weighted grasp matrix: directions of wrench that the contacts reach, at most 6."""
     certificate: Float[Array, "*batch 6"]

@@ -52,6 +52,7 @@ def fake_result(sets: ContactSets, verdicts: list[Verdict], lift: float, objecti
         residual=1e-15 * column,
         objective=objective * column,
         steps=3 * column.astype(int),
+        route=column.astype(int),
         certificate=np.zeros((len(sets), 1, 6)),
         margin=column * (np.arctan(0.5) - np.arctan2(lift, 2)),
         violation=column * max(0, lift - 1),

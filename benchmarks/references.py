@@ -127,7 +127,7 @@ def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndar
     along = np.sum(u * normals, -1)
     across = u - along[..., None] * normals
     size = norm(across)
-    inside = size <= friction * along
+    inside = (size <= friction * along) & (along >= 0)
     apex = ~inside & (friction * size <= -along)
     height = (along + friction * size) / (1 + friction**2)
     direction = across / or_one(size)[..., None]

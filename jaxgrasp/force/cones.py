@@ -33,7 +33,8 @@ def split(u: Vec, normal: Vec, friction: Array) -> Split:
     across = vec.sub(u, vec.scale(along, normal))
     size = vec.norm(across)
     tangent = Vec(*(vec.safe_divide(c, size) for c in across))
-    inside = size <= friction * along
+    # Without friction a pull straight along the normal would pass the first test alone.
+    inside = (size <= friction * along) & (along >= 0)
     polar = jnp.logical_not(inside) & (friction * size <= -along)
     return Split(along, tangent, size, inside, polar)
 

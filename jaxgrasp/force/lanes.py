@@ -82,10 +82,12 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     def keep(array: Array) -> Array:
         return jnp.where(use, array, 0)
 
-    inverse = 1 / jnp.sqrt(jnp.where(use, size2, 1))
+    kept = Vec(*map(keep, normals))
+    # From what was kept, so that no derivative meets what was not.
+    inverse = 1 / jnp.sqrt(jnp.where(use, vec.dot(kept, kept), 1))
     lanes = Lanes(
         arms=Vec(*map(keep, points)),
-        normals=Vec(*(keep(c * inverse) for c in Vec(*map(keep, normals)))),
+        normals=vec.scale(inverse, kept),
         friction=keep(friction),
         squeeze=keep(squeeze),
         weights=keep(weights),

@@ -255,11 +255,6 @@ def test_degenerate_grasps_match_extended_precision(kind, sharing):
     assert relative(solution.forces, expected).max() < (1e-5 if kind == "combined" else 1e-7)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="1e-11 near a line, 1.5e-10 at worst: the turn into principal axes costs digits of the small arms, and no "
-    "refinement with the residual of the forces themselves brings them back",
-)
 def test_balance_is_rounding_near_a_line_too():
     problem = P.problems("near_collinear", N, COUNT, seed=7)
     solution = solve(problem, problem.squeeze)

@@ -200,6 +200,15 @@ def test_known_answers_of_a_pair(padded):
     np.testing.assert_allclose(largest, np.sqrt(1 + 1 / 0.2**2), rtol=1e-8)
 
 
+def test_nothing_pulls_without_friction():
+    """Two slippery contacts face to face: all of the load is the one's that can press against it."""
+    line = np.array([[1.0, 0, 0], [-1, 0, 0]])
+    grasp = Grasp(np.zeros((2, 3)), line, friction=np.zeros(2), squeeze=np.ones(2))
+    solution = jaxgrasp.constrained_optimum(grasp, np.array([10.0, 0, 0, 0, 0, 0]))
+    assert int(solution.verdict) == Verdict.OPTIMAL
+    np.testing.assert_allclose(solution.forces, [[10, 0, 0], [0, 0, 0]], atol=1e-9)
+
+
 def test_named_sharings_are_their_weights():
     problem = P.problems("ordinary", 3, COUNT, seed=1)
     named = solve(problem, "squeeze")

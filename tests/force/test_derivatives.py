@@ -291,7 +291,7 @@ def test_absent_contacts_have_zero_derivative():
     problem = P.problems("ordinary", 5, COUNT, seed=13)
     grasp = Grasp(problem.points.copy(), problem.normals, problem.friction, problem.squeeze, np.ones((COUNT, 5)))
     grasp.present[:, 1] = 0
-    grasp.points[:, 1] = np.nan
+    grasp.points[:, 1] = grasp.normals[:, 1] = np.nan
 
     @jax.jit
     def pulled(grasp, wrench):

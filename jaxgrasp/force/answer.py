@@ -41,9 +41,7 @@ class Outcome(NamedTuple):
     undecided: Array
 
 
-def write(
-    lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, route: Route
-) -> Answer:
+def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, route: Route) -> Answer:
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
     solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
     answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)

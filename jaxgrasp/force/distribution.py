@@ -2,15 +2,15 @@
 
 import warnings
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.force import outside, shells
 from jaxgrasp.force.lanes import Problem
-from jaxgrasp.force.shells import solver
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
@@ -40,7 +40,12 @@ def closed_form(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sha
 
 
 def constrained_optimum(
-    grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze", *, safety: float | Array = 1.0
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    safety: float | Array = 1.0,
+    solver: Any = None,
 ) -> Solution:
     """The closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13), solved exactly.
 
@@ -49,6 +54,11 @@ def constrained_optimum(
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
         sharing: as for [`jaxgrasp.closed_form`][].
         safety: friction is divided by this, since an optimum on a cone's surface has no margin left.
+        solver: ``None`` for this package's own Newton method; or an optimistix root finder, least-squares
+            solver or minimiser, which then climbs the dual in at most 256 steps, such as
+            ``optimistix.Newton(rtol=1e-8, atol=1e-8)``. What it finds is OPTIMAL only where it stands our
+            own tests of residual, duality gap and balance, at the larger of its rtol and atol; else
+            NOT_CONVERGED. Derivatives are the same.
 
     Returns:
         A Solution. Where the closed form lies inside all cones it is the answer, at its own price; where
@@ -56,12 +66,15 @@ def constrained_optimum(
 
     Raises:
         ValueError: for a sharing or a safety that cannot be used, or shapes that do not fit.
+        TypeError: for a solver that is none of these, or whose settings are arrays.
     """
+    if solver is not None:
+        outside.check_solver(solver)
     if not isinstance(safety, jax.core.Tracer) and not np.all(np.asarray(safety) > 0):
         raise ValueError(f"safety is {safety}: expected a number greater than 0")
     friction = jnp.asarray(grasp.friction) / jnp.asarray(safety, jnp.asarray(grasp.friction).dtype)
     safe = Grasp(grasp.points, grasp.normals, friction, grasp.squeeze, grasp.present)
-    return _distribute(safe, wrench, sharing, constrained=True)
+    return _distribute(safe, wrench, sharing, constrained=True, solver=solver)
 
 
 class ForceSplit(NamedTuple):
@@ -87,13 +100,26 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     )
 
 
-def _distribute(grasp: Grasp, wrench: AnyArray, sharing: Sharing, constrained: bool) -> Solution:
-    fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze, grasp.present, wrench)
-    _warn_of_lost_precision(fields)
-    if isinstance(sharing, str):
-        _check_sharing(sharing)
-        return _run(*fields, None, sharing=sharing, constrained=constrained)
-    return _run(*fields, sharing, sharing="given", constrained=constrained)
+def _distribute(grasp: Grasp, wrench: AnyArray, sharing: Sharing, *, constrained: bool, solver: Any = None) -> Solution:
+    warn_of_lost_precision(grasp, wrench)
+    name, weights = read_sharing(sharing)
+    return _run(grasp, wrench, weights, sharing=name, constrained=constrained, solver=solver)
+
+
+@partial(jax.jit, static_argnames=("sharing", "constrained", "solver"))
+def _run(grasp, wrench, weights, *, sharing: str, constrained: bool, solver: Any) -> Solution:
+    """Flatten the leading axes, solve, and restore them."""
+    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    solution = shells.solver(constrained, solver)(problem)
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
+
+
+def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
+    """The name of a sharing, and the weights of one that is given as such."""
+    if not isinstance(sharing, str):
+        return "given", sharing
+    _check_sharing(sharing)
+    return sharing, None
 
 
 def _check_sharing(sharing: str) -> None:
@@ -101,9 +127,21 @@ def _check_sharing(sharing: str) -> None:
         raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
 
 
-@partial(jax.jit, static_argnames=("sharing", "constrained"))
-def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharing: str, constrained: bool) -> Solution:
-    """Flatten the leading axes, solve, and restore them."""
+class Flat(NamedTuple):
+    """Problems with their leading axes broadcast and flattened into one."""
+
+    problem: Problem
+    multiplier: Array | None
+    """``(B, 6)`` where one was given."""
+    batch: tuple[int, ...]
+    """The leading axes."""
+
+
+def flatten(
+    grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, sharing: str, multiplier: AnyArray | None = None
+) -> Flat:
+    """Inputs of any leading axes as a flat batch in one precision."""
+    points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
     if sharing != "given":
         weights = squeeze if sharing == "squeeze" else jnp.ones(np.shape(points)[:-1])
@@ -112,25 +150,28 @@ def _run(points, normals, friction, squeeze, present, wrench, weights, *, sharin
         "normals": (normals, (n, 3)),
         "friction": (friction, (n,)),
         "squeeze": (squeeze, (n,)),
-        "present": (present, (n,)),
+        "present": (grasp.present, (n,)),
         "weights": (weights, (n,)),
         "wrench": (wrench, (6,)),
+        "multiplier": (multiplier, (6,)),
     }
-    dtype = _precision(points, normals, friction, squeeze, wrench)
+    precise = (points, normals, friction, squeeze, wrench, multiplier)
+    dtype = _precision(*(array for array in precise if array is not None))
     arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = jnp.broadcast_shapes(*leading.values())
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
-    shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name != "wrench")
+    loads = ("wrench", "multiplier")
+    shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name not in loads)
     flat = {}
     for name, array in arrays.items():
         tail = given[name][1]
-        if shared and name != "wrench":
+        if shared and name not in loads:
             flat[name] = array.reshape(1, *tail)
         else:
             flat[name] = jnp.broadcast_to(array, batch + tail).reshape(-1, *tail)
-    solution = solver(constrained)(Problem(present=flat.pop("present", None), **flat))
-    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
+    multiplier = flat.pop("multiplier", None)
+    return Flat(Problem(present=flat.pop("present", None), **flat), multiplier, batch)
 
 
 def _contacts(points: AnyArray) -> int:
@@ -152,8 +193,9 @@ def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, 
     return array.shape[: array.ndim - len(tail)]
 
 
-def _warn_of_lost_precision(arrays: tuple) -> None:
-    given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in arrays)
+def warn_of_lost_precision(*arguments: Grasp | AnyArray) -> None:
+    """Say so where float64 data will be computed in float32; to be called two calls below the user's."""
+    given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in jax.tree.leaves(arguments))
     if given and not jax.config.read("jax_enable_x64"):
         warnings.warn(
             "float64 data are computed in float32, since JAX's 64-bit mode is off: "

@@ -6,7 +6,8 @@ when only the wrenches are mapped, and then the grasp's own work is done once.
 """
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,16 +15,16 @@ import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
-from jaxgrasp.force import implicit, stages
+from jaxgrasp.force import implicit, outside, stages
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.solution import Solution
 
 
 @cache
-def solver(constrained: bool) -> Callable[[Problem], Solution]:
-    """The differentiable flat solver of one method."""
-    flat = _batched(stages.solve_optimum if constrained else stages.solve_closed)
+def solver(constrained: bool, given: Any = None) -> Callable[[Problem], Solution]:
+    """The differentiable flat solver of one method; of the optimum, by a ``given`` solver from outside too."""
+    flat = _batched(_route(constrained, given))
     outer = jax.custom_jvp(flat)
 
     @outer.defjvp
@@ -34,6 +35,12 @@ def solver(constrained: bool) -> Callable[[Problem], Solution]:
         return solution, _tangent_solution(solution, parts)
 
     return outer
+
+
+def _route(constrained: bool, given: Any) -> Callable[[Problem], Answer]:
+    if given is not None:
+        return partial(outside.solve_optimum, given)
+    return stages.solve_optimum if constrained else stages.solve_closed
 
 
 def _batched(solve: Callable[[Problem], Answer]) -> Callable[[Problem], Solution]:

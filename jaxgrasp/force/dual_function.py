@@ -1,0 +1,101 @@
+"""The dual of the constrained optimum as a function of its multiplier, in plain JAX.
+
+For the cones K_i and the multiplier x, a virtual twist about the frame's origin,
+
+    q(x) = w.x + sum of  min over f in K_i of  |f - s_i a_i|^2 / (2 k_i) - f.(G_i^T x).
+
+It is concave, its gradient is w - G f(x), and by weak duality no allowed forces that balance w cost less.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import dual
+from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.lanes import Lanes, read
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+
+def dual_value(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    multiplier: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+) -> Float[Array, "..."]:
+    """The dual value of a multiplier: a lower bound of the constrained optimum's objective, whatever it is.
+
+    At the optimum's own multiplier it equals ``Solution.objective``. Differentiable any number of times, by
+    every argument; where a contact's force meets its cone's surface or apex, second derivatives are those of
+    one side.
+
+    Args:
+        grasp: contacts ``(..., n)``; all leading axes broadcast.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        multiplier: linear over angular ``(..., 6)``, about the frame's origin, as in a Solution.
+        sharing: as for [`jaxgrasp.closed_form`][].
+
+    Returns:
+        ``(...)`` in the objective's units [N^2 over those of the weights]; NaN where the data are not usable.
+
+    Raises:
+        ValueError: for a sharing that cannot be used, or shapes that do not fit.
+    """
+    return _at(grasp, wrench, multiplier, sharing)[0]
+
+
+def multiplier_forces(
+    grasp: Grasp, multiplier: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze"
+) -> Float[Array, "... n 3"]:
+    """The forces that a multiplier calls for: each contact's best one inside its cone.
+
+    f_i is the projection of s_i a_i + k_i G_i^T multiplier on cone i: a force that friction allows, whether or
+    not it balances anything. At the optimum's own multiplier these are its forces.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the multiplier's.
+        multiplier: linear over angular ``(..., 6)``, about the frame's origin, as in a Solution.
+        sharing: as for [`jaxgrasp.closed_form`][].
+
+    Returns:
+        ``(..., n, 3)`` [N]; zero for absent contacts, NaN where the data are not usable.
+
+    Raises:
+        ValueError: for a sharing that cannot be used, or shapes that do not fit.
+    """
+    return _at(grasp, jnp.zeros(6, int), multiplier, sharing)[1]
+
+
+def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) -> tuple[Array, Array]:
+    warn_of_lost_precision(grasp, wrench, multiplier)
+    name, weights = read_sharing(sharing)
+    return _evaluate(grasp, wrench, multiplier, weights, sharing=name)
+
+
+@partial(jax.jit, static_argnames="sharing")
+def _evaluate(grasp, wrench, multiplier, weights, *, sharing: str) -> tuple[Array, Array]:
+    """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
+    flat = flatten(grasp, wrench, weights, sharing, multiplier)
+    assert flat.multiplier is not None
+    lanes, valid = read(flat.problem)
+    value, best = _value_and_forces(lanes, flat.multiplier.T)
+    value = jnp.where(valid, value, jnp.nan)[0]
+    forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best]).transpose(2, 1, 0)
+    return value.reshape(flat.batch), forces.reshape(flat.batch + forces.shape[1:])
+
+
+def _value_and_forces(lanes: Lanes, multiplier: dual.Six) -> tuple[Array, Vec]:
+    one = jnp.ones_like(lanes.force.x)
+    unstretched = Vec(one, one, one)
+    best = dual.best_forces(lanes, multiplier, unstretched)
+    work = dual.inner(dual.load(lanes, unstretched), multiplier)
+    # Inside its cone a force is s a + k v: written so, the derivative by k is right where k is zero too.
+    free = lanes.weights * vec.dot(best.twist, best.twist) / 2
+    spread = jnp.where(best.sides.inside, free, dual.spread(lanes, best.forces))
+    own = spread - vec.dot(best.twist, best.forces)
+    return work + jnp.sum(own, 0, keepdims=True), best.forces

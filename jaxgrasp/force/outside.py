@@ -1,0 +1,144 @@
+"""The constrained optimum by a solver from outside, on the same dual, judged by this package's own tests.
+
+The solver sees six unknowns in the principal axes and whitened coordinates of the careful pass, one
+problem at a time under ``vmap``. It only proposes a multiplier: what that is worth is measured here.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force.answer import Answer, Outcome, write
+from jaxgrasp.force.certify import out_of_range, proves_infeasible
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
+from jaxgrasp.force.newton import has_converged
+from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.numerics.vec import Vec
+
+MAX_STEPS = 256
+TILE = 128
+"""Problems that run together: each waits for the slowest of its tile."""
+
+
+def check_solver(solver: Any) -> None:
+    """Raise TypeError unless ``solver`` is one that ``solve_optimum`` can use."""
+    import optimistix as optx
+
+    kinds = (optx.AbstractRootFinder, optx.AbstractLeastSquaresSolver, optx.AbstractMinimiser)
+    if not isinstance(solver, kinds):
+        raise TypeError(
+            f"solver is {solver!r}: expected None, or an optimistix root finder, least-squares solver or minimiser, "
+            "such as optimistix.Newton(rtol=1e-8, atol=1e-8)"
+        )
+    try:
+        hash(solver)
+    except TypeError:
+        raise TypeError(f"solver {type(solver).__name__} holds arrays: expected settings in Python numbers") from None
+
+
+def solve_optimum(solver: Any, problem: Problem) -> Answer:
+    """The constrained optimum of a flat batch by an optimistix solver."""
+    return over_tiles(partial(_tile, solver), problem, problem.size, TILE)
+
+
+def write_to_tolerance(
+    lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, tolerance: float
+) -> Answer:
+    """``answer.write``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
+    answer = write(lanes, frame, stretch, valid, size, outcome, Route.GIVEN)
+    disowned = (outcome.verdict[0] == Verdict.OPTIMAL) & (answer.verdict == Verdict.NOT_CONVERGED)
+    verdict = jnp.where(disowned & (answer.residual <= tolerance), Verdict.OPTIMAL, answer.verdict)
+    return answer._replace(verdict=verdict.astype(jnp.int32))
+
+
+def _tile(solver: Any, problem: Problem) -> Answer:
+    lanes, valid = read(problem)
+    lanes, frame = principal(lanes)
+    metric, stretch = pseudo_inverse.whitened_metric(lanes, frame)
+    start = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
+    free = pseudo_inverse.free_forces(lanes, start, stretch)
+    inside = jnp.all(cones.contains(free, lanes.normals, lanes.friction), 0, keepdims=True)
+    missed, beyond = out_of_range(lanes, frame, stretch)
+    point, steps = _search(solver, lanes, stretch, start)
+    tolerance = float(max(solver.rtol, solver.atol))
+    forces, optimal = _judge(lanes, stretch, metric, point, tolerance)
+    proven, direction = _proof(lanes, frame, stretch, start, point)
+    verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
+    verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
+    outcome = Outcome(
+        forces=vec.where(inside, free, forces),
+        multiplier=jnp.where(inside, start, point),
+        verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
+        steps=jnp.where(inside, 0, steps),
+        certificate=jnp.where(missed, beyond, direction),
+        undecided=jnp.zeros_like(missed),
+    )
+    return write_to_tolerance(lanes, frame, stretch, valid, problem.size, outcome, tolerance)
+
+
+def _search(solver: Any, lanes: Lanes, stretch: Vec, start: Six) -> tuple[Six, Array]:
+    """Where the solver ends in each lane, and after how many steps; the start where it runs off to infinity."""
+    import optimistix as optx
+
+    def one(lane: tuple[Lanes, Vec], start: Six) -> tuple[Six, Array]:
+        found: optx.Solution
+        if isinstance(solver, optx.AbstractMinimiser):
+            found = optx.minimise(_descent, solver, start, lane, max_steps=MAX_STEPS, throw=False)
+        else:
+            found = optx.root_find(_rest, solver, start, lane, max_steps=MAX_STEPS, throw=False)
+        return found.value, found.stats["num_steps"][None]
+
+    size = start.shape[-1]
+    lane = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), (lanes, stretch))
+    point, steps = jax.vmap(one, in_axes=-1, out_axes=-1)(lane, start)
+    finite = jnp.all(jnp.isfinite(point), 0, keepdims=True)
+    return jnp.where(finite, point, start), steps
+
+
+def _rest(point: Six, lane: tuple[Lanes, Vec]) -> Six:
+    """The dual's gradient; directions that no contact reaches pull the multiplier to zero instead of nowhere."""
+    lanes, stretch = lane
+    rest = dual.residual(lanes, dual.best_forces(lanes, point, stretch).forces, stretch)
+    return rest - _out_of_reach(stretch) * point
+
+
+def _descent(point: Six, lane: tuple[Lanes, Vec]) -> Array:
+    """Minus the dual, whose gradient is minus ``_rest``."""
+    lanes, stretch = lane
+    value = dual.dual_value(lanes, dual.best_forces(lanes, point, stretch), point, stretch)
+    return jnp.sum(_out_of_reach(stretch) * point**2) / 2 - value[0]
+
+
+def _out_of_reach(stretch: Vec) -> Six:
+    zero = Vec(*(jnp.zeros_like(s) for s in stretch))
+    return dual.six(zero, Vec(*((s == 0).astype(s.dtype) for s in stretch)))
+
+
+def _judge(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, tolerance: float) -> tuple[Vec, Array]:
+    """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
+    best = dual.best_forces(lanes, point, stretch)
+    rest = dual.residual(lanes, best.forces, stretch)
+    value, push = dual.dual_value(lanes, best, point, stretch), dual.total_push(lanes, best.forces)
+    size2 = whitened_square(metric, rest)
+    own = jnp.sum(dual.spread(lanes, vec.scale(0 * lanes.squeeze, lanes.normals)), 0, keepdims=True)
+    balanced = size2 <= (tolerance * (1 + push)) ** 2
+    closed = jnp.abs(dual.inner(point, rest)) <= tolerance * jnp.maximum(jnp.abs(value), own)
+    return best.forces, (balanced & closed) | has_converged(lanes, point, rest, size2, value, push)
+
+
+def _proof(lanes: Lanes, frame: Frame, stretch: Vec, start: Six, point: Six) -> tuple[Array, Six]:
+    """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
+    rest = dual.residual(lanes, dual.best_forces(lanes, point, stretch).forces, stretch)
+    run = point - start
+    run = run / jnp.maximum(dual.length(run), 1)
+    by_rest, by_run = (proves_infeasible(lanes, frame, direction, stretch) for direction in (rest, run))
+    linear, angular = dual.parts(jnp.where(by_rest, rest, run))
+    return by_rest | by_run, dual.six(linear, vec.times(stretch, angular))

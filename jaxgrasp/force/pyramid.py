@@ -1,0 +1,281 @@
+"""The optimum over friction pyramids, by a quadratic-program solver from outside: what linearising friction costs.
+
+A pyramid whose m edges lie on the cone lies inside it. With y_i = (f_i - s_i a_i) / sqrt(k_i) in principal
+axes and whitened coordinates, the problem is the shortest y with A y = b, where A A^T = I, and one row of
+C y <= d for each facet: as well conditioned as it can be for an operator-splitting method.
+"""
+
+import math
+import warnings
+from functools import partial
+from types import ModuleType
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force.answer import Answer, Outcome
+from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.lanes import Lanes, Problem, principal, read
+from jaxgrasp.force.outside import write_to_tolerance
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.numerics.vec import Vec
+
+TILE = 128
+"""Problems that run together: each waits for the slowest of its tile."""
+ROUNDING = 2.0
+"""Residuals computed a second time may exceed the tolerance that the solver met by this factor."""
+BALANCE = 10.0
+"""Backward error of an answer, in tolerances: a length of six residuals, and forces put back on their cones."""
+GAP = 100.0
+"""Relative duality gap of an answer, in tolerances: residuals count by the multipliers, which can be large."""
+
+
+class Settings(NamedTuple):
+    """What the caller asks of the pyramids and of their solver."""
+
+    sides: int
+    solver: str
+    tol: float
+    max_steps: int
+
+
+class Program(NamedTuple):
+    """Minimise |y|^2 / 2 subject to A y = b and C y <= d."""
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+
+
+class Found(NamedTuple):
+    """What the solver proposes for one program."""
+
+    y: Array
+    equality: Array
+    """Multipliers of A y = b."""
+    facets: Array
+    """Multipliers of C y <= d."""
+    claimed: Array
+    steps: Array
+
+
+def pyramid_optimum(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    sides: int = 8,
+    solver: Literal["osqp", "box_osqp"] = "osqp",
+    tol: float = 1e-6,
+    max_steps: int = 4000,
+) -> Solution:
+    """The constrained optimum with each friction cone replaced by an inscribed pyramid, by jaxopt's OSQP.
+
+    An inner approximation: the pyramid's edges lie on the cone, so its forces are ones that friction allows,
+    at a price no lower than [`jaxgrasp.constrained_optimum`][]'s, which falls as ``sides`` are doubled. It
+    serves to measure that price; the constrained optimum itself is faster and exact. The first edge leans from
+    the normal a towards a x e, with e the coordinate axis farthest from a, the first of equals: where the
+    edges point depends on the frame, and jumps as a normal turns.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        sharing: as for [`jaxgrasp.closed_form`][].
+        sides: edges of each pyramid, 3 or more.
+        solver: ``"osqp"`` for ``jaxopt.OSQP``, ``"box_osqp"`` for ``jaxopt.BoxOSQP``.
+        tol: largest residual allowed, in coordinates where the load is 1. Where JAX's 64-bit mode is off
+            1e-4 is within reach, and the default hardly ever.
+        max_steps: iterations of the operator splitting.
+
+    Returns:
+        A Solution of the pyramids' problem: ``objective`` is theirs, and ``multiplier`` that of G f = w there,
+        about the frame's origin. OPTIMAL where primal and dual residuals are within ``tol``, the residual of
+        the Solution within 10 and the duality gap within 100 times that, relative to the larger of the
+        objective and that of no force. NOT_CONVERGED otherwise, no proof being tried: pyramids may be unable to
+        give a wrench that the cones can. ``steps`` counts the solver's iterations.
+
+    Raises:
+        ValueError: for an argument that cannot be used, or shapes that do not fit.
+        NotImplementedError: when it is differentiated.
+    """
+    settings = Settings(sides, solver, tol, max_steps)
+    _check(settings)
+    return _solve(grasp, wrench, sharing, settings)
+
+
+def _check(settings: Settings) -> None:
+    if settings.sides < 3:
+        raise ValueError(f"sides is {settings.sides}: expected 3 or more")
+    if settings.solver not in ("osqp", "box_osqp"):
+        raise ValueError(f"solver is {settings.solver!r}: expected 'osqp' or 'box_osqp'")
+    if not settings.tol > 0:
+        raise ValueError(f"tol is {settings.tol}: expected a number greater than 0")
+    if settings.max_steps < 1:
+        raise ValueError(f"max_steps is {settings.max_steps}: expected 1 or more")
+
+
+def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: Settings) -> Solution:
+    warn_of_lost_precision(grasp, wrench)
+    name, weights = read_sharing(sharing)
+    return _run(grasp, wrench, weights, sharing=name, settings=settings)
+
+
+@partial(jax.jit, static_argnames=("sharing", "settings"))
+def _run(grasp, wrench, weights, *, sharing: str, settings: Settings) -> Solution:
+    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    answer = _answers(problem, settings)
+    fields = {name: getattr(answer, name) for name in Solution.__dataclass_fields__}
+    return Solution(**{name: x.reshape(batch + x.shape[1:]) for name, x in fields.items()})
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _answers(problem: Problem, settings: Settings) -> Answer:
+    return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE)
+
+
+@_answers.defjvp
+def _no_derivatives(settings, primals, tangents):
+    # Those that jaxopt gives were off by up to a hundredth for the objective, and by anything for the forces.
+    raise NotImplementedError("pyramid_optimum has no derivatives: differentiate constrained_optimum instead")
+
+
+def _tile(problem: Problem, settings: Settings) -> Answer:
+    lanes, valid = read(problem)
+    tangents = _tangents(lanes.normals)
+    lanes, frame = principal(lanes)
+    assert frame.axes is not None
+    first, second = (vec.rotate(frame.axes, tangent) for tangent in tangents)
+    _, stretch = pseudo_inverse.whitened_metric(lanes, frame)
+    program = _program(lanes, stretch, _facets(lanes, (first, second), settings.sides), problem.size)
+    # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
+    program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
+    found = jax.vmap(partial(_splitting, settings=settings))(program)
+    own = dual.spread(lanes, vec.scale(0 * lanes.squeeze, lanes.normals))
+    solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(
+        program, found, jnp.broadcast_to(jnp.sum(own, 0), problem.size)
+    )
+    y, twist = (_finite(x, lanes.squeeze.dtype) for x in (found.y, -found.equality))
+    moved = vec.scale(jnp.sqrt(lanes.weights), Vec(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
+    forces = vec.add(vec.scale(lanes.squeeze, lanes.normals), moved)
+    # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
+    sides = cones.split(forces, lanes.normals, lanes.friction)
+    outcome = Outcome(
+        forces=cones.project(forces, lanes.normals, lanes.friction, sides),
+        multiplier=twist.T,
+        verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
+        steps=found.steps[None],
+        certificate=jnp.zeros((6, problem.size), forces.x.dtype),
+        undecided=jnp.zeros((1, problem.size), bool),
+    )
+    return write_to_tolerance(lanes, frame, stretch, valid, problem.size, outcome, BALANCE * settings.tol)
+
+
+def _finite(array: Array, dtype: jnp.dtype) -> Array:
+    return jnp.where(jnp.isfinite(array), array, 0).astype(dtype)
+
+
+def _program(lanes: Lanes, stretch: Vec, facets: tuple[Array, Array], size: int) -> Program:
+    """The programs of all lanes, batch-first."""
+    squeezing = vec.scale(lanes.squeeze, lanes.normals)
+    rows, bounds = facets
+    contacts, each = rows.shape[1:3]
+    # Facets of a contact see its own force alone.
+    apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
+    program = Program(
+        a=_balance(lanes, stretch),
+        b=dual.residual(lanes, squeezing, stretch).T,
+        c=apart.reshape(-1, contacts * each, 3 * contacts),
+        d=bounds.reshape(-1, contacts * each),
+    )
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape[1:])), program)
+
+
+def _balance(lanes: Lanes, stretch: Vec) -> Array:
+    """A = G W^(1/2), ``(B, 6, 3n)``."""
+    root, zero = jnp.sqrt(lanes.weights), jnp.zeros_like(lanes.weights)
+    columns = []
+    for axis in range(3):
+        unit = Vec(*(root if i == axis else zero for i in range(3)))
+        torque = vec.times(stretch, vec.cross(lanes.arms, unit))
+        columns.append(jnp.stack(jnp.broadcast_arrays(*unit, *torque)))
+    matrix = jnp.stack(columns, 2)  # (6, n, 3, B)
+    return matrix.transpose(3, 0, 1, 2).reshape(matrix.shape[-1], 6, -1)
+
+
+def _facets(lanes: Lanes, tangents: tuple[Vec, Vec], sides: int) -> tuple[Array, Array]:
+    """Rows g and bounds d with g.y <= d for each facet, ``(B, n, sides + 1, 3)`` and ``(B, n, sides + 1)``.
+
+    Between two edges a + mu t on the cone the facet's distance from the axis is mu cos(pi / m) per unit of
+    height. A last row keeps contacts from pulling, which without friction no facet does.
+    """
+    angles = jnp.asarray([(2 * j + 1) * math.pi / sides for j in range(sides)], lanes.friction.dtype)[:, None, None]
+    outward = vec.add(vec.scale(jnp.cos(angles), tangents[0]), vec.scale(jnp.sin(angles), tangents[1]))
+    slope = lanes.friction * math.cos(math.pi / sides)
+    size = jnp.sqrt(1 + slope**2)
+    row = vec.scale(1 / size, vec.sub(outward, vec.scale(slope, lanes.normals)))
+    rows = jnp.concatenate([jnp.stack(row, 1), -jnp.stack(lanes.normals)[None]])
+    own = vec.safe_divide(lanes.squeeze, jnp.sqrt(lanes.weights))
+    bounds = jnp.concatenate([jnp.broadcast_to(slope * own / size, (sides, *own.shape)), own[None]])
+    return rows.transpose(3, 2, 0, 1), bounds.transpose(2, 1, 0)
+
+
+def _tangents(normal: Vec) -> tuple[Vec, Vec]:
+    """Two unit vectors across each normal, from the coordinate axis that is farthest from it."""
+    least = jnp.argmin(jnp.abs(jnp.stack(normal)), 0)
+    axis = Vec(*((least == i).astype(normal.x.dtype) for i in range(3)))
+    across = vec.cross(normal, axis)
+    first = Vec(*(vec.safe_divide(c, vec.norm(across)) for c in across))
+    return first, vec.cross(normal, first)
+
+
+def _splitting(program: Program, settings: Settings) -> Found:
+    """One program by jaxopt, from the closed form on; under ``vmap`` all of them."""
+    jaxopt = _jaxopt()
+    a, b, c, d = program
+    kind = jaxopt.OSQP if settings.solver == "osqp" else jaxopt.BoxOSQP
+    solver = kind(tol=settings.tol, maxiter=settings.max_steps)
+    objective = (jnp.eye(a.shape[1], dtype=a.dtype), jnp.zeros_like(a[0]))
+    # Since A A^T = I. A start at zero would make the step size, which jaxopt divides by A y, infinite.
+    closed = b @ a
+    if settings.solver == "osqp":
+        start = solver.init_params(closed, objective, (a, b), (c, d))._replace(dual_eq=-b)
+        found, state = solver.run(start, objective, (a, b), (c, d))
+        y, equality, facets = found.primal, found.dual_eq, found.dual_ineq
+    else:
+        both = jnp.concatenate([a, c])
+        lower, upper = jnp.concatenate([b, jnp.full_like(d, -jnp.inf)]), jnp.concatenate([b, d])
+        start = solver.init_params(closed, objective, both, (lower, upper))
+        start = start._replace(dual_eq=jnp.concatenate([-b, jnp.zeros_like(d)]))
+        found, state = solver.run(start, objective, both, (lower, upper))
+        y, equality, facets = found.primal[0], found.dual_eq[:6], found.dual_eq[6:]
+    return Found(y, equality, facets, state.status == jaxopt.BoxOSQP.SOLVED, state.iter_num)
+
+
+def _is_optimum(program: Program, found: Found, own: Array, tol: float) -> Array:
+    """Whether the Karush-Kuhn-Tucker conditions hold, and the duality gap is small beside the objective or ``own``."""
+    a, b, c, d = program
+    slack = d - c @ found.y
+    pull = found.equality @ a + found.facets @ c
+    # The least of two numbers is zero exactly where both are nonnegative and one of them vanishes.
+    violations = (a @ found.y - b, found.y + pull, jnp.minimum(slack, found.facets))
+    error = jnp.max(jnp.stack([jnp.max(jnp.abs(violation)) for violation in violations]))
+    primal = found.y @ found.y / 2
+    bound = -(pull @ pull) / 2 - b @ found.equality - d @ found.facets
+    close = jnp.abs(primal - bound) <= GAP * tol * jnp.maximum(primal, own)
+    return found.claimed & (error <= ROUNDING * tol) & close
+
+
+def _jaxopt() -> ModuleType:
+    """Loaded when asked for; it says at every import that it is no longer maintained."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "JAXopt is no longer maintained", DeprecationWarning)
+        import jaxopt
+    return jaxopt

@@ -1,0 +1,83 @@
+"""The constrained optimum beside its rivals: times, errors, verdicts and derivatives, failures included.
+
+    python -m benchmarks.constrained_optimum --out benchmarks/results
+
+Writes constrained_optimum.json, constrained_optimum.md and time_error.png. ``--only`` makes some of the sections and
+leaves the others as the JSON has them.
+"""
+
+import os
+
+# One thread, decided before anybody starts a pool.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+
+from benchmarks import references as R
+from benchmarks.machine import machine
+from benchmarks.page import decisions, extras, gradients, plot, stress, tables, times
+from benchmarks.rivals import registry
+from benchmarks.rivals.interface import Differentiator, Rival
+
+SECTIONS = ("times", "extras", "stress", "decisions", "gradients")
+NAME = "constrained_optimum"
+
+
+def measure(section: str, rivals: list[Rival], differentiators: list[Differentiator], quick: bool):
+    """One section of the report."""
+    sections: dict[str, Callable[[], object]] = {
+        "times": lambda: times.timings(rivals, times.QUICK if quick else times.Plan()),
+        "extras": lambda: extras.extras(extras.QUICK if quick else extras.Plan()),
+        "stress": lambda: stress.stress(stress.QUICK if quick else stress.Plan()),
+        "decisions": lambda: decisions.decisions(rivals, decisions.QUICK if quick else decisions.Plan()),
+        "gradients": lambda: gradients.gradients(differentiators, gradients.QUICK if quick else gradients.Plan()),
+    }
+    return sections[section]()
+
+
+def write(report: dict, out: Path) -> None:
+    (out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
+    (out / f"{NAME}.md").write_text(tables.page(report))
+    if "times" in report:
+        plot.draw(report["times"], out / "time_error.png")
+
+
+def about(rivals: list[Rival], differentiators: list[Differentiator], missing: list[str]) -> dict:
+    found = machine()
+    packages = [*(one.package for one in rivals), *(one.package for one in differentiators)]
+    found["versions"] |= registry.versions(packages)
+    return {"machine": found, "missing": missing, "extended_precision": bool(R.EXTENDED)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the three files")
+    parser.add_argument("--quick", action="store_true", help="a few problems of a few kinds: a test, not a measurement")
+    parser.add_argument("--only", choices=SECTIONS, action="append", help="this section; may be given again")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    rivals, missing = registry.available(most=1 if options.quick else None)
+    differentiators, more = gradients.available()
+    kept = options.out / f"{NAME}.json"
+    report = json.loads(kept.read_text()) if options.only and kept.exists() else {}
+    report |= about(rivals, differentiators, missing + more)
+    for line in report["missing"]:
+        print(line)
+    for section in options.only or SECTIONS:
+        print(f"{section} ...", flush=True)
+        report[section] = measure(section, rivals, differentiators, options.quick)
+        # Hours may lie between sections: what is measured is kept.
+        write(report, options.out)
+
+
+if __name__ == "__main__":
+    main()

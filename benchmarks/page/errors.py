@@ -1,0 +1,114 @@
+"""How far answers are from the best one known, which no single method is trusted to give."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks import references as R
+from benchmarks.problem_data import Problems
+from benchmarks.rivals.interface import Answers, Rival
+
+
+class Best(NamedTuple):
+    """For each problem the forces and multiplier, of any method, that prove themselves best in extended precision."""
+
+    forces: np.ndarray
+    primal: np.ndarray
+    dual: np.ndarray
+    scale: np.ndarray
+    """What objective errors are relative to: the larger of the optimum and the price of no forces at all."""
+    score: np.ndarray
+    """The larger of gap, backward error and violation; infinite where no method answered."""
+    source: np.ndarray
+    """Index of the method, in the order given."""
+
+
+def first(problem: Problems, count: int) -> Problems:
+    return chosen(problem, np.arange(min(count, len(problem.squeeze))))
+
+
+def chosen(problem: Problems, index: np.ndarray) -> Problems:
+    arrays = {name: getattr(problem, name)[index] for name in R.ARRAYS}
+    return problem._replace(**arrays, witness=None)
+
+
+def best(problem: Problems, weights: np.ndarray, answers: list[Answers]) -> Best:
+    """The best pair of each problem; each method may have answered only the first few."""
+    size, contacts = weights.shape
+    own = np.sum(np.where(weights > 0, problem.squeeze**2 / np.where(weights > 0, 2 * weights, 1), 0), -1)
+    nothing, never, nobody = np.zeros(size), np.full(size, np.inf), np.full(size, -1)
+    found = Best(np.zeros((size, contacts, 3)), nothing, nothing.copy(), own.copy(), never, nobody)
+    for source, answer in enumerate(answers):
+        if answer.multiplier is None:
+            continue
+        count = len(answer.solved)
+        judged = R.judge(first(problem, count), weights[:count], answer.forces, answer.multiplier)
+        score = _rounded(np.maximum(np.maximum(judged.gap, judged.backward_error), judged.violation))
+        better = np.flatnonzero(score < found.score[:count])
+        found.forces[better] = answer.forces[better]
+        found.primal[better], found.dual[better] = judged.primal[better], judged.dual[better]
+        found.scale[better] = np.maximum(own[better], judged.primal[better])
+        found.score[better], found.source[better] = score[better], source
+    return found
+
+
+class Measured(NamedTuple):
+    """Errors of one method's answers, one entry a problem."""
+
+    force: np.ndarray
+    """Largest error of a force relative to the problem's largest force."""
+    excess: np.ndarray
+    """|objective - the best one| on the scale of the best."""
+    gap: np.ndarray | None
+    """The method's own duality gap."""
+    backward_error: np.ndarray
+    violation: np.ndarray
+
+
+def measure(problem: Problems, weights: np.ndarray, answers: Answers, known: Best) -> Measured:
+    """Errors of the first answers, as many as there are of both."""
+    count = min(len(answers.solved), len(known.primal))
+    problem, weights = first(problem, count), weights[:count]
+    multiplier = np.zeros((count, 6)) if answers.multiplier is None else answers.multiplier[:count]
+    forces = answers.forces[:count]
+    judged = R.judge(problem, weights, forces, multiplier)
+    apart = np.sqrt(np.sum((forces - known.forces[:count]) ** 2, -1)).max(-1)
+    largest = np.sqrt(np.sum(known.forces[:count] ** 2, -1)).max(-1)
+    scale = known.scale[:count]
+    return Measured(
+        apart / np.where(largest > 0, largest, 1),
+        _rounded(np.abs(judged.primal - known.primal[:count]) / np.where(scale > 0, scale, 1)),
+        None if answers.multiplier is None else _rounded(judged.gap),
+        _rounded(judged.backward_error),
+        _rounded(judged.violation),
+    )
+
+
+def _rounded(wide: np.ndarray) -> np.ndarray:
+    """Extended precision to float64, whose range is smaller."""
+    return np.minimum(wide, np.finfo(float).max).astype(float)
+
+
+def summary(rival: Rival, answers: Answers, measured: Measured) -> dict:
+    """Errors over the problems that the method claims to have solved, and how many those are."""
+    solved = answers.solved[: len(measured.force)]
+
+    def worst(errors: np.ndarray | None) -> float | None:
+        return float(errors[solved].max()) if errors is not None and solved.any() else None
+
+    return {
+        "method": rival.name,
+        "package": rival.package,
+        "licence": rival.licence,
+        "dtype": rival.dtype,
+        "tolerance": rival.tolerance,
+        "cones": rival.cones,
+        "judged": len(solved),
+        "solved": int(solved.sum()),
+        "median_force_error": float(np.median(measured.force[solved])) if solved.any() else None,
+        "max_force_error": worst(measured.force),
+        "max_excess": worst(measured.excess),
+        "max_gap": worst(measured.gap),
+        "max_backward_error": worst(measured.backward_error),
+        "max_violation": worst(measured.violation),
+    }

@@ -1,0 +1,147 @@
+"""Ratios of this package's own routes: what batching, sharing a grasp, derivatives and friction cost."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import jaxgrasp
+from benchmarks import references as R
+from benchmarks.page.clock import interleaved
+from benchmarks.page.errors import chosen, first
+from benchmarks.page.times import needs_cones, ordinary
+from benchmarks.problem_data import Problems
+from jaxgrasp import Grasp, Verdict
+
+
+class Plan(NamedTuple):
+    """How much to measure; everything but the first two parts at five contacts."""
+
+    sizes: tuple[int, ...] = (3, 5, 10, 20)
+    batch: int = 1_000
+    shared: int = 100
+    batches: tuple[int, ...] = (1_000, 10_000, 100_000, 1_000_000)
+    repeats: int = 15
+    budget: float = 5.0
+
+
+QUICK = Plan(sizes=(5,), batch=32, shared=8, batches=(32, 64), repeats=3, budget=0.5)
+CONTACTS = 5
+
+
+@jax.jit
+def optimum(grasp: Grasp, wrench: jax.Array) -> jaxgrasp.Solution:
+    return jaxgrasp.constrained_optimum(grasp, wrench)
+
+
+@jax.jit
+def closed(grasp: Grasp, wrench: jax.Array) -> jaxgrasp.Solution:
+    return jaxgrasp.closed_form(grasp, wrench)
+
+
+mapped = jax.jit(jax.vmap(jaxgrasp.constrained_optimum))
+
+
+def _jacobian(differentiate: Callable) -> Callable:
+    def one(grasp: Grasp, wrench: jax.Array) -> jax.Array:
+        def forces(squeeze: jax.Array) -> jax.Array:
+            squeezed = Grasp(grasp.points, grasp.normals, grasp.friction, squeeze)
+            return jaxgrasp.constrained_optimum(squeezed, wrench).forces
+
+        return differentiate(forces)(grasp.squeeze)
+
+    return jax.jit(jax.vmap(one))
+
+
+forward, reverse = _jacobian(jax.jacfwd), _jacobian(jax.jacrev)
+
+
+def on_device(problem: Problems) -> tuple[Grasp, jax.Array]:
+    points, normals, friction, squeeze, wrench = jax.device_put([getattr(problem, name) for name in R.ARRAYS])
+    return Grasp(points, normals, friction, squeeze), wrench
+
+
+def _call(function: Callable, grasp: Grasp, wrench: jax.Array) -> Callable[[], object]:
+    return lambda: jax.block_until_ready(function(grasp, wrench))
+
+
+def extras(plan: Plan) -> dict:
+    return {
+        "closed_form_optimal": [_no_active_cone(n, plan) for n in plan.sizes],
+        "price_of_friction": [_price(n, sharing, plan) for n in plan.sizes for sharing in ("squeeze", "uniform")],
+        "routes": _routes(plan),
+        "batches": _batches(plan),
+    }
+
+
+def _no_active_cone(n: int, plan: Plan) -> dict:
+    """A batch whose closed forms are all optimal, against the closed form itself."""
+    problem = ordinary(n, 4 * plan.batch)
+    index = np.flatnonzero(~needs_cones(problem, problem.squeeze))[: plan.batch]
+    grasp, wrench = on_device(chosen(problem, np.resize(index, plan.batch)))
+    spent = interleaved(
+        {"optimum": _call(optimum, grasp, wrench), "closed": _call(closed, grasp, wrench)}, plan.repeats, plan.budget
+    )
+    verdicts = np.asarray(optimum(grasp, wrench).verdict)
+    return {
+        "n": n,
+        "batch": plan.batch,
+        "all_closed_form_optimal": bool((verdicts == Verdict.CLOSED_FORM_OPTIMAL).all()),
+        "optimum_microseconds": spent["optimum"] / plan.batch * 1e6,
+        "closed_form_microseconds": spent["closed"] / plan.batch * 1e6,
+        "ratio": spent["optimum"] / spent["closed"],
+    }
+
+
+def _price(n: int, sharing: str, plan: Plan) -> dict:
+    """How far each closed form is from its own optimum, where a cone is active."""
+    problem = ordinary(n, plan.batch)
+    weights = problem.weights(sharing)
+    grasp, wrench = on_device(problem)
+    free = jax.device_get(jaxgrasp.closed_form(grasp, wrench, weights))
+    held = jax.device_get(jaxgrasp.constrained_optimum(grasp, wrench, weights))
+    active = held.verdict == Verdict.OPTIMAL
+    price = (held.objective - free.objective) / held.objective
+    largest = np.linalg.norm(held.forces, axis=-1).max(-1)
+    apart = np.linalg.norm(held.forces - free.forces, axis=-1).max(-1) / largest
+    outside = R.judge(problem, weights, free.forces, free.multiplier).violation.astype(float)
+    return {
+        "n": n,
+        "sharing": sharing,
+        "active_share": float(active.mean()),
+        "median_price": float(np.median(price[active])),
+        "median_force_distance": float(np.median(apart[active])),
+        "max_force_distance": float(apart[active].max()),
+        "median_violation": float(np.median(outside[active])),
+    }
+
+
+def _routes(plan: Plan) -> dict:
+    """Microseconds a problem, or a Jacobian, by each route; five contacts."""
+    problem = ordinary(CONTACTS, plan.batch)
+    grasp, wrench = on_device(problem)
+    one, _ = on_device(first(problem, 1))
+    # The same problems in both: only what is known to be shared differs.
+    many = Grasp(*(np.repeat(a, plan.shared, 0) for a in (one.points, one.normals, one.friction, one.squeeze)))
+    wrenches = wrench[: plan.shared]
+    calls = {
+        "batch": (_call(optimum, grasp, wrench), plan.batch),
+        "vmap": (_call(mapped, grasp, wrench), plan.batch),
+        "one grasp, many wrenches": (_call(optimum, one, wrenches), plan.shared),
+        "the same as separate grasps": (_call(optimum, jax.device_put(many), wrenches), plan.shared),
+        "jacfwd of forces by squeeze": (_call(forward, grasp, wrench), plan.batch),
+        "jacrev of forces by squeeze": (_call(reverse, grasp, wrench), plan.batch),
+    }
+    spent = interleaved({name: call for name, (call, _) in calls.items()}, plan.repeats, plan.budget)
+    return {name: spent[name] / count * 1e6 for name, (_, count) in calls.items()}
+
+
+def _batches(plan: Plan) -> dict[str, float]:
+    """Microseconds a problem by the batch's size; five contacts."""
+    problem = ordinary(CONTACTS, max(plan.batches))
+    found = {}
+    for size in plan.batches:
+        call = _call(optimum, *on_device(first(problem, size)))
+        found[str(size)] = interleaved({size: call}, plan.repeats, plan.budget)[size] / size * 1e6
+    return found

@@ -1,0 +1,98 @@
+"""Our verdicts on every kind of problem, each judged in extended precision: what claims to be right has to be."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxgrasp
+from benchmarks import problems as P
+from benchmarks import references as R
+from benchmarks.problem_data import Problems
+from jaxgrasp import Grasp, Verdict
+
+
+class Limits(NamedTuple):
+    """Beyond these an answer that claims to be one is wrong."""
+
+    gap: float
+    backward_error: float
+    violation: float
+    need: float
+    """Total normal force, in loads, that a proof of infeasibility must show to be needed."""
+
+
+LIMITS = {"float64": Limits(1e-8, 1e-10, 1e-13, 1e6), "float32": Limits(1e-5, 1e-4, 1e-6, 1e2)}
+"""In float32 about sqrt(eps) / 30 for the gap, eps^0.6 for the backward error, and eight roundings for the cones."""
+
+UNBOUNDED = 1e300
+"""Stands for an infinite need, which JSON has no number for."""
+
+
+class Plan(NamedTuple):
+    sizes: tuple[int, ...] = (1, 2, 3, 5, 10, 20)
+    number: int = 1_000
+    dtypes: tuple[str, ...] = ("float64", "float32")
+    kinds: tuple[str, ...] = tuple(P.KINDS)
+
+
+QUICK = Plan(sizes=(5,), number=32, kinds=("ordinary", "near_collinear", "infeasible"))
+
+
+@jax.jit
+def _solve(grasp: Grasp, wrench: jax.Array, weights: jax.Array) -> jaxgrasp.Solution:
+    return jaxgrasp.constrained_optimum(grasp, wrench, weights)
+
+
+def stress(plan: Plan) -> list[dict]:
+    """A row for every kind, size, sharing and precision; kinds that need more contacts are left out there."""
+    rows = []
+    for n in plan.sizes:
+        for kind in plan.kinds:
+            if n < P.LEAST_CONTACTS.get(kind, 1):
+                continue
+            problem = P.problems(kind, n, plan.number, seed=0)
+            rows += [_row(problem, sharing, dtype) for dtype in plan.dtypes for sharing in ("squeeze", "uniform")]
+    return rows
+
+
+def _row(problem: Problems, sharing: str, dtype: str) -> dict:
+    problem = problem.cast(np.dtype(dtype).type)
+    weights = problem.weights(sharing)
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+    solution = jax.device_get(_solve(grasp, jnp.asarray(problem.wrench), jnp.asarray(weights)))
+    count, contacts = weights.shape
+    row = {"kind": problem.kind, "n": contacts, "sharing": sharing, "dtype": dtype, "count": count}
+    return row | _judged(problem, weights, solution, LIMITS[dtype])
+
+
+def _judged(problem: Problems, weights: np.ndarray, solution: Any, limits: Limits) -> dict:
+    verdict = solution.verdict
+    solved = (verdict == Verdict.OPTIMAL) | (verdict == Verdict.CLOSED_FORM_OPTIMAL)
+    hopeless = verdict == Verdict.INFEASIBLE
+    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
+    need = R.proven_need(problem, weights, solution.certificate)
+    off = (judged.backward_error > limits.backward_error) | (judged.violation > limits.violation)
+    wide = judged.gap > limits.gap
+    explained = wide & ~off & (judged.gap <= judged.rounding)
+    unproven = hopeless & ~(need >= limits.need)
+    return {
+        "verdicts": {v.name: int((verdict == v).sum()) for v in Verdict if (verdict == v).any()},
+        "solved": int(solved.sum()),
+        "infeasible": int(hopeless.sum()),
+        "not_converged": int((verdict == Verdict.NOT_CONVERGED).sum()),
+        "wrong": int((solved & (off | wide) | unproven).sum()),
+        "wrong_by_no_more_than_rounding_of_data": int((solved & explained).sum()),
+        "infeasible_though_made_feasible": int(hopeless.sum()) if problem.feasible is True else 0,
+        "solved_though_made_infeasible": int(solved.sum()) if problem.feasible is False else 0,
+        "max_gap": _extreme(judged.gap, solved, np.max),
+        "max_backward_error": _extreme(judged.backward_error, solved, np.max),
+        "max_violation": _extreme(judged.violation, solved, np.max),
+        "min_need": _extreme(need, hopeless, np.min),
+        "wrong_problems": np.flatnonzero(solved & (off | wide) | unproven)[:20].tolist(),
+    }
+
+
+def _extreme(values: np.ndarray, where: np.ndarray, choose) -> float | None:
+    return float(choose(np.minimum(values[where], UNBOUNDED))) if where.any() else None

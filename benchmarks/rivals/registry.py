@@ -1,0 +1,50 @@
+"""Which rivals are here, and one line about each package that is not."""
+
+from collections.abc import Iterable
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+
+from benchmarks.rivals.interface import Rival
+
+MODULES = {
+    "by_closed_form": "jaxgrasp",
+    "by_jaxgrasp": "jaxgrasp",
+    "by_optimistix": "optimistix",
+    "by_jaxopt": "jaxopt",
+    "by_moreau": "moreau",
+    "by_clarabel": "clarabel",
+    "by_qoco": "qoco",
+    "by_ecos": "ecos",
+    "by_scs": "scs",
+    "by_qpax": "qpax",
+}
+"""Files of this package, and the import that each needs."""
+
+
+def load(module: str, needs: str, attribute: str):
+    """An attribute of a rival's file, or the line that says why it is left out."""
+    try:
+        return getattr(import_module(f"benchmarks.rivals.{module}"), attribute)
+    except ModuleNotFoundError as error:
+        # Any other missing import is a fault, and not to be hidden.
+        if (error.name or "").partition(".")[0] != needs:
+            raise
+        return f"{needs} is not installed, so its rows are left out: pip install 'jaxgrasp[bench]'"
+
+
+def available(most: int | None = None) -> tuple[list[Rival], list[str]]:
+    """Every rival whose package is installed, at most so many from each, and a line for each package that is not."""
+    found = [load(module, needs, "RIVALS") for module, needs in MODULES.items()]
+    rivals = [rival for part in found if not isinstance(part, str) for rival in part[:most]]
+    return rivals, [part for part in found if isinstance(part, str)]
+
+
+def versions(packages: Iterable[str]) -> dict[str, str]:
+    """The installed version of each distribution."""
+    found = {}
+    for package in sorted(set(packages)):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found

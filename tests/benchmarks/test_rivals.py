@@ -1,0 +1,139 @@
+"""Every rival solves ordinary problems; the judge alone says so, in extended precision."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import problems as P
+from benchmarks import references as R
+from benchmarks.page import decisions, gradients
+from benchmarks.page.errors import best, measure
+from benchmarks.rivals import registry
+from benchmarks.rivals.interface import Prepared, Rival
+
+COUNT = 8
+IN_THE_TEST_EXTRA = ("by_closed_form", "by_jaxgrasp", "by_optimistix", "by_jaxopt", "by_clarabel")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return P.problems("ordinary", 3, COUNT, seed=1)
+
+
+@pytest.fixture(scope="module")
+def known(problem):
+    """The best pairs of an interior-point method at several tolerances."""
+    found = best(problem, problem.squeeze, [rival.solve(problem, problem.squeeze) for rival in rivals("by_clarabel")])
+    assert found.score.max() < 1e-9
+    return found
+
+
+def rivals(module: str) -> list[Rival]:
+    if module not in IN_THE_TEST_EXTRA:
+        pytest.importorskip(registry.MODULES[module])
+    found = registry.load(module, registry.MODULES[module], "RIVALS")
+    assert not isinstance(found, str), found
+    return found
+
+
+def _first(module: str) -> Rival:
+    return rivals(module)[0]
+
+
+def solves(rival: Rival, problem: P.Problems, known) -> None:
+    """Its claims hold: to its own tolerance, and for pyramids within the cones at a price."""
+    answers = rival.solve(problem, problem.squeeze)
+    assert answers.forces.shape == problem.points.shape
+    assert not answers.infeasible.any()
+    # Interior-point methods stop short of 1e-12 now and then, and say so.
+    assert answers.solved.mean() >= (1 if rival.tolerance > 1e-10 else 0.5)
+    measured = measure(problem, problem.squeeze, answers, known)
+    limit = 100 * rival.tolerance
+    assert measured.backward_error[answers.solved].max() < limit
+    assert measured.violation[answers.solved].max() < limit
+    if rival.cones == "circular":
+        assert measured.gap[answers.solved].max() < limit
+        assert measured.excess[answers.solved].max() < limit
+
+
+@pytest.mark.parametrize("module", ["by_clarabel", "by_qoco", "by_ecos", "by_scs", "by_moreau", "by_qpax"])
+def test_conic_and_quadratic_solvers(module, problem, known):
+    for rival in rivals(module):
+        solves(rival, problem, known)
+
+
+@pytest.mark.parametrize("module, name", [("by_optimistix", "Newton"), ("by_jaxopt", "BoxOSQP pyramid of 8 1e-06")])
+def test_solvers_behind_our_own_functions(module, name, problem, known):
+    (rival,) = [rival for rival in rivals(module) if name in rival.name]
+    solves(rival, problem, known)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", ["by_jaxgrasp", "by_optimistix", "by_jaxopt"])
+def test_all_solvers_behind_our_own_functions(module, problem, known):
+    for rival in rivals(module):
+        solves(rival, problem, known)
+
+
+def test_contacts_of_weight_zero_keep_their_squeezing_forces(problem):
+    weights = np.ones_like(problem.squeeze)
+    weights[:, 0] = 0
+    held = problem.squeeze[..., None] * problem.normals
+    problem = problem._replace(wrench=P.exact_wrench(problem.points, held))
+    for rival in rivals("by_clarabel"):
+        answers = rival.solve(problem, weights)
+        assert answers.solved.all()
+        np.testing.assert_allclose(answers.forces[:, 0], held[:, 0], rtol=1e-14)
+        judged = R.judge(problem, weights, answers.forces, answers.multiplier)
+        assert judged.gap.max() < 1e-6 and judged.backward_error.max() < 1e-6
+
+
+def test_the_best_pair_is_the_one_that_proves_itself(problem):
+    clarabel = _first("by_clarabel").solve(problem, problem.squeeze)
+    spoilt = clarabel._replace(forces=1.01 * clarabel.forces)
+    found = best(problem, problem.squeeze, [spoilt, clarabel])
+    assert (found.source == 1).all()
+    np.testing.assert_array_equal(found.forces, clarabel.forces)
+    assert 0.005 < measure(problem, problem.squeeze, spoilt, found).force.max() < 0.02
+
+
+def test_decisions_tell_right_from_wrong():
+    honest = _first("by_clarabel")
+
+    def boast(problem, weights):
+        prepared = honest.prepare(problem, weights)
+        everything = np.ones(len(weights), bool)
+        return Prepared(
+            prepared.run, lambda found: prepared.read(found)._replace(solved=everything, infeasible=~everything)
+        )
+
+    rows = decisions.decisions(
+        [honest, replace(honest, name="boaster", prepare=boast)],
+        decisions.Plan(contacts=3, number=4, kinds=("ordinary", "infeasible")),
+    )
+    decided = {(row["kind"], row["method"]): (row["right"], row["wrong"], row["failed"]) for row in rows}
+    assert decided["ordinary", honest.name] == decided["infeasible", honest.name] == (4, 0, 0)
+    assert decided["ordinary", "boaster"] == (4, 0, 0)
+    assert decided["infeasible", "boaster"] == (0, 4, 0)
+
+
+def test_a_missing_package_costs_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "qoco", None)
+    monkeypatch.delitem(sys.modules, "benchmarks.rivals.by_qoco", raising=False)
+    line = registry.load("by_qoco", "qoco", "RIVALS")
+    assert isinstance(line, str) and "pip install 'jaxgrasp[bench]'" in line and "\n" not in line
+    with pytest.raises(ModuleNotFoundError):
+        registry.load("by_qoco", "something else", "RIVALS")
+
+
+@pytest.mark.parametrize("module", gradients.MODULES)
+def test_layers_find_the_same_derivatives(module):
+    pytest.importorskip(gradients.MODULES[module])
+    problem = P.problems("ordinary", 3, 4, seed=1)
+    expected = gradients.central_differences(problem)
+    (tight,) = [
+        one for one in registry.load(module, gradients.MODULES[module], "DIFFERENTIATORS") if "1e-10" in one.name
+    ]
+    assert gradients.apart(tight.prepare(problem)(), expected).max() < 1e-3

@@ -148,8 +148,9 @@ def _stress(rows: list[dict]) -> str:
             f"{dtype}, summed over the sizes and both sharings. Wrong: solved by its verdict, but with a gap over "
             f"{power(limits.gap)}, a backward error over {power(limits.backward_error)} or a violation over "
             f"{power(limits.violation)}; or infeasible by a certificate that proves less than {power(limits.need)} "
-            "loads to be needed. *Rounding* counts those of the wrong whose gap alone is too wide, and no wider than "
-            "one rounding of the wrench and points explains. *Against construction* counts feasible problems called "
+            "loads to be needed. *Rounding* counts, apart from the wrong, those whose gap alone is too wide, and no "
+            "wider than one rounding of the wrench and points explains. *Against construction* counts feasible "
+            "problems called "
             "infeasible and the reverse"
             + (" (rounding the data to float32 can make either of the other)." if dtype == "float32" else ".")
         )
@@ -158,7 +159,7 @@ def _stress(rows: list[dict]) -> str:
 
 
 def _stress_table(rows: list[dict]) -> str:
-    sums = ["count", "solved", "infeasible", "not_converged", "wrong", "wrong_by_no_more_than_rounding_of_data"]
+    sums = ["count", "solved", "infeasible", "not_converged", "wrong", "off_by_no_more_than_rounding_of_data"]
     lines = []
     for kind in dict.fromkeys(row["kind"] for row in rows):
         own = [row for row in rows if row["kind"] == kind]

@@ -117,7 +117,7 @@ class ResultFolder:
             path.unlink()
 
     def _write_manifest(self) -> None:
-        text = json.dumps(self.manifest, indent=1).encode()
+        text = json.dumps(self.manifest).encode()
         replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
 
 

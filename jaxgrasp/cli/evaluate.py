@@ -76,7 +76,7 @@ def _write_summary(path: Path, outcome: Outcome, arguments: Evaluate) -> None:
         "seconds": outcome.seconds,
         "details": _details(arguments),
     }
-    replace_file(path, lambda stream: stream.write(json.dumps(content, indent=1).encode()))
+    replace_file(path, lambda stream: stream.write(json.dumps(content).encode()))
 
 
 def _write_report(path: Path, data: Path, outcome: Outcome, arguments: Evaluate) -> None:

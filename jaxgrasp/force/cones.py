@@ -33,9 +33,9 @@ def split(u: Vec, normal: Vec, friction: Array) -> Split:
     across = vec.sub(u, vec.scale(along, normal))
     size = vec.norm(across)
     tangent = Vec(*(vec.safe_divide(c, size) for c in across))
-    # Without friction a pull straight along the normal would pass the first test alone.
-    inside = (size <= friction * along) & (along >= 0)
-    polar = jnp.logical_not(inside) & (friction * size <= -along)
+    # The polar cone first: without friction a pull straight along the normal would pass for inside.
+    polar = friction * size < -along
+    inside = jnp.logical_not(polar) & (size <= friction * along)
     return Split(along, tangent, size, inside, polar)
 
 

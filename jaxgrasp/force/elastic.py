@@ -1,0 +1,282 @@
+"""The wrench that contacts can exert closest to a load, and the furthest along a ray, in a lane's coordinates.
+
+Both come out of the same dual as the optimum. Let a wrench e be missed at a price of t |e|^2 / 2: the dual is
+then pulled towards zero, by |x|^2 / 2t, and e = x / t. As the price rises e tends to the shortest wrench that
+must be missed, while the multiplier x runs off along it. Or let theta be paid for at t: the dual is then confined
+to the plane where the multiplier does work t along the ray. In both the squeezing forces hold the answer back, by
+terms that fall with 1 / t for the forces, and with their square for the distance and for theta.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxgrasp.force import dual
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Frame, Lanes
+from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.symmetric import Lower
+from jaxgrasp.numerics.vec import Vec
+
+ARMIJO = 1e-4
+STEPS_PER_LEVEL = 100
+RISE = 10.0
+"""Factor between one price and the next."""
+FIRST_DAMPING = 10.0
+"""Of the first step at each price, in units of 1 / t."""
+DAMP_FACTOR = 4.0
+"""Less damping after a step that was good, more after one that was not."""
+HIGHEST_DAMPING = 1e3
+"""Relative to the largest curvature: no step that short is worth its time."""
+STEADY = 1e-6
+"""Pull along a ray, in units of 1 / t: it only keeps Newton's matrix regular."""
+BIAS = 1e4
+"""What a higher price is worth against rounding: the error of theta at the price t, in units of (theta / t)^2."""
+
+
+class Pull(NamedTuple):
+    """The pull -strength/2 (x - centre).metric (x - centre), and a plane that x may not leave."""
+
+    strength: Array
+    centre: Six
+    metric: Lower
+    normal: Six | None
+    """Of the plane, of length 1 or 0; None where there is none."""
+
+
+class _Climb(NamedTuple):
+    """Where each lane stands, and what Newton's method knows there."""
+
+    point: Six
+    value: Array
+    gradient: Six
+    curvature: Lower
+    damping: Array
+    done: Array
+
+
+class Path(NamedTuple):
+    """The best point so far, and the one before it: in the end points lie on a straight line over their prices."""
+
+    price: Array
+    point: Six
+    price_before: Array
+    point_before: Six
+    badness: Array
+    done: Array
+
+
+class _Try(NamedTuple):
+    """A point for the next price."""
+
+    point: Six
+    badness: Array
+    last: Array
+
+
+class Nearest(NamedTuple):
+    """The multiplier whose forces exert the wrench nearest to the load."""
+
+    point: Six
+    reached: Array
+    """Whether nothing but rounding is missed, or the multiplier has come to rest, on its way to the optimum's. Where
+    not it runs off, and the metric times it has the direction of what is missed."""
+
+
+def furthest_multiplier(dtype: np.dtype) -> float:
+    """Where a multiplier that runs off is stopped: its rounding then weighs as much as what the price is short of."""
+    return float(jnp.finfo(dtype).eps ** -0.55)
+
+
+def identity(like: Array) -> Lower:
+    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
+    return [[one if i == j else zero for j in range(i + 1)] for i in range(6)]
+
+
+def nearest(lanes: Lanes, metric: Lower, frozen: Array, plane: Six | None = None) -> Nearest:
+    """The nearest wrench, what is missed of the load, e, being measured by e.metric^-1 e.
+
+    With a ``plane`` the metric must be the identity, and wrenches along the plane's normal cost nothing.
+    """
+    zero = jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype)
+
+    def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
+        point = climb(lanes, Pull(1 / price, zero, metric, plane), price, foreseen, done)
+        rest = missed_wrench(lanes, point)
+        if plane is not None:
+            rest = _within(plane, rest)
+        far = dual.length(point) >= furthest_multiplier(zero.dtype)
+        return _Try(point, dual.inner(rest, solve_by(metric, rest)), far)
+
+    path = _follow(zero, frozen, attempt)
+    settled = dual.length(path.point) <= 2 * dual.length(path.point_before)
+    return Nearest(path.point, settled | (path.badness <= tolerances(zero.dtype).range ** 2))
+
+
+def along_ray(lanes: Lanes, ray: Six, start: Six, frozen: Array) -> tuple[Array, Path]:
+    """The largest theta with load + theta ray in reach, and the multipliers of what bounds it, by their work.
+
+    ``start`` does no work along the ``ray``, which has length 1. Lanes where no theta is in reach, or all
+    are, should be ``frozen``.
+    """
+    metric = identity(start[:1])
+
+    def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
+        foreseen = foreseen + (price - dual.inner(ray, foreseen)) * ray
+        point = climb(lanes, Pull(STEADY / price, foreseen, metric, ray), price, foreseen, done)
+        rest = missed_wrench(lanes, point)
+        size = 1 + jnp.abs(dual.inner(point, rest) / price)
+        aside = dual.length(_within(ray, rest)) * dual.length(point) / price
+        enough = price >= size * furthest_multiplier(start.dtype)
+        return _Try(point, (aside / size) ** 2 + BIAS * (size / price) ** 2, enough)
+
+    path = _follow(start, frozen, attempt)
+    price = jnp.where(path.price > 0, path.price, 1)
+    # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
+    return -dual.inner(path.point, missed_wrench(lanes, path.point)) / price, path
+
+
+def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _Try]) -> Path:
+    """Raise the price until every lane is far enough, or its digits come to their end."""
+    zero = jnp.zeros_like(start[:1])
+    eps = float(jnp.finfo(zero.dtype).eps)
+    highest = 1 / (64 * eps)
+
+    def rise(carry):
+        price, path = carry
+        tried = attempt(price, _foreseen(path, price), path.done)
+        # A higher price is better. Where it is not Newton's method has failed: the next one starts from before.
+        better = ~path.done & (tried.badness <= (1 + eps**0.5) * path.badness)
+        return RISE * price, Path(
+            price=jnp.where(better, price, path.price),
+            point=jnp.where(better, tried.point, path.point),
+            price_before=jnp.where(better, path.price, path.price_before),
+            point_before=jnp.where(better, path.point, path.point_before),
+            badness=jnp.where(better, tried.badness, path.badness),
+            done=path.done | (better & tried.last) | (price >= highest),
+        )
+
+    path = Path(zero, start, zero, start, zero + jnp.inf, frozen)
+    _, path = lax.while_loop(lambda carry: ~jnp.all(carry[1].done), rise, (jnp.asarray(RISE, zero.dtype), path))
+    return path
+
+
+def _foreseen(path: Path, price: Array) -> Six:
+    """The path goes straight in the end: by secant."""
+    factor = vec.safe_divide(price - path.price, path.price - path.price_before)
+    return path.point + factor * (path.point - path.point_before)
+
+
+def missed_wrench(lanes: Lanes, point: Six) -> Six:
+    one = jnp.ones_like(point[:1])
+    return dual.residual(lanes, dual.best_forces(lanes, point, Vec(one, one, one)).forces, Vec(one, one, one))
+
+
+def climb(lanes: Lanes, pull: Pull, price: Array, start: Six, frozen: Array) -> Six:
+    """Maximise the dual less the pull by Newton's method, damped as each lane needs it.
+
+    A line search such as ``newton.ascend`` has fails here: where the multiplier is large, most of Newton's
+    direction lies where only the faint pull bends the dual, and a kink in it soon ends the step. Damping turns
+    the step away instead. The search stops where a step has nothing to gain but rounding, not by the gradient,
+    which is rounding itself in all directions but those that matter.
+    """
+    damping = FIRST_DAMPING / price + 0 * start[:1]
+    state = _Climb(start, *_look(lanes, pull, start), damping, frozen)
+
+    def unfinished(carry):
+        count, state = carry
+        return (count < STEPS_PER_LEVEL) & ~jnp.all(state.done)
+
+    def advance(carry):
+        count, state = carry
+        return count + 1, _advance(lanes, pull, price, state)
+
+    return lax.while_loop(unfinished, advance, (jnp.int32(0), state))[1].point
+
+
+def _advance(lanes: Lanes, pull: Pull, price: Array, state: _Climb) -> _Climb:
+    step = _step(pull, state)
+    trial = state.point + step
+    value, gradient, curvature = _look(lanes, pull, trial)
+    eps = jnp.finfo(value.dtype).eps
+    # The value is a small difference where the multiplier is large.
+    noise = 8 * eps * (1 + jnp.abs(value) + dual.length(trial))
+    gain = dual.inner(state.gradient, step)
+    better = value >= state.value + ARMIJO * gain - noise
+    moves = better & ~state.done
+    # Such a step doubles the digits, of which there are enough by then.
+    last = moves & (gain <= noise) & (state.damping * price <= 1)
+    damping = jnp.where(better, state.damping / DAMP_FACTOR, DAMP_FACTOR * state.damping)
+    return _Climb(
+        point=jnp.where(moves, trial, state.point),
+        value=jnp.where(moves, value, state.value),
+        gradient=jnp.where(moves, gradient, state.gradient),
+        curvature=jax.tree.map(lambda new, old: jnp.where(moves, new, old), curvature, state.curvature),
+        damping=jnp.maximum(damping, 16 * eps),
+        done=state.done | last | (state.damping > HIGHEST_DAMPING),
+    )
+
+
+def _step(pull: Pull, state: _Climb) -> Six:
+    """Newton's damped step, within the plane."""
+    rows = [[*row[:-1], row[-1] + state.damping] for row in state.curvature]
+    factors = symmetric.factor(rows)
+    step = _solve(factors, state.gradient)
+    if pull.normal is None:
+        return step
+    across = _solve(factors, pull.normal)
+    return step - vec.safe_divide(dual.inner(pull.normal, step), dual.inner(pull.normal, across)) * across
+
+
+def _look(lanes: Lanes, pull: Pull, trial: Six) -> tuple[Array, Six, Lower]:
+    """Value, gradient and minus Hessian."""
+    one = jnp.ones_like(trial[:1])
+    at = dual.evaluate(lanes, trial, Vec(one, one, one))
+    offset = trial - pull.centre
+    heavy = pull.strength * times(pull.metric, offset)
+    curvature = [
+        [h + pull.strength * m for h, m in zip(*rows, strict=True)]
+        for rows in zip(at.curvature, pull.metric, strict=True)
+    ]
+    return at.value - dual.inner(offset, heavy) / 2, at.gradient - heavy, curvature
+
+
+def _within(normal: Six, x: Six) -> Six:
+    """The part of x in the plane."""
+    return x - dual.inner(normal, x) * normal
+
+
+def _solve(factors: tuple[list[list[Array]], list[Array]], right: Six) -> Six:
+    return jnp.concatenate(symmetric.solve(factors, [right[i : i + 1] for i in range(6)]))
+
+
+def solve_by(metric: Lower, right: Six) -> Six:
+    """metric^-1 right."""
+    return _solve(symmetric.factor(metric), right)
+
+
+def times(metric: Lower, x: Six) -> Six:
+    """metric x."""
+    return jnp.concatenate(symmetric.multiply(metric, [x[i : i + 1] for i in range(6)]))
+
+
+def wrench_in(wrench: Six, frame: Frame) -> Six:
+    """A wrench about the user's origin in a lane's axes and lengths; in the user's forces."""
+    force, torque = dual.parts(wrench)
+    torque = vec.scale(1 / frame.length, vec.sub(torque, vec.cross(frame.centre, force)))
+    if frame.axes is not None:
+        force, torque = vec.rotate(frame.axes, force), vec.rotate(frame.axes, torque)
+    return dual.six(force, torque)
+
+
+def wrench_out(wrench: Six, frame: Frame) -> Six:
+    """The inverse of ``wrench_in``."""
+    force, torque = dual.parts(wrench)
+    if frame.axes is not None:
+        force, torque = vec.rotate_back(frame.axes, force), vec.rotate_back(frame.axes, torque)
+    return dual.six(force, vec.add(vec.scale(frame.length, torque), vec.cross(frame.centre, force)))

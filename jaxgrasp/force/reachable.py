@@ -1,0 +1,186 @@
+"""The wrench closest to a given one that the contacts can exert."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import cones, dual, elastic, shells
+from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.dual import Six
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, certificate_out, forces_out, principal, read
+from jaxgrasp.model.arrays import AnyArray, Float, Int
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.symmetric import Lower
+from jaxgrasp.numerics.tiles import over_chosen
+from jaxgrasp.numerics.vec import Vec
+
+TILE = 32
+
+
+class Reachable(NamedTuple):
+    """The closest wrench that allowed forces exert, and those forces."""
+
+    wrench: Float[Array, "*batch 6"]
+    """[N, N.m] about the frame's origin."""
+    forces: Float[Array, "*batch n 3"]
+    """Allowed forces that exert it [N]; of all that do, those closest to the squeezing forces."""
+    distance: Float[Array, "*batch"]
+    """Length of what is missed, wrench asked for less wrench exerted, in the metric asked for."""
+    certificate: Float[Array, "*batch 6"]
+    """A twist (linear, angular) about the frame's origin along which the wrench asked for works and no contact can,
+    for [`jaxgrasp.verify_certificate`][]: what is missed, through the metric, of any size. Zero where nothing is."""
+    verdict: Int[Array, "*batch"]
+    """Code of a [`jaxgrasp.Verdict`][]: that of the optimum where the wrench asked for is reachable; INFEASIBLE
+    or NO_CONTACTS where it is not and this one is the closest; NOT_CONVERGED where that could not be shown."""
+
+
+def reachable_wrench(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    inertia: Float[AnyArray, "*#batch 6 6"] | None = None,
+) -> Reachable:
+    """The wrench closest to ``wrench`` that forces inside the friction cones exert, and the forces that do.
+
+    Where the wrench is reachable it is the answer itself, with the forces of
+    [`jaxgrasp.constrained_optimum`][]. The missed wrench e = (force, torque) is measured by
+
+    - |e|^2 = |force|^2 + |torque|^2 / L^2 [N^2], with the torque about the centroid of the contacts,
+      weighted by the sharing, and L their weighted rms distance from it; or
+    - |e|^2 = e.inertia^-1 e [N^2/kg], with ``inertia``: twice the kinetic energy that e gives to a body at
+      rest in one second. The closest wrench then lets the object accelerate least.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts should exert ``(..., 6)`` [N, N.m].
+        sharing: as for [`jaxgrasp.closed_form`][].
+        inertia: spatial inertia about the frame's origin, in (linear, angular) order ``(..., 6, 6)``
+            [kg, kg.m, kg.m^2]; symmetric, positive definite.
+
+    Returns:
+        A Reachable. Where data are invalid the wrench and the forces are zero and the distance is infinite.
+
+    Raises:
+        ValueError: for a sharing that cannot be used, or shapes that do not fit.
+        NotImplementedError: when differentiated.
+    """
+    warn_of_lost_precision(grasp, wrench)
+    name, weights = read_sharing(sharing)
+    return _run(grasp, wrench, weights, inertia, sharing=name)
+
+
+@partial(jax.jit, static_argnames=("sharing",))
+def _run(grasp, wrench, weights, inertia, *, sharing: str) -> Reachable:
+    if inertia is not None:
+        if jnp.shape(inertia)[-2:] != (6, 6):
+            raise ValueError(f"inertia has shape {jnp.shape(inertia)}: expected (..., 6, 6)")
+        axes = jnp.broadcast_shapes(jnp.shape(inertia)[:-2], jnp.shape(wrench)[:-1])
+        wrench = jnp.broadcast_to(wrench, (*axes, 6))
+    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    if inertia is not None:
+        inertia = jnp.broadcast_to(jnp.asarray(inertia, problem.wrench.dtype), (*batch, 6, 6)).reshape(-1, 6, 6)
+    closest = _closest(problem, inertia)
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), closest)
+
+
+@jax.custom_jvp
+def _closest(problem: Problem, inertia: Array | None) -> Reachable:
+    """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
+    solution = shells.solver(True)(problem)
+    solved = solution.verdict <= Verdict.OPTIMAL
+    usable = solution.verdict != Verdict.INVALID_DATA
+    answer = Reachable(
+        wrench=jnp.where(usable[:, None], problem.wrench, 0),
+        forces=jnp.where(solved[:, None, None], solution.forces, 0),
+        distance=jnp.where(usable, 0, jnp.inf).astype(problem.wrench.dtype),
+        certificate=jnp.zeros_like(problem.wrench),
+        verdict=solution.verdict,
+    )
+    if problem.size == 0:
+        return answer
+    return over_chosen(_projected, (problem, inertia), answer, usable & ~solved, TILE)
+
+
+@_closest.defjvp
+def _no_derivative(primals, tangents):
+    raise NotImplementedError(
+        "reachable_wrench has no derivatives: differentiate constrained_optimum where the wrench is reachable, "
+        "wrench_margin where it is not"
+    )
+
+
+def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Reachable:
+    problem, inertia = arguments
+    lanes, valid = read(problem)
+    lanes, frame = principal(lanes)
+    metric, mass, sound = _metric(lanes, frame, inertia)
+    valid = jnp.broadcast_to(valid & sound, (1, problem.size))
+    point = elastic.nearest(lanes, metric, ~valid).point
+    forces = _rescaled(lanes, metric, point)
+    one = jnp.ones_like(point[:1])
+    rest = dual.residual(lanes, forces, Vec(one, one, one))
+    distance = jnp.sqrt(dual.inner(rest, elastic.solve_by(metric, rest)))
+    shown = _is_closest(lanes, metric, forces, point, distance)
+    known = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
+    verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
+    ok = valid[0]
+    missed = elastic.wrench_out(frame.load * rest, frame).T
+    stacked = jnp.stack([c * one for c in forces_out(forces, frame)]).transpose(2, 1, 0)
+    linear, angular = certificate_out(*dual.parts(vec.safe_divide(point, dual.length(point))), frame)
+    return Reachable(
+        wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
+        forces=jnp.where(ok[:, None, None], stacked, 0),
+        distance=jnp.where(ok, (frame.load * distance / jnp.sqrt(mass))[0], jnp.inf),
+        certificate=jnp.where(ok[:, None], dual.six(linear, angular).T, 0),
+        verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
+    )
+
+
+def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, Array, Array]:
+    """The metric per unit of mass in the lanes' coordinates, that mass, and which lanes have a sound one."""
+    one = jnp.ones_like(lanes.force.x)
+    if inertia is None:
+        return elastic.identity(one), one, one > 0
+    half = [elastic.wrench_in(inertia[:, :, j].T, frame) for j in range(6)]  # A J, column by column
+    whole = [elastic.wrench_in(jnp.stack([column[i] for column in half]), frame) for i in range(6)]  # A (A J)^T
+    mass = (whole[0][:1] + whole[1][1:2] + whole[2][2:3]) / 3
+    entries = [[vec.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
+    _, pivots = symmetric.factor(entries)
+    sound = jnp.all(jnp.concatenate([mass, *pivots]) > 0, 0, keepdims=True)
+    unit = elastic.identity(mass)
+    metric = [[jnp.where(sound, a, b) for a, b in zip(*rows, strict=True)] for rows in zip(entries, unit, strict=True)]
+    return metric, jnp.where(sound, mass, 1), sound
+
+
+def _rescaled(lanes: Lanes, metric: Lower, point: Six) -> Vec:
+    """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
+    one = jnp.ones_like(point[:1])
+    forces = dual.best_forces(lanes, point, Vec(one, one, one)).forces
+    can_move, nothing = lanes.weights > 0, vec.sub(forces, forces)
+    held, free = vec.where(can_move, nothing, forces), vec.where(can_move, forces, nothing)
+    asked = dual.residual(lanes, held, Vec(one, one, one))
+    exerted = asked - dual.residual(lanes, forces, Vec(one, one, one))
+    along = elastic.solve_by(metric, exerted)
+    square = dual.inner(exerted, along)
+    share = jnp.where(square > 0, vec.safe_divide(dual.inner(asked, along), square), 1)
+    return vec.add(held, vec.scale(share, free))
+
+
+def _is_closest(lanes: Lanes, metric: Lower, forces: Vec, point: Six, distance: Array) -> Array:
+    """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
+    one = jnp.ones_like(distance)
+    twist = dual.twist_at(lanes, point, Vec(one, one, one))
+    can_move = lanes.weights > 0
+    push = jnp.max(jnp.where(can_move, cones.support(twist, lanes.normals, lanes.friction), 0), 0, keepdims=True)
+    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
+    work = dual.inner(dual.load(lanes, Vec(one, one, one)), point) - jnp.sum(fixed, 0, keepdims=True)
+    best = work - push * dual.total_push(lanes, forces)
+    size = jnp.sqrt(dual.inner(point, elastic.times(metric, point)))
+    loose = 2**10 * jnp.finfo(distance.dtype).eps ** 0.5
+    return (distance > 0) & (best >= (1 - loose) * size * distance)

@@ -7,11 +7,12 @@ import jax
 import numpy as np
 
 import jaxgrasp
+from benchmarks import problems as P
 from benchmarks import references as R
 from benchmarks.page.clock import interleaved
 from benchmarks.page.errors import chosen, first
 from benchmarks.page.times import needs_cones, ordinary
-from benchmarks.problem_data import Problems
+from benchmarks.problem_data import Contacts, Problems
 from jaxgrasp import Grasp, Verdict
 
 
@@ -121,20 +122,30 @@ def _routes(plan: Plan) -> dict:
     """Microseconds a problem, or a Jacobian, by each route; five contacts."""
     problem = ordinary(CONTACTS, plan.batch)
     grasp, wrench = on_device(problem)
-    one, _ = on_device(first(problem, 1))
-    # The same problems in both: only what is known to be shared differs.
-    many = Grasp(*(np.repeat(a, plan.shared, 0) for a in (one.points, one.normals, one.friction, one.squeeze)))
-    wrenches = wrench[: plan.shared]
+    # The same problems three times: only what is known to be shared differs.
+    many, wrenches = on_device(_loads_of_one_grasp(problem, plan.shared))
+    one = jax.tree.map(lambda array: array[:1], many)
+    single = jax.tree.map(lambda array: array[0], many)
     calls = {
         "batch": (_call(optimum, grasp, wrench), plan.batch),
         "vmap": (_call(mapped, grasp, wrench), plan.batch),
         "one grasp, many wrenches": (_call(optimum, one, wrenches), plan.shared),
-        "the same as separate grasps": (_call(optimum, jax.device_put(many), wrenches), plan.shared),
+        "the same as separate grasps": (_call(optimum, many, wrenches), plan.shared),
+        "the same in separate calls": (lambda: [_call(optimum, single, load)() for load in wrenches], plan.shared),
         "jacfwd of forces by squeeze": (_call(forward, grasp, wrench), plan.batch),
         "jacrev of forces by squeeze": (_call(reverse, grasp, wrench), plan.batch),
     }
     spent = interleaved({name: call for name, (call, _) in calls.items()}, plan.repeats, plan.budget)
     return {name: spent[name] / count * 1e6 for name, (_, count) in calls.items()}
+
+
+def _loads_of_one_grasp(problem: Problems, count: int) -> Problems:
+    """The first grasp as often as that, each time with another load that it can hold."""
+    rng = np.random.default_rng(0)
+    same = chosen(problem, np.zeros(count, int))
+    press = same.squeeze * np.exp(rng.uniform(-1.5, 1.5, same.squeeze.shape))
+    contacts = Contacts(same.points, same.normals, same.friction, same.squeeze)
+    return same._replace(wrench=P.exact_wrench(same.points, P.allowed_forces(rng, contacts, press)))
 
 
 def _batches(plan: Plan) -> dict[str, float]:

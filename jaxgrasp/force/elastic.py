@@ -35,6 +35,8 @@ HIGHEST_DAMPING = 1e3
 """Relative to the largest curvature: no step that short is worth its time."""
 STEADY = 1e-6
 """Pull along a ray, in units of 1 / t: it only keeps Newton's matrix regular."""
+STRAIGHT = 1e-5
+"""Bend of the path between two prices, relative to the multiplier, that is none."""
 BIAS = 1e4
 """What a higher price is worth against rounding: the error of theta at the price t, in units of (theta / t)^2."""
 
@@ -76,7 +78,8 @@ class _Try(NamedTuple):
 
     point: Six
     badness: Array
-    last: Array
+    far: Array
+    """Whether the price may be high enough."""
 
 
 class Nearest(NamedTuple):
@@ -149,16 +152,19 @@ def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _T
 
     def rise(carry):
         price, path = carry
-        tried = attempt(price, _foreseen(path, price), path.done)
+        foreseen = _foreseen(path, price)
+        tried = attempt(price, foreseen, path.done)
         # A higher price is better. Where it is not Newton's method has failed: the next one starts from before.
         better = ~path.done & (tried.badness <= (1 + eps**0.5) * path.badness)
+        # Where contacts resist only by enormous forces, the path bends late.
+        straight = dual.length(tried.point - foreseen) <= STRAIGHT * dual.length(tried.point)
         return RISE * price, Path(
             price=jnp.where(better, price, path.price),
             point=jnp.where(better, tried.point, path.point),
             price_before=jnp.where(better, path.price, path.price_before),
             point_before=jnp.where(better, path.point, path.point_before),
             badness=jnp.where(better, tried.badness, path.badness),
-            done=path.done | (better & tried.last) | (price >= highest),
+            done=path.done | (better & tried.far & straight) | (price >= highest),
         )
 
     path = Path(zero, start, zero, start, zero + jnp.inf, frozen)

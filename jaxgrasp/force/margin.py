@@ -32,8 +32,9 @@ def wrench_margin(
     """The largest theta for which forces inside the friction cones exert wrench + theta direction.
 
     The forces may be as large as they need; how they are shared matters only for contacts of weight zero,
-    which hold their squeezing force. A direction that is only resisted by forces some million times the
-    load counts as not resisted.
+    which hold their squeezing force. Where a direction is resisted only by forces some hundred thousand
+    times the load or more, as by contacts that lie on a line but for 1e-5 of its length, the margin may
+    stop short, at what smaller forces reach.
 
     Differentiable once, by everything but the sharing: at the limit a hyperplane bounds what the contacts
     exert, and the margin moves as that does. Where several do, the derivative is that of one.

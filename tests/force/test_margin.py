@@ -68,6 +68,7 @@ def verdicts(problem: P.Problems, wrench: np.ndarray) -> np.ndarray:
     return np.asarray(jaxgrasp.constrained_optimum(grasp, wrench, problem.squeeze).verdict)
 
 
+@pytest.mark.slow
 def test_the_optimum_knows_the_same_limit():
     """A thousandth short of the margin forces exist, and a thousandth beyond it a proof that none do."""
     for kind in ("ordinary", "low_friction"):

@@ -193,7 +193,8 @@ def _damping(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
     """
     floor = 16 * jnp.finfo(size2.dtype).eps
     if proximal is not None:
-        return jnp.zeros_like(size2) + floor
+        # Unless kinks keep cutting the steps short.
+        return floor + jnp.minimum(proximal.strength * (caution - 1), STRONGEST)
     return floor + jnp.minimum(DAMPING * caution * jnp.sqrt(size2), STRONGEST)
 
 

@@ -35,7 +35,9 @@ class Laws(NamedTuple):
 
 
 DOUBLE = Laws(gap=1e-8, balance=1e-10, violation=1e-13, need=1e6)
-SINGLE = Laws(gap=1e-4, balance=1e-4, violation=2e-6, need=1e2)
+SINGLE = Laws(gap=1e-4, balance=1e-4, violation=4e-6, need=1e2)
+SPREAD = 64 * np.finfo(np.float32).eps
+"""Contacts closer together than this, relative to the frame's distance, count as one: `rank` tells."""
 
 
 def solve(problem: P.Problems, weights: np.ndarray) -> Solution:
@@ -70,7 +72,7 @@ def solve_lawfully(problem: P.Problems, sharing: str, laws: Laws) -> Solution:
         # Rounding of the data alone does as much, in frames hundreds of radii away above all.
         here = R.centred(problem, weights)
         gap = np.maximum(gap, judged.rounding)
-        balance = balance + np.finfo(np.float32).eps * R.norm(here.centre) / here.length
+        balance = balance + SPREAD * R.norm(here.centre) / here.length
     nowhere(good & ~(judged.gap <= gap), "gap", problem, sharing)
     nowhere(good & ~(judged.backward_error <= balance), "backward error", problem, sharing)
     nowhere(good & ~(judged.violation <= laws.violation), "force outside its cone", problem, sharing)

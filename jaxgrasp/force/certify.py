@@ -31,6 +31,16 @@ def proves_infeasible(lanes: Lanes, frame: Frame, direction: Six, stretch: Vec) 
     return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
+def proof(lanes: Lanes, frame: Frame, stretch: Vec, rest: Six, run: Six) -> tuple[Array, Six]:
+    """Whether what is left of the wrench, or the way the multiplier ran, proves it, and that direction, unstretched.
+
+    Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
+    """
+    by_rest, by_run = (proves_infeasible(lanes, frame, direction, stretch) for direction in (rest, run))
+    linear, angular = dual.parts(jnp.where(by_rest, rest, run / jnp.maximum(dual.length(run), 1)))
+    return by_rest | by_run, dual.six(linear, vec.times(stretch, angular))
+
+
 def out_of_range(lanes: Lanes, frame: Frame, stretch: Vec) -> tuple[Array, Six]:
     """Whether torque is asked for about axes that no contact reaches, and that torque as a direction.
 

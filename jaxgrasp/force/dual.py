@@ -16,7 +16,7 @@ from jax import Array
 
 from jaxgrasp.force import cones
 from jaxgrasp.force.lanes import Lanes
-from jaxgrasp.numerics import vec
+from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.symmetric import Lower
 from jaxgrasp.numerics.vec import Vec
 
@@ -45,6 +45,11 @@ def length(x: Six) -> Array:
 def load(lanes: Lanes, stretch: Vec) -> Six:
     """The wrench asked for."""
     return six(lanes.force, vec.times(stretch, lanes.torque))
+
+
+def solve(factors: tuple[list[list[Array]], list[Array]], right: Six) -> Six:
+    """x with A x = right, from the factors of A."""
+    return jnp.concatenate(symmetric.solve(factors, [right[i : i + 1] for i in range(6)]))
 
 
 class Forces(NamedTuple):
@@ -130,6 +135,11 @@ def spread(lanes: Lanes, forces: Vec) -> Array:
     """|f - s a|^2 / 2k of each contact; 0 where k is 0."""
     apart = vec.sub(forces, vec.scale(lanes.squeeze, lanes.normals))
     return vec.safe_divide(vec.dot(apart, apart), 2 * lanes.weights)
+
+
+def price_of_nothing(lanes: Lanes) -> Array:
+    """The objective of no force at all: what gaps are measured against where the optimum's own is small."""
+    return vec.totals(spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))))[0]
 
 
 def curvature(lanes: Lanes, jacobian: Lower, stretch: Vec) -> Lower:

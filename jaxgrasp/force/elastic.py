@@ -232,10 +232,10 @@ def _step(pull: Pull, state: _Climb) -> Six:
     """Newton's damped step, within the plane."""
     rows = [[*row[:-1], row[-1] + state.damping] for row in state.curvature]
     factors = symmetric.factor(rows)
-    step = _solve(factors, state.gradient)
+    step = dual.solve(factors, state.gradient)
     if pull.normal is None:
         return step
-    across = _solve(factors, pull.normal)
+    across = dual.solve(factors, pull.normal)
     return step - vec.safe_divide(dual.inner(pull.normal, step), dual.inner(pull.normal, across)) * across
 
 
@@ -257,13 +257,9 @@ def _within(normal: Six, x: Six) -> Six:
     return x - dual.inner(normal, x) * normal
 
 
-def _solve(factors: tuple[list[list[Array]], list[Array]], right: Six) -> Six:
-    return jnp.concatenate(symmetric.solve(factors, [right[i : i + 1] for i in range(6)]))
-
-
 def solve_by(metric: Lower, right: Six) -> Six:
     """metric^-1 right."""
-    return _solve(symmetric.factor(metric), right)
+    return dual.solve(symmetric.factor(metric), right)
 
 
 def times(metric: Lower, x: Six) -> Six:

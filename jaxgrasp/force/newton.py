@@ -1,7 +1,7 @@
 """Semismooth Newton ascent on the dual, all lanes of a tile in step, each with a line search of its own.
 
 One evaluation gives value, gradient and Hessian at the trial point; a lane that accepts it takes a new
-direction, one that refuses halves its step. So no lane waits for another's line search.
+direction, one that refuses cuts its step. So no lane waits for another's line search.
 """
 
 from typing import NamedTuple
@@ -97,15 +97,15 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
     direction = _direction(metric, curvature, ascent, _damping(size2, caution, proximal))
     arrived = has_converged(lanes, trial, ascent, size2, value, at.push)
     leap = ~arrived & _next_arrives(state, size2)
-    halved = jnp.where(accepted, 1, state.length * _cut(state, ascent))
-    stuck = ~accepted & ~state.done & (halved < SHORTEST_STEP)
+    length = jnp.where(accepted, 1, state.length * _cut(state, ascent))
+    stuck = ~accepted & ~state.done & (length < SHORTEST_STEP)
 
     return Ascent(
         point=jnp.where(accepted, jnp.where(leap, trial + direction, trial), state.point),
         value=jnp.where(accepted, value, state.value),
         direction=jnp.where(accepted, direction, state.direction),
         slope=jnp.where(accepted, dual.inner(ascent, direction), state.slope),
-        length=jnp.where(state.done, state.length, halved),
+        length=jnp.where(state.done, state.length, length),
         caution=jnp.where(accepted, caution, state.caution),
         size2=jnp.where(accepted, size2, state.size2),
         # The look at the starting point, of length zero, is no step.
@@ -170,10 +170,16 @@ def has_converged(
 ) -> Array:
     """Whether residual and duality gap are at the rounding that forces of this size allow, times ``slack``."""
     tol = tolerances(value.dtype)
-    gap = jnp.abs(dual.inner(point, gradient))
-    (own,) = vec.totals(dual.spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))))
-    balanced = size2 <= (slack * tol.gradient * (1 + push)) ** 2
-    return balanced & (gap <= slack * tol.gap * jnp.maximum(jnp.abs(value), own))
+    return is_within(lanes, point, gradient, size2, value, push, slack * tol.gradient, slack * tol.gap)
+
+
+def is_within(
+    lanes: Lanes, point: Six, gradient: Six, size2: Array, value: Array, push: Array, residual: float, gap: float
+) -> Array:
+    """Whether the residual, beside the forces, and the duality gap, beside the objective, are as small as that."""
+    balanced = size2 <= (residual * (1 + push)) ** 2
+    scale = jnp.maximum(jnp.abs(value), dual.price_of_nothing(lanes))
+    return balanced & (jnp.abs(dual.inner(point, gradient)) <= gap * scale)
 
 
 def is_optimal(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, best: Vec, slack: float = 1.0) -> Array:
@@ -205,4 +211,4 @@ def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, dampin
         damped[i][i] = damped[i][i] + damping
         for j in range(i + 1):
             damped[3 + i][3 + j] = damped[3 + i][3 + j] + damping * metric.inertia[i][j]
-    return jnp.concatenate(symmetric.solve(symmetric.factor(damped), [gradient[i : i + 1] for i in range(6)]))
+    return dual.solve(symmetric.factor(damped), gradient)

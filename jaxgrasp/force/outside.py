@@ -13,10 +13,10 @@ from jax import Array
 
 from jaxgrasp.force import cones, dual, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
-from jaxgrasp.force.certify import out_of_range, proves_infeasible
+from jaxgrasp.force.certify import out_of_range, proof
 from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
-from jaxgrasp.force.newton import has_converged
+from jaxgrasp.force.newton import has_converged, is_within
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
@@ -127,18 +127,11 @@ def _judge(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, tolerance: fl
     best = dual.best_forces(lanes, point, stretch)
     rest = dual.residual(lanes, best.forces, stretch)
     value, push = dual.dual_value(lanes, best, point, stretch), dual.total_push(lanes, best.forces)
-    size2 = whitened_square(metric, rest)
-    own = jnp.sum(dual.spread(lanes, vec.scale(0 * lanes.squeeze, lanes.normals)), 0, keepdims=True)
-    balanced = size2 <= (tolerance * (1 + push)) ** 2
-    closed = jnp.abs(dual.inner(point, rest)) <= tolerance * jnp.maximum(jnp.abs(value), own)
-    return best.forces, (balanced & closed) | has_converged(lanes, point, rest, size2, value, push)
+    found = (lanes, point, rest, whitened_square(metric, rest), value, push)
+    return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
 
 
 def _proof(lanes: Lanes, frame: Frame, stretch: Vec, start: Six, point: Six) -> tuple[Array, Six]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
     rest = dual.residual(lanes, dual.best_forces(lanes, point, stretch).forces, stretch)
-    run = point - start
-    run = run / jnp.maximum(dual.length(run), 1)
-    by_rest, by_run = (proves_infeasible(lanes, frame, direction, stretch) for direction in (rest, run))
-    linear, angular = dual.parts(jnp.where(by_rest, rest, run))
-    return by_rest | by_run, dual.six(linear, vec.times(stretch, angular))
+    return proof(lanes, frame, stretch, rest, point - start)

@@ -12,7 +12,7 @@ from jax import Array, lax
 
 from jaxgrasp.force import dual
 from jaxgrasp.force.answer import Outcome
-from jaxgrasp.force.certify import proves_infeasible
+from jaxgrasp.force.certify import proof
 from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Frame, Lanes
 from jaxgrasp.force.newton import Proximal, ascend, is_optimal
@@ -72,19 +72,15 @@ def _level(lanes: Lanes, frame: Frame, stretch: Vec, metric: Metric, strength: A
     ascent = ascend(lanes, stretch, metric, search.point, search.decided, STEPS_PER_LEVEL, pull)
     forces, optimal = _judge(lanes, stretch, metric, ascent.point, 1.0)
     rest = dual.residual(lanes, forces, stretch)
-    # Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
-    run = ascent.point - search.point
-    by_rest, by_run = (~optimal & proves_infeasible(lanes, frame, d, stretch) for d in (rest, run))
-    hopeless = by_rest | by_run
-    linear, angular = dual.parts(jnp.where(by_rest, rest, run / jnp.maximum(dual.length(run), 1)))
-    unstretched = dual.six(linear, vec.times(stretch, angular))
+    proven, direction = proof(lanes, frame, stretch, rest, ascent.point - search.point)
+    hopeless = ~optimal & proven
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     return _Search(
         point=jnp.where(open_, ascent.point, search.point),
         verdict=jnp.where(open_, verdict, search.verdict),
         steps=search.steps + jnp.where(open_, ascent.steps, 0),
-        certificate=jnp.where(open_ & hopeless, unstretched, search.certificate),
+        certificate=jnp.where(open_ & hopeless, direction, search.certificate),
         decided=search.decided | optimal | hopeless,
     )
 

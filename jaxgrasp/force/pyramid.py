@@ -158,10 +158,8 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
     found = jax.vmap(partial(_splitting, settings=settings))(program)
-    own = dual.spread(lanes, vec.scale(0 * lanes.squeeze, lanes.normals))
-    solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(
-        program, found, jnp.broadcast_to(jnp.sum(own, 0), problem.size)
-    )
+    own = jnp.broadcast_to(dual.price_of_nothing(lanes)[0], problem.size)
+    solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
     y, twist = (_finite(x, lanes.squeeze.dtype) for x in (found.y, -found.equality))
     moved = vec.scale(jnp.sqrt(lanes.weights), Vec(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
     forces = vec.add(vec.scale(lanes.squeeze, lanes.normals), moved)

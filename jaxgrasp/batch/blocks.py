@@ -33,8 +33,8 @@ def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[tuple[np.nda
 
     The problems of grasp ``i`` of a block stand together, one for each wrench. In a stream of chunks, a
     block is brought to the size of a full ``chunk``, or an eighth of it where grasps of several widths
-    share the chunk, by repeating its first grasp; so later chunks meet shapes that are compiled already.
-    The extra answers come last.
+    share the chunk, by zeros, on which no solver spends time; so later chunks meet shapes that are
+    compiled already. The extra answers come last.
     """
     wide = widths(sets.sizes, sets.wrenches)
     different = np.unique(wide)
@@ -50,5 +50,5 @@ def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[tuple[np.nda
 
 def _widen(array: np.ndarray, missing: int, repeats: int) -> np.ndarray:
     if missing:
-        array = np.concatenate([array, np.repeat(array[:1], missing, 0)])
+        array = np.concatenate([array, np.zeros((missing, *array.shape[1:]), array.dtype)])
     return np.repeat(array, repeats, 0) if repeats > 1 else array

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from threading import Lock
 
 import jax
 import jax.numpy as jnp
@@ -42,7 +43,7 @@ class MethodResult:
 
 @dataclass
 class Times:
-    """Seconds spent, compiling apart."""
+    """Seconds spent, compiling apart; those of threads that work side by side add up."""
 
     compiling: float = 0.0
     solving: dict[str, float] = field(default_factory=dict)
@@ -50,13 +51,14 @@ class Times:
 
 
 class Engine:
-    """Compiled solvers for the blocks of one evaluation."""
+    """Compiled solvers for the blocks of one evaluation, which several threads may run at a time."""
 
     def __init__(self, methods: tuple[Method, ...], devices: int | None = None):
         self.methods = methods
         self.times = Times(solving={method.name: 0.0 for method in methods})
         available = jax.local_devices()
         self._mesh = Mesh(np.array(available[: devices or len(available)]), ("block",))
+        self._counting = Lock()
 
     @property
     def devices(self) -> int:
@@ -68,7 +70,8 @@ class Engine:
         ``problems`` of them are the user's, the rest fill the block.
         """
         grasp, loads = jax.tree.map(self._put, (grasp, wrench))
-        self.times.problems += problems
+        with self._counting:
+            self.times.problems += problems
         results: dict[str, MethodResult] = {}
         for sharing in dict.fromkeys(method.sharing for method in self.methods):
             results |= self._one_sharing(sharing, grasp, loads)
@@ -87,7 +90,8 @@ class Engine:
             answer, own = closed, 0.0
             if method.constrained:
                 answer, own = self._timed(stages.finish_optimum, problem, first)
-            self.times.solving[method.name] += spent + own
+            with self._counting:
+                self.times.solving[method.name] += spent + own
             margin, violation, _ = self._timed(_margins, grasp, answer.forces)
             names = ("forces", "verdict", "residual", "objective", "steps", "route", "certificate")
             host = {name: np.asarray(getattr(answer, name)) for name in names}
@@ -97,12 +101,12 @@ class Engine:
     def _timed(self, function: Callable, *arguments) -> tuple:
         """The function's results and the seconds it took, compiled beforehand."""
         program = _program(function, self._mesh)
+        compiled, compiling = program.compiled(arguments)
         start = time.perf_counter()
-        compiled = program.compiled(arguments)
-        ready = time.perf_counter()
         result = jax.block_until_ready(compiled(*arguments))
-        spent = time.perf_counter() - ready
-        self.times.compiling += ready - start
+        spent = time.perf_counter() - start
+        with self._counting:
+            self.times.compiling += compiling
         return (*result, spent) if type(result) is tuple else (result, spent)
 
     def _put(self, array: np.ndarray) -> Array:
@@ -119,13 +123,18 @@ class _Program:
             function = jax.shard_map(function, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
         self._jitted = jax.jit(function)
         self._compiled: dict[tuple, Callable] = {}
+        self._compiling = Lock()
 
-    def compiled(self, arguments: tuple) -> Callable:
+    def compiled(self, arguments: tuple) -> tuple[Callable, float]:
+        """The program for arguments of these shapes, and the seconds that it took to compile now."""
         leaves, structure = jax.tree.flatten(arguments)
         key = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
-        if key not in self._compiled:
+        with self._compiling:
+            if key in self._compiled:
+                return self._compiled[key], 0.0
+            start = time.perf_counter()
             self._compiled[key] = self._jitted.lower(*arguments).compile()
-        return self._compiled[key]
+            return self._compiled[key], time.perf_counter() - start
 
 
 @cache

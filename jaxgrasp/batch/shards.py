@@ -1,4 +1,4 @@
-"""Results on disk: one file a chunk and a manifest, so that an interrupt costs at most a chunk.
+"""Results on disk: one file a chunk and a manifest, so that an interrupt costs only the chunks in work.
 
 A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
 ``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; and
@@ -18,6 +18,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import replace_file, save_arrays
 
 MANIFEST = "manifest.json"
+VERSION = 3
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html")
@@ -45,7 +46,7 @@ class ResultFolder:
         except OSError as error:
             raise GraspFileError(folder, f"the output folder cannot be written ({error.strerror})") from error
         self._earlier: dict | None = None
-        self.manifest: dict = {"version": 2, **identity, "shards": [], "complete": False}
+        self.manifest: dict = {"version": VERSION, **identity, "shards": [], "summary": None, "complete": False}
         if (folder / MANIFEST).exists():
             self._take_up(identity, resume)
         elif unknown := [path.name for path in folder.iterdir() if OURS.fullmatch(path.name)]:
@@ -67,7 +68,8 @@ class ResultFolder:
                 )
             self._earlier = found
             return
-        differing = [key for key, value in self.manifest.items() if key in identity and found.get(key) != value]
+        named = ("version", *identity)
+        differing = [key for key in named if found.get(key) != self.manifest[key]]
         if differing:
             key = differing[0]
             raise GraspFileError(
@@ -92,14 +94,23 @@ class ResultFolder:
         """Grasps of the input whose results are on disk."""
         return self.manifest["shards"][-1]["stop"] if self.manifest["shards"] else 0
 
+    @property
+    def summary(self) -> dict | None:
+        """Of all results on disk."""
+        return self.manifest["summary"]
+
     def add(self, arrays: dict[str, np.ndarray], start: int, stop: int, summary: dict) -> None:
-        """Write one chunk's results; the manifest names a shard only once it is whole."""
+        """Write one chunk's results; the manifest names a shard only once it is whole.
+
+        ``summary`` is that of all chunks so far.
+        """
         name = f"shard-{len(self.manifest['shards']):05d}.npz"
         replace_file(self.folder / name, lambda stream: save_arrays(stream, arrays))
-        self.manifest["shards"].append({"file": name, "start": start, "stop": stop, "summary": summary})
+        self.manifest["shards"].append({"file": name, "start": start, "stop": stop})
+        self.manifest["summary"] = summary
         self._write_manifest()
 
-    def finish(self, summary: dict) -> None:
+    def finish(self) -> None:
         """Join small shards into ``results.npz`` and mark the evaluation complete."""
         if self.manifest["complete"]:
             return
@@ -108,7 +119,7 @@ class ResultFolder:
         if sum(path.stat().st_size for path in paths) <= SMALL:
             joined = _joined(paths)
             replace_file(self.folder / "results.npz", lambda stream: save_arrays(stream, joined))
-            self.manifest["shards"] = [{"file": "results.npz", "start": 0, "stop": self.done, "summary": summary}]
+            self.manifest["shards"] = [{"file": "results.npz", "start": 0, "stop": self.done}]
         else:
             paths = []
         self.manifest["complete"] = True

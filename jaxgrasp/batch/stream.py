@@ -1,14 +1,16 @@
-"""Evaluations larger than memory: chunk after chunk, while the next is read and the last one written."""
+"""Evaluations larger than memory: a chunk on each core, while the next is read and the last one written."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.batch.engine import Engine, Times
+from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.evaluation import run, usable
 from jaxgrasp.batch.methods import METHODS, methods_named
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
@@ -17,7 +19,9 @@ from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.faults import GraspError
 
-CHUNK = 65_536
+CHUNK = 16_384
+MOST_WORKERS = 8
+"""Chunks at a time: more would wait for each other at Python's lock, and fill memory."""
 
 
 @dataclass(frozen=True)
@@ -79,33 +83,70 @@ def evaluate_stream(
     methods = methods_named(plan.methods)
     engine = Engine(methods)
     resumed = folder.done if folder else 0
-    summary = _summary_so_far(folder) if resumed and folder else None
-    if not plan.skip_bad and not resumed:
+    summary = from_json(folder.summary) if folder and folder.summary else None
+    checked = not plan.skip_bad and not resumed
+    if checked:
         check_all(source, plan.adjustments, plan.chunk)
     if folder:
         folder.begin()
     constrained = {method.name for method in methods if method.constrained}
-    with ThreadPoolExecutor(1) as writer:
-        pending: Future | None = None
-        for first, raw in _ahead(_numbered(source, plan.chunk, resumed)):
-            sets, kept = usable(plan.adjustments.apply(raw), plan.skip_bad, first)
-            sets = sets.astype(np.dtype(plan.dtype))
-            results = run(engine, sets, _rows_per_shape(source, plan))
-            part = summarise(sets, results, numbers=first + kept, set_aside=len(raw) - len(kept))
-            summary = part if summary is None else summary.merged(part)
-            if pending:
-                pending.result()
-            if folder:
-                arrays = arrays_of(results, sets.offsets, first + kept, constrained)
-                pending = writer.submit(folder.add, arrays, first, first + len(raw), to_json(part))
-            progress(len(raw))
-        if pending:
-            pending.result()
+    task = partial(_evaluate_chunk, plan, engine, _rows_per_shape(source, plan), checked)
+    for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine)):
+        summary = chunk.summary if summary is None else summary.merged(chunk.summary)
+        if folder:
+            arrays = arrays_of(chunk.results, chunk.offsets, chunk.grasps, constrained)
+            folder.add(arrays, chunk.start, chunk.stop, to_json(summary))
+        progress(chunk.stop - chunk.start)
     if summary is None:
         raise ValueError("there are no grasps to evaluate")
     if folder:
-        folder.finish(to_json(summary))
+        folder.finish()
     return Outcome(summary, engine.times, time.perf_counter() - begun, resumed)
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """What became of the grasps ``start`` to ``stop`` of the input."""
+
+    start: int
+    stop: int
+    grasps: np.ndarray
+    """Numbers in the input of those that were not set aside."""
+    offsets: np.ndarray
+    results: dict[str, MethodResult]
+    summary: Summary
+
+
+def _evaluate_chunk(
+    plan: Plan, engine: Engine, rows_per_shape: int, checked: bool, start: int, raw: ContactSets
+) -> _Chunk:
+    sets, kept = plan.adjustments.apply(raw), np.arange(len(raw))
+    if not checked:
+        sets, kept = usable(sets, plan.skip_bad, start)
+    sets = sets.astype(np.dtype(plan.dtype))
+    results = run(engine, sets, rows_per_shape)
+    summary = summarise(sets, results, numbers=start + kept, set_aside=len(raw) - len(kept))
+    return _Chunk(start, start + len(raw), start + kept, sets.offsets, results, summary)
+
+
+def _workers(engine: Engine) -> int:
+    """Chunks to compute at a time: the solvers keep one core busy each, on as many devices as there are."""
+    return 2
+
+
+def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int) -> Iterator[_Chunk]:
+    """The task's results in the order of ``items``, ``workers`` at a time and the next one waiting."""
+    pool = ThreadPoolExecutor(workers)
+    running: deque[Future[_Chunk]] = deque()
+    try:
+        for item in items:
+            running.append(pool.submit(task, *item))
+            if len(running) > workers:
+                yield running.popleft().result()
+        while running:
+            yield running.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _rows_per_shape(source: GraspSource, plan: Plan) -> int:
@@ -117,20 +158,3 @@ def _numbered(source: GraspSource, chunk: int, start: int) -> Iterator[tuple[int
     for sets in source.chunks(chunk, start):
         yield start, sets
         start += len(sets)
-
-
-def _ahead(items: Iterator) -> Iterator:
-    """The same items, each read while the one before it is worked on."""
-    with ThreadPoolExecutor(1) as reader:
-        following = reader.submit(next, items, None)
-        while (item := following.result()) is not None:
-            following = reader.submit(next, items, None)
-            yield item
-
-
-def _summary_so_far(folder: ResultFolder) -> Summary:
-    parts = [from_json(entry["summary"]) for entry in folder.manifest["shards"]]
-    whole = parts[0]
-    for part in parts[1:]:
-        whole = whole.merged(part)
-    return whole

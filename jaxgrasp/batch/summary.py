@@ -12,7 +12,7 @@ from jaxgrasp.batch.worst import KEPT, worst_cases
 from jaxgrasp.model.solution import Route, Verdict
 
 ANGLE_BINS = 90
-SAMPLED_CONTACTS = 20_000
+SAMPLED_CONTACTS = 10_000
 
 
 @dataclass
@@ -148,8 +148,12 @@ def _angles(sets: ContactSets, result: MethodResult) -> np.ndarray:
     along = np.einsum("ci,ci->c", force, normal)
     slip = np.arctan2(np.linalg.norm(np.cross(normal, force), axis=1), along)[loaded]
     friction = np.arctan(sets.friction[chosen].astype(float))[loaded]
-    counts, _, _ = np.histogram2d(slip, friction, ANGLE_BINS, ((0, np.pi), (0, np.pi / 2)))
-    return counts.astype(int)
+    cell = ANGLE_BINS * _bin(slip, np.pi) + _bin(friction, np.pi / 2)
+    return np.bincount(cell, minlength=ANGLE_BINS**2).reshape(ANGLE_BINS, ANGLE_BINS)
+
+
+def _bin(angle: np.ndarray, largest: float) -> np.ndarray:
+    return np.minimum((angle * (ANGLE_BINS / largest)).astype(int), ANGLE_BINS - 1)
 
 
 def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> tuple[Comparison, np.ndarray]:

@@ -33,7 +33,6 @@ def from_json(data: dict) -> Summary:
 
 
 def _method_to_json(method: MethodSummary) -> dict:
-    slip, friction = np.nonzero(method.angles)
     margin = method.smallest_margin
     return {
         "verdicts": {verdict.name: int(method.verdicts[verdict]) for verdict in Verdict},
@@ -42,15 +41,11 @@ def _method_to_json(method: MethodSummary) -> dict:
         "largest_residual": method.largest_residual,
         # JSON has no infinity; a method without a loaded contact has no margin.
         "smallest_margin": margin if np.isfinite(margin) else None,
-        "angles": [[int(i), int(j), int(method.angles[i, j])] for i, j in zip(slip, friction, strict=True)],
-        "angle_bins": len(method.angles),
+        "angles": method.angles.tolist(),
     }
 
 
 def _method_from_json(data: dict) -> MethodSummary:
-    angles = np.zeros((data["angle_bins"], data["angle_bins"]), int)
-    for i, j, count in data["angles"]:
-        angles[i, j] = count
     margin = data["smallest_margin"]
     return MethodSummary(
         verdicts=np.array([data["verdicts"][verdict.name] for verdict in Verdict]),
@@ -58,7 +53,7 @@ def _method_from_json(data: dict) -> MethodSummary:
         routes=np.array([data["routes"][route.name] for route in Route]),
         largest_residual=data["largest_residual"],
         smallest_margin=np.inf if margin is None else margin,
-        angles=angles,
+        angles=np.array(data["angles"], int),
     )
 
 

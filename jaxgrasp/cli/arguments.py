@@ -31,8 +31,8 @@ class Evaluate(Data):
     """Squeezing force for all contacts [N], in place of the file's; several values likewise."""
     out: Path = Path("jaxgrasp-results")
     """Folder for the results; it gets one sub-folder a value where values are swept."""
-    chunk: int = 65_536
-    """Grasps in memory at a time."""
+    chunk: int = 16_384
+    """Grasps that each core works on at a time."""
     dtype: Literal["float64", "float32"] = "float64"
     """Precision of the arithmetic."""
     skip_bad: bool = False

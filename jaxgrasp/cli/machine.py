@@ -1,4 +1,4 @@
-"""JAX as the command line uses it: every core a device, 64 bits where asked for, compiled code kept.
+"""JAX as the command line uses it: 64 bits where asked for, compiled code kept.
 
 These are global settings, so only a program that owns its process may make them: never a library.
 """
@@ -12,10 +12,6 @@ import jax
 def set_up_jax(dtype: str) -> None:
     """Must run before the first computation."""
     jax.config.update("jax_enable_x64", dtype == "float64")
-    # Each core solves its own share of a block; letting JAX thread inside operations gains far less.
-    jax.config.update(
-        "jax_num_cpu_devices", len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    )
     cache = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(_cache_home() / "jaxgrasp" / "jax")
     jax.config.update("jax_compilation_cache_dir", cache)
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

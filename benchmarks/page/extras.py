@@ -1,14 +1,17 @@
 """Ratios of this package's own routes: what batching, sharing a grasp, derivatives and friction cost."""
 
+import time
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
 from benchmarks import problems as P
 from benchmarks import references as R
+from benchmarks.page import devices
 from benchmarks.page.clock import interleaved
 from benchmarks.page.errors import chosen, first
 from benchmarks.page.times import needs_cones, ordinary
@@ -44,18 +47,38 @@ def closed(grasp: Grasp, wrench: jax.Array) -> jaxgrasp.Solution:
 mapped = jax.jit(jax.vmap(jaxgrasp.constrained_optimum))
 
 
+def _forces_by_squeeze(grasp: Grasp, wrench: jax.Array) -> Callable[[jax.Array], jax.Array]:
+    def forces(squeeze: jax.Array) -> jax.Array:
+        return jaxgrasp.constrained_optimum(Grasp(grasp.points, grasp.normals, grasp.friction, squeeze), wrench).forces
+
+    return forces
+
+
 def _jacobian(differentiate: Callable) -> Callable:
     def one(grasp: Grasp, wrench: jax.Array) -> jax.Array:
-        def forces(squeeze: jax.Array) -> jax.Array:
-            squeezed = Grasp(grasp.points, grasp.normals, grasp.friction, squeeze)
-            return jaxgrasp.constrained_optimum(squeezed, wrench).forces
-
-        return differentiate(forces)(grasp.squeeze)
+        return differentiate(_forces_by_squeeze(grasp, wrench))(grasp.squeeze)
 
     return jax.jit(jax.vmap(one))
 
 
 forward, reverse = _jacobian(jax.jacfwd), _jacobian(jax.jacrev)
+
+
+@jax.jit
+def batch_forward(grasp: Grasp, wrench: jax.Array) -> jax.Array:
+    """The Jacobians of a batch, one push forward of the whole batch for each squeeze."""
+    forces, squeeze = _forces_by_squeeze(grasp, wrench), grasp.squeeze
+    directions = [jnp.zeros_like(squeeze).at[:, i].set(1) for i in range(squeeze.shape[1])]
+    return jnp.stack([jax.jvp(forces, (squeeze,), (direction,))[1] for direction in directions], -1)
+
+
+@jax.jit
+def batch_reverse(grasp: Grasp, wrench: jax.Array) -> jax.Array:
+    """The Jacobians of a batch, one pull back of the whole batch for each force component."""
+    forces, pull = jax.vjp(_forces_by_squeeze(grasp, wrench), grasp.squeeze)
+    components = jnp.eye(forces[0].size).reshape(-1, *forces.shape[1:])
+    rows = jax.vmap(lambda one: pull(jnp.broadcast_to(one, forces.shape))[0], out_axes=1)(components)
+    return rows.reshape(*forces.shape, -1)
 
 
 def on_device(problem: Problems) -> tuple[Grasp, jax.Array]:
@@ -73,6 +96,8 @@ def extras(plan: Plan) -> dict:
         "price_of_friction": [_price(n, sharing, plan) for n in plan.sizes for sharing in ("squeeze", "uniform")],
         "routes": _routes(plan),
         "batches": _batches(plan),
+        "compiling": [_compiling(n, plan) for n in plan.sizes],
+        "devices": devices.compared(max(plan.batches) // 10),
     }
 
 
@@ -132,8 +157,10 @@ def _routes(plan: Plan) -> dict:
         "one grasp, many wrenches": (_call(optimum, one, wrenches), plan.shared),
         "the same as separate grasps": (_call(optimum, many, wrenches), plan.shared),
         "the same in separate calls": (lambda: [_call(optimum, single, load)() for load in wrenches], plan.shared),
-        "jacfwd of forces by squeeze": (_call(forward, grasp, wrench), plan.batch),
-        "jacrev of forces by squeeze": (_call(reverse, grasp, wrench), plan.batch),
+        "vmap of jacfwd, forces by squeeze": (_call(forward, grasp, wrench), plan.batch),
+        "vmap of jacrev, forces by squeeze": (_call(reverse, grasp, wrench), plan.batch),
+        "the same by jvp of the whole batch": (_call(batch_forward, grasp, wrench), plan.batch),
+        "the same by vjp of the whole batch": (_call(batch_reverse, grasp, wrench), plan.batch),
     }
     spent = interleaved({name: call for name, (call, _) in calls.items()}, plan.repeats, plan.budget)
     return {name: spent[name] / count * 1e6 for name, (_, count) in calls.items()}
@@ -155,4 +182,21 @@ def _batches(plan: Plan) -> dict[str, float]:
     for size in plan.batches:
         call = _call(optimum, *on_device(first(problem, size)))
         found[str(size)] = interleaved({size: call}, plan.repeats, plan.budget)[size] / size * 1e6
+    return found
+
+
+def _compiling(n: int, plan: Plan) -> dict:
+    """Seconds to trace and compile each solver for one shape, without a cache on disk."""
+    arguments = on_device(ordinary(n, plan.batch))
+    found: dict = {"n": n}
+    kept = jax.config.jax_enable_compilation_cache
+    jax.config.update("jax_enable_compilation_cache", False)
+    try:
+        for name, function in {"closed_form": jaxgrasp.closed_form, "optimum": jaxgrasp.constrained_optimum}.items():
+            jax.clear_caches()
+            start = time.perf_counter()
+            jax.jit(function).lower(*arguments).compile()
+            found[name] = time.perf_counter() - start
+    finally:
+        jax.config.update("jax_enable_compilation_cache", kept)
     return found

@@ -4,15 +4,13 @@ Every claim is judged by ``benchmarks.references`` alone: extended precision, no
 tests take some problems of every kind, the slow ones a thousand of each at every size.
 """
 
-from typing import NamedTuple
-
 import jax
 import numpy as np
 import pytest
 
 import jaxgrasp
 from benchmarks import problems as P
-from benchmarks import references as R
+from benchmarks.laws import Held, hold
 from jaxgrasp import Grasp, Solution, Verdict
 
 SHARINGS = ("squeeze", "uniform")
@@ -23,30 +21,9 @@ UNDECIDED = {"combined": 0.005, "limit_9999": 0.01, "limit_10001": 0.01}
 """Largest share of NOT_CONVERGED answers; none in the other kinds."""
 
 
-class Laws(NamedTuple):
-    """How good answers and proofs have to be in one precision."""
-
-    gap: float
-    balance: float
-    """Largest backward error."""
-    violation: float
-    need: float
-    """Least total normal force, in loads, that a certificate proves to be needed."""
-
-
-DOUBLE = Laws(gap=1e-8, balance=1e-10, violation=1e-13, need=1e6)
-SINGLE = Laws(gap=1e-4, balance=1e-4, violation=4e-6, need=1e2)
-SPREAD = 64 * np.finfo(np.float32).eps
-"""Contacts closer together than this, relative to the frame's distance, count as one: `rank` tells."""
-
-
 def solve(problem: P.Problems, weights: np.ndarray) -> Solution:
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
     return jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench, weights))
-
-
-def solved(solution: Solution) -> np.ndarray:
-    return (solution.verdict == Verdict.OPTIMAL) | (solution.verdict == Verdict.CLOSED_FORM_OPTIMAL)
 
 
 def share(solution: Solution, verdict: Verdict) -> float:
@@ -58,37 +35,27 @@ def nowhere(broken: np.ndarray, law: str, problem: P.Problems, sharing: str) -> 
     assert not len(lanes), f"{law} in {problem.kind}, {problem.points.shape[1]} contacts, {sharing}: {lanes[:20]}"
 
 
-def solve_lawfully(problem: P.Problems, sharing: str, laws: Laws) -> Solution:
+def solve_lawfully(problem: P.Problems, sharing: str) -> tuple[Solution, Held]:
     """Solve, and assert all that holds whether or not the problem can be solved."""
     weights = problem.weights(sharing)
     solution = solve(problem, weights)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))
     known = {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED}
     assert set(solution.verdict.tolist()) <= (known if weights.any() else {Verdict.NO_CONTACTS})
-    judged = R.judge(problem, weights, solution.forces, solution.multiplier)
-    good, hopeless = solved(solution), solution.verdict == Verdict.INFEASIBLE
-    gap, balance = laws.gap, laws.balance
-    if laws is SINGLE:
-        # Rounding of the data alone does as much, in frames hundreds of radii away above all.
-        here = R.centred(problem, weights)
-        gap = np.maximum(gap, judged.rounding)
-        balance = balance + SPREAD * R.norm(here.centre) / here.length
-    nowhere(good & ~(judged.gap <= gap), "gap", problem, sharing)
-    nowhere(good & ~(judged.backward_error <= balance), "backward error", problem, sharing)
-    nowhere(good & ~(judged.violation <= laws.violation), "force outside its cone", problem, sharing)
-    need = R.proven_need(problem, weights, solution.certificate)
-    nowhere(hopeless & ~(need > laws.need), "proof of nothing", problem, sharing)
-    nowhere((solution.certificate != 0).any(-1) & good, "proof against an answer", problem, sharing)
-    return solution
+    held = hold(problem, weights, solution)
+    for law, broken in held.broken.items():
+        nowhere(broken, law, problem, sharing)
+    nowhere((solution.certificate != 0).any(-1) & held.solved, "proof against an answer", problem, sharing)
+    return solution, held
 
 
 def decided_rightly(problem: P.Problems, sharing: str) -> Solution:
     """Solve in double precision, and assert that what is feasible is not called otherwise, nor the reverse."""
-    solution = solve_lawfully(problem, sharing, DOUBLE)
+    solution, held = solve_lawfully(problem, sharing)
     if problem.feasible is True:
-        nowhere(solution.verdict == Verdict.INFEASIBLE, "feasible, called infeasible", problem, sharing)
+        nowhere(held.hopeless, "feasible, called infeasible", problem, sharing)
     if problem.feasible is False:
-        nowhere(solved(solution), "infeasible, called solved", problem, sharing)
+        nowhere(held.solved, "infeasible, called solved", problem, sharing)
     return solution
 
 
@@ -128,10 +95,10 @@ def single(kind: str, n: int, count: int) -> P.Problems:
 
 
 def single_is_lawful(problem: P.Problems, sharing: str) -> None:
-    solution = solve_lawfully(problem, sharing, SINGLE)
+    solution, held = solve_lawfully(problem, sharing)
     assert solution.forces.dtype == np.float32
     if problem.kind in SINGLE_SOLVES:
-        assert solved(solution).mean() >= 0.98
+        assert held.solved.mean() >= 0.98
     if problem.kind == "infeasible":
         assert share(solution, Verdict.INFEASIBLE) == 1
 

@@ -1,0 +1,52 @@
+"""One device against two, each with a core of its own: a process of its own, since the page's has one core.
+
+    python -m benchmarks.page.devices 100000
+
+Prints microseconds a problem by number of devices, as JSON.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+
+import jax
+
+import jaxgrasp
+from benchmarks.page.clock import interleaved
+from benchmarks.problems import problems
+from jaxgrasp import Grasp
+
+CORES = 2
+REPEATS = 9
+CONTACTS = 5
+
+
+def compared(count: int) -> dict[str, float]:
+    """Microseconds a problem on one device and on two; on one alone where this machine has a single core."""
+    command = [sys.executable, "-m", "benchmarks.page.devices", str(count)]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return json.loads(said.splitlines()[-1])
+
+
+def main() -> None:
+    count = int(sys.argv[1])
+    # The page pins itself, and its children inherit that.
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    cores = min(CORES, len(os.sched_getaffinity(0)))
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
+    jax.config.update("jax_enable_x64", True)
+    jax.config.update("jax_num_cpu_devices", cores)
+    drawn = problems("ordinary", CONTACTS, count, seed=0)
+    grasps = Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze)
+
+    calls = {
+        str(number): partial(jaxgrasp.evaluate, grasps, drawn.wrench, methods=("B-optimum",), devices=number)
+        for number in range(1, cores + 1)
+    }
+    print(json.dumps({number: seconds / count * 1e6 for number, seconds in interleaved(calls, REPEATS, 60.0).items()}))
+
+
+if __name__ == "__main__":
+    main()

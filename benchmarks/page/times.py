@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from benchmarks import problems as P
@@ -31,7 +32,12 @@ BASELINE = "jaxgrasp closed_form float64"
 
 def timings(rivals: list[Rival], plan: Plan) -> list[dict]:
     """Rows of every contact count, rival and batch."""
-    return [row for n in plan.sizes for row in _of_size(rivals, n, plan)]
+    rows = []
+    for n in plan.sizes:
+        rows += _of_size(rivals, n, plan)
+        # Compiled programs of all sizes together would take up all the memory maps that a process may have.
+        jax.clear_caches()
+    return rows
 
 
 def ordinary(n: int, count: int) -> Problems:

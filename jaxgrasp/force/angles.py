@@ -34,4 +34,7 @@ def stability_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Flo
 
 def friction_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
     """Friction angle atan(mu) less the slip angle [rad]: negative where a contact slips or pulls (eq. 2)."""
-    return jnp.arctan(jnp.asarray(grasp.friction)) - slip_angle(grasp, forces)
+    angle = slip_angle(grasp, forces)
+    # An absent contact may have any friction, NaN too.
+    friction = jnp.where(jnp.isfinite(angle), jnp.asarray(grasp.friction), 0)
+    return jnp.arctan(friction) - angle

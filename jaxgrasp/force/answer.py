@@ -43,6 +43,7 @@ class Outcome(NamedTuple):
 
 def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, route: Route) -> Answer:
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
+    valid = valid & frame.sound
     solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
     answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)
     rest, error, objective, _ = measure(lanes, outcome.forces, stretch)

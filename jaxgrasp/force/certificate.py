@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import cones, dual
-from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Lanes, read
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -50,7 +50,7 @@ def verify_certificate(
 
 @partial(jax.jit, static_argnames=("sharing",))
 def _run(grasp, wrench, certificate, weights, *, sharing: str) -> Array:
-    problem, direction, batch = flatten(grasp, wrench, weights, sharing, certificate)
+    problem, direction, batch = flatten(grasp, wrench, weights, sharing, certificate=certificate)
     lanes, valid = read(problem)
     assert direction is not None
     return jnp.where(valid, _needed(lanes, direction.T), 0)[0].reshape(batch)

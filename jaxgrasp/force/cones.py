@@ -35,7 +35,8 @@ def split(u: Vec, normal: Vec, friction: Array) -> Split:
     tangent = Vec(*(vec.safe_divide(c, size) for c in across))
     # The polar cone first: without friction a pull straight along the normal would pass for inside.
     polar = friction * size < -along
-    inside = jnp.logical_not(polar) & (size <= friction * along)
+    # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
+    inside = jnp.logical_not(polar) & (size <= friction * along) & (friction > 0)
     return Split(along, tangent, size, inside, polar)
 
 

@@ -137,6 +137,36 @@ def spread(lanes: Lanes, forces: Vec) -> Array:
     return vec.safe_divide(vec.dot(apart, apart), 2 * lanes.weights)
 
 
+def pull(lanes: Lanes, best: Forces, unit: Array) -> Vec:
+    """(f - s a) / k of each contact, and what it tends to as k falls to 0; the squeeze with it, where that is 0 too.
+
+    ``unit`` is what one unit of weight means in squeeze where both are the same number to the user.
+    """
+    moves, held = lanes.weights > 0, vec.scale(lanes.squeeze, lanes.normals)
+    apart = vec.scale(1 / jnp.where(moves, lanes.weights, 1), vec.sub(best.forces, held))
+    along = vec.scale(vec.dot(best.twist, lanes.normals), lanes.normals)
+    still = vec.where(lanes.friction > 0, best.twist, along)
+    # At s = k = 0 the force is k times a projection.
+    target, own = relaxed_target(lanes, best.twist, unit), vec.scale(unit, lanes.normals)
+    sides = cones.split(target, lanes.normals, lanes.friction)
+    relaxed = vec.sub(cones.project(target, lanes.normals, lanes.friction, sides), own)
+    return vec.where(moves, apart, vec.where(lanes.squeeze > 0, still, relaxed))
+
+
+def relaxed_target(lanes: Lanes, twist: Vec, unit: Array) -> Vec:
+    """s a + k v where s and k grow from 0 together, as by method B; for each unit of weight."""
+    return vec.add(vec.scale(unit, lanes.normals), twist)
+
+
+def spread_by(lanes: Lanes, forces: Vec, pull: Vec) -> Array:
+    """The same as ``spread`` in value, with the derivative by k that it has at k = 0 too, from above.
+
+    Stationary in ``pull``, so that only forces, squeeze and weights move it.
+    """
+    apart = vec.sub(forces, vec.scale(lanes.squeeze, lanes.normals))
+    return vec.dot(pull, apart) - lanes.weights * vec.dot(pull, pull) / 2
+
+
 def price_of_nothing(lanes: Lanes) -> Array:
     """The objective of no force at all: what gaps are measured against where the optimum's own is small."""
     return vec.totals(spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))))[0]

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import dual
-from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Lanes, read
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -80,10 +80,10 @@ def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) 
 @partial(jax.jit, static_argnames="sharing")
 def _evaluate(grasp, wrench, multiplier, weights, *, sharing: str) -> tuple[Array, Array]:
     """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
-    flat = flatten(grasp, wrench, weights, sharing, multiplier)
-    assert flat.multiplier is not None
+    flat = flatten(grasp, wrench, weights, sharing, multiplier=multiplier)
+    assert flat.twist is not None
     lanes, valid = read(flat.problem)
-    value, best = _value_and_forces(lanes, flat.multiplier.T)
+    value, best = _value_and_forces(lanes, flat.twist.T)
     value = jnp.where(valid, value, jnp.nan)[0]
     forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best]).transpose(2, 1, 0)
     return value.reshape(flat.batch), forces.reshape(flat.batch + forces.shape[1:])
@@ -94,8 +94,5 @@ def _value_and_forces(lanes: Lanes, multiplier: dual.Six) -> tuple[Array, Vec]:
     unstretched = Vec(one, one, one)
     best = dual.best_forces(lanes, multiplier, unstretched)
     work = dual.inner(dual.load(lanes, unstretched), multiplier)
-    # Inside its cone a force is s a + k v: written so, the derivative by k is right where k is zero too.
-    free = lanes.weights * vec.dot(best.twist, best.twist) / 2
-    spread = jnp.where(best.sides.inside, free, dual.spread(lanes, best.forces))
-    own = spread - vec.dot(best.twist, best.forces)
+    own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - vec.dot(best.twist, best.forces)
     return work + jnp.sum(own, 0, keepdims=True), best.forces

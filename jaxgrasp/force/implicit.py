@@ -49,23 +49,43 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
     inverse = Vec(*(vec.safe_divide(jnp.ones_like(s), s) for s in stretch))
     at = jnp.where(answered, dual.six(linear, vec.times(inverse, angular)), 0)
 
-    def forces(lanes: Lanes, multiplier: Six) -> Vec:
-        if constrained:
-            return dual.best_forces(lanes, multiplier, stretch).forces
-        return pseudo_inverse.free_forces(lanes, multiplier, stretch)
+    unit = frame.weight / frame.load
 
     def rest(lanes: Lanes) -> Six:
-        return dual.residual(lanes, forces(lanes, at), stretch)
+        return dual.residual(lanes, _forces(lanes, at, stretch, unit, constrained)[0], stretch)
 
     _, unbalanced = jax.jvp(rest, (lanes,), (lanes_moved,))
     turned = _solve(_curvature(lanes, at, stretch, constrained), unbalanced)
 
     def outputs(lanes: Lanes, multiplier: Six) -> tuple[Vec, Array]:
-        f = forces(lanes, multiplier)
-        return f, vec.totals(dual.spread(lanes, f))[0]
+        f, pull = _forces(lanes, multiplier, stretch, unit, constrained)
+        return f, vec.totals(dual.spread_by(lanes, f, pull))[0]
 
     _, (forces_moved, objective_moved) = jax.jvp(outputs, (lanes, at), (lanes_moved, turned))
     return _out(frame, stretch, answered, forces_moved, turned, objective_moved)
+
+
+def _forces(lanes: Lanes, multiplier: Six, stretch: Vec, unit: Array, constrained: bool) -> tuple[Vec, Vec]:
+    """The forces of a multiplier, and the pull (f - s a) / k of each contact."""
+    if not constrained:
+        return pseudo_inverse.free_forces(lanes, multiplier, stretch), dual.twist_at(lanes, multiplier, stretch)
+    best = dual.best_forces(lanes, multiplier, stretch)
+    apex = _about_apex(lanes, best.twist, unit)
+    return vec.where(_relaxed(lanes), apex, best.forces), dual.pull(lanes, best, unit)
+
+
+def _relaxed(lanes: Lanes) -> Array:
+    """Contacts that neither squeeze nor may move: their force stands at its cone's apex."""
+    return (lanes.squeeze == 0) & (lanes.weights == 0)
+
+
+def _about_apex(lanes: Lanes, twist: Vec, unit: Array) -> Vec:
+    """s a + k v on its cone, for s and k about 0, linearised where both are equal: as method B moves them."""
+    seen = lax.stop_gradient(dual.relaxed_target(lanes, twist, unit))
+    side = cones.derivative(lanes.normals, lanes.friction, cones.split(seen, lanes.normals, lanes.friction))
+    side = lax.stop_gradient(side)
+    target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
+    return Vec(*symmetric.multiply(side, target))
 
 
 def _constants(problem: Problem) -> tuple[Frame, Vec]:

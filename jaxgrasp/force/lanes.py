@@ -9,6 +9,7 @@ matrix, and nothing is lost when the frame lies far away. Lengths are then divid
 weights by their sum, forces by the load, so that everything is of order one whatever the units.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import equinox as eqx
@@ -58,6 +59,8 @@ class Frame(NamedTuple):
     weight: Array
     """Sum of the sharing weights; 0 where no contact can carry a force."""
     load: Array
+    sound: Array
+    """Whether lengths, loads and weights are numbers whose squares keep their digits."""
     axes: tuple[Vec, Vec, Vec] | None = None
 
 
@@ -71,12 +74,13 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     friction, squeeze, weights = problem.friction.T, problem.squeeze.T, problem.weights.T
     wrench = problem.wrench.T
     size2 = vec.dot(normals, normals)
-    # One sum meets a NaN or an infinity in any of its terms.
-    finite = jnp.isfinite(points.x + points.y + points.z + size2 + friction + squeeze + weights)
-    good = finite & (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
+    largest = tolerances(points.x.dtype).largest
+    # One sum meets a NaN, or what is too large to be squared, in any of its terms.
+    size = vec.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
+    good = (size <= largest) & (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
     there = None if problem.present is None else problem.present.T > 0.5
     lane_good = jnp.all(good if there is None else good | ~there, 0, keepdims=True)
-    valid = lane_good & jnp.isfinite(sum(wrench[i : i + 1] for i in range(6)))
+    valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
 
     def keep(array: Array) -> Array:
@@ -120,12 +124,16 @@ def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
         moved = vec.sub(lanes.torque, vec.cross(first, lanes.force))
     torque = vec.sub(moved, vec.cross(rest, lanes.force))
     centre = vec.add(first, rest)
-    length = vec.safe_sqrt(vec.totals(k * vec.dot(arms, arms))[0])
+    square, reach = vec.totals(k * vec.dot(arms, arms), k * vec.taxicab(arms))
+    length = vec.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
     blur = tolerances(length.dtype).rank * jnp.sqrt(vec.dot(centre, centre))
     length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec.dot(centre, centre)), 1))
     pull = vec.norm(lanes.force) + vec.norm(torque) / length
     load = squeeze + pull
+    smallest = tolerances(length.dtype).smallest
+    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (weight, load)))
+    sound = sound & ((reach <= blur) | (reach >= smallest))
     load = jnp.where(load > 0, load, 1)
     normalised = Lanes(
         arms=vec.scale(1 / length, arms),
@@ -136,7 +144,7 @@ def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
         force=vec.scale(1 / load, lanes.force),
         torque=vec.scale(1 / (load * length), torque),
     )
-    return normalised, Frame(centre, length, weight, load)
+    return normalised, Frame(centre, length, weight, load, sound)
 
 
 def blur(frame: Frame) -> Array:

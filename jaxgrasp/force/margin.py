@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import dual, elastic
-from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.dual import Six
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
+from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec
@@ -33,8 +34,9 @@ def wrench_margin(
 
     The forces may be as large as they need; how they are shared matters only for contacts of weight zero,
     which hold their squeezing force. Where a direction is resisted only by forces some hundred thousand
-    times the load or more, as by contacts that lie on a line but for 1e-5 of its length, the margin may
-    stop short, at what smaller forces reach.
+    times the load or more, the margin is not to be relied on: by contacts that lie on a line but for 1e-5 of
+    its length it stops short, at what smaller forces reach; by friction beyond 1e5, or a pinch that misses
+    closing by less than 1e-6, it goes too far, up to +inf.
 
     Differentiable once, by everything but the sharing: at the limit a hyperplane bounds what the contacts
     exert, and the margin moves as that does. Where several do, the derivative is that of one.
@@ -61,7 +63,7 @@ def wrench_margin(
 
 @partial(jax.jit, static_argnames=("sharing",))
 def _run(grasp, wrench, direction, weights, *, sharing: str) -> Array:
-    problem, flat, batch = flatten(grasp, wrench, weights, sharing, direction)
+    problem, flat, batch = flatten(grasp, wrench, weights, sharing, direction=direction)
     return _margin(problem, flat).reshape(batch)
 
 
@@ -148,7 +150,9 @@ def _line(problem: Problem, direction: Array) -> _Line:
     weights = can_move.astype(lanes.weights.dtype)
     lanes = lanes._replace(weights=weights, squeeze=jnp.where(can_move, 0, lanes.squeeze))
     lanes, frame = principal(lanes)
-    valid = valid & jnp.isfinite(jnp.sum(direction.T, 0, keepdims=True))
+    limits = tolerances(direction.dtype)
+    asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
+    valid = valid & frame.sound & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
     ray = elastic.wrench_in(jnp.where(valid, direction.T, 0), frame)
     size = dual.length(ray)
     held = vec.scale(lanes.squeeze, lanes.normals)

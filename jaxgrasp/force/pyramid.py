@@ -17,7 +17,7 @@ from jax import Array
 
 from jaxgrasp.force import cones, dual, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome
-from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Lanes, Problem, principal, read
 from jaxgrasp.force.outside import write_to_tolerance
 from jaxgrasp.model.arrays import AnyArray, Float

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import cones, dual, elastic, shells
-from jaxgrasp.force.distribution import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.dual import Six
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, certificate_out, forces_out, principal, read
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
@@ -120,7 +120,7 @@ def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Rea
     lanes, valid = read(problem)
     lanes, frame = principal(lanes)
     metric, mass, sound = _metric(lanes, frame, inertia)
-    valid = jnp.broadcast_to(valid & sound, (1, problem.size))
+    valid = jnp.broadcast_to(valid & sound & frame.sound, (1, problem.size))
     point = elastic.nearest(lanes, metric, ~valid).point
     forces = _rescaled(lanes, metric, point)
     one = jnp.ones_like(point[:1])

@@ -22,13 +22,17 @@ class Tolerances:
     """Relative duality gap of a converged optimum."""
     balance: float
     """Backward error above which no answer is called sound."""
+    largest: float
+    """Larger numbers in the data are invalid: products of a few of them would overflow."""
+    smallest: float
+    """Lengths and sums of weights below this are invalid, but for 0: their squares lose their digits."""
     proof: float
     """Total force, in units of the load, that a certificate must prove to be needed to count as a proof."""
 
 
 @cache
 def tolerances(dtype: np.dtype) -> Tolerances:
-    eps = float(np.finfo(dtype).eps)
+    eps, most, least = (float(getattr(np.finfo(dtype), name)) for name in ("eps", "max", "tiny"))
     return Tolerances(
         rank=64 * eps,
         range=eps**0.5 / 16,
@@ -36,5 +40,7 @@ def tolerances(dtype: np.dtype) -> Tolerances:
         gradient=eps**0.75,
         gap=eps**0.5 / 64,
         balance=eps**0.625,
+        largest=most**0.4,
+        smallest=least**0.4,
         proof=1 / (16 * eps**0.5),
     )

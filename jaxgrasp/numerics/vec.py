@@ -82,6 +82,11 @@ def rotate_back(rows: tuple[Vec, Vec, Vec], a: Vec) -> Vec:
     return add(add(scale(a.x, rows[0]), scale(a.y, rows[1])), scale(a.z, rows[2]))
 
 
+def taxicab(a: Vec) -> Array:
+    """Sum of the components' sizes, which neither overflows nor underflows where squares would."""
+    return abs(a.x) + abs(a.y) + abs(a.z)
+
+
 def norm(a: Vec) -> Array:
     """Length; zero has derivative zero instead of NaN."""
     return safe_sqrt(dot(a, a))

@@ -308,5 +308,8 @@ def test_bad_sharing_and_shapes_are_named():
         jaxgrasp.closed_form(grasp, problem.wrench, "equal")
     with pytest.raises(ValueError, match="sharing is 'equal'"):
         jaxgrasp.split_forces(grasp, problem.wrench, "equal")
-    with pytest.raises(ValueError, match="weights"):
+    with pytest.raises(ValueError, match=r"sharing has shape \(4,\): expected \(..., 3\)"):
         jaxgrasp.closed_form(grasp, problem.wrench, jnp.ones(4))
+    with pytest.raises(ValueError, match=r"leading axes do not broadcast .* wrench \(2,\)"):
+        many = jax.tree.map(lambda a: np.repeat(a, 3, 0), grasp)
+        jaxgrasp.closed_form(many, np.repeat(problem.wrench, 2, 0))

@@ -241,9 +241,34 @@ def test_safety_divides_the_friction():
     used = np.linalg.norm(across, axis=-1) / np.maximum(np.sum(safe.forces * problem.normals, -1), 1e-300)
     limit = problem.friction / 1.25 * (1 + 1e-9)
     assert (used <= limit)[solved(safe)].all()
-    for bad in (0.0, -1.0, float("nan")):
-        with pytest.raises(ValueError, match="safety"):
+    for bad in (0.0, -1.0, float("nan"), np.array([1.0, 0.0])):
+        with pytest.raises(ValueError, match="safety is"):
             solve(problem, problem.squeeze, safety=bad)
+    with pytest.raises(ValueError, match=r"safety has shape \(5,\): expected .* \(64,\)"):
+        solve(problem, problem.squeeze, safety=np.ones(5))
+
+
+def test_safety_is_that_of_a_problem_not_of_a_contact():
+    """One for each, also where there are as many problems as contacts."""
+    problem = P.problems("ordinary", 3, 3, seed=1)
+    safety = np.array([1.0, 1.5, 2.0])
+    each = solve(problem, problem.squeeze, safety=safety)
+    divided = solve(problem._replace(friction=problem.friction / safety[:, None]), problem.squeeze)
+    np.testing.assert_array_equal(each.forces, divided.forces)
+
+
+def test_absent_friction_does_not_spoil_the_derivative_by_safety():
+    problem = P.problems("low_friction", 3, 3, seed=1)
+    present = np.ones((3, 3))
+    present[:, 2] = 0
+    friction = np.where(present > 0, problem.friction, np.nan)
+
+    def total(safety, friction):
+        grasp = Grasp(problem.points, problem.normals, friction, problem.squeeze, present)
+        return jaxgrasp.constrained_optimum(grasp, problem.wrench, safety=safety).objective.sum()
+
+    spoiled, clean = (jax.grad(total)(1.1, f) for f in (friction, problem.friction))
+    assert np.isfinite(clean) and spoiled == clean
 
 
 def test_bad_data_leave_their_neighbours_alone(case):

@@ -323,3 +323,50 @@ def test_verdicts_of_the_samples(ordinary):
     """The laws above were tried on both kinds of answer."""
     solution = jaxgrasp.constrained_optimum(Grasp(*ordinary[:4]), ordinary[4], ordinary[5])
     assert {int(v) for v in np.asarray(solution.verdict)} == {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL}
+
+
+def one_sided(value, inputs, step, size: float):
+    """Derivative along ``step`` from ``inputs`` onwards, to second order."""
+    here, near, far = (value(tuple(x + h * t for x, t in zip(inputs, step, strict=True))) for h in (0, size, 2 * size))
+    return [(4 * b - 3 * a - c) / (2 * size) for a, b, c in zip(here, near, far, strict=True)]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_weight_of_zero_has_its_one_sided_derivative(method):
+    """Growing from nothing, a contact moves forces and objective: with its squeeze by method B, or alone."""
+    problem = P.problems("ordinary", 5, COUNT, seed=31)
+    value = jax.jit(lambda x: answers(method, x))
+    forward = jax.jit(lambda x, t: jax.jvp(lambda x: answers(method, x), (x,), (t,))[1])
+    grow = np.zeros_like(problem.squeeze)
+    grow[:, 0] = 1
+    bare = np.where(grow > 0, 0, problem.squeeze)
+    for squeeze, growth in ((bare, grow), (problem.squeeze, 0 * grow)):
+        inputs = inputs_of(problem._replace(squeeze=squeeze), bare)
+        step = (*(np.zeros_like(x) for x in inputs[:3]), growth, np.zeros_like(problem.wrench), grow)
+        forces, _, objective = forward(inputs, step)
+        expected = one_sided(value, inputs, step, 1e-6)
+        grasp = Grasp(problem.points, problem.normals, problem.friction, squeeze)
+        solvable = np.asarray(METHODS[method](grasp, problem.wrench, bare).verdict) <= Verdict.OUTSIDE_CONES
+        off = np.abs(forces - expected[0]).max((1, 2)) / (1 + np.abs(expected[0]).max((1, 2)))
+        drift = np.abs(objective - expected[2]) / (1 + np.abs(expected[2]))
+        assert solvable.mean() > 0.7
+        assert off[solvable].max() < 1e-5 and drift[solvable].max() < 1e-5
+
+
+def test_a_contact_without_friction_pushes_along_its_normal_alone(compiled):
+    """A target on the normal is a smooth point there: the cone is a ray."""
+    if compiled.method == "closed":
+        pytest.skip("friction is not imposed")
+    problem = P.problems("ordinary", N, COUNT, seed=32)
+    points = np.broadcast_to([[1.0, 0, 0], [-1.0, 0, 0], [0, 0, -1.0]], problem.points.shape).copy()
+    friction = np.broadcast_to([0.75, 0.75, 0.0], problem.friction.shape).copy()
+    wrench = np.broadcast_to([0.0, 0, 2, 0, 0, 0], problem.wrench.shape).copy()
+    squeeze = np.full_like(friction, 4.0)
+    problem = problem._replace(points=points, normals=-points, friction=friction, squeeze=squeeze, wrench=wrench)
+    inputs = inputs_of(problem)
+    step = [np.zeros_like(x) for x in inputs]
+    step[4] = np.broadcast_to([0.0, 1.0, 0, 0, 0, 0], wrench.shape).copy()
+    _, (forces, _, _) = compiled.forward(inputs, tuple(step))
+    np.testing.assert_allclose(forces[:, 2, :2], 0, atol=1e-12)
+    expected = one_sided(compiled.value, inputs, step, 1e-5)[0]
+    np.testing.assert_allclose(forces, expected, atol=1e-8)

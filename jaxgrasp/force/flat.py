@@ -1,0 +1,110 @@
+"""What users pass, as a flat batch in one precision: any leading axes, and errors that name the field."""
+
+import warnings
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.grasp import Grasp
+
+Sharing = str | AnyArray
+
+
+def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
+    """The name of a sharing, and the weights of one that is given as such."""
+    if isinstance(sharing, str):
+        if sharing in ("squeeze", "uniform"):
+            return sharing, None
+    elif sharing is not None:
+        return "given", sharing
+    raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
+
+
+class Flat(NamedTuple):
+    """Problems with their leading axes broadcast and flattened into one."""
+
+    problem: Problem
+    twist: Array | None
+    """``(B, 6)``: what came beside the wrench, where something did."""
+    batch: tuple[int, ...]
+    """The leading axes."""
+
+
+def flatten(grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, sharing: str, **twist: AnyArray) -> Flat:
+    """Inputs of any leading axes as a flat batch in one precision.
+
+    ``twist`` may be one more array of sixes, under the name that its user knows it by.
+    """
+    points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
+    n = _contacts(points)
+    if sharing != "given":
+        weights = squeeze if sharing == "squeeze" else jnp.ones(np.shape(points)[:-1])
+    contacts = {"friction": friction, "squeeze": squeeze, "present": grasp.present, "sharing": weights}
+    given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
+    given = {"points": (points, (n, 3)), "normals": (normals, (n, 3))}
+    given |= {name: (array, (n,)) for name, array in contacts.items()}
+    given |= {name: (array, (6,)) for name, array in {"wrench": wrench, **twist}.items()}
+    dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values())
+    arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
+    leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
+    batch = _broadcast(leading)
+    # A grasp that all wrenches share stays one grasp: its own work is then done once.
+    loads = ("wrench", *twist)
+    shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name not in loads)
+    flat = {}
+    for name, array in arrays.items():
+        tail = given[name][1]
+        if shared and name not in loads:
+            flat[name] = array.reshape(1, *tail)
+        else:
+            flat[name] = jnp.broadcast_to(array, batch + tail).reshape(-1, *tail)
+    extra = [flat.pop(name) for name in twist]
+    problem = Problem(present=flat.pop("present", None), weights=flat.pop("sharing"), **flat)
+    return Flat(problem, extra[0] if extra else None, batch)
+
+
+def _contacts(points: AnyArray) -> int:
+    shape = np.shape(points)
+    if len(shape) < 2 or shape[-1] != 3 or shape[-2] == 0:
+        raise ValueError(f"points has shape {shape}: expected (..., n, 3) with at least one contact")
+    return shape[-2]
+
+
+def _precision(*arrays: AnyArray) -> np.dtype:
+    """The finest floating-point precision among the arrays, single at least.
+
+    That of integers and plain numbers does not count. Half precision holds too few digits to solve anything in.
+    """
+    floats = [a.dtype for a in map(jnp.asarray, arrays) if jnp.issubdtype(a.dtype, jnp.floating) and not a.weak_type]
+    finest = max(floats, key=lambda d: d.itemsize, default=jnp.asarray(0.0).dtype)
+    return np.dtype(finest if finest.itemsize > 2 else np.float32)
+
+
+def _broadcast(leading: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
+    try:
+        return jnp.broadcast_shapes(*leading.values())
+    except ValueError:
+        said = ", ".join(f"{name} {axes}" for name, axes in leading.items() if axes)
+        raise ValueError(f"leading axes do not broadcast against each other: {said}") from None
+
+
+def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, ...]:
+    if array.shape[max(array.ndim - len(tail), 0) :] != tail:
+        raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, tail))})")
+    return array.shape[: array.ndim - len(tail)]
+
+
+def warn_of_lost_precision(*arguments: Grasp | AnyArray) -> None:
+    """Say so where float64 data will be computed in float32; to be called two calls below the user's."""
+    given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in jax.tree.leaves(arguments))
+    if given and not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "float64 data are computed in float32, since JAX's 64-bit mode is off: "
+            "call jax.config.update('jax_enable_x64', True) first, or pass float32 arrays",
+            stacklevel=4,
+        )

@@ -1,0 +1,71 @@
+"""Numbers whose squares overflow or vanish, and precisions that hold few digits: answered rightly or refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrasp
+from benchmarks import problems as P
+from benchmarks.laws import any_of, hold
+from jaxgrasp import Grasp, Verdict
+
+COUNT, N = 64, 3
+POWERS = {"float64": (100, 150, 180, 300), "float32": (12, 17, 19, 30)}
+
+
+def scaled(what: str, factor: float, dtype: str) -> tuple[P.Problems, np.ndarray]:
+    """Ordinary problems in other units of length or force, or with other weights."""
+    problem = P.problems("ordinary", N, COUNT, seed=1)
+    weights = problem.squeeze
+    if what == "length":
+        wrench = problem.wrench * np.repeat([1.0, factor], 3)
+        problem = problem._replace(points=problem.points * factor, wrench=wrench)
+    if what == "force":
+        problem = problem._replace(squeeze=problem.squeeze * factor, wrench=problem.wrench * factor)
+    if what == "weight":
+        weights = weights * factor
+    with np.errstate(over="ignore"):
+        return problem.cast(np.dtype(dtype).type), weights.astype(dtype)
+
+
+def grasp_of(problem: P.Problems) -> Grasp:
+    return Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+
+
+@pytest.mark.parametrize("dtype", POWERS)
+@pytest.mark.parametrize("what", ["length", "force", "weight"])
+def test_extreme_units_are_solved_or_refused(what, dtype):
+    for power in POWERS[dtype]:
+        for sign in (1, -1):
+            problem, weights = scaled(what, 10.0 ** (sign * power), dtype)
+            solution = jax.device_get(jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, weights))
+            refused = solution.verdict == Verdict.INVALID_DATA
+            assert np.isfinite(solution.forces[~refused]).all() and np.isfinite(solution.multiplier[~refused]).all()
+            assert (solution.verdict != Verdict.INFEASIBLE).all()
+            if not refused.all():
+                assert not any_of(hold(problem, weights, solution).broken).any(), (what, sign * power)
+                assert (solution.verdict[~refused] <= Verdict.OPTIMAL).mean() > 0.98
+
+
+@pytest.mark.parametrize(
+    "what, factor",
+    [("length", 1e-170), ("length", 1e170), ("force", 1e170), ("direction", 1e-170), ("direction", 1e170)],
+)
+def test_a_margin_of_extreme_units_is_refused(what, factor):
+    problem, weights = scaled(what, factor, "float64")
+    direction = np.random.default_rng(2).normal(size=(COUNT, 6)) * (factor if what == "direction" else 1)
+    theta = np.asarray(jaxgrasp.wrench_margin(grasp_of(problem), problem.wrench, direction, weights))
+    assert (theta == -np.inf).all()
+
+
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+def test_half_precision_is_solved_in_single(dtype):
+    problem = P.problems("ordinary", N, COUNT, seed=1)
+    names = ("points", "normals", "friction", "squeeze", "wrench")
+    half = [jnp.asarray(getattr(problem, name), dtype) for name in names]
+    found = jaxgrasp.constrained_optimum(Grasp(*half[:4]), half[4])
+    single = [array.astype(jnp.float32) for array in half]
+    expected = jaxgrasp.constrained_optimum(Grasp(*single[:4]), single[4])
+    assert found.forces.dtype == jnp.float32
+    np.testing.assert_array_equal(found.forces, expected.forces)

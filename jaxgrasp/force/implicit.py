@@ -24,8 +24,9 @@ from jaxgrasp.force.lanes import (
     read,
     turn,
 )
+from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics import semidefinite, symmetric, vec
 from jaxgrasp.numerics.vec import Vec
 
 
@@ -123,18 +124,13 @@ def _curvature(lanes: Lanes, at: Six, stretch: Vec, constrained: bool) -> symmet
 def _solve(curvature: symmetric.Lower, right: Six) -> Six:
     """x with H x = right, where H may be singular: then some x that fits, since the forces do not see the rest.
 
-    A tiny multiple of the identity makes the factorisation safe, and two rounds of refinement take its
-    effect away again in every direction that the forces do see.
+    What no x fits is left alone: there the forces that are active cannot follow the data.
     """
-    small = 64 * jnp.finfo(right.dtype).eps
-    damped = [[entry + small if i == j else entry for j, entry in enumerate(row)] for i, row in enumerate(curvature)]
-    factors = symmetric.factor(damped)
-    rows = [right[i : i + 1] for i in range(6)]
-    x = symmetric.solve(factors, rows)
-    for _ in range(2):
-        rest = [b - hx for b, hx in zip(rows, symmetric.multiply(curvature, x), strict=True)]
-        x = [p + q for p, q in zip(x, symmetric.solve(factors, rest), strict=True)]
-    return jnp.concatenate(x)
+    full = jnp.stack([jnp.stack([curvature[max(i, j)][min(i, j)][0] for j in range(6)]) for i in range(6)])
+    factors = semidefinite.factor(full, tolerances(right.dtype).singular)
+    x = semidefinite.solve(factors, right)
+    # Ill-conditioned, it gets its last digits from what it leaves.
+    return x + semidefinite.solve(factors, right - jnp.sum(full * x, 1))
 
 
 def _out(frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: Six, objective: Array) -> Tangent:

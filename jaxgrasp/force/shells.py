@@ -46,7 +46,7 @@ def _route(constrained: bool, given: Any) -> Callable[[Problem], Answer]:
 def _batched(solve: Callable[[Problem], Answer]) -> Callable[[Problem], Solution]:
     @custom_vmap
     def flat(problem: Problem) -> Solution:
-        answer = solve(problem) if problem.size else _nothing(solve, problem)
+        answer = solve(problem)
         return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
 
     @flat.def_vmap
@@ -58,13 +58,6 @@ def _batched(solve: Callable[[Problem], Answer]) -> Callable[[Problem], Solution
         return split, jax.tree.map(lambda _: True, split)
 
     return flat
-
-
-def _nothing(solve: Callable[[Problem], Answer], problem: Problem) -> Answer:
-    """The answers of a batch without problems."""
-    one = jax.tree.map(lambda x: jnp.zeros((1, *x.shape[1:]), x.dtype), problem)
-    shapes = jax.eval_shape(solve, one)
-    return jax.tree.map(lambda x: jnp.zeros((0, *x.shape[1:]), x.dtype), shapes)
 
 
 def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem, int]:

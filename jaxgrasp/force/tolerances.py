@@ -16,6 +16,8 @@ class Tolerances:
     """Share of a wrench out of reach that still counts as rounding of the data."""
     pivot: float
     """Pivot of the inertia matrix below which a lane is solved in its principal axes."""
+    singular: float
+    """Pivot of the dual's curvature below which derivatives take it for zero."""
     gradient: float
     """Whitened residual of a converged optimum."""
     gap: float
@@ -37,9 +39,10 @@ def tolerances(dtype: np.dtype) -> Tolerances:
         rank=64 * eps,
         range=eps**0.5 / 16,
         pivot=eps**0.25,
+        singular=eps**0.7,
         gradient=eps**0.75,
         gap=eps**0.5 / 64,
-        balance=eps**0.625,
+        balance=eps**0.64,
         largest=most**0.4,
         smallest=least**0.4,
         proof=1 / (16 * eps**0.5),

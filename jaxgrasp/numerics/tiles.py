@@ -24,6 +24,8 @@ def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile
     The last tile overlaps the one before it instead of being padded: its problems are computed twice,
     to the same bits.
     """
+    if size == 0:
+        return _nothing(function, arguments)
     if size <= tile:
         return function(arguments)
     shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
@@ -44,6 +46,8 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
     that of the chosen problems plus one pass over the batch.
     """
     size = chosen.shape[0]
+    if size == 0:
+        return results
     if size <= FEW:
         return lax.cond(jnp.any(chosen), lambda r: _merge(chosen, r, function(arguments, r)), lambda r: r, results)
     tile = min(tile, size)
@@ -67,6 +71,12 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
         return _merge(chosen, results, jax.tree.map(lambda g: g[place], gathered))
 
     return lax.cond(count > 0, replace, lambda results: results, results)
+
+
+def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
+    """The results of a batch without problems."""
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]), x.dtype), arguments)
+    return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, one))
 
 
 def _merge(chosen: Array, results: Out, replaced: Out) -> Out:

@@ -203,6 +203,38 @@ def test_hessian_vector_products_of_the_optimum(ordinary):
     check_hessian("optimum", ordinary)
 
 
+@pytest.mark.parametrize("uniform", [False, True])
+def test_answers_are_homogeneous_in_wrench_and_squeeze(compiled, uniform):
+    """Twice of both is twice the forces, so that along both the derivative is known exactly.
+
+    It holds for every kind of problem, at kinks and where the active cones leave the dual's Hessian singular.
+    """
+    for kind in P.KINDS:
+        problem = P.problems(kind, N, COUNT, seed=41)
+        inputs = inputs_of(problem, np.ones_like(problem.squeeze) if uniform else None)
+        along_both = tuple(m if name in ("squeeze", "wrench") else 0 * m for name, m in zip(INPUTS, inputs))
+        at, tangent = compiled.forward(inputs, along_both)
+        solution = METHODS[compiled.method](Grasp(*inputs[:4]), *inputs[4:])
+        solved = np.asarray(solution.verdict) <= Verdict.OUTSIDE_CONES
+        size = np.maximum(size_of(at[0]), size_of(problem.squeeze))
+        forces = size_of(np.asarray(tangent[0]) - at[0])
+        assert (forces <= 1e-6 * size)[solved].all(), kind
+        # That of no force at all.
+        price = np.sum(problem.squeeze**2 / np.where(inputs[5] > 0, inputs[5], np.inf), -1) / 2
+        objective = np.abs(np.asarray(tangent[2]) - 2 * np.asarray(at[2]))
+        assert (objective <= 1e-6 * (np.abs(at[2]) + price))[solved].all(), kind
+
+
+def test_a_singular_hessian_leaves_the_multiplier_in_proportion():
+    """Without friction a contact resists along its normal alone, and three leave three of six directions free."""
+    optimum = Compiled("optimum")
+    problem = P.problems("zero_friction", N, COUNT, seed=42)
+    inputs = inputs_of(problem)
+    relative = tuple(size_of(x).reshape(-1, *[1] * (x.ndim - 1)) * s / 5 for x, s in zip(inputs, steps(inputs, 43)))
+    at, tangent = optimum.forward(inputs, relative)
+    assert (size_of(tangent[1]) <= 1e8 * size_of(at[1])).all()
+
+
 def with_bad_lanes(ordinary):
     """Ordinary problems with an infeasible and three invalid ones among them."""
     rows = [x.copy() for x in ordinary]
@@ -317,6 +349,32 @@ def test_nested_vmaps_differentiate_alike(compiled, ordinary):
     for got, expected in zip(nested, compiled.reverse(ordinary, pull), strict=True):
         got, expected = np.asarray(got).reshape(np.shape(expected)), np.asarray(expected)
         assert (size_of(got - expected) <= 1e-9 * (1 + size_of(expected))).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_other_transformations_differentiate_alike(method, ordinary):
+    """Linearisation, checkpoints and scans around one problem give the batch's own derivative."""
+    inputs = tuple(x[:4] for x in ordinary)
+    moved = tuple(x[:4] for x in steps(ordinary, seed=15))
+
+    def forces(x):
+        return answers(method, x)[0]
+
+    expected = jax.jvp(forces, (inputs,), (moved,))[1]
+
+    def linear(x, t):
+        return jax.linearize(forces, x)[1](t)
+
+    def checkpointed(x, t):
+        return jax.jvp(jax.checkpoint(forces), (x,), (t,))[1]
+
+    def scanned(x, t):
+        return jax.jvp(lambda x: jax.lax.map(forces, x), (x,), (t,))[1]
+
+    for got in (jax.jit(jax.vmap(linear))(inputs, moved), checkpointed(inputs, moved), jax.jit(scanned)(inputs, moved)):
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    column = jax.jit(jax.vmap(jax.jacrev(forces)))(inputs)[4]
+    np.testing.assert_allclose(column, jax.jit(jax.vmap(jax.jacfwd(forces)))(inputs)[4], rtol=1e-8, atol=1e-9)
 
 
 def test_verdicts_of_the_samples(ordinary):

@@ -55,7 +55,7 @@ def test_margin_lies_between_proven_bounds(kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ordinary", "low_friction", "coincident_some", "scales", "far_frame"])
-@pytest.mark.parametrize("n", [4, 5])
+@pytest.mark.parametrize("n", [4, 5, 10])
 def test_margin_lies_between_proven_bounds_over_more_problems(kind, n):
     for seed in range(3, 9):
         problem = P.problems(kind, n, COUNT, seed)

@@ -251,6 +251,12 @@ def test_leading_axes_and_vmap(batch, by_sides):
         np.testing.assert_allclose(other[good], by_sides[8].forces[good], rtol=0, atol=1e-4)
 
 
+def test_an_empty_batch_has_an_empty_answer(batch):
+    p = batch.problem
+    grasp = Grasp(p.points[:0], p.normals[:0], p.friction[:0], p.squeeze[:0])
+    assert pyramid_optimum(grasp, p.wrench[:0]).forces.shape == (0, N, 3)
+
+
 def test_it_has_no_derivatives(batch):
     p = batch.problem
     grasp = Grasp(p.points[0], p.normals[0], p.friction[0], p.squeeze[0])

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import jaxgrasp
+from benchmarks import readme
 
 README = Path(__file__).parent.parent / "README.md"
 
@@ -20,6 +21,10 @@ def test_the_ten_lines_run(capsys):
     assert jaxgrasp.Verdict(int(best.verdict)).solved
     np.testing.assert_allclose(np.asarray(best.forces).sum(0), np.asarray(names["wrench"])[:3], atol=1e-9)
     assert names["by_squeeze"].shape == (3, 3, 3)
+
+
+def test_the_tables_are_those_of_the_committed_results():
+    assert readme.filled(README.read_text()) == README.read_text()
 
 
 def test_the_quick_start_has_two_lines():

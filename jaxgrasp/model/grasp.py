@@ -9,27 +9,34 @@
 - The last axes are (contact, component); every axis before them is a batch axis.
 """
 
+from functools import partial
+from typing import Any
+
 import equinox as eqx
 
-from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.arrays import AnyArray, Float, from_lists
+
+
+def _field(name: str, **options: Any) -> Any:
+    return eqx.field(converter=partial(from_lists, name), **options)
 
 
 class Grasp(eqx.Module):
     """Contacts of a hand with an object, alone or in batches (source: section II-C and eq. 6).
 
-    Building one checks nothing, so that it works under ``jit``, ``vmap`` and ``grad``; hand concrete
-    data to [`jaxgrasp.check_grasp`][] first.
+    Fields are arrays; lists of numbers become such. Building one checks nothing else, so that it works under
+    ``jit``, ``vmap`` and ``grad``; hand concrete data to [`jaxgrasp.check_grasp`][] first.
     """
 
-    points: Float[AnyArray, "*batch n 3"]
+    points: Float[AnyArray, "*batch n 3"] = _field("points")
     """Where the hand touches the object [m]."""
-    normals: Float[AnyArray, "*batch n 3"]
+    normals: Float[AnyArray, "*batch n 3"] = _field("normals")
     """Unit surface normals that point into the object."""
-    friction: Float[AnyArray, "*batch n"]
+    friction: Float[AnyArray, "*batch n"] = _field("friction")
     """Coulomb coefficients mu >= 0."""
-    squeeze: Float[AnyArray, "*batch n"]
+    squeeze: Float[AnyArray, "*batch n"] = _field("squeeze")
     """Intended normal forces s >= 0 [N] (eq. 6)."""
-    present: Float[AnyArray, "*batch n"] | None = None
+    present: Float[AnyArray, "*batch n"] | None = _field("present", default=None)
     """1 where the contact exists, 0 where it is padding; ``None`` means that all exist.
 
     An absent contact carries exactly zero force and has zero derivative, whatever its other fields hold.

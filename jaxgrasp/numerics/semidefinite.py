@@ -42,7 +42,7 @@ def factor(a: Array, least: float) -> Factors:
 
 
 def solve(factors: Factors, right: Array) -> Array:
-    """x with a x = right, ``(k, B)``, where some x fits; else one that fits a part of it, with zeros beyond the rank."""
+    """x with a x = right, ``(k, B)``, where some x fits; else one that fits a part of it; zeros beyond the rank."""
 
     def forward(rest, step):
         chosen, column, inverse = step

@@ -1,0 +1,113 @@
+"""README's tables, from the committed results.
+
+    python -m benchmarks.readme
+
+Each table stands between ``<!-- NAME table -->`` and ``<!-- end table -->``; a test holds README to what this writes.
+"""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.page.tables import power, table
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+OURS = "jaxgrasp constrained_optimum float64"
+RIVALS = {
+    "jaxgrasp closed_form float64": "`closed_form`: friction not imposed",
+    OURS: "**`constrained_optimum`**",
+    "jaxgrasp constrained_optimum float32": "the same in float32",
+    "optimistix Newton 1e-08": "our dual by optimistix Newton",
+    "jaxopt BoxOSQP pyramid of 8 1e-06": "8-sided pyramids by jaxopt BoxOSQP",
+    "Clarabel updated 1e-08": "Clarabel, updated in place",
+    "Moreau 1e-08": "Moreau, batched",
+    "QOCO updated 1e-08": "QOCO, updated in place",
+    "ECOS 1e-08": "ECOS",
+    "SCS 1e-09": "SCS",
+    "qpax pyramid of 8 1e-06": "8-sided pyramids by qpax",
+}
+"""Those of the page's methods that README shows, and what it calls them."""
+RIVALS_CONTACTS = 5
+
+
+def result(name: str) -> dict:
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
+def by_size() -> str:
+    """Our two answers beside plain Cholesky, by the number of contacts."""
+    plain = {(r["method"], r["dtype"], r["n"], r["batch"]): r for r in result("closed_form")["timings"]}
+    rows = [r for r in result("constrained_optimum")["times"] if r["method"] == OURS]
+    lines = []
+    for n in sorted({row["n"] for row in rows}):
+        own = {(row["cell"], row.get("which")): row["microseconds"] for row in rows if row["n"] == n}
+        cells: list[object] = [n]
+        for method in ("plain Cholesky", "closed_form"):
+            few, many = (plain[method, "float64", n, batch] for batch in (1_000, 100_000))
+            cells.append(f"{few['microseconds']:.2f} / {many['microseconds']:.2f}")
+        cells.append(f"{own['batch 1000', None]:.1f} / {own['batch 100000', None]:.1f}")
+        cells.append(f"{own['single', 'closed form optimal']:.0f} / {own['single', 'cones active']:.0f}")
+        lines.append(cells)
+    head = ["n", "plain Cholesky, batches", "closed form, batches", "optimum, batches", "optimum, one call"]
+    return table(head, lines)
+
+
+def by_rival() -> str:
+    """Every method on the same problems of five contacts: time, error, and what it got wrong among the nasty ones."""
+    page = result("constrained_optimum")
+    rows = [row for row in page["times"] if row["n"] == RIVALS_CONTACTS]
+    wrong: dict[str, int] = {}
+    for row in page["decisions"]:
+        wrong[row["method"]] = wrong.get(row["method"], 0) + row.get("wrong", 0)
+    lines = []
+    for method, label in RIVALS.items():
+        own = [row for row in rows if row["method"] == method]
+        if not own:
+            continue
+        single = next((row for row in own if row.get("which") == "cones active"), None)
+        batches = [row for row in own if row["cell"] != "single"]
+        fastest = min(batches, key=lambda row: row["microseconds"])
+        judged = batches[0]
+        lines.append(
+            [
+                label,
+                f"{single['microseconds']:,.0f}" if single else "-",
+                f"{fastest['microseconds']:,.3g}",
+                *(power(judged[key]) for key in ("max_force_error", "max_gap", "max_violation")),
+                wrong.get(method, "-"),
+            ]
+        )
+    count = sum(row["count"] for row in page["decisions"] if row["method"] == OURS)
+    head = ["", "one call, µs", "batch, µs", "worst force error", "own gap", "cone violation"]
+    return table([*head, f"silently wrong of {count:,}"], lines)
+
+
+def throughput() -> str:
+    """What ``jaxgrasp evaluate`` does in a second."""
+    rows = result("evaluate")["rows"]
+    shown = [[f"{r['grasps']:,}", f"{r['grasps_per_second']:,.0f}", f"{r['peak_mib']:,.0f} MiB"] for r in rows]
+    return table(["grasps of five contacts", "a second", "peak memory"], shown)
+
+
+TABLES: dict[str, Callable[[], str]] = {"size": by_size, "rival": by_rival, "throughput": throughput}
+
+
+def filled(text: str) -> str:
+    """README with its tables as the results have them."""
+    for name, make in TABLES.items():
+        place = re.compile(rf"(<!-- {name} table -->\n).*?(<!-- end table -->)", re.S)
+        text, found = place.subn(lambda match, make=make: match[1] + make() + "\n" + match[2], text)
+        if found != 1:
+            raise ValueError(f"README has {found} places for the {name} table: expected 1")
+    return text
+
+
+def main() -> None:
+    readme = ROOT / "README.md"
+    readme.write_text(filled(readme.read_text()))
+
+
+if __name__ == "__main__":
+    main()

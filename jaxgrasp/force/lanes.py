@@ -78,8 +78,12 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     # One sum meets a NaN, or what is too large to be squared, in any of its terms.
     size = vec.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
     good = (size <= largest) & (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
-    there = None if problem.present is None else problem.present.T > 0.5
-    lane_good = jnp.all(good if there is None else good | ~there, 0, keepdims=True)
+    there = None
+    if problem.present is not None:
+        present = problem.present.T
+        there = present > 0.5
+        good = (good | ~there) & ~jnp.isnan(present)
+    lane_good = jnp.all(good, 0, keepdims=True)
     valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
 

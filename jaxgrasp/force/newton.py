@@ -22,7 +22,7 @@ ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
 CUTS = (0.1, 0.5)
 """A refused step is cut to between these parts of its length."""
-DAMPING, STRONGEST = 0.03, 0.1
+DAMPING, MOST_DAMPING = 0.03, 0.1
 """Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
 
 
@@ -200,8 +200,8 @@ def _damping(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
     floor = 16 * jnp.finfo(size2.dtype).eps
     if proximal is not None:
         # Unless kinks keep cutting the steps short.
-        return floor + jnp.minimum(proximal.strength * (caution - 1), STRONGEST)
-    return floor + jnp.minimum(DAMPING * caution * jnp.sqrt(size2), STRONGEST)
+        return floor + jnp.minimum(proximal.strength * (caution - 1), MOST_DAMPING)
+    return floor + jnp.minimum(DAMPING * caution * jnp.sqrt(size2), MOST_DAMPING)
 
 
 def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, damping: Array) -> Six:

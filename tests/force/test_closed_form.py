@@ -301,6 +301,15 @@ def test_bad_data_under_jit_leaves_neighbours_alone(case):
     assert np.isfinite(other.forces).all()
 
 
+def test_a_presence_that_is_no_number_is_no_absence():
+    problem = P.problems("ordinary", 3, COUNT, seed=10)
+    present = np.ones((COUNT, 3))
+    present[4, 1], present[5, 1] = np.nan, 0
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze, present)
+    verdict = np.asarray(jaxgrasp.closed_form(grasp, problem.wrench).verdict)
+    np.testing.assert_array_equal(verdict == Verdict.INVALID_DATA, np.arange(COUNT) == 4)
+
+
 def test_bad_sharing_and_shapes_are_named():
     problem = P.problems("ordinary", 3, 1, seed=0)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)

@@ -27,14 +27,15 @@ from benchmarks.page import decisions, extras, gradients, plot, stress, tables, 
 from benchmarks.rivals import registry
 from benchmarks.rivals.interface import Differentiator, Rival
 
-SECTIONS = ("times", "extras", "stress", "decisions", "gradients")
+SECTIONS = ("singles", "batches", "extras", "stress", "decisions", "gradients")
 NAME = "constrained_optimum"
 
 
 def measure(section: str, rivals: list[Rival], differentiators: list[Differentiator], quick: bool):
     """One section of the report."""
     sections: dict[str, Callable[[], object]] = {
-        "times": lambda: times.timings(rivals, times.QUICK if quick else times.Plan()),
+        "singles": lambda: times.singles(rivals, times.QUICK if quick else times.Plan()),
+        "batches": lambda: times.batches(rivals, times.QUICK if quick else times.Plan()),
         "extras": lambda: extras.extras(extras.QUICK if quick else extras.Plan()),
         "stress": lambda: stress.stress(stress.QUICK if quick else stress.Plan()),
         "decisions": lambda: decisions.decisions(rivals, decisions.QUICK if quick else decisions.Plan()),
@@ -46,8 +47,8 @@ def measure(section: str, rivals: list[Rival], differentiators: list[Differentia
 def write(report: dict, out: Path) -> None:
     (out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
     (out / f"{NAME}.md").write_text(tables.page(report))
-    if "times" in report:
-        plot.draw(report["times"], out / "time_error.png")
+    if "batches" in report and "singles" in report:
+        plot.draw(report["singles"] + report["batches"], out / "time_error.png")
 
 
 def about(rivals: list[Rival], differentiators: list[Differentiator], missing: list[str]) -> dict:

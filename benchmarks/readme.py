@@ -39,7 +39,8 @@ def result(name: str) -> dict:
 def by_size() -> str:
     """Our two answers beside plain Cholesky, by the number of contacts."""
     plain = {(r["method"], r["dtype"], r["n"], r["batch"]): r for r in result("closed_form")["timings"]}
-    rows = [r for r in result("constrained_optimum")["times"] if r["method"] == OURS]
+    page = result("constrained_optimum")
+    rows = [row for row in page["singles"] + page["batches"] if row["method"] == OURS]
     lines = []
     for n in sorted({row["n"] for row in rows}):
         own = {(row["cell"], row.get("which")): row["microseconds"] for row in rows if row["n"] == n}
@@ -57,7 +58,7 @@ def by_size() -> str:
 def by_rival() -> str:
     """Every method on the same problems of five contacts: time, error, and what it got wrong among the nasty ones."""
     page = result("constrained_optimum")
-    rows = [row for row in page["times"] if row["n"] == RIVALS_CONTACTS]
+    rows = [row for row in page["singles"] + page["batches"] if row["n"] == RIVALS_CONTACTS]
     wrong: dict[str, int] = {}
     for row in page["decisions"]:
         wrong[row["method"]] = wrong.get(row["method"], 0) + row.get("wrong", 0)

@@ -12,6 +12,8 @@ DECIDED = ("right", "wrong", "failed")
 
 
 def page(report: dict) -> str:
+    if "singles" in report and "batches" in report:
+        report = report | {"times": sorted(report["singles"] + report["batches"], key=lambda row: row["n"])}
     parts = ["# The constrained optimum and its rivals", _preface(report)]
     sections: dict[str, Callable[[Any], str]] = {
         "times": _times,
@@ -63,10 +65,10 @@ def _preface(report: dict) -> str:
 def _times(rows: list[dict]) -> str:
     text = [
         "## Time and error on ordinary problems",
-        "Method B. Microseconds a problem, medians of interleaved repeats, and in brackets the ratio to "
+        "Method B. Microseconds a problem, medians of interleaved turns, and in brackets the ratio to "
         "`jaxgrasp.closed_form` in float64 in the same column. *Single* is one call on one problem: one whose closed "
-        "form is optimal, and one with an active cone. Where a call would take more than five seconds, a smaller batch "
-        "is measured, or none. Loops in Python cost the same in any batch. Errors are the worst over the problems that "
+        "form is optimal, and one with an active cone; a turn there is as many calls as fit into 2 ms. Where a call "
+        "would take more than five seconds, a smaller batch is measured, or none. Loops in Python cost the same in any batch. Errors are the worst over the problems that "
         "the method claims to have solved, in the smaller batch; for the closed form they are the price of ignoring "
         "friction.",
     ]
@@ -93,7 +95,7 @@ def _times_of_size(n: int, rows: list[dict]) -> list[str]:
         times = [_micro(kind, 1) for kind in kinds]
         times += [_micro(cells.get((name, cell, None)), size) for cell, size in wanted.items()]
         lines.append([name, *times, *shown])
-    some = rows[0]
+    some = next(row for row in rows if row["cell"] != "single")
     chosen = ", ".join(f"{name} {count}" for name, count in some["references"].items())
     about = (
         f"Share with an active cone: {some['active_share']:.2f}. References: {chosen}; the worst of them proves itself "

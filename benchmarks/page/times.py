@@ -1,6 +1,7 @@
 """Time of every rival on ordinary problems: alone, in batches of 1,000 and of 100,000, and how good its answers are."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -24,17 +25,29 @@ class Plan(NamedTuple):
     repeats: int = 15
     budget: float = 5.0
     """Seconds that one call may take, and after which a rival repeats no more than it must."""
+    burst: float = 2e-3
+    """Seconds that a rival calls again and again on a single problem before it is another's turn."""
 
 
 QUICK = Plan(sizes=(5,), batch=32, large=32, singles=1, repeats=3, budget=0.5)
+SHARED = {"sharing": "squeeze", "threads": 1}
 BASELINE = "jaxgrasp closed_form float64"
 
 
-def timings(rivals: list[Rival], plan: Plan) -> list[dict]:
+def singles(rivals: list[Rival], plan: Plan) -> list[dict]:
+    """Rows of every contact count and rival for one call on one problem."""
+    return _by_size(_of_singles, rivals, plan)
+
+
+def batches(rivals: list[Rival], plan: Plan) -> list[dict]:
     """Rows of every contact count, rival and batch."""
+    return _by_size(_of_batches, rivals, plan)
+
+
+def _by_size(measured: Callable[[list[Rival], int, Plan], list[dict]], rivals: list[Rival], plan: Plan) -> list[dict]:
     rows = []
     for n in plan.sizes:
-        rows += _of_size(rivals, n, plan)
+        rows += measured(rivals, n, plan)
         # Compiled programs of all sizes together would take up all the memory maps that a process may have.
         jax.clear_caches()
     return rows
@@ -52,41 +65,61 @@ def needs_cones(problem: Problems, weights: np.ndarray) -> np.ndarray:
     return off > 1e-9 * np.abs(forces).max((1, 2))
 
 
-def _of_size(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
+def _of_batches(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
     problem = ordinary(n, plan.large)
     few = first(problem, plan.batch)
-    active = needs_cones(few, few.squeeze)
-    shared = {"n": n, "sharing": "squeeze", "threads": 1, "active_share": float(active.mean())}
-    alone, seconds = _alone(rivals, few, active, plan)
-    each = {rival.name: float(np.mean([seconds[kind][rival.name] for kind in seconds])) for rival in rivals}
-    answers, per_problem, counts = _together(rivals, few, each, (plan.batch, plan.batch // 10), plan)
+    guess = {rival.name: _quickly(rival, few) for rival in rivals}
+    answers, per_problem, counts = _together(rivals, few, guess, (plan.batch, plan.batch // 10), plan)
     known, names = best(few, few.squeeze, list(answers.values())), list(answers)
     sources = {names[i]: int((known.source == i).sum()) for i in np.unique(known.source)}
-    rows = _single_rows(rivals, few, alone, seconds, known)
-    rows += _batch_rows(rivals, few, answers, per_problem, counts, known, plan.batch)
+    rows = _batch_rows(rivals, few, answers, per_problem, counts, known, plan.batch)
     if plan.large > plan.batch:
         many = [rival for rival in rivals if rival.batched and rival.name in per_problem]
         answers, per_problem, counts = _together(many, problem, per_problem, (plan.large, plan.large // 10), plan)
         rows += _batch_rows(many, few, answers, per_problem, counts, known, plan.large)
-    shared |= {"worst_reference": float(known.score.max()), "references": sources}
+    share = float(needs_cones(few, few.squeeze).mean())
+    shared = SHARED | {
+        "n": n,
+        "active_share": share,
+        "references": sources,
+        "worst_reference": float(known.score.max()),
+    }
     return [shared | row for row in rows]
 
 
-def _alone(rivals: list[Rival], problem: Problems, active: np.ndarray, plan: Plan) -> tuple[dict, dict]:
-    """Answers and seconds of single problems: some whose closed form is optimal, some with an active cone."""
-    answers: dict[str, dict[str, tuple[np.ndarray, list[Answers]]]] = {}
-    seconds: dict[str, dict[str, float]] = {}
+def _quickly(rival: Rival, problem: Problems) -> float:
+    """Seconds of a single problem, roughly."""
+    one = first(problem, 1)
+    return interleaved({0: rival.prepare(one, one.squeeze).run}, repeats=1, budget=1.0)[0]
+
+
+def _of_singles(rivals: list[Rival], n: int, plan: Plan) -> list[dict]:
+    """Some problems whose closed form is optimal, and some with an active cone."""
+    few = ordinary(n, plan.batch)
+    active = needs_cones(few, few.squeeze)
+    rows = []
     for kind, where in {"closed form optimal": ~active, "cones active": active}.items():
         index = np.flatnonzero(where)[: plan.singles]
-        ready: dict[Any, Prepared] = {}
-        for i in index:
-            one = chosen(problem, np.array([i]))
-            ready |= {(rival.name, i): rival.prepare(one, one.squeeze) for rival in rivals}
-        spent = interleaved({key: prepared.run for key, prepared in ready.items()}, plan.repeats, plan.budget / 10)
-        names = [rival.name for rival in rivals]
-        seconds[kind] = {name: float(np.median([spent[name, i] for i in index])) for name in names}
-        answers[kind] = {name: (index, [ready[name, i].read(ready[name, i].run()) for i in index]) for name in names}
-    return answers, seconds
+        answers, seconds = _alone(rivals, [chosen(few, np.array([i])) for i in index], plan)
+        part = chosen(few, index)
+        known = best(part, part.squeeze, list(answers.values()))
+        for rival in rivals:
+            row = summary(rival, answers[rival.name], measure(part, part.squeeze, answers[rival.name], known))
+            time = {"microseconds": seconds[rival.name] * 1e6}
+            time["to_closed_form"] = seconds[rival.name] / seconds[BASELINE]
+            rows.append(SHARED | {"n": n, "cell": "single", "which": kind, "batch": 1} | time | row)
+    return rows
+
+
+def _alone(rivals: list[Rival], problems: list[Problems], plan: Plan) -> tuple[dict[str, Answers], dict[str, float]]:
+    """Answers of each rival to each of the problems, and its seconds a call."""
+    ready = {(rival.name, i): rival.prepare(one, one.squeeze) for i, one in enumerate(problems) for rival in rivals}
+    runs = {key: prepared.run for key, prepared in ready.items()}
+    spent = interleaved(runs, plan.repeats, plan.budget / 10, plan.burst)
+    indices = range(len(problems))
+    seconds = {rival.name: float(np.median([spent[rival.name, i] for i in indices])) for rival in rivals}
+    single = {name: [ready[name, i].read(ready[name, i].run()) for i in indices] for name in seconds}
+    return {name: _join(answers) for name, answers in single.items()}, seconds
 
 
 def _together(
@@ -104,21 +137,6 @@ def _together(
     spent = interleaved({name: prepared.run for name, prepared in ready.items()}, plan.repeats, plan.budget)
     answers = {name: prepared.read(prepared.run()) for name, prepared in ready.items()}
     return answers, {name: seconds / counts[name] for name, seconds in spent.items()}, counts
-
-
-def _single_rows(rivals: list[Rival], problem: Problems, alone: dict, seconds: dict, known: Best) -> list[dict]:
-    rows = []
-    for kind, answers in alone.items():
-        for rival in rivals:
-            index, single = answers[rival.name]
-            joined = _join(single)
-            part = chosen(problem, index)
-            there = Best(*(array[index] for array in known))
-            row = summary(rival, joined, measure(part, part.squeeze, joined, there))
-            time = {"microseconds": seconds[kind][rival.name] * 1e6}
-            time["to_closed_form"] = seconds[kind][rival.name] / seconds[kind][BASELINE]
-            rows.append({"cell": "single", "which": kind, "batch": 1} | time | row)
-    return rows
 
 
 def _join(single: list[Answers]) -> Answers:

@@ -68,9 +68,9 @@ def _times(rows: list[dict]) -> str:
         "Method B. Microseconds a problem, medians of interleaved turns, and in brackets the ratio to "
         "`jaxgrasp.closed_form` in float64 in the same column. *Single* is one call on one problem: one whose closed "
         "form is optimal, and one with an active cone; a turn there is as many calls as fit into 2 ms. Where a call "
-        "would take more than five seconds, a smaller batch is measured, or none. Loops in Python cost the same in any batch. Errors are the worst over the problems that "
-        "the method claims to have solved, in the smaller batch; for the closed form they are the price of ignoring "
-        "friction.",
+        "would take more than five seconds, a smaller batch is measured, or none. Loops in Python cost the same in any "
+        "batch. Errors are the worst over the problems that the method claims to have solved, in the smaller batch; "
+        "for the closed form they are the price of ignoring friction.",
     ]
     for n, group in groupby(rows, key=lambda row: row["n"]):
         text += _times_of_size(n, list(group))

@@ -196,8 +196,10 @@ def _stress_table(rows: list[dict]) -> str:
         need = min((r["min_need"] for r in own if r["min_need"] is not None), default=None)
         against = sum(r["infeasible_though_made_feasible"] + r["solved_though_made_infeasible"] for r in own)
         totals = [sum(row[key] for row in own) for key in sums]
-        lines.append([kind, *totals, against, *map(power, worst.values()), power(need)])
-    head = ["kind", "problems", "solved", "infeasible", "not converged", "wrong", "granted", "against construction"]
+        nobody = sum(row["verdicts"].get("NO_CONTACTS", 0) for row in own)
+        lines.append([kind, *totals, nobody, against, *map(power, worst.values()), power(need)])
+    head = ["kind", "problems", "solved", "infeasible", "not converged", "wrong", "granted"]
+    head += ["no contacts", "against construction"]
     return table([*head, "worst gap", "backward error", "violation", "weakest proof, loads"], lines)
 
 

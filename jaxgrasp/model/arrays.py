@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 AnyArray = jax.Array | np.ndarray
+Lists = list | tuple
+"""Nested lists of numbers."""
 
-__all__ = ["AnyArray", "Float", "Int", "from_lists"]
+__all__ = ["AnyArray", "Float", "Int", "Lists", "from_lists"]
 
 
 def from_lists(name: str, value: Any) -> Any:

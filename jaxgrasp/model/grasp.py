@@ -9,16 +9,9 @@
 - The last axes are (contact, component); every axis before them is a batch axis.
 """
 
-from functools import partial
-from typing import Any
-
 import equinox as eqx
 
-from jaxgrasp.model.arrays import AnyArray, Float, from_lists
-
-
-def _field(name: str, **options: Any) -> Any:
-    return eqx.field(converter=partial(from_lists, name), **options)
+from jaxgrasp.model.arrays import AnyArray, Float, Lists, from_lists
 
 
 class Grasp(eqx.Module):
@@ -28,16 +21,31 @@ class Grasp(eqx.Module):
     ``jit``, ``vmap`` and ``grad``; hand concrete data to [`jaxgrasp.check_grasp`][] first.
     """
 
-    points: Float[AnyArray, "*batch n 3"] = _field("points")
+    points: Float[AnyArray, "*batch n 3"]
     """Where the hand touches the object [m]."""
-    normals: Float[AnyArray, "*batch n 3"] = _field("normals")
+    normals: Float[AnyArray, "*batch n 3"]
     """Unit surface normals that point into the object."""
-    friction: Float[AnyArray, "*batch n"] = _field("friction")
+    friction: Float[AnyArray, "*batch n"]
     """Coulomb coefficients mu >= 0."""
-    squeeze: Float[AnyArray, "*batch n"] = _field("squeeze")
+    squeeze: Float[AnyArray, "*batch n"]
     """Intended normal forces s >= 0 [N] (eq. 6)."""
-    present: Float[AnyArray, "*batch n"] | None = _field("present", default=None)
+    present: Float[AnyArray, "*batch n"] | None
     """1 where the contact exists, 0 where it is padding; ``None`` means that all exist.
 
     An absent contact carries exactly zero force and has zero derivative, whatever its other fields hold.
     """
+
+    # Rather than converters of the fields, whose shapes would go unchecked.
+    def __init__(
+        self,
+        points: Float[AnyArray, "*batch n 3"] | Lists,
+        normals: Float[AnyArray, "*batch n 3"] | Lists,
+        friction: Float[AnyArray, "*batch n"] | Lists,
+        squeeze: Float[AnyArray, "*batch n"] | Lists,
+        present: Float[AnyArray, "*batch n"] | Lists | None = None,
+    ):
+        self.points = from_lists("points", points)
+        self.normals = from_lists("normals", normals)
+        self.friction = from_lists("friction", friction)
+        self.squeeze = from_lists("squeeze", squeeze)
+        self.present = from_lists("present", present)

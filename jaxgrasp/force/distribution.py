@@ -68,32 +68,38 @@ def constrained_optimum(
     """
     if solver is not None:
         outside.check_solver(solver)
-    safe = Grasp(grasp.points, grasp.normals, _safer(grasp, safety), grasp.squeeze, grasp.present)
-    return _distribute(safe, wrench, sharing, constrained=True, solver=solver)
+    return _distribute(grasp, wrench, sharing, constrained=True, safety=_read_safety(grasp, safety), solver=solver)
 
 
-def _safer(grasp: Grasp, safety: float | AnyArray) -> Array:
-    """Friction over safety, where there is a friction: dividing a NaN would spoil the derivative by safety."""
-    friction = jnp.asarray(grasp.friction)
-    if not jnp.issubdtype(friction.dtype, jnp.floating):
-        friction = friction.astype(float)
+def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:
+    """The safety to divide by, checked; None where it is 1, which asks for no work."""
+    if isinstance(safety, (int, float)) and safety == 1:
+        return None
     if not isinstance(safety, jax.core.Tracer):
         values = np.asarray(safety)
         if values.dtype.kind not in "fiu" or not np.all(values > 0):
             raise ValueError(f"safety is {safety!r}: expected a number greater than 0, or an array of them")
-    divisor = jnp.asarray(safety, friction.dtype)[..., None]
-    leading = friction.shape[:-1]
+    shape, leading = np.shape(safety), np.shape(grasp.friction)[:-1]
     try:
-        jnp.broadcast_shapes(divisor.shape[:-1], leading)
+        np.broadcast_shapes(shape, leading)
     except ValueError:
-        shape = divisor.shape[:-1]
         raise ValueError(
             f"safety has shape {shape}: expected a number, or one that fits friction's {leading}"
         ) from None
+    return safety
+
+
+def _safer(grasp: Grasp, safety: AnyArray) -> Grasp:
+    """Friction over safety, where there is a friction: dividing a NaN would spoil the derivative by safety."""
+    friction = jnp.asarray(grasp.friction)
+    if not jnp.issubdtype(friction.dtype, jnp.floating):
+        friction = friction.astype(float)
     there = jnp.isfinite(friction)
     if grasp.present is not None:
         there = there & (jnp.asarray(grasp.present) > 0.5)
-    return jnp.where(there, jnp.where(there, friction, 0) / divisor, friction)
+    divisor = jnp.asarray(safety, friction.dtype)[..., None]
+    safe = jnp.where(there, jnp.where(there, friction, 0) / divisor, friction)
+    return Grasp(grasp.points, grasp.normals, safe, grasp.squeeze, grasp.present)
 
 
 class ForceSplit(NamedTuple):
@@ -119,15 +125,25 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     )
 
 
-def _distribute(grasp: Grasp, wrench: AnyArray, sharing: Sharing, *, constrained: bool, solver: Any = None) -> Solution:
+def _distribute(
+    grasp: Grasp,
+    wrench: AnyArray,
+    sharing: Sharing,
+    *,
+    constrained: bool,
+    safety: float | AnyArray | None = None,
+    solver: Any = None,
+) -> Solution:
     warn_of_lost_precision(grasp, wrench)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, sharing=name, constrained=constrained, solver=solver)
+    return _run(grasp, wrench, weights, safety, sharing=name, constrained=constrained, solver=solver)
 
 
 @partial(jax.jit, static_argnames=("sharing", "constrained", "solver"))
-def _run(grasp, wrench, weights, *, sharing: str, constrained: bool, solver: Any) -> Solution:
+def _run(grasp, wrench, weights, safety, *, sharing: str, constrained: bool, solver: Any) -> Solution:
     """Flatten the leading axes, solve, and restore them."""
+    if safety is not None:
+        grasp = _safer(grasp, safety)
     problem, _, batch = flatten(grasp, wrench, weights, sharing)
     solution = shells.solver(constrained, solver)(problem)
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)

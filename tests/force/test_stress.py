@@ -21,9 +21,19 @@ UNDECIDED = {"combined": 0.005, "limit_9999": 0.01, "limit_10001": 0.01}
 """Largest share of NOT_CONVERGED answers; none in the other kinds."""
 
 
-def solve(problem: P.Problems, weights: np.ndarray) -> Solution:
-    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    return jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench, weights))
+def solve(problem: P.Problems, weights: np.ndarray, few: int | None = None) -> Solution:
+    """All at once, or a ``few`` at a time, which are not gathered."""
+    arrays = (problem.points, problem.normals, problem.friction, problem.squeeze, problem.wrench, weights)
+    if few is None:
+        return jax.device_get(solve_batch(arrays))
+    parts = tuple(x.reshape(-1, few, *x.shape[1:]) for x in arrays)
+    solution = jax.jit(lambda parts: jax.lax.map(solve_batch, parts))(parts)
+    return jax.device_get(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), solution))
+
+
+def solve_batch(arrays: tuple) -> Solution:
+    *contacts, wrench, weights = arrays
+    return jaxgrasp.constrained_optimum(Grasp(*contacts), wrench, weights)
 
 
 def share(solution: Solution, verdict: Verdict) -> float:
@@ -35,10 +45,10 @@ def nowhere(broken: np.ndarray, law: str, problem: P.Problems, sharing: str) -> 
     assert not len(lanes), f"{law} in {problem.kind}, {problem.points.shape[1]} contacts, {sharing}: {lanes[:20]}"
 
 
-def solve_lawfully(problem: P.Problems, sharing: str) -> tuple[Solution, Held]:
+def solve_lawfully(problem: P.Problems, sharing: str, few: int | None = None) -> tuple[Solution, Held]:
     """Solve, and assert all that holds whether or not the problem can be solved."""
     weights = problem.weights(sharing)
-    solution = solve(problem, weights)
+    solution = solve(problem, weights, few)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))
     known = {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED}
     assert set(solution.verdict.tolist()) <= (known if weights.any() else {Verdict.NO_CONTACTS})
@@ -49,9 +59,9 @@ def solve_lawfully(problem: P.Problems, sharing: str) -> tuple[Solution, Held]:
     return solution, held
 
 
-def decided_rightly(problem: P.Problems, sharing: str) -> Solution:
+def decided_rightly(problem: P.Problems, sharing: str, few: int | None = None) -> Solution:
     """Solve in double precision, and assert that what is feasible is not called otherwise, nor the reverse."""
-    solution, held = solve_lawfully(problem, sharing)
+    solution, held = solve_lawfully(problem, sharing, few)
     if problem.feasible is True:
         nowhere(held.hopeless, "feasible, called infeasible", problem, sharing)
     if problem.feasible is False:
@@ -59,10 +69,10 @@ def decided_rightly(problem: P.Problems, sharing: str) -> Solution:
     return solution
 
 
-def undecided(kind: str, n: int, count: int, seed: int) -> list[float]:
+def undecided(kind: str, n: int, count: int, seed: int, few: int | None = None) -> list[float]:
     """The share of NOT_CONVERGED answers by each sharing, all else being decided rightly."""
     problem = P.problems(kind, n, count, seed)
-    return [share(decided_rightly(problem, sharing), Verdict.NOT_CONVERGED) for sharing in SHARINGS]
+    return [share(decided_rightly(problem, sharing, few), Verdict.NOT_CONVERGED) for sharing in SHARINGS]
 
 
 @pytest.mark.parametrize("kind", P.KINDS)
@@ -75,6 +85,14 @@ def test_every_problem_is_decided_rightly(kind):
 @pytest.mark.parametrize("kind, n", LONG)
 def test_every_problem_is_decided_rightly_at_length(kind, n):
     assert max(undecided(kind, n, LONG_COUNT, SEED)) <= UNDECIDED.get(kind, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("few", [1, 4])
+@pytest.mark.parametrize("kind", P.KINDS)
+def test_a_few_at_a_time_are_decided_as_rightly(kind, few):
+    for n in (3, 5):
+        assert max(undecided(kind, n, LONG_COUNT, SEED, few)) <= UNDECIDED.get(kind, 0)
 
 
 @pytest.mark.slow

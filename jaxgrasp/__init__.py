@@ -11,6 +11,12 @@ if TYPE_CHECKING:
     from jaxgrasp.batch.evaluation import Evaluation, evaluate
     from jaxgrasp.batch.file_error import GraspFileError
     from jaxgrasp.batch.sources import load_grasps, save_grasps
+    from jaxgrasp.contact.closing import close_hand
+    from jaxgrasp.contact.detection import Contacts, find_contacts
+    from jaxgrasp.contact.human_hand import human_hand, mirrored
+    from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
+    from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
+    from jaxgrasp.contact.to_grasp import grasp_from_contacts, link_contributions
     from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
     from jaxgrasp.force.certificate import verify_certificate
     from jaxgrasp.force.distribution import ForceSplit, closed_form, constrained_optimum, split_forces
@@ -22,39 +28,77 @@ if TYPE_CHECKING:
     from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
+    from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
     from jaxgrasp.model.solution import Route, Solution, Verdict
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
+    from jaxgrasp.prehension.carry import Instant, Scene, Tick, carry, observe
+    from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
+    from jaxgrasp.prehension.motion import Body
 
 _HOME = {
+    "Assessment": "prehension.monitor",
+    "Body": "prehension.motion",
+    "Box": "contact.shapes",
     "CYLINDRICAL_POWER_GRIP": "model.squeeze",
+    "Capsule": "contact.shapes",
     "ContactSets": "batch.contact_sets",
+    "Contacts": "contact.detection",
     "Contributions": "model.squeeze",
+    "Cylinder": "contact.shapes",
     "Evaluation": "batch.evaluation",
     "Fault": "model.faults",
     "ForceSplit": "force.distribution",
     "Grasp": "model.grasp",
     "GraspError": "model.faults",
     "GraspFileError": "batch.file_error",
+    "Hand": "model.hand",
+    "HandFrames": "model.hand",
+    "Hold": "prehension.monitor",
+    "Link": "model.hand",
     "MujocoGrasp": "interop.mujoco_contacts",
+    "Plane": "contact.shapes",
+    "Pose": "model.hand",
+    "Posture": "model.hand",
     "Reachable": "force.reachable",
+    "Instant": "prehension.carry",
+    "Tick": "prehension.carry",
+    "observe": "prehension.carry",
     "Route": "model.solution",
+    "Scene": "prehension.carry",
+    "Shape": "contact.shapes",
     "Solution": "model.solution",
+    "Sphere": "contact.shapes",
+    "Spheres": "model.hand",
+    "Touch": "prehension.monitor",
     "Verdict": "model.solution",
+    "carry": "prehension.carry",
     "check_grasp": "model.faults",
+    "check_shape": "contact.shapes",
+    "close_hand": "contact.closing",
     "closed_form": "force.distribution",
     "constrained_optimum": "force.distribution",
+    "contact_jacobian": "contact.kinematics",
     "dual_value": "force.dual_function",
     "evaluate": "batch.evaluation",
+    "find_contacts": "contact.detection",
     "friction_margin": "force.angles",
     "from_mujoco": "interop.mujoco_contacts",
+    "grasp_from_contacts": "contact.to_grasp",
     "grasp_matrix": "model.wrench",
+    "human_hand": "contact.human_hand",
+    "joint_torques": "contact.kinematics",
     "lagrange_forces": "force.lagrange",
+    "link_contributions": "contact.to_grasp",
     "load_grasps": "batch.sources",
+    "mirrored": "contact.human_hand",
+    "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
+    "pose_hand": "contact.kinematics",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",
     "save_grasps": "batch.sources",
+    "signed_distance": "contact.shapes",
     "slip_angle": "force.angles",
     "split_forces": "force.distribution",
     "squeezing": "model.squeeze",

@@ -10,9 +10,9 @@ from jaxgrasp.model.arrays import AnyArray, Float
 
 
 def squeezing(
-    contribution: Float[AnyArray, "*batch"] | float,
-    stiffness: Float[AnyArray, "*batch"] | float,
-    depth: Float[AnyArray, "*batch"] | float,
+    contribution: Float[AnyArray, "*#batch"] | float,
+    stiffness: Float[AnyArray, "*#batch"] | float,
+    depth: Float[AnyArray, "*#batch"] | float,
 ) -> Float[Array, "*batch"]:
     """Squeezing force s = c K delta of eq. 6 [N]; zero where the contact is open (depth < 0).
 

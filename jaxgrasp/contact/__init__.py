@@ -1,0 +1,1 @@
+"""A hand's posture and an object's shape in, contacts out."""

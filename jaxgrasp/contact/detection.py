@@ -1,0 +1,227 @@
+"""Which links of a posed hand touch an object, where, and how deep.
+
+Every link is a row of spheres. A sphere that reaches into the object is an overlap; a link's contact is the mean
+of its overlaps, each weighted by the square of its depth. So point, normal and depth move without a jump while a
+phalanx rolls and its spheres meet the surface and leave it again.
+
+What a scene does not need is skipped: a sphere about all that the hand can reach is tried first, and only
+the poses whose sphere meets the object are gathered and looked at closely.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.custom_batching import custom_vmap
+
+from jaxgrasp.contact.kinematics import Bodies, ancestry, body, flatten_posture, stand
+from jaxgrasp.contact.shapes import Shape
+from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.tiles import over_chosen
+from jaxgrasp.numerics.vec import Vec
+
+TILE = 32
+
+
+class Contacts(eqx.Module):
+    """One contact for each link of the hand, in the world; an absent one is all zero but for a unit normal."""
+
+    points: Float[Array, "*batch L 3"]
+    """On the object's surface [m]."""
+    normals: Float[Array, "*batch L 3"]
+    """Unit normals, into the object."""
+    depths: Float[Array, "*batch L"]
+    """How far the link reaches into the object [m], 0 or more."""
+    present: Float[Array, "*batch L"]
+    """1 where the link touches."""
+    tests: Int[Array, "*batch"]
+    """Sphere tests done for this pose: 1 where the hand is out of reach, else 1 and every leaf."""
+
+
+class _Scene(eqx.Module):
+    """A flat batch; leaves of leading size 1 are shared by all poses."""
+
+    posture: Posture
+    shape: Shape
+    placed: Pose
+
+    @property
+    def size(self) -> int:
+        return self.posture.angles.shape[0]
+
+
+@jax.jit
+def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> Contacts:
+    """The contacts of a posed hand with an object.
+
+    Differentiable in posture, shape, placement and the hand's own measures; of what does not touch, with
+    derivative zero.
+
+    Args:
+        hand: one for all poses.
+        posture: with any leading axes.
+        shape: sizes broadcast against the other leading axes.
+        placed: where the object stands; leading axes likewise.
+
+    Raises:
+        ValueError: for shapes of arrays that do not fit.
+    """
+    flat, batch = flatten_posture(hand, posture)
+    origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
+    sizes = jax.tree.map(jnp.asarray, shape)
+    whole = jnp.broadcast_shapes(
+        batch, origin.shape[:-1], rotation.shape[:-2], *(size.shape for size in jax.tree.leaves(sizes))
+    )
+
+    def spread(array: Array, axes: tuple[int, ...]) -> Array:
+        tail = array.shape[len(axes) :]
+        if all(size == 1 for size in axes):
+            return array.reshape(1, *tail)
+        return jnp.broadcast_to(array.reshape(*axes, *tail), (*whole, *tail)).reshape(-1, *tail)
+
+    posture = jax.tree.map(lambda x: jnp.broadcast_to(x.reshape(*batch, *x.shape[1:]), (*whole, *x.shape[1:])), flat)
+    scene = _Scene(
+        jax.tree.map(lambda x: x.reshape(-1, *x.shape[len(whole) :]), posture),
+        jax.tree.map(lambda x: spread(x, x.shape), sizes),
+        Pose(spread(origin, origin.shape[:-1]), spread(rotation, rotation.shape[:-2])),
+    )
+    contacts = _detect(hand, scene)
+    return jax.tree.map(lambda x: x.reshape(*whole, *x.shape[1:]), contacts)
+
+
+@jax.custom_jvp
+def _detect(hand: Hand, scene: _Scene) -> Contacts:
+    return _skipping(hand, scene)
+
+
+@_detect.defjvp
+def _detect_jvp(primals, tangents):
+    """From all poses as they are: a loop over gathered ones has no reverse mode."""
+
+    def moving(hand: Hand, scene: _Scene) -> dict[str, Array]:
+        contacts = _look_closely(hand, scene)
+        return {name: getattr(contacts, name) for name in MOVING}
+
+    contacts = _detect(*primals)
+    _, moved = jax.jvp(moving, primals, tangents)
+    still = {"present": jnp.zeros_like(contacts.present), "tests": np.zeros(contacts.tests.shape, jax.dtypes.float0)}
+    leaves = [(moved | still)[name] for name in Contacts.__dataclass_fields__]
+    return contacts, jax.tree.unflatten(jax.tree.structure(contacts), leaves)
+
+
+MOVING = ("points", "normals", "depths")
+
+
+@custom_vmap
+def _skipping(hand: Hand, scene: _Scene) -> Contacts:
+    """A close look at the poses that have the object within reach."""
+    links = len(hand.links)
+    zero = jnp.zeros((scene.size, links, 3), scene.posture.angles.dtype)
+    nothing = Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
+    look = lambda scene, _: _look_closely(hand, scene)  # noqa: E731
+    return over_chosen(look, scene, nothing, _within_reach(hand, scene), TILE)
+
+
+@_skipping.def_vmap
+def _skipping_vmap(axis_size: int, in_batched, hand: Hand, scene: _Scene):
+    hands, scenes = in_batched
+    if any(jax.tree.leaves(hands)):
+        axes = jax.tree.map(lambda batched: 0 if batched else None, (hands, scenes))
+        contacts = jax.vmap(_look_closely, in_axes=axes, axis_size=axis_size)(hand, scene)
+    else:
+        size = scene.posture.angles.shape[1 if scenes.posture.angles else 0]
+        flat = jax.tree.map(partial(_merged, axis_size, size), scene, scenes)
+        contacts = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), _skipping(hand, flat))
+    return contacts, jax.tree.map(lambda _: True, contacts)
+
+
+def _merged(axis_size: int, size: int, array: Array, batched: bool) -> Array:
+    """One leaf with its mapped axis merged into the batch; shared ones stay shared."""
+    if not batched and array.shape[0] == 1 and size != 1:
+        return array
+    own = array if batched else array[None]
+    return jnp.broadcast_to(own, (axis_size, size, *own.shape[2:])).reshape(-1, *own.shape[2:])
+
+
+def _within_reach(hand: Hand, scene: _Scene) -> Array:
+    """Whether the object meets the sphere about all that the hand can reach, whatever its angles."""
+    first = np.flatnonzero(np.array(hand.parents) < 0)
+    middle = jnp.mean(hand.origins[first], 0)
+    steps = jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
+    carriers = np.array([link.joint for link in hand.links])
+    moves = ancestry(hand.parents, tuple(link.joint for link in hand.links)).astype(float)
+    centers = hand.skin.centers - jnp.where((carriers < 0)[:, None, None], middle, 0)
+    reach = jnp.max(moves @ steps + jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1))
+    center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
+    own = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
+    distance, _ = scene.shape._distance(Vec(*own.T))
+    return distance <= reach
+
+
+def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
+    """Every leaf against the object."""
+    object_ = body(scene.placed)
+    links = stand(hand, scene.posture).links
+    centers = _leaves(hand, _seen_from(object_, links))
+    radii = jnp.asarray(hand.skin.radii)[..., None]
+    distance, out = scene.shape._distance(centers)
+    depth = jnp.where(radii > 0, jnp.maximum(radii - distance, 0), 0)
+    merged = _merge(depth, vec.sub(centers, vec.scale(distance, out)), out)
+    point = vec.add(object_.origin, vec.rotate_back(object_.axes, merged.point))
+    normal = vec.rotate_back(object_.axes, merged.normal)
+    touching = merged.depth > 0
+    size = merged.depth.shape[-1]
+    return Contacts(
+        points=_rows(Vec(*(jnp.where(touching, c, 0) for c in point))),
+        normals=_rows(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal)))),
+        depths=merged.depth.T,
+        present=touching.astype(merged.depth.dtype).T,
+        tests=jnp.full(size, 1 + int(np.prod(hand.skin.radii.shape)), jnp.int32),
+    )
+
+
+def _seen_from(frame: Bodies, bodies: Bodies) -> Bodies:
+    """Bodies in the coordinates of one."""
+    x, y, z = (vec.rotate(frame.axes, axis) for axis in bodies.axes)
+    return Bodies(vec.rotate(frame.axes, vec.sub(bodies.origin, frame.origin)), (x, y, z))
+
+
+def _leaves(hand: Hand, links: Bodies) -> Vec:
+    """Centres of all spheres, ``(L, m, B)``."""
+    local = Vec(*(jnp.asarray(hand.skin.centers)[..., i, None] for i in range(3)))
+    beside = jax.tree.map(lambda c: c[:, None], links)
+    return vec.add(beside.origin, vec.rotate_back(beside.axes, local))
+
+
+class _Merged(NamedTuple):
+    point: Vec
+    normal: Vec
+    depth: Array
+
+
+def _merge(depth: Array, points: Vec, out: Vec) -> _Merged:
+    """One contact of each link from its overlaps ``(L, m, B)``."""
+    weight = depth * depth
+    total = jnp.sum(weight, 1)
+
+    def mean(array: Array) -> Array:
+        return vec.safe_divide(jnp.sum(weight * array, 1), total)
+
+    normal = Vec(*(-mean(c) for c in out))
+    length = vec.norm(normal)
+    return _Merged(
+        point=Vec(*map(mean, points)),
+        normal=Vec(*(vec.safe_divide(c, length) for c in normal)),
+        depth=mean(depth),
+    )
+
+
+def _rows(vector: Vec) -> Array:
+    """Components ``(L, B)`` as ``(B, L, 3)``."""
+    return jnp.stack(vector, -1).swapaxes(0, 1)

@@ -1,0 +1,209 @@
+"""Where a posed hand's parts are, how contact points move with its joints, and which torques forces put on them."""
+
+from functools import cache
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+Axes = tuple[Vec, Vec, Vec]
+"""A rotation by its columns."""
+Tree = TypeVar("Tree")
+
+
+class Bodies(NamedTuple):
+    """Frames of several bodies in batches: components of shape ``(bodies, B)``."""
+
+    origin: Vec
+    axes: Axes
+
+
+class Standing(NamedTuple):
+    """A posed hand, batch-last."""
+
+    hinges: Bodies
+    hinge_axes: Vec
+    links: Bodies
+
+
+@jax.jit
+def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
+    """The frames of a hand's hinges and links.
+
+    Args:
+        hand: its tree of ``J`` hinges and ``L`` links.
+        posture: wrist and angles, with any leading axes that broadcast.
+
+    Returns:
+        Frames in the world ``(..., J)`` and ``(..., L)``.
+
+    Raises:
+        ValueError: where there are not as many angles as hinges.
+    """
+    flat, batch = flatten_posture(hand, posture)
+    standing = stand(hand, flat)
+    return HandFrames(
+        joints=Pose(_vectors(standing.hinges.origin, batch), _rotations(standing.hinges.axes, batch)),
+        axes=_vectors(standing.hinge_axes, batch),
+        links=Pose(_vectors(standing.links.origin, batch), _rotations(standing.links.axes, batch)),
+    )
+
+
+def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, ...]]:
+    """The posture with its leading axes broadcast and flattened into one, and what they were."""
+    count = len(hand.joints)
+    origin, rotation, angles = map(jnp.asarray, (posture.wrist.origin, posture.wrist.rotation, posture.angles))
+    if angles.shape[-1:] != (count,):
+        raise ValueError(f"angles has shape {angles.shape}: expected (..., {count}), one for each joint")
+    batch = jnp.broadcast_shapes(origin.shape[:-1], rotation.shape[:-2], angles.shape[:-1])
+    flat = Posture(
+        Pose(
+            jnp.broadcast_to(origin, (*batch, 3)).reshape(-1, 3),
+            jnp.broadcast_to(rotation, (*batch, 3, 3)).reshape(-1, 3, 3),
+        ),
+        jnp.broadcast_to(angles, (*batch, count)).reshape(-1, count),
+    )
+    return flat, batch
+
+
+def stand(hand: Hand, posture: Posture) -> Standing:
+    """The frames of a flat batch of postures, hinges of equal depth at once."""
+    wrist, angles, rows = body(posture.wrist), posture.angles.T, levels(hand.parents)
+    placed, axes = [wrist], []
+    for depth, row in enumerate(rows):
+        parents = [hand.parents[j] for j in row]
+        carrier = take(placed[-1], np.searchsorted(rows[depth - 1], parents) if depth else np.zeros(len(row), int))
+        origin = vec.add(carrier.origin, vec.rotate_back(carrier.axes, _column(hand.origins[row])))
+        rest = compose(carrier.axes, _columns(hand.rests[row]))
+        axis = _column(hand.axes[row])
+        axes.append(vec.rotate_back(rest, axis))
+        placed.append(Bodies(origin, compose(rest, _rotation(axis, angles[row]))))
+    order = np.argsort(np.concatenate(rows))
+    hinges = take(_joined(placed[1:]), order)
+    # The wrist stands last, where an index of -1 finds it.
+    links = take(_joined([hinges, wrist]), np.array([link.joint for link in hand.links]))
+    return Standing(hinges, take(_joined(axes), order), links)
+
+
+@cache
+def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
+    """The hinges by how many others carry them; each level in ascending order."""
+    depth: list[int] = []
+    for parent in parents:
+        depth.append(0 if parent < 0 else depth[parent] + 1)
+    return [np.flatnonzero(np.array(depth) == d) for d in range(max(depth, default=-1) + 1)]
+
+
+@cache
+def ancestry(hand_parents: tuple[int, ...], carriers: tuple[int, ...]) -> np.ndarray:
+    """Which hinges move which links: ``(L, J)`` booleans."""
+    moves = np.zeros((len(carriers), len(hand_parents)), bool)
+    for link, hinge in enumerate(carriers):
+        while hinge >= 0:
+            moves[link, hinge] = True
+            hinge = hand_parents[hinge]
+    return moves
+
+
+def body(pose: Pose) -> Bodies:
+    """A flat batch of poses as one body, batch-last."""
+    origin, rotation = pose.origin.T[:, None], jnp.moveaxis(pose.rotation, 0, -1)[:, :, None]
+    return Bodies(Vec(*origin), (Vec(*rotation[:, 0]), Vec(*rotation[:, 1]), Vec(*rotation[:, 2])))
+
+
+def compose(outer: Axes, inner: Axes) -> Axes:
+    """The rotation ``inner``, seen from where ``outer`` is a rotation."""
+    x, y, z = (vec.rotate_back(outer, column) for column in inner)
+    return x, y, z
+
+
+def take(parts: Tree, index: np.ndarray) -> Tree:
+    """Rows of every component."""
+    return jax.tree.map(lambda c: c[index], parts)
+
+
+def _joined(parts: list[Tree]) -> Tree:
+    return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
+
+
+def _column(rows: AnyArray) -> Vec:
+    """``(J, 3)`` as components ``(J, 1)``."""
+    return Vec(*(jnp.asarray(rows)[:, i : i + 1] for i in range(3)))
+
+
+def _columns(rotations: AnyArray) -> Axes:
+    """``(J, 3, 3)`` likewise, by their columns."""
+    return _column(rotations[..., 0]), _column(rotations[..., 1]), _column(rotations[..., 2])
+
+
+def _rotation(axis: Vec, angle: Array) -> Axes:
+    """Rodrigues' rotation about a unit axis, by its columns."""
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    zero = jnp.zeros_like(angle)
+
+    def column(i: int) -> Vec:
+        unit = Vec(*(zero + (i == j) for j in range(3)))
+        along = vec.scale((1 - cosine) * axis[i], axis)
+        return vec.add(vec.add(vec.scale(cosine, unit), vec.scale(sine, vec.cross(axis, unit))), along)
+
+    return (column(0), column(1), column(2))
+
+
+def _vectors(vector: Vec, batch: tuple[int, ...]) -> Array:
+    """Components ``(bodies, B)`` as ``(..., bodies, 3)``."""
+    return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, -1, 3)
+
+
+def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
+    columns = jnp.stack([jnp.stack(axis, -1) for axis in axes], -1)
+    return columns.swapaxes(0, 1).reshape(*batch, -1, 3, 3)
+
+
+def contact_jacobian(
+    hand: Hand, frames: HandFrames, points: Float[AnyArray, "*batch L 3"]
+) -> Float[Array, "*batch L 3 J"]:
+    """How a point of each link moves with the joints: d point / d angle [m/rad].
+
+    Args:
+        hand: whose tree tells which joints move which links.
+        frames: of the posed hand.
+        points: one of each link, in the world [m]; they move with their links.
+
+    Returns:
+        Joint axis x (point - joint), zero for joints that do not carry the link.
+    """
+    moves = ancestry(hand.parents, tuple(link.joint for link in hand.links))
+    arms = jnp.asarray(points)[..., :, None, :] - frames.joints.origin[..., None, :, :]
+    columns = jnp.cross(frames.axes[..., None, :, :], arms)
+    return jnp.where(moves[:, :, None], columns, 0).swapaxes(-1, -2)
+
+
+def joint_torques(
+    hand: Hand,
+    frames: HandFrames,
+    points: Float[AnyArray, "*batch L 3"],
+    forces: Float[AnyArray, "*batch L 3"],
+) -> Float[Array, "*batch J"]:
+    """What contact forces do to the joints: J^T (-f) [N.m].
+
+    ``forces`` are what the hand exerts on the object; the hand feels their opposites. A torque is positive
+    where it helps a joint's positive angle: what resists flexion is negative, and is what a glove renders.
+
+    Args:
+        hand: whose tree tells which joints carry which links.
+        frames: of the posed hand.
+        points: one contact of each link, in the world [m].
+        forces: on the object [N]; zero where a link does not touch.
+    """
+    moves = ancestry(hand.parents, tuple(link.joint for link in hand.links)).T.astype(float)
+    felt = -jnp.asarray(forces)
+    total = jnp.einsum("jl,...lc->...jc", moves, felt)
+    moment = jnp.einsum("jl,...lc->...jc", moves, jnp.cross(jnp.asarray(points), felt))
+    return jnp.sum(frames.axes * (moment - jnp.cross(frames.joints.origin, total)), -1)

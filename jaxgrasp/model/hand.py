@@ -1,0 +1,89 @@
+"""The Hand: links that turn about hinges, the spheres that they are made of for contact, and where it all stands.
+
+- Angles are in rad. Of a human hand's joints flexion bends towards the palm and counts positive; abduction
+  counts positive towards the thumb, but for ring and little finger away from it, and the thumb's own away from
+  the palm.
+- A frame is an origin and a rotation; the rotation's columns are the frame's axes.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+
+from jaxgrasp.model.arrays import AnyArray, Float
+
+
+class Link(NamedTuple):
+    """A rigid part of a hand, which touches an object at one contact at most."""
+
+    finger: str
+    """thumb, index, middle, ring or little."""
+    phalanx: str
+    """palm (a finger's metacarpal), metacarpal (the thumb's), proximal, middle or distal."""
+    joint: int
+    """The hinge that carries it; -1 for the wrist."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.finger} {self.phalanx}"
+
+
+class Spheres(eqx.Module):
+    """Spheres whose union is the skin: ``m`` to a link, those that a link does without of radius 0."""
+
+    centers: Float[AnyArray, "L m 3"]
+    """In their link's frame [m]."""
+    radii: Float[AnyArray, "L m"]
+    """[m]"""
+
+
+class Hand(eqx.Module):
+    """A tree of hinges that grows from the wrist (source: sections II-B and II-G.2).
+
+    A hinge's frame stands at ``origins`` in its parent's, turned by ``rests`` where the angle is zero, and turns
+    about ``axes``. A link's frame is its hinge's. Hinges come after their parents.
+    """
+
+    origins: Float[AnyArray, "J 3"]
+    """[m]"""
+    rests: Float[AnyArray, "J 3 3"]
+    axes: Float[AnyArray, "J 3"]
+    """Of unit length, in the hinge's own frame."""
+    lower: Float[AnyArray, "J"]
+    """Least angles [rad]."""
+    upper: Float[AnyArray, "J"]
+    """Largest angles [rad]."""
+    skin: Spheres
+    parents: tuple[int, ...] = eqx.field(static=True)
+    """The hinge that carries each hinge; -1 for the wrist."""
+    joints: tuple[str, ...] = eqx.field(static=True)
+    """Names of the hinges, such as ``index MP``."""
+    links: tuple[Link, ...] = eqx.field(static=True)
+
+
+class Pose(eqx.Module):
+    """Where a body's frame stands in the world."""
+
+    origin: Float[AnyArray, "*batch 3"]
+    """[m]"""
+    rotation: Float[AnyArray, "*batch 3 3"]
+    """The body's axes in the world, as columns."""
+
+
+class Posture(eqx.Module):
+    """Where the wrist stands, and every joint's angle."""
+
+    wrist: Pose
+    angles: Float[AnyArray, "*batch J"]
+    """[rad]"""
+
+
+class HandFrames(eqx.Module):
+    """Where the parts of a posed hand stand in the world."""
+
+    joints: Pose
+    """Of the hinges ``(..., J)``, turned by their angles."""
+    axes: Float[AnyArray, "*batch J 3"]
+    """About which the hinges turn."""
+    links: Pose
+    """Of the links ``(..., L)``."""

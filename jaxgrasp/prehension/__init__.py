@@ -1,0 +1,1 @@
+"""The grasp over time: whether it holds, and what the object does."""

@@ -1,0 +1,70 @@
+"""Stable, slipping or lost: the paper's conditions (2) and (3), contact by contact."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from benchmarks import problems as P
+from jaxgrasp import Grasp, Hold, Touch, Verdict, monitor
+
+COUNT = 64
+
+
+@pytest.fixture(scope="module")
+def case():
+    problem = P.problems("ordinary", 3, COUNT, seed=1)
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+    return grasp, problem.wrench, jax.device_get(monitor(grasp, problem.wrench))
+
+
+def broken(grasp: Grasp, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Conditions (3) and (2) by their definitions."""
+    along = np.einsum("bni,bni->bn", forces, grasp.normals)
+    across = np.linalg.norm(np.cross(grasp.normals, forces), axis=-1)
+    return along < 0, across > grasp.friction * along
+
+
+def test_it_says_what_both_laws_find(case):
+    grasp, wrench, seen = case
+    closed, optimum = jaxgrasp.closed_form(grasp, wrench), jaxgrasp.constrained_optimum(grasp, wrench)
+    np.testing.assert_allclose(seen.closed.forces, closed.forces, rtol=1e-12)
+    np.testing.assert_array_equal(seen.optimum.verdict, optimum.verdict)
+    assert {Hold.STABLE, Hold.SLIPPING} == set(seen.hold.tolist())
+    np.testing.assert_array_equal(seen.hold == Hold.STABLE, closed.verdict == Verdict.CLOSED_FORM_OPTIMAL)
+    np.testing.assert_array_equal(seen.disagrees, (seen.hold == Hold.SLIPPING) & (optimum.verdict == Verdict.OPTIMAL))
+    assert seen.disagrees.any()
+
+
+def test_each_contact_names_the_condition_that_it_breaks(case):
+    grasp, _, seen = case
+    pulls, slides = broken(grasp, seen.forces)
+    slipping = seen.hold == Hold.SLIPPING
+    np.testing.assert_array_equal((seen.touches == Touch.PULLS)[slipping], pulls[slipping])
+    np.testing.assert_array_equal((seen.touches == Touch.SLIDES)[slipping], (slides & ~pulls)[slipping])
+    assert (seen.touches[slipping] != Touch.HOLDS).any(-1).all()
+    assert (seen.touches[~slipping] == Touch.HOLDS).all()
+
+
+def test_the_optimum_as_law_holds_whatever_can_be_held(case):
+    grasp, wrench, by_closed = case
+    seen = monitor(grasp, wrench, law="optimum")
+    held = (by_closed.optimum.verdict == Verdict.OPTIMAL) | (by_closed.hold == Hold.STABLE)
+    np.testing.assert_array_equal(seen.hold == Hold.STABLE, held)
+    np.testing.assert_allclose(seen.forces, by_closed.optimum.forces, rtol=1e-12)
+
+
+def test_without_contacts_the_object_is_lost(case):
+    grasp, wrench, seen = case
+    present = np.ones((COUNT, 3))
+    present[::2] = 0
+    present[1::4, 1] = 0
+    found = monitor(Grasp(grasp.points, grasp.normals, grasp.friction, grasp.squeeze, present), wrench)
+    assert (found.hold[::2] == Hold.LOST).all() and (found.hold[1::2] != Hold.LOST).all()
+    np.testing.assert_array_equal(found.touches == Touch.ABSENT, present == 0)
+    assert not found.disagrees[::2].any() and (found.forces[::2] == 0).all()
+
+
+def test_another_law_is_refused(case, unchecked):
+    with pytest.raises(ValueError, match="law is 'hope': expected 'closed form' or 'optimum'"):
+        monitor(case[0], case[1], law="hope")

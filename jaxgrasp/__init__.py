@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from jaxgrasp.force.pyramid import pyramid_optimum
     from jaxgrasp.force.reachable import Reachable, reachable_wrench
     from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
+    from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
@@ -57,6 +58,7 @@ _HOME = {
     "Hold": "prehension.monitor",
     "Link": "model.hand",
     "MujocoGrasp": "interop.mujoco_contacts",
+    "MujocoHand": "interop.mujoco_hand",
     "Plane": "contact.shapes",
     "Pose": "model.hand",
     "Posture": "model.hand",
@@ -86,6 +88,7 @@ _HOME = {
     "from_mujoco": "interop.mujoco_contacts",
     "grasp_from_contacts": "contact.to_grasp",
     "grasp_matrix": "model.wrench",
+    "hand_from_mujoco": "interop.mujoco_hand",
     "human_hand": "contact.human_hand",
     "joint_torques": "contact.kinematics",
     "lagrange_forces": "force.lagrange",

@@ -77,7 +77,7 @@ def from_mujoco(
         ValueError: for an unknown or immovable body, an unknown ``squeeze``, a ``stiffness`` or a
             ``contribution`` that is negative, not finite or lacks a link.
     """
-    mujoco = _import_mujoco()
+    mujoco = import_mujoco("from_mujoco")
     if squeeze not in ("stiffness", "normal_force"):
         raise ValueError(f"squeeze is {squeeze!r}: expected 'stiffness' or 'normal_force'")
     parts = _parts(mujoco, model, body)
@@ -97,11 +97,12 @@ def from_mujoco(
     return MujocoGrasp(grasp, wrench, depths, forces, links)
 
 
-def _import_mujoco() -> Any:
+def import_mujoco(user: str) -> Any:
+    """MuJoCo, or one line that says what to install for the function that needs it."""
     try:
         import mujoco
     except ImportError:
-        raise ImportError("from_mujoco needs MuJoCo: pip install 'jaxgrasp[hands]'") from None
+        raise ImportError(f"{user} needs MuJoCo: pip install 'jaxgrasp[hands]'") from None
     return mujoco
 
 

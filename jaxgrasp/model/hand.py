@@ -17,15 +17,15 @@ class Link(NamedTuple):
     """A rigid part of a hand, which touches an object at one contact at most."""
 
     finger: str
-    """thumb, index, middle, ring or little."""
+    """thumb, index, middle, ring or little; of a hand of another make, its body's own name."""
     phalanx: str
-    """palm (a finger's metacarpal), metacarpal (the thumb's), proximal, middle or distal."""
+    """palm (a finger's metacarpal), metacarpal (the thumb's), proximal, middle or distal; or empty."""
     joint: int
     """The hinge that carries it; -1 for the wrist."""
 
     @property
     def name(self) -> str:
-        return f"{self.finger} {self.phalanx}"
+        return f"{self.finger} {self.phalanx}".rstrip()
 
 
 class Spheres(eqx.Module):

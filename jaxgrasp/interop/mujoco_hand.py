@@ -1,0 +1,232 @@
+"""A robot's or a muscle model's hand out of MuJoCo: the same hinges, its collision geoms as spheres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.model.hand import Hand, Link, Spheres
+
+if TYPE_CHECKING:
+    import mujoco
+
+LEAVES = 12
+"""Spheres along a geom."""
+
+
+@dataclass(frozen=True)
+class MujocoHand:
+    """A Hand, and where its parts are in the model that it came from."""
+
+    hand: Hand
+    addresses: np.ndarray
+    """``(J,)``: of each joint's angle in ``data.qpos``."""
+    velocities: np.ndarray
+    """``(J,)``: of each joint's rate in ``data.qvel``, and of its column in MuJoCo's Jacobians."""
+    bodies: np.ndarray
+    """``(L,)``: id of each link's body."""
+    positions: np.ndarray
+    """``(L, 3)``: of the body's frame in the link's [m]."""
+    rotations: np.ndarray
+    """``(L, 3, 3)``: of the body's frame in the link's."""
+    left_out: tuple[str, ...]
+    """Collision geoms that are no sphere, capsule, cylinder, ellipsoid or box, and so touch nothing here."""
+
+
+@dataclass
+class _Carrier:
+    """A body's frame in that of the hinge that carries it."""
+
+    joint: int
+    position: np.ndarray
+    rotation: np.ndarray
+
+    def carry(self, position: np.ndarray, rotation: np.ndarray) -> _Carrier:
+        """A frame given in this body's."""
+        return _Carrier(self.joint, self.position + self.rotation @ position, self.rotation @ rotation)
+
+
+def hand_from_mujoco(
+    model: mujoco.MjModel,
+    wrist: str,
+    *,
+    locked: Mapping[str, float] | None = None,
+    names: Mapping[str, tuple[str, str]] | None = None,
+) -> MujocoHand:
+    """The hand that hangs on a body of a MuJoCo model (MJCF or URDF).
+
+    Args:
+        model: the compiled model.
+        wrist: name of the body that is the wrist; its frame is the Hand's, its own joints are not the Hand's.
+        locked: joints that stay at an angle [rad] or a place [m], by name.
+        names: finger and phalanx of a body, by its name, such as ``{"2proxph_r": ("index", "proximal")}``; others
+            are called by their own name, and ``""``.
+
+    Returns:
+        The Hand: every hinge below the wrist that is not locked, and a link for every body with collision geoms.
+
+    Raises:
+        ImportError: without MuJoCo.
+        ValueError: for a name that the model lacks, a joint that is neither a hinge nor locked, or a body that
+            carries no hand.
+    """
+    mujoco = import_mujoco("hand_from_mujoco")
+    locked = dict(locked or {})
+    root = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, wrist)
+    if root < 0:
+        raise ValueError(f"wrist is {wrist!r}: the model has no body of that name")
+    for name in locked:
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) < 0:
+            raise ValueError(f"locked names {name!r}: the model has no joint of that name")
+    tree = _Tree(mujoco, model, locked)
+    carriers = {root: _Carrier(-1, np.zeros(3), np.eye(3))}
+    for body in range(root + 1, model.nbody):
+        parent = int(model.body_parentid[body])
+        if parent in carriers:
+            place = carriers[parent].carry(model.body_pos[body], _matrix(mujoco, model.body_quat[body]))
+            carriers[body] = tree.add_joints(body, place)
+    return _finish(mujoco, model, tree, carriers, dict(names or {}))
+
+
+class _Tree:
+    """Hinges as they are met."""
+
+    def __init__(self, mujoco: Any, model: mujoco.MjModel, locked: dict[str, float]):
+        self.mujoco, self.model, self.locked = mujoco, model, locked
+        self.joints: list[int] = []
+        self.parents: list[int] = []
+        self.origins: list[np.ndarray] = []
+        self.rests: list[np.ndarray] = []
+
+    def add_joints(self, body: int, place: _Carrier) -> _Carrier:
+        """The body's frame in that of its last hinge."""
+        first = int(self.model.body_jntadr[body])
+        for joint in range(first, first + int(self.model.body_jntnum[body])):
+            place = self._add(joint, place)
+        return place
+
+    def _add(self, joint: int, place: _Carrier) -> _Carrier:
+        model, name = self.model, self.model.joint(joint).name
+        anchor, axis = model.jnt_pos[joint], model.jnt_axis[joint]
+        hinge = model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_HINGE
+        # MuJoCo turns from the angle that the joint has in the reference configuration.
+        reference = model.qpos0[model.jnt_qposadr[joint]]
+        if name in self.locked:
+            way = self.locked[name] - reference
+            if hinge:
+                turn = _turn(self.mujoco, axis, way)
+                return place.carry(anchor - turn @ anchor, turn)
+            if model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_SLIDE:
+                return place.carry(way * axis, np.eye(3))
+        if not hinge:
+            raise ValueError(f"joint {name!r} is no hinge: lock it, since a Hand's joints all turn about an axis")
+        here = place.carry(anchor, np.eye(3))
+        self.joints.append(joint)
+        self.parents.append(here.joint)
+        self.origins.append(here.position)
+        self.rests.append(here.rotation)
+        back = _turn(self.mujoco, axis, -reference)
+        return _Carrier(len(self.joints) - 1, -back @ anchor, back)
+
+
+def _finish(mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int, _Carrier], names: dict) -> MujocoHand:
+    links, spheres, kept, left_out = [], [], [], []
+    for body, place in carriers.items():
+        first = int(model.body_geomadr[body])
+        geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if _collides(model, g)]
+        parts = []
+        for geom in geoms:
+            row = _spheres(mujoco, model, geom, place)
+            if row is None:
+                left_out.append(model.geom(geom).name or f"geom {geom}")
+            else:
+                parts.append(row)
+        if parts:
+            name = model.body(body).name
+            finger, phalanx = names.get(name, (name, ""))
+            links.append(Link(finger, phalanx, place.joint))
+            spheres.append((np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])))
+            kept.append(body)
+    if not tree.joints or not links:
+        raise ValueError("no hinge, or no geom that can touch, hangs on the wrist's body: is it the right one?")
+    joints = np.array(tree.joints, int)
+    # Limits that the model does not have are a whole turn.
+    limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.pi, np.pi])
+    hand = Hand(
+        jnp.array(tree.origins),
+        jnp.array(tree.rests),
+        jnp.array(model.jnt_axis[joints]),
+        jnp.array(limits[:, 0]),
+        jnp.array(limits[:, 1]),
+        _padded(spheres),
+        tuple(tree.parents),
+        tuple(model.joint(j).name for j in joints),
+        tuple(links),
+    )
+    return MujocoHand(
+        hand=hand,
+        addresses=model.jnt_qposadr[joints].copy(),
+        velocities=model.jnt_dofadr[joints].copy(),
+        bodies=np.array(kept, int),
+        positions=np.array([carriers[body].position for body in kept]),
+        rotations=np.array([carriers[body].rotation for body in kept]),
+        left_out=tuple(left_out),
+    )
+
+
+def _collides(model: mujoco.MjModel, geom: int) -> bool:
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
+def _spheres(mujoco: Any, model: mujoco.MjModel, geom: int, place: _Carrier) -> tuple[np.ndarray, np.ndarray] | None:
+    """A row of spheres inside the geom along its longest side, in the link's frame; None for other geoms."""
+    kinds = mujoco.mjtGeom
+    size, along = model.geom_size[geom], np.linspace(-1, 1, LEAVES)
+    kind = model.geom_type[geom]
+    direction = np.array([0.0, 0.0, 1.0])
+    if kind == kinds.mjGEOM_SPHERE:
+        offsets, radii = np.zeros(1), np.array([size[0]])
+    elif kind == kinds.mjGEOM_CAPSULE:
+        offsets, radii = size[1] * along, np.full(LEAVES, size[0])
+    elif kind == kinds.mjGEOM_CYLINDER:
+        offsets, radii = max(size[1] - size[0], 0) * along, np.full(LEAVES, min(size[0], size[1]))
+    elif kind in (kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_BOX):
+        order = np.argsort(size)
+        direction, (thin, _, long) = np.eye(3)[order[2]], size[order]
+        if kind == kinds.mjGEOM_BOX:
+            offsets, radii = (long - thin) * along, np.full(LEAVES, thin)
+        else:
+            # The largest sphere about a point of the long axis that fits under the curve.
+            offsets = (long - thin**2 / long) * along
+            radii = thin * np.sqrt(1 - offsets**2 / np.maximum(long**2 - thin**2, 1e-300))
+            radii = np.where(offsets == 0, thin, radii)
+    else:
+        return None
+    own = place.carry(model.geom_pos[geom], _matrix(mujoco, model.geom_quat[geom]))
+    return own.position + offsets[:, None] * (own.rotation @ direction), radii
+
+
+def _padded(spheres: list[tuple[np.ndarray, np.ndarray]]) -> Spheres:
+    """Links of different numbers of spheres in one array; what is missing has radius 0."""
+    most = max((len(radii) for _, radii in spheres), default=0)
+    centers, sizes = np.zeros((len(spheres), most, 3)), np.zeros((len(spheres), most))
+    for i, (points, radii) in enumerate(spheres):
+        centers[i, : len(radii)], sizes[i, : len(radii)] = points, radii
+    return Spheres(jnp.array(centers), jnp.array(sizes))
+
+
+def _matrix(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def _turn(mujoco: Any, axis: np.ndarray, angle: float) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    return _matrix(mujoco, quaternion)

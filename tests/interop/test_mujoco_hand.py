@@ -1,0 +1,162 @@
+"""Hands out of MuJoCo models: their kinematics are MuJoCo's own, and so are the places of their spheres."""
+
+import importlib.util
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Pose, Posture, hand_from_mujoco, pose_hand
+
+mujoco = pytest.importorskip("mujoco")
+COUNT = 1000
+OPPOSED = -0.25
+
+
+def model_of(name: str):
+    """A model, its wrist's body and its locked joints."""
+    if name == "myohand":
+        compose = pytest.importorskip("myo_sim.build.compose")
+        return compose.build_right_hand_from_arm_spec().compile(), None, {"cmc_flexion_r": OPPOSED}
+    found = importlib.util.find_spec("gymnasium_robotics")
+    if found is None:
+        pytest.skip("needs gymnasium-robotics")
+    assets = Path(found.origin).parent / "envs" / "assets"
+    path = {"shadow": assets / "hand" / "reach.xml", "adroit": assets / "adroit_hand" / "adroit_relocate.xml"}[name]
+    wrist = {"shadow": "robot0:palm", "adroit": "palm"}[name]
+    return mujoco.MjModel.from_xml_path(str(path)), wrist, {}
+
+
+def wrist_of(model, wrist: str | None) -> str:
+    """The body that carries all fingers: the deepest one that every hinge named after a finger hangs on."""
+    if wrist is not None:
+        return wrist
+    return model.body(int(model.body_parentid[model.body("secondmc_r").id])).name
+
+
+@pytest.fixture(scope="module", params=["myohand", "shadow", "adroit"])
+def case(request):
+    model, wrist, locked = model_of(request.param)
+    wrist = wrist_of(model, wrist)
+    return request.param, model, wrist, locked, hand_from_mujoco(model, wrist, locked=locked)
+
+
+def random_angles(hand, count: int) -> np.ndarray:
+    lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
+    return lower + np.random.default_rng(1).uniform(size=(count, len(lower))) * (upper - lower)
+
+
+def states(model, wrist: str, locked: dict, found, angles: np.ndarray):
+    """MuJoCo's states at these angles, everything else at rest; and the wrist's pose in each."""
+    data = mujoco.MjData(model)
+    body = model.body(wrist).id
+    for row in angles:
+        data.qpos[:] = model.qpos0
+        data.qpos[found.addresses] = row
+        for name, value in locked.items():
+            data.qpos[model.joint(name).qposadr] = value
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        yield data, Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
+
+
+def test_bodies_and_jacobians_are_mujocos(case):
+    _, model, wrist, locked, found = case
+    hand = found.hand
+    angles = random_angles(hand, COUNT)
+    places, turns, wrists, jacobians = [], [], [], []
+    for data, pose in states(model, wrist, locked, found, angles):
+        places.append(data.xpos[found.bodies].copy())
+        turns.append(data.xmat[found.bodies].reshape(-1, 3, 3).copy())
+        wrists.append(pose)
+        jacobians.append([])
+        for body in found.bodies:
+            jacobian = np.zeros((3, model.nv))
+            mujoco.mj_jacBody(model, data, jacobian, None, body)
+            jacobians[-1].append(jacobian[:, found.velocities])
+    wrist_pose = jax.tree.map(lambda *parts: np.stack(parts), *wrists)
+    frames = pose_hand(hand, Posture(wrist_pose, angles))
+    at = np.asarray(frames.links.origin) + np.einsum("blij,lj->bli", frames.links.rotation, found.positions)
+    np.testing.assert_allclose(at, places, atol=1e-9)
+    np.testing.assert_allclose(frames.links.rotation @ found.rotations, turns, atol=1e-9)
+    np.testing.assert_allclose(jaxgrasp.contact_jacobian(hand, frames, at), jacobians, atol=1e-7)
+
+
+def test_it_has_the_joints_that_were_asked_for(case):
+    name, model, _, locked, found = case
+    hand = found.hand
+    assert not set(hand.joints) & set(locked)
+    if name == "myohand":
+        # With its thumb's flexion at the wrist locked it has the glove's joints.
+        kinds = ["abduction" in joint for joint in hand.joints]
+        assert len(kinds) == 19 and sum(kinds) == 5
+    limited = model.jnt_limited[[model.joint(joint).id for joint in hand.joints]].astype(bool)
+    assert (np.asarray(hand.lower)[limited] < np.asarray(hand.upper)[limited]).all()
+
+
+def outside(model, geom: int, at: np.ndarray) -> np.ndarray:
+    """How far beyond a geom's surface points in its own frame are: by its definition, no more than 0 inside."""
+    kinds, size = mujoco.mjtGeom, model.geom_size[geom]
+    across = np.hypot(at[:, 0], at[:, 1])
+    kind = model.geom_type[geom]
+    if kind == kinds.mjGEOM_SPHERE:
+        return np.linalg.norm(at, axis=1) - size[0]
+    if kind == kinds.mjGEOM_CAPSULE:
+        return np.hypot(across, np.maximum(np.abs(at[:, 2]) - size[1], 0)) - size[0]
+    if kind == kinds.mjGEOM_CYLINDER:
+        return np.maximum(across - size[0], np.abs(at[:, 2]) - size[1])
+    if kind == kinds.mjGEOM_BOX:
+        return (np.abs(at) - size).max(1)
+    if kind == kinds.mjGEOM_ELLIPSOID:
+        return size.min() * (np.linalg.norm(at / size, axis=1) - 1)
+    return np.full(len(at), np.inf)
+
+
+def test_spheres_lie_inside_their_geoms(case):
+    """Every point on every sphere is inside one of its body's geoms, and every geom holds a sphere."""
+    _, model, wrist, locked, found = case
+    hand = found.hand
+    angles = random_angles(hand, 1)
+    data, pose = next(states(model, wrist, locked, found, angles))
+    frames = jax.device_get(pose_hand(hand, Posture(pose, angles[0])))
+    ball = np.random.default_rng(2).normal(size=(60, 3))
+    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    for k, body in enumerate(found.bodies):
+        first, count = model.body_geomadr[body], model.body_geomnum[body]
+        geoms = [g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+        used = set()
+        for center, radius in zip(hand.skin.centers[k], hand.skin.radii[k], strict=True):
+            if radius == 0:
+                continue
+            points = (np.asarray(center) + float(radius) * ball) @ frames.links.rotation[k].T + frames.links.origin[k]
+            local = [(points - data.geom_xpos[g]) @ data.geom_xmat[g].reshape(3, 3) for g in geoms]
+            beyond = np.array([outside(model, g, at).max() for g, at in zip(geoms, local, strict=True)])
+            assert beyond.min() < 1e-9
+            used |= {geoms[i] for i in np.flatnonzero(beyond < 1e-9)}
+        assert used >= {g for g in geoms if (model.geom(g).name or f"geom {g}") not in found.left_out}
+
+
+def test_names_that_the_model_lacks_are_refused(case):
+    _, model, wrist, _, _ = case
+    with pytest.raises(ValueError, match="wrist is 'elbow': the model has no body of that name"):
+        hand_from_mujoco(model, "elbow")
+    with pytest.raises(ValueError, match="locked names 'none': the model has no joint"):
+        hand_from_mujoco(model, wrist, locked={"none": 0.0})
+
+
+def test_a_sliding_joint_must_be_locked():
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="wrist").add_body(name="drawer")
+    body.add_joint(name="slide", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.01, 0.02, 0])
+    model = spec.compile()
+    with pytest.raises(ValueError, match="joint 'slide' is no hinge: lock it"):
+        hand_from_mujoco(model, "wrist")
+    with pytest.raises(ValueError, match="no hinge, or no geom that can touch"):
+        hand_from_mujoco(model, "wrist", locked={"slide": 0.3})
+    body.add_joint(name="lid", axis=[0, 1, 0])
+    found = hand_from_mujoco(spec.compile(), "wrist", locked={"slide": 0.3})
+    np.testing.assert_allclose(found.hand.origins, [[0.3, 0, 0]], atol=1e-15)
+    assert found.hand.links[0].name == "drawer" and found.hand.joints == ("lid",)

@@ -68,8 +68,52 @@ class Validate(Data):
         return validate_command(self)
 
 
+@dataclass(frozen=True)
+class Grip:
+    """Close the virtual hand on an object, lift it, turn it, and write contacts, forces, verdicts and torques."""
+
+    object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
+    """What is gripped; it lies across the palm."""
+    radius: float = 0.03
+    """Of the object [m]; half the edge of a box."""
+    height: float = 0.12
+    """Of a cylinder, a capsule's straight part, or a box [m]."""
+    mass: float = 0.4
+    """Of the object [kg]."""
+    friction: float = 0.6
+    """Coulomb's coefficient at every contact."""
+    stiffness: float = 1000.0
+    """K of eq. 6 [N/m]."""
+    depth: float = 2e-3
+    """How far the links press into the object [m]."""
+    hand_length: float = 0.19
+    """From the wrist to the middle finger's tip [m]."""
+    side: Literal["right", "left"] = "right"
+    """Which hand."""
+    lift: float = 0.2
+    """How high the hand goes [m]."""
+    turn: float = 90.0
+    """How far it then turns about its own length [degrees]."""
+    release: bool = False
+    """Open the hand at the end."""
+    seconds: float = 4.0
+    """A quarter of it each to hold, lift, turn, and hold or let go [s]."""
+    step: float = 0.02
+    """From one instant to the next [s]."""
+    law: Literal["closed-form", "optimum"] = "optimum"
+    """Which forces decide whether the object slips; the paper's are the closed form."""
+    out: Path = Path("jaxgrasp-grip")
+    """Folder for the results."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.grip import grip_command
+
+        return grip_command(self)
+
+
 Command = (
     Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Grip, tyro.conf.subcommand("grip")]
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
 )

@@ -76,7 +76,7 @@ def observe(
     placed: Pose,
     inertial: Float[AnyArray, "*#batch 6"] | None = None,
     *,
-    law: Law = "closed form",
+    law: Law = "closed-form",
 ) -> Tick:
     """One tick of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
 
@@ -115,7 +115,7 @@ class _State(NamedTuple):
     stands: Array
 
 
-def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed form") -> list[Instant]:
+def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Instant]:
     """What becomes of an object while a hand goes through postures.
 
     A loop in Python over compiled ticks, so that only an object that slips pays for the closest wrench.

@@ -19,7 +19,7 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
 
-Law = Literal["closed form", "optimum"]
+Law = Literal["closed-form", "optimum"]
 
 
 class Hold(IntEnum):
@@ -61,7 +61,7 @@ class Assessment(eqx.Module):
 
 @partial(jax.jit, static_argnames="law")
 def monitor(
-    grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze", *, law: Law = "closed form"
+    grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze", *, law: Law = "closed-form"
 ) -> Assessment:
     """Whether a grasp is stable, slipping or lost, and why.
 
@@ -74,10 +74,10 @@ def monitor(
     Raises:
         ValueError: for another law, or as [`jaxgrasp.closed_form`][] does.
     """
-    if law not in ("closed form", "optimum"):
-        raise ValueError(f"law is {law!r}: expected 'closed form' or 'optimum'")
+    if law not in ("closed-form", "optimum"):
+        raise ValueError(f"law is {law!r}: expected 'closed-form' or 'optimum'")
     closed, optimum = closed_form(grasp, wrench, sharing), constrained_optimum(grasp, wrench, sharing)
-    applied = closed if law == "closed form" else optimum
+    applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
     lost = ~jnp.any(there, -1)

@@ -66,5 +66,5 @@ def test_without_contacts_the_object_is_lost(case):
 
 
 def test_another_law_is_refused(case, unchecked):
-    with pytest.raises(ValueError, match="law is 'hope': expected 'closed form' or 'optimum'"):
+    with pytest.raises(ValueError, match="law is 'hope': expected 'closed-form' or 'optimum'"):
         monitor(case[0], case[1], law="hope")

@@ -1,0 +1,153 @@
+"""``jaxgrasp grip``: the virtual hand takes an object up, turns it, and may let it go."""
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.cli.arguments import Grip
+from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.contact.human_hand import human_hand
+from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
+from jaxgrasp.contact.to_grasp import link_contributions
+from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP
+from jaxgrasp.prehension.carry import Instant, Scene, carry
+from jaxgrasp.prehension.monitor import Hold
+from jaxgrasp.prehension.motion import Body
+from jaxgrasp.prehension.power_grip import lay_on, lift_and_turn, power_grip
+
+GRAVITY = (0.0, 0.0, -9.81)
+TABLE = -0.5
+"""Height of the table's top below the wrist's start [m]."""
+
+
+def grip_command(arguments: Grip) -> int:
+    """Close, lift, turn; write what happened, and say it."""
+    _check(arguments)
+    shape = _shape(arguments)
+    check_shape(shape)
+    set_up_jax("float64")
+    hand = human_hand(arguments.hand_length, side=arguments.side)
+    closed, placed, contacts = power_grip(hand, shape, arguments.depth)
+    print(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts")
+    count = max(2, round(arguments.seconds / arguments.step) + 1)
+    times = np.linspace(0, arguments.seconds, count)
+    postures = lift_and_turn(
+        closed,
+        times,
+        lift=arguments.lift,
+        turn=math.radians(arguments.turn),
+        axis=np.array([1.0, 0.0, 0.0]),
+        release=lay_on(hand, shape)[0] if arguments.release else None,
+    )
+    scene = Scene(
+        hand=hand,
+        body=Body(shape, arguments.mass),
+        table=Pose(jnp.array([0.0, 0.0, TABLE]), jnp.eye(3)),
+        friction=arguments.friction,
+        stiffness=arguments.stiffness,
+        contributions=link_contributions(hand, CYLINDRICAL_POWER_GRIP),
+        gravity=jnp.array(GRAVITY),
+    )
+    record = carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    _write(arguments.out, hand, times, postures, record)
+    print(_said(hand, times, record))
+    print(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
+    return 0
+
+
+def _check(arguments: Grip) -> None:
+    for name in ("mass", "stiffness", "depth", "seconds", "step"):
+        value = getattr(arguments, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} is {value}: expected a positive number")
+    for name in ("friction", "lift", "turn"):
+        value = getattr(arguments, name)
+        if not math.isfinite(value) or (name == "friction" and value < 0):
+            raise ValueError(
+                f"{name} is {value}: expected a finite number{', 0 or more' if name == 'friction' else ''}"
+            )
+
+
+def _shape(arguments: Grip) -> Shape:
+    radius, height = arguments.radius, arguments.height
+    shapes: dict[str, Shape] = {
+        "sphere": Sphere(radius),
+        "cylinder": Cylinder(radius, height),
+        "capsule": Capsule(radius, height),
+        "box": Box(2 * radius, 2 * radius, height),
+    }
+    return shapes[arguments.object]
+
+
+def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: list[Instant]) -> None:
+    """Everything over time in arrays, and in words what a person asks first."""
+    ticks = jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *(instant.tick for instant in record)))
+    columns = {
+        "time": times,
+        "wrist_origin": postures.wrist.origin,
+        "wrist_rotation": postures.wrist.rotation,
+        "angles": postures.angles,
+        "object_origin": np.stack([instant.placed.origin for instant in record]),
+        "object_rotation": np.stack([instant.placed.rotation for instant in record]),
+        "points": ticks.contacts.points,
+        "normals": ticks.contacts.normals,
+        "depths": ticks.contacts.depths,
+        "present": ticks.contacts.present,
+        "squeeze": ticks.grasp.squeeze,
+        "wrench": ticks.wrench,
+        "forces": ticks.assessment.forces,
+        "closed_form_forces": ticks.assessment.closed.forces,
+        "optimum_forces": ticks.assessment.optimum.forces,
+        "closed_form_verdict": ticks.assessment.closed.verdict,
+        "optimum_verdict": ticks.assessment.optimum.verdict,
+        "hold": np.array([instant.hold for instant in record]),
+        "touches": ticks.assessment.touches,
+        "disagrees": ticks.assessment.disagrees,
+        "missed": np.stack([instant.missed for instant in record]),
+        "torques": ticks.torques,
+        "joints": np.array(hand.joints),
+        "links": np.array([link.name for link in hand.links]),
+    }
+    replace_file(out / "grip.npz", lambda stream: np.savez_compressed(stream, **jax.device_get(columns)))
+    text = json.dumps(_summary(hand, times, record), indent=2)
+    replace_file(out / "grip.json", lambda stream: stream.write(text.encode()))
+
+
+def _summary(hand: Hand, times: np.ndarray, record: list[Instant]) -> dict:
+    holds = Counter(instant.hold.name for instant in record)
+    torques = np.stack([instant.tick.torques for instant in record])
+    worst = np.unravel_index(np.argmin(torques), torques.shape)
+    contacts = [int(instant.tick.contacts.present.sum()) for instant in record]
+    slips = [float(t) for t, instant in zip(times, record, strict=True) if instant.hold != Hold.STABLE]
+    return {
+        "instants": len(record),
+        "hold": dict(holds),
+        "first_not_stable_s": slips[0] if slips else None,
+        "laws_disagree": sum(bool(instant.tick.assessment.disagrees) for instant in record),
+        "contacts": {"least": min(contacts), "most": max(contacts)},
+        "largest_resisting_torque_Nm": float(-torques[worst]),
+        "its_joint": hand.joints[worst[1]],
+        "its_time_s": float(times[worst[0]]),
+    }
+
+
+def _said(hand: Hand, times: np.ndarray, record: list[Instant]) -> str:
+    found = _summary(hand, times, record)
+    holds = ", ".join(f"{count} {name.lower()}" for name, count in found["hold"].items())
+    lines = [
+        f"{found['instants']} instants: {holds}; {found['contacts']['least']} to {found['contacts']['most']} contacts",
+        f"closed form slips where the optimum holds: {found['laws_disagree']} instants",
+        f"largest torque against flexion: {found['largest_resisting_torque_Nm']:.3f} N.m, "
+        f"{found['its_joint']} at {found['its_time_s']:.2f} s",
+    ]
+    if found["first_not_stable_s"] is not None:
+        lines.insert(1, f"not stable for the first time at {found['first_not_stable_s']:.2f} s")
+    return "\n".join(lines)

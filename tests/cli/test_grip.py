@@ -1,0 +1,52 @@
+"""``jaxgrasp grip``: what it writes obeys the laws of statics, and what it cannot do it says."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxgrasp import Hold
+from jaxgrasp.cli.main import main
+
+
+@pytest.mark.slow
+def test_a_cylinder_is_held_and_let_go(folder, capsys):
+    arguments = ["grip", "--seconds", "2", "--release", "--mass", "0.3", "--out", "out"]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "closed on the cylinder:" in said and "not stable for the first time" in said
+    with np.load(folder / "out" / "grip.npz", allow_pickle=False) as file:
+        found = {name: file[name] for name in file.files}
+    summary = json.loads((folder / "out" / "grip.json").read_text())
+    count = len(found["time"])
+    assert count == 101 == summary["instants"] and sum(summary["hold"].values()) == count
+    assert all(np.isfinite(found[name]).all() for name in found if found[name].dtype.kind == "f")
+    stable = found["hold"] == Hold.STABLE
+    assert stable[:70].all() and found["hold"][-1] == Hold.LOST
+    # Where it is stable the forces balance the wrench, about the object's centre, inside their cones.
+    arms = found["points"] - found["object_origin"][:, None]
+    forces, normals = found["forces"], found["normals"]
+    exerted = np.concatenate([forces.sum(1), np.cross(arms, forces).sum(1)], -1)
+    np.testing.assert_allclose(exerted[stable], found["wrench"][stable], atol=1e-8)
+    along = np.einsum("tli,tli->tl", forces, normals)
+    across = np.linalg.norm(forces - along[..., None] * normals, axis=-1)
+    assert (across <= 0.6 * along + 1e-9)[stable].all()
+    assert (forces[found["present"] == 0] == 0).all()
+    # The object rose with the hand, and fell.
+    lifted = found["object_origin"][:, 2] - found["object_origin"][0, 2]
+    assert lifted[:76].max() > 0.15 and lifted[-1] < lifted[75] - 0.05
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--mass", "0"], "mass is 0.0: expected a positive number"),
+        (["--friction", "-1"], "friction is -1.0: expected a finite number, 0 or more"),
+        (["--turn", "nan"], "turn is nan: expected a finite number"),
+        (["--radius", "-0.1"], "Cylinder.radius is -0.1: expected a positive number of metres"),
+    ],
+)
+def test_bad_arguments_are_named_before_any_work(folder, capsys, arguments, said):
+    assert main(["grip", *arguments]) == 1
+    assert said in capsys.readouterr().err
+    assert not list(folder.iterdir())

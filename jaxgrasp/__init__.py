@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.detection import Contacts, find_contacts
     from jaxgrasp.contact.human_hand import human_hand, mirrored
     from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
+    from jaxgrasp.contact.limits import check_pose, check_posture, clamp_posture
     from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
     from jaxgrasp.contact.to_grasp import grasp_from_contacts, link_contributions
     from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
@@ -76,7 +77,10 @@ _HOME = {
     "Verdict": "model.solution",
     "carry": "prehension.carry",
     "check_grasp": "model.faults",
+    "check_pose": "contact.limits",
+    "check_posture": "contact.limits",
     "check_shape": "contact.shapes",
+    "clamp_posture": "contact.limits",
     "close_hand": "contact.closing",
     "closed_form": "force.distribution",
     "constrained_optimum": "force.distribution",

@@ -8,7 +8,7 @@ What a scene does not need is skipped: a sphere about all that the hand can reac
 the poses whose sphere meets the object are gathered and looked at closely.
 """
 
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import equinox as eqx
@@ -39,7 +39,7 @@ class Contacts(eqx.Module):
     depths: Float[Array, "*batch L"]
     """How far the link reaches into the object [m], 0 or more."""
     present: Float[Array, "*batch L"]
-    """1 where the link touches."""
+    """1 where the link touches; NaN where that cannot be told from the data."""
     tests: Int[Array, "*batch"]
     """Sphere tests done for this pose: 1 where the hand is out of reach, else 1 and every leaf."""
 
@@ -161,14 +161,16 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
     own = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
     distance, _ = scene.shape._distance(Vec(*own.T))
-    return distance <= reach
+    # A NaN goes on to the closer look, which shows it.
+    return ~(distance > reach)
 
 
 def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
     """Every leaf against the object."""
     object_ = body(scene.placed)
     links = stand(hand, scene.posture).links
-    centers = _leaves(hand, _seen_from(object_, links))
+    seen = _seen_from(object_, links)
+    centers = _leaves(hand, seen)
     radii = jnp.asarray(hand.skin.radii)[..., None]
     distance, out = scene.shape._distance(centers)
     depth = jnp.where(radii > 0, jnp.maximum(radii - distance, 0), 0)
@@ -176,12 +178,14 @@ def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
     point = vec.add(object_.origin, vec.rotate_back(object_.axes, merged.point))
     normal = vec.rotate_back(object_.axes, merged.normal)
     touching = merged.depth > 0
+    # Norms take a NaN for zero; the frames themselves show it.
+    known = jnp.isfinite(reduce(jnp.add, jax.tree.leaves(seen)) + merged.depth)
     size = merged.depth.shape[-1]
     return Contacts(
         points=_rows(Vec(*(jnp.where(touching, c, 0) for c in point))),
         normals=_rows(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal)))),
-        depths=merged.depth.T,
-        present=touching.astype(merged.depth.dtype).T,
+        depths=jnp.where(known, merged.depth, jnp.nan).T,
+        present=jnp.where(known, touching.astype(merged.depth.dtype), jnp.nan).T,
         tests=jnp.full(size, 1 + int(np.prod(hand.skin.radii.shape)), jnp.int32),
     )
 

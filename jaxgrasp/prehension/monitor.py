@@ -80,7 +80,8 @@ def monitor(
     applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
-    lost = ~jnp.any(there, -1)
+    # What cannot be told from the data is not lost: the verdicts say INVALID_DATA.
+    lost = ~jnp.any(there, -1) & (closed.verdict != Verdict.INVALID_DATA)
     holds = _solved(applied)
     state = jnp.where(lost, Hold.LOST, jnp.where(holds, Hold.STABLE, Hold.SLIPPING))
     return Assessment(

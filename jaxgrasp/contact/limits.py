@@ -1,0 +1,58 @@
+"""Joint limits and bad poses: refused with their names, or clamped, as the caller likes."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.model.hand import Hand, Pose, Posture
+
+ROUNDING = 1e-6
+"""How far an angle may pass its limit [rad], or a rotation its orthonormality, by rounding alone."""
+
+
+def check_posture(hand: Hand, posture: Posture) -> None:
+    """Raise ValueError at the first entry of concrete postures that no such hand can take.
+
+    Args:
+        hand: whose limits hold.
+        posture: with any leading axes.
+
+    Raises:
+        ValueError: for angles that are not finite or beyond their limits, and for a wrist that is no pose.
+    """
+    check_pose("wrist", posture.wrist)
+    angles = np.asarray(posture.angles)
+    lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
+    if angles.shape[-1:] != lower.shape:
+        raise ValueError(f"angles has shape {angles.shape}: expected (..., {len(lower)}), one for each joint")
+    bad = np.argwhere(~((angles >= lower - ROUNDING) & (angles <= upper + ROUNDING)))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        joint = at[-1]
+        raise ValueError(
+            f"angles[{', '.join(map(str, at))}] ({hand.joints[joint]}) is {angles[at]:.6g} rad: "
+            f"expected {lower[joint]:.6g} to {upper[joint]:.6g}; clamp_posture brings it there"
+        )
+
+
+def check_pose(name: str, pose: Pose) -> None:
+    """Raise ValueError unless origins are finite and rotations are rotations."""
+    origin, rotation = np.asarray(pose.origin), np.asarray(pose.rotation)
+    bad = np.argwhere(~np.isfinite(origin))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        raise ValueError(f"{name}.origin[{', '.join(map(str, at))}] is {origin[at]}: expected a finite number [m]")
+    with np.errstate(invalid="ignore"):
+        square = np.abs(rotation @ rotation.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
+        proper = (square <= ROUNDING) & (np.linalg.det(rotation) > 0)
+    bad = np.argwhere(~proper)
+    if len(bad):
+        place = ", ".join(map(str, bad[0]))
+        raise ValueError(
+            f"{name}.rotation{f'[{place}]' if place else ''} is no rotation: expected a matrix with orthonormal "
+            "columns and determinant 1"
+        )
+
+
+def clamp_posture(hand: Hand, posture: Posture) -> Posture:
+    """The posture with every angle brought within its limits; what is not a number stays."""
+    return Posture(posture.wrist, jnp.clip(jnp.asarray(posture.angles), hand.lower, hand.upper))

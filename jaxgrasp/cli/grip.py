@@ -57,8 +57,9 @@ def grip_command(arguments: Grip) -> int:
     )
     record = carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    _write(arguments.out, hand, times, postures, record)
-    print(_said(hand, times, record))
+    summary = _summary(hand, times, record)
+    _write(arguments.out, hand, times, postures, record, summary)
+    print(_said(summary))
     print(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     return 0
 
@@ -87,7 +88,7 @@ def _shape(arguments: Grip) -> Shape:
     return shapes[arguments.object]
 
 
-def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: list[Instant]) -> None:
+def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: list[Instant], summary: dict) -> None:
     """Everything over time in arrays, and in words what a person asks first."""
     ticks = jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *(instant.tick for instant in record)))
     columns = {
@@ -117,7 +118,7 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
         "links": np.array([link.name for link in hand.links]),
     }
     replace_file(out / "grip.npz", lambda stream: np.savez_compressed(stream, **jax.device_get(columns)))
-    text = json.dumps(_summary(hand, times, record), indent=2)
+    text = json.dumps(summary, indent=2)
     replace_file(out / "grip.json", lambda stream: stream.write(text.encode()))
 
 
@@ -139,8 +140,7 @@ def _summary(hand: Hand, times: np.ndarray, record: list[Instant]) -> dict:
     }
 
 
-def _said(hand: Hand, times: np.ndarray, record: list[Instant]) -> str:
-    found = _summary(hand, times, record)
+def _said(found: dict) -> str:
     holds = ", ".join(f"{count} {name.lower()}" for name, count in found["hold"].items())
     lines = [
         f"{found['instants']} instants: {holds}; {found['contacts']['least']} to {found['contacts']['most']} contacts",

@@ -43,7 +43,7 @@ def close_hand(
     Returns:
         The closed posture, and its contacts.
     """
-    moves = jnp.asarray(ancestry(hand.parents, tuple(link.joint for link in hand.links)))
+    moves = jnp.asarray(ancestry(hand))
     start = jnp.asarray(posture.angles)
     if towards is None:
         flexes = np.array(["abduction" not in name for name in hand.joints])

@@ -8,6 +8,7 @@ What a scene does not need is skipped: a sphere about all that the hand can reac
 the poses whose sphere meets the object are gathered and looked at closely.
 """
 
+import math
 from functools import partial, reduce
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
-from jaxgrasp.contact.kinematics import Bodies, ancestry, body, flatten_posture, stand
+from jaxgrasp.contact.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
 from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose, Posture
@@ -79,17 +80,16 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
         batch, origin.shape[:-1], rotation.shape[:-2], *(size.shape for size in jax.tree.leaves(sizes))
     )
 
-    def spread(array: Array, axes: tuple[int, ...]) -> Array:
-        tail = array.shape[len(axes) :]
-        if all(size == 1 for size in axes):
-            return array.reshape(1, *tail)
-        return jnp.broadcast_to(array.reshape(*axes, *tail), (*whole, *tail)).reshape(-1, *tail)
+    def spread(array: Array, tail: tuple[int, ...]) -> Array:
+        return jnp.broadcast_to(array, (*whole, *tail)).reshape(-1, *tail)
 
-    posture = jax.tree.map(lambda x: jnp.broadcast_to(x.reshape(*batch, *x.shape[1:]), (*whole, *x.shape[1:])), flat)
+    def shared_or_spread(array: Array, tail: tuple[int, ...] = ()) -> Array:
+        return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(array, tail)
+
     scene = _Scene(
-        jax.tree.map(lambda x: x.reshape(-1, *x.shape[len(whole) :]), posture),
-        jax.tree.map(lambda x: spread(x, x.shape), sizes),
-        Pose(spread(origin, origin.shape[:-1]), spread(rotation, rotation.shape[:-2])),
+        jax.tree.map(lambda x: spread(x.reshape(*batch, *x.shape[1:]), x.shape[1:]), flat),
+        jax.tree.map(shared_or_spread, sizes),
+        Pose(shared_or_spread(origin, (3,)), shared_or_spread(rotation, (3, 3))),
     )
     contacts = _detect(hand, scene)
     return jax.tree.map(lambda x: x.reshape(*whole, *x.shape[1:]), contacts)
@@ -155,7 +155,7 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     middle = jnp.mean(hand.origins[first], 0)
     steps = jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
     carriers = np.array([link.joint for link in hand.links])
-    moves = ancestry(hand.parents, tuple(link.joint for link in hand.links)).astype(float)
+    moves = ancestry(hand).astype(float)
     centers = hand.skin.centers - jnp.where((carriers < 0)[:, None, None], middle, 0)
     reach = jnp.max(moves @ steps + jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1))
     center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
@@ -182,8 +182,8 @@ def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
     known = jnp.isfinite(reduce(jnp.add, jax.tree.leaves(seen)) + merged.depth)
     size = merged.depth.shape[-1]
     return Contacts(
-        points=_rows(Vec(*(jnp.where(touching, c, 0) for c in point))),
-        normals=_rows(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal)))),
+        points=vectors(Vec(*(jnp.where(touching, c, 0) for c in point)), (size,)),
+        normals=vectors(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal))), (size,)),
         depths=jnp.where(known, merged.depth, jnp.nan).T,
         present=jnp.where(known, touching.astype(merged.depth.dtype), jnp.nan).T,
         tests=jnp.full(size, 1 + int(np.prod(hand.skin.radii.shape)), jnp.int32),
@@ -224,8 +224,3 @@ def _merge(depth: Array, points: Vec, out: Vec) -> _Merged:
         normal=Vec(*(vec.safe_divide(c, length) for c in normal)),
         depth=mean(depth),
     )
-
-
-def _rows(vector: Vec) -> Array:
-    """Components ``(L, B)`` as ``(B, L, 3)``."""
-    return jnp.stack(vector, -1).swapaxes(0, 1)

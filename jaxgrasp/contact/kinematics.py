@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
 
@@ -50,9 +50,9 @@ def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
     flat, batch = flatten_posture(hand, posture)
     standing = stand(hand, flat)
     return HandFrames(
-        joints=Pose(_vectors(standing.hinges.origin, batch), _rotations(standing.hinges.axes, batch)),
-        axes=_vectors(standing.hinge_axes, batch),
-        links=Pose(_vectors(standing.links.origin, batch), _rotations(standing.links.axes, batch)),
+        joints=Pose(vectors(standing.hinges.origin, batch), _rotations(standing.hinges.axes, batch)),
+        axes=vectors(standing.hinge_axes, batch),
+        links=Pose(vectors(standing.links.origin, batch), _rotations(standing.links.axes, batch)),
     )
 
 
@@ -101,14 +101,19 @@ def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
     return [np.flatnonzero(np.array(depth) == d) for d in range(max(depth, default=-1) + 1)]
 
 
-@cache
-def ancestry(hand_parents: tuple[int, ...], carriers: tuple[int, ...]) -> np.ndarray:
+def ancestry(hand: Hand) -> np.ndarray:
     """Which hinges move which links: ``(L, J)`` booleans."""
-    moves = np.zeros((len(carriers), len(hand_parents)), bool)
-    for link, hinge in enumerate(carriers):
+    return _ancestry(hand.parents, hand.links)
+
+
+@cache
+def _ancestry(parents: tuple[int, ...], links: tuple[Link, ...]) -> np.ndarray:
+    moves = np.zeros((len(links), len(parents)), bool)
+    for row, link in zip(moves, links, strict=True):
+        hinge = link.joint
         while hinge >= 0:
-            moves[link, hinge] = True
-            hinge = hand_parents[hinge]
+            row[hinge] = True
+            hinge = parents[hinge]
     return moves
 
 
@@ -156,7 +161,7 @@ def _rotation(axis: Vec, angle: Array) -> Axes:
     return (column(0), column(1), column(2))
 
 
-def _vectors(vector: Vec, batch: tuple[int, ...]) -> Array:
+def vectors(vector: Vec, batch: tuple[int, ...]) -> Array:
     """Components ``(bodies, B)`` as ``(..., bodies, 3)``."""
     return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, -1, 3)
 
@@ -179,7 +184,7 @@ def contact_jacobian(
     Returns:
         Joint axis x (point - joint), zero for joints that do not carry the link.
     """
-    moves = ancestry(hand.parents, tuple(link.joint for link in hand.links))
+    moves = ancestry(hand)
     arms = jnp.asarray(points)[..., :, None, :] - frames.joints.origin[..., None, :, :]
     columns = jnp.cross(frames.axes[..., None, :, :], arms)
     return jnp.where(moves[:, :, None], columns, 0).swapaxes(-1, -2)
@@ -202,7 +207,7 @@ def joint_torques(
         points: one contact of each link, in the world [m].
         forces: on the object [N]; zero where a link does not touch.
     """
-    moves = ancestry(hand.parents, tuple(link.joint for link in hand.links)).T.astype(float)
+    moves = ancestry(hand).T.astype(float)
     felt = -jnp.asarray(forces)
     total = jnp.einsum("jl,...lc->...jc", moves, felt)
     moment = jnp.einsum("jl,...lc->...jc", moves, jnp.cross(jnp.asarray(points), felt))

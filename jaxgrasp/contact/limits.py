@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.contact.kinematics import flatten_posture
 from jaxgrasp.model.hand import Hand, Pose, Posture
 
 ROUNDING = 1e-6
@@ -20,10 +21,9 @@ def check_posture(hand: Hand, posture: Posture) -> None:
         ValueError: for angles that are not finite or beyond their limits, and for a wrist that is no pose.
     """
     check_pose("wrist", posture.wrist)
+    flatten_posture(hand, posture)  # for the errors that shapes deserve
     angles = np.asarray(posture.angles)
     lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
-    if angles.shape[-1:] != lower.shape:
-        raise ValueError(f"angles has shape {angles.shape}: expected (..., {len(lower)}), one for each joint")
     bad = np.argwhere(~((angles >= lower - ROUNDING) & (angles <= upper + ROUNDING)))
     if len(bad):
         at = tuple(int(i) for i in bad[0])

@@ -24,6 +24,7 @@ from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.prehension.monitor import Assessment, Hold, Law, monitor
 from jaxgrasp.prehension.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
 
@@ -88,11 +89,23 @@ def observe(
         law: which forces the hand applies, as for [`jaxgrasp.monitor`][].
     """
     contacts, grasp = _touched(scene, posture, placed)
-    wrench = jnp.broadcast_to(_weight(scene), (*contacts.tests.shape, 6))
+    return _assessed(scene, pose_hand(scene.hand, posture), contacts, grasp, inertial, law)
+
+
+def _assessed(
+    scene: Scene,
+    frames: HandFrames,
+    contacts: Contacts,
+    grasp: Grasp,
+    inertial: Float[AnyArray, "*#batch 6"] | None,
+    law: Law,
+) -> Tick:
+    weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
+    wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
     if inertial is not None:
         wrench = wrench + inertial
     assessment = monitor(grasp, wrench, law=law)
-    torques = joint_torques(scene.hand, pose_hand(scene.hand, posture), contacts.points, assessment.forces)
+    torques = joint_torques(scene.hand, frames, contacts.points, assessment.forces)
     return Tick(contacts, grasp, wrench, assessment, torques)
 
 
@@ -102,11 +115,6 @@ def _touched(scene: Scene, posture: Posture, placed: Pose) -> tuple[Contacts, Gr
     world = grasp_from_contacts(contacts, scene.friction, scene.stiffness, scene.contributions)
     points = world.points - jnp.asarray(placed.origin)[..., None, :]
     return contacts, Grasp(points, world.normals, world.friction, world.squeeze, world.present)
-
-
-def _weight(scene: Scene) -> Array:
-    """The wrench about the object's centre that holds its weight."""
-    return jnp.append(-scene.body.mass * jnp.asarray(scene.gravity), jnp.zeros(3))
 
 
 class _State(NamedTuple):
@@ -161,7 +169,7 @@ def _tick(
     gained = jnp.concatenate([(new - own) / dt for own, new in zip(state.motion, led, strict=True)])
     inertia = spatial_inertia(scene.body, state.placed.rotation)
     spin = jnp.append(jnp.zeros(3), jnp.cross(led.angular, inertia[3:, 3:] @ led.angular))
-    return observe(scene, posture, state.placed, inertia @ gained + spin, law=law), led
+    return _assessed(scene, now, contacts, grasp, inertia @ gained + spin, law), led
 
 
 def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.contact.shapes import Plane, Shape
+from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.vec import Vec
@@ -87,7 +87,13 @@ def motion_between(before: Pose, after: Pose, dt: float | AnyArray) -> Motion:
 
 def moved(placed: Pose, motion: Motion, dt: float | AnyArray) -> Pose:
     """A pose after ``dt`` seconds of a steady motion."""
-    x, y, z = motion.angular * dt
+    turn = rotation_by(motion.angular * dt)
+    return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
+
+
+def rotation_by(vector: Array) -> Array:
+    """The rotation about a vector by its length [rad]."""
+    x, y, z = vector
     cross = jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle2 = x * x + y * y + z * z
     angle = jnp.sqrt(angle2)
@@ -95,14 +101,11 @@ def moved(placed: Pose, motion: Motion, dt: float | AnyArray) -> Pose:
     safe = jnp.where(small, 1, angle)
     sine = jnp.where(small, 1 - angle2 / 6, jnp.sin(safe) / safe)
     cosine = jnp.where(small, 0.5 - angle2 / 24, (1 - jnp.cos(safe)) / safe**2)
-    turn = jnp.eye(3) + sine * cross + cosine * cross @ cross
-    return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
+    return jnp.eye(3) + sine * cross + cosine * cross @ cross
 
 
 def rest_on(table: Pose, shape: Shape, placed: Pose, motion: Motion) -> tuple[Pose, Motion, Array]:
     """An object lifted out of the table's half space, and whether it had to be; what stands on a table has stopped."""
-    if isinstance(shape, Plane):
-        return placed, motion, jnp.asarray(False)
     up = jnp.asarray(table.rotation)[:, 2]
     height = jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec(*(-up @ placed.rotation)))
     stands = height <= 0

@@ -10,6 +10,7 @@ from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.vec import Vec
+from jaxgrasp.prehension.motion import rotation_by
 
 OPPOSITION = 0.6
 """Abduction of the thumb, with which its tip comes to face the fingers' [rad]."""
@@ -72,7 +73,7 @@ def lift_and_turn(
     """
     way = (jnp.asarray(times) - times[0]) / (times[-1] - times[0]) * 4
     lifted, turned, opened = (_smooth(way - begin) for begin in (1.0, 2.0, 3.0))
-    rotation = jax.vmap(lambda angle: _about(jnp.asarray(axis), angle))(turn * turned) @ closed.wrist.rotation
+    rotation = jax.vmap(rotation_by)(turn * turned[:, None] * jnp.asarray(axis)) @ closed.wrist.rotation
     origin = closed.wrist.origin + lift * lifted[:, None] * jnp.array([0.0, 0.0, 1.0])
     angles = jnp.broadcast_to(closed.angles, (len(way), closed.angles.shape[0]))
     if release is not None:
@@ -84,8 +85,3 @@ def _smooth(way: jax.Array) -> jax.Array:
     """From 0 to 1 without a jump in speed or acceleration."""
     s = jnp.clip(way, 0, 1)
     return s**3 * (10 - 15 * s + 6 * s**2)
-
-
-def _about(axis: jax.Array, angle: jax.Array) -> jax.Array:
-    cross = jnp.cross(jnp.eye(3), -axis)
-    return jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * cross @ cross

@@ -2,14 +2,10 @@
 
 import json
 import math
-import platform
 from dataclasses import asdict
-from datetime import UTC, datetime
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 
-import jax
 from tqdm import tqdm
 
 from jaxgrasp.batch.hints import hints
@@ -21,7 +17,7 @@ from jaxgrasp.batch.summary_json import to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.arguments import Evaluate
 from jaxgrasp.cli.data import data_path, opened
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import provenance, set_up_jax
 
 
 def evaluate_command(arguments: Evaluate) -> int:
@@ -91,13 +87,10 @@ def _write_report(path: Path, data: Path, outcome: Outcome, arguments: Evaluate)
 
 
 def _details(arguments: Evaluate) -> dict[str, str]:
-    devices = jax.local_devices()
     return {
         "input": data_path(arguments).name,
         "normals": arguments.normals,
         "methods": ", ".join(arguments.methods),
         "precision": arguments.dtype,
-        "devices": f"{len(devices)} x {devices[0].device_kind}",
-        "versions": f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}",
-        "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        **provenance(),
     }

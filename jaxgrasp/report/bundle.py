@@ -1,4 +1,4 @@
-"""Puts figures and the plotting library into the page, so that it opens offline."""
+"""Puts figures, data and the plotting library into a page, so that it opens offline."""
 
 import base64
 import gzip
@@ -6,7 +6,17 @@ import json
 from functools import cache
 from importlib.resources import files
 
+import numpy as np
+
+from jaxgrasp.report.look import text
+
 MISSING = "the report needs plotly: pip install 'jaxgrasp[report]'"
+
+# The page may run what it carries and may fetch nothing: the browser itself holds it to opening offline.
+POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; font-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
+)
 
 
 @cache
@@ -32,3 +42,39 @@ def embedded(name: str, data: object) -> str:
     """Data for the page's script, in a form that no text inside it can break out of."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return f'<script type="application/json" id="{name}">{text}</script>'
+
+
+def listed(array: np.ndarray, decimals: int) -> list:
+    """An array as lists of rounded numbers; what is not finite is null, which ends a line or leaves a part out."""
+    rounded = np.round(np.asarray(array, float), decimals)
+    values = rounded.astype(object)
+    values[~np.isfinite(rounded)] = None
+    return values.tolist()
+
+
+def page_html(title: str, body: str, script: str) -> str:
+    """A whole page around a body, with the script of this name."""
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="generator" content="jaxgrasp">
+<title>{text(title)}</title>
+<style>
+{asset("style.css")}</style>
+</head>
+<body>
+<main>
+<noscript><p class="note">The figures need JavaScript; the numbers and tables do not.</p></noscript>
+{body}
+<footer>Written by jaxgrasp. Figures by plotly.js, MIT licence, © Plotly, Inc.; it is inside this file, which
+fetches nothing. SI units throughout.</footer>
+</main>
+<script type="text/plain" id="library">{plotly_bundle()}</script>
+<script>
+{asset("library.js")}{asset(script)}</script>
+</body>
+</html>
+"""

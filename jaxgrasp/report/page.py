@@ -9,16 +9,10 @@ from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.report import sections
-from jaxgrasp.report.bundle import asset, plotly_bundle
+from jaxgrasp.report.bundle import page_html
 from jaxgrasp.report.look import counted, text
 from jaxgrasp.report.tiles import tiles_html
 from jaxgrasp.report.worst import worst_html
-
-# The page may run what it carries and may fetch nothing: the browser itself holds it to opening offline.
-POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
-    "img-src data: blob:; font-src data:; worker-src blob:; base-uri 'none'; form-action 'none'"
-)
 
 
 def write_report(
@@ -42,7 +36,6 @@ def write_report(
 
 def report_html(summary: Summary, times: Times, *, title: str, details: dict[str, str]) -> str:
     """The page as text."""
-    library = plotly_bundle()
     parts = (
         ("verdicts", "Verdicts", sections.verdicts_html(summary)),
         ("distributions", "How far the closed forms are from their optima", sections.distributions_html(summary)),
@@ -52,32 +45,8 @@ def report_html(summary: Summary, times: Times, *, title: str, details: dict[str
         ("details", "Details", sections.details_html(details)),
     )
     body = "\n".join(f'<section id="{name}"><h2>{heading}</h2>{content}</section>' for name, heading, content in parts)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="generator" content="jaxgrasp">
-<title>{text(title)}</title>
-<style>
-{asset("style.css")}</style>
-</head>
-<body>
-<main>
-<header><h1>{text(title)}</h1><p class="lead">{_lead(summary)}</p></header>
-<noscript><p class="note">The figures need JavaScript; the numbers and tables do not.</p></noscript>
-{tiles_html(summary)}
-{body}
-<footer>Written by jaxgrasp. Figures by plotly.js, MIT licence, © Plotly, Inc.; it is inside this file, which
-fetches nothing. SI units throughout.</footer>
-</main>
-<script type="text/plain" id="library">{library}</script>
-<script>
-{asset("page.js")}</script>
-</body>
-</html>
-"""
+    top = f'<header><h1>{text(title)}</h1><p class="lead">{_lead(summary)}</p></header>'
+    return page_html(title, f"{top}\n{tiles_html(summary)}\n{body}", "page.js")
 
 
 def _lead(summary: Summary) -> str:

@@ -28,14 +28,14 @@ class Case:
         spread = float(np.linalg.norm(self.points - self.centroid, axis=1).max())
         self.spread = spread if spread > 0 else 0.01
 
-        self.length = _round_up(self.spread / 5)
+        self.length = round_up(self.spread / 5)
         """A round length of arrow [m], which stands for ``newtons`` or ``optimum_newtons``."""
         own, other = _largest(self.closed, self.wrench[None, :3]), _largest(self.optimum)
         # Near infeasibility the optimum's forces grow without bound, and one scale would hide the closed form's.
         if max(own, other) <= MUCH_LARGER * min(own, other):
             own = other = max(own, other)
         self.newtons, self.optimum_newtons = (
-            _round_up(size * self.length / (ARROW * self.spread)) for size in (own, other)
+            round_up(size * self.length / (ARROW * self.spread)) for size in (own, other)
         )
 
     def angles(self, forces: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def scene(case: Case) -> dict:
     # A cube about the centroid that holds everything: equal axes, and no case jumps in size when another is chosen.
     reach = 1.04 * max(_reach(trace, case.centroid) for trace in traces)
     middle = dict(zip("xyz", case.centroid.tolist(), strict=True))
-    axes = {f"{a}axis": _axis(a, at - reach, at + reach) for a, at in middle.items()}
+    axes = {f"{a}axis": axis3(a, at - reach, at + reach) for a, at in middle.items()}
     camera = {"eye": {"x": 1.17, "y": 1.17, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.08}}
     shape = layout(
         600,
@@ -83,7 +83,8 @@ def scale_text(case: Case) -> str:
     )
 
 
-def _axis(name: str, low: float, high: float) -> dict:
+def axis3(name: str, low: float, high: float) -> dict:
+    """One axis of a scene."""
     font = {"size": 11, "color": MUTED}
     look = {
         "title": {"text": f"{name} [m]", "font": font},
@@ -105,7 +106,7 @@ def _contacts(case: Case) -> dict:
         "type": "scatter3d",
         "mode": "markers+text",
         "name": "contact",
-        **_xyz(case.points),
+        **xyz(case.points),
         "text": [f"<b>{i + 1}</b>" for i in range(len(case.points))],
         "textposition": "top center",
         "textfont": {"size": 14, "color": INK},
@@ -172,7 +173,7 @@ def _lines(title: str, tails, tips, colour: str, width: int, texts=None, dash: s
     if texts:
         hover = {"hovertext": [t for text in texts for t in (text, text, "")], "hoverinfo": "text"}
     line = {"color": colour, "width": width, "dash": dash}
-    return {"type": "scatter3d", "mode": "lines", "name": title, **_xyz(path), "line": line, **hover}
+    return {"type": "scatter3d", "mode": "lines", "name": title, **xyz(path), "line": line, **hover}
 
 
 def _cones(case: Case) -> dict:
@@ -188,7 +189,7 @@ def _cones(case: Case) -> dict:
 def _mesh(apexes, axes, heights, radii, colour: str, opacity: float, sides: int, closed: bool) -> dict:
     """Cones as triangles from apex to rim, and over the base where it is closed."""
     turn = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    first, second = _across(axes)
+    first, second = across(axes)
     ring = np.cos(turn)[:, None, None] * first + np.sin(turn)[:, None, None] * second
     base = apexes + heights * axes
     rim = np.swapaxes(base + radii * ring, 0, 1)
@@ -199,10 +200,10 @@ def _mesh(apexes, axes, heights, radii, colour: str, opacity: float, sides: int,
         faces = np.concatenate([faces, np.column_stack([np.ones(sides, int), at, after])])
     faces = (faces + (sides + 2) * np.arange(len(apexes))[:, None, None]).reshape(-1, 3)
     triangles = dict(zip("ijk", faces.T.tolist(), strict=True))
-    return {"type": "mesh3d", **_xyz(corners.reshape(-1, 3)), **triangles, "color": colour, "opacity": opacity}
+    return {"type": "mesh3d", **xyz(corners.reshape(-1, 3)), **triangles, "color": colour, "opacity": opacity}
 
 
-def _across(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def across(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors across each axis."""
     # The coordinate direction that an axis has least of is never parallel to it.
     least = np.eye(3)[np.abs(axes).argmin(1)]
@@ -211,7 +212,7 @@ def _across(axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, np.cross(axes, first)
 
 
-def _xyz(points: np.ndarray) -> dict:
+def xyz(points: np.ndarray) -> dict:
     """Coordinates to five digits, finer than a pixel; a gap is null."""
     columns = [[None if np.isnan(v) else float(f"{v:.5g}") for v in column] for column in points.T]
     return dict(zip("xyz", columns, strict=True))
@@ -221,7 +222,7 @@ def _largest(*forces: np.ndarray) -> float:
     return float(np.linalg.norm(np.vstack(forces), axis=1).max())
 
 
-def _round_up(value: float) -> float:
+def round_up(value: float) -> float:
     """The next number of the form 1, 2 or 5 times a power of ten."""
     if value == 0:
         return 1.0

@@ -113,7 +113,7 @@ def test_nothing_is_fetched():
 
 
 def test_data_are_not_offered_to_a_cloud():
-    script = bundle.asset("page.js")
+    script = bundle.asset("library.js")
     assert "showSendToCloud: false" in script
     assert 'plotlyServerURL: ""' in script
 

@@ -102,6 +102,8 @@ class Grip:
     """From one instant to the next [s]."""
     law: Literal["closed-form", "optimum"] = "optimum"
     """Which forces decide whether the object slips; the paper's are the closed form."""
+    report: bool = True
+    """Write grip.html beside the results (needs the extra `report`)."""
     out: Path = Path("jaxgrasp-grip")
     """Folder for the results."""
 

@@ -3,6 +3,7 @@
 import json
 import math
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 
 import jax
@@ -11,7 +12,7 @@ import numpy as np
 
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Grip
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import provenance, set_up_jax
 from jaxgrasp.contact.human_hand import human_hand
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.contact.to_grasp import link_contributions
@@ -21,6 +22,7 @@ from jaxgrasp.prehension.carry import Instant, Scene, carry
 from jaxgrasp.prehension.monitor import Hold
 from jaxgrasp.prehension.motion import Body
 from jaxgrasp.prehension.power_grip import lay_on, lift_and_turn, power_grip
+from jaxgrasp.report.history import History, history
 
 GRAVITY = (0.0, 0.0, -9.81)
 TABLE = -0.5
@@ -61,6 +63,8 @@ def grip_command(arguments: Grip) -> int:
     _write(arguments.out, hand, times, postures, record, summary)
     print(_said(summary))
     print(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
+    if arguments.report:
+        _write_report(arguments, scene, history(scene, postures, times, record))
     return 0
 
 
@@ -120,6 +124,29 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
     replace_file(out / "grip.npz", lambda stream: np.savez_compressed(stream, **jax.device_get(columns)))
     text = json.dumps(summary, indent=2)
     replace_file(out / "grip.json", lambda stream: stream.write(text.encode()))
+
+
+def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
+    from jaxgrasp.report.grip_page import write_grip_page
+
+    path = arguments.out / "grip.html"
+    try:
+        write_grip_page(path, scene, happened, title=_title(arguments), details=_details(arguments))
+    except ImportError as error:
+        print(f"no report: {error}")
+    else:
+        print(f"report:  {path}")
+
+
+def _title(arguments: Grip) -> str:
+    hand = f"a {arguments.side} hand of {1000 * arguments.hand_length:g} mm"
+    return f"A {arguments.object} of {1000 * arguments.mass:g} g in {hand}"
+
+
+def _details(arguments: Grip) -> dict[str, str]:
+    """What was asked for, and by which versions it was answered."""
+    asked = {name: value for name, value in asdict(arguments).items() if name not in ("out", "report")}
+    return {name.replace("_", " "): str(value) for name, value in asked.items()} | provenance()
 
 
 def _summary(hand: Hand, times: np.ndarray, record: list[Instant]) -> dict:

@@ -1,10 +1,13 @@
 """How the report shows things: one colour for each method and verdict, and numbers as a person reads them."""
 
 import math
+from collections.abc import Iterable
 from html import escape
+from itertools import cycle
 
 from jaxgrasp.batch.methods import METHODS
 from jaxgrasp.model.solution import Verdict
+from jaxgrasp.prehension.monitor import Hold, Touch
 
 # The palette of Okabe and Ito, safe for colour-blind readers. Closed forms are warm, optima are cool: where the two
 # are drawn together, warm is what may slip.
@@ -27,9 +30,19 @@ VERDICT_TITLES = {
     Verdict.NOT_CONVERGED: "not decided",
     Verdict.INVALID_DATA: "invalid data",
 }
+TOUCH_COLOURS = {Touch.HOLDS: "#009E73", Touch.SLIDES: "#D55E00", Touch.PULLS: "#CC79A7"}
+HOLD_COLOURS = {Hold.STABLE: "#009E73", Hold.SLIPPING: "#D55E00", Hold.LOST: "#5A5A5A"}
+# Colours that say nothing about how a contact holds.
+FINGER_COLOURS = ("#1c2530", "#E69F00", "#56B4E9", "#0072B2", "#8a6d3b")
+SKIN_COLOUR, OBJECT_COLOUR, TABLE_COLOUR = "#e3c4a8", "#9fb0c3", "#cfc9bd"
 INK, MUTED, GRID = "#1c2530", "#5b6673", "#e3e7ec"
 WRENCH_COLOUR = "#222222"
 NOTHING = "\N{EN DASH}"
+
+
+def finger_colours(fingers: Iterable[str]) -> dict[str, str]:
+    """A colour for each finger, in the order in which they first come."""
+    return dict(zip(dict.fromkeys(fingers), cycle(FINGER_COLOURS), strict=False))
 
 
 def method_title(name: str) -> str:

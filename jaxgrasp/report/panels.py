@@ -1,0 +1,121 @@
+"""The three plots over time of a grip, as plain data: normal forces, joint torques, friction margins."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxgrasp.prehension.monitor import Hold
+from jaxgrasp.report.history import History
+from jaxgrasp.report.look import finger_colours
+
+
+class Line(NamedTuple):
+    """One quantity over time, drawn in its finger's colour."""
+
+    name: str
+    colour: str
+    values: np.ndarray
+    label: str = ""
+    """What stands beside its end, where it is one of the few that are named there."""
+    dotted: bool = False
+
+
+class Panel(NamedTuple):
+    """A plot with its axis, and a level worth a line of its own."""
+
+    title: str
+    lines: list[Line]
+    least: float
+    """The least range of values that is worth the whole height."""
+    level: str = ""
+    """What zero means."""
+
+
+def panels(history: History) -> list[Panel]:
+    """Over all instants, by finger."""
+    colours = finger_colours(history.fingers)
+    return [_forces(history, colours), _torques(history, colours), _margins(history, colours)]
+
+
+def spells(history: History) -> list[tuple[float, float, Hold]]:
+    """From when to when the object is not held, and how."""
+    changes = np.flatnonzero(np.diff(history.hold)) + 1
+    begins = np.concatenate([[0], changes])
+    ends = np.concatenate([changes, [len(history.hold) - 1]])
+    found = [
+        (float(history.times[a]), float(history.times[b]), Hold(int(history.hold[a])))
+        for a, b in zip(begins, ends, strict=True)
+    ]
+    return [spell for spell in found if spell[2] != Hold.STABLE]
+
+
+def levels(history: History, lines: list[Line]) -> list[float]:
+    """Where lines mostly run while the object is held, or where it never is, at all; 0 where nothing is known."""
+    held = history.hold == Hold.STABLE
+    held = held if held.any() else np.full(len(held), True)
+    known = [line.values[held & np.isfinite(line.values)] for line in lines]
+    return [float(np.median(values)) if len(values) else 0.0 for values in known]
+
+
+def label_heights(wanted: list[float], low: float, high: float, gap: float) -> list[float]:
+    """Where labels stand, in order: as near to their levels as they can be apart by ``gap``."""
+    order = np.argsort(wanted, kind="stable")
+    heights = np.array(wanted, float)[order]
+    floor = low - gap
+    for k, height in enumerate(heights):
+        heights[k] = floor = max(height, floor + gap)
+    # Those pushed over the top come down again, and take their neighbours with them.
+    ceiling = high + gap
+    for k in range(len(heights) - 1, -1, -1):
+        heights[k] = ceiling = min(heights[k], ceiling - gap)
+    return heights[np.argsort(order)].tolist()
+
+
+def value_range(panel: Panel) -> tuple[float, float]:
+    """What a panel shows: zero and all values, but of short peaks no more than would double it."""
+    values = np.concatenate([line.values for line in panel.lines])
+    values = np.append(values[np.isfinite(values)], 0)
+    least, low, high, most = (float(v) for v in np.quantile(values, [0, 0.02, 0.98, 1]))
+    low, high = min(low, 0.0), max(high, 0.0)
+    beyond = (high - low) / 2
+    low, high = max(least, low - beyond), min(most, high + beyond)
+    room = max(0.06 * (high - low), (panel.least - (high - low)) / 2)
+    return low - room, high + room
+
+
+def _forces(history: History, colours: dict[str, str]) -> Panel:
+    exerted, intended = np.where(history.drawn, history.pressing, 0), np.where(history.drawn, history.squeeze, 0)
+    lines = []
+    for finger, own in _links(history, colours):
+        lines += [
+            Line(f"{finger}, squeezing force", colours[finger], intended[:, own].sum(1), dotted=True),
+            Line(f"{finger}, normal force", colours[finger], exerted[:, own].sum(1), finger),
+        ]
+    return Panel("normal force [N]", lines, 1.0)
+
+
+def _torques(history: History, colours: dict[str, str]) -> Panel:
+    """Each finger's most loaded joint is named."""
+    peaks = np.abs(np.nan_to_num(history.torques)).max(0)
+    fingers = np.array(history.joint_fingers)
+    lines = []
+    for j, joint in enumerate(history.joints):
+        own = np.flatnonzero(fingers == fingers[j])
+        named = own[peaks[own].argmax()] == j
+        lines.append(Line(joint, colours[fingers[j]], history.torques[:, j], joint if named else ""))
+    return Panel("joint torque [N·m]", lines, 0.1, "below 0: against flexion")
+
+
+def _margins(history: History, colours: dict[str, str]) -> Panel:
+    margins = np.where(history.drawn & np.isfinite(history.margins), np.degrees(history.margins), np.inf)
+    smallest = [(finger, margins[:, own].min(1)) for finger, own in _links(history, colours)]
+    lines = [
+        Line(f"{finger}, smallest margin", colours[finger], np.where(np.isfinite(least), least, np.nan), finger)
+        for finger, least in smallest
+    ]
+    return Panel("friction margin [°]", lines, 5.0, "below 0: slides")
+
+
+def _links(history: History, colours: dict[str, str]) -> list[tuple[str, np.ndarray]]:
+    fingers = np.array(history.fingers)
+    return [(finger, np.flatnonzero(fingers == finger)) for finger in colours]

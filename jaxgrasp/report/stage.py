@@ -1,0 +1,87 @@
+"""What stands on the stage of a grip, how much of the world is shown, and how long a newton is drawn."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxgrasp.prehension.carry import Scene
+from jaxgrasp.prehension.monitor import Hold
+from jaxgrasp.report.history import History
+from jaxgrasp.report.scene import round_up
+from jaxgrasp.report.surfaces import Surface, link_surfaces, placed, shape_surface
+
+NORMAL, HEAD = 0.015, 0.008
+"""Lengths of a normal's arrow, and of an arrow's head [m]."""
+LONG = 0.06
+"""How long an arrow of a large force is, about [m]."""
+FALL, NEAR = 0.05, 0.12
+"""How far below the hand a lost object is followed, and down to where a table is shown [m]."""
+ROOM = 0.01
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A round length [m] and the force that it stands for [N]."""
+
+    length: float
+    newtons: float
+
+    @property
+    def metres(self) -> float:
+        """Of a newton."""
+        return self.length / self.newtons
+
+    @staticmethod
+    def of(history: History) -> "Scale":
+        """By the large forces of a grip, not its largest: one instant's jolt would hide all others."""
+        sizes = np.linalg.norm(history.forces, axis=-1)
+        loaded = sizes[history.drawn & (sizes > 0) & np.isfinite(sizes)]
+        large = float(np.quantile(loaded, 0.9)) if len(loaded) else 1.0
+        return Scale(0.01, round_up(large * 0.01 / LONG))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Hand, object and table, and the box that they are seen in."""
+
+    links: list[Surface]
+    object: Surface
+    table: Surface | None
+    box: np.ndarray
+    """``(2, 3)``: least and largest coordinates [m]."""
+
+    @property
+    def first_corners(self) -> np.ndarray:
+        """Where each link's corners begin among those of the whole hand."""
+        return np.cumsum([0, *(len(link.corners) for link in self.links[:-1])])
+
+    @staticmethod
+    def of(scene: Scene, history: History) -> "Stage":
+        """All that the hand goes through and the object while it is held, and a little of its fall."""
+        links, thing = link_surfaces(scene.hand), shape_surface(scene.body.shape)
+        lost = history.hold == Hold.LOST
+        seen = [placed(link.corners, history.link_poses[:, k]).reshape(-1, 3) for k, link in enumerate(links)]
+        hand = np.concatenate(seen)
+        held = placed(thing.corners, history.object_pose[~lost]).reshape(-1, 3)
+        both = np.concatenate([hand, held])
+        both = both[np.isfinite(both).all(-1)]
+        if not len(both):
+            both = np.zeros((1, 3))
+        box = np.stack([both.min(0) - ROOM, both.max(0) + ROOM])
+        if lost.any():
+            box[0, 2] -= FALL
+        height = (box[0] - scene.table.origin) @ np.asarray(scene.table.rotation)[:, 2]
+        if height > NEAR:
+            return Stage(links, thing, None, box)
+        box[0, 2] -= max(float(height), 0.0)
+        return Stage(links, thing, _table(scene, box), box)
+
+
+def _table(scene: Scene, box: np.ndarray) -> Surface:
+    """A part of the table's top as large as the box, below its middle."""
+    origin, rotation = np.asarray(scene.table.origin), np.asarray(scene.table.rotation)
+    middle = (box.mean(0) - origin) @ rotation
+    reach = float(np.ptp(box[:, :2], axis=0).max()) / 2
+    square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
+    corners = square * reach + [middle[0], middle[1], 0]
+    return Surface(corners @ rotation.T + origin, np.array([[0, 1, 2], [0, 2, 3]]))

@@ -103,7 +103,7 @@ class Grip:
     law: Literal["closed-form", "optimum"] = "optimum"
     """Which forces decide whether the object slips; the paper's are the closed form."""
     report: bool = True
-    """Write grip.html beside the results (needs the extra `report`)."""
+    """Write grip.html, grip.png and grip_forces.png beside the results (needs the extra `report`)."""
     out: Path = Path("jaxgrasp-grip")
     """Folder for the results."""
 

@@ -127,15 +127,21 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
 
 
 def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
+    """Page and pictures; of what is not installed one line says how to get it."""
     from jaxgrasp.report.grip_page import write_grip_page
+    from jaxgrasp.report.grip_pictures import write_grip_pictures
 
-    path = arguments.out / "grip.html"
+    out, whole = arguments.out, float(happened.times[-1])
+    instants = {"closed": 0.0, "lifted": whole / 2, "turned": 3 * whole / 4, "end": whole}
     try:
-        write_grip_page(path, scene, happened, title=_title(arguments), details=_details(arguments))
+        write_grip_page(out / "grip.html", scene, happened, title=_title(arguments), details=_details(arguments))
+        print(f"report:  {out / 'grip.html'}")
     except ImportError as error:
         print(f"no report: {error}")
-    else:
-        print(f"report:  {path}")
+    try:
+        print("pictures:", *write_grip_pictures(out, scene, happened, instants))
+    except ImportError as error:
+        print(f"no pictures: {error}")
 
 
 def _title(arguments: Grip) -> str:

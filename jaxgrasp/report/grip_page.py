@@ -83,10 +83,10 @@ def _legend(scale: Scale) -> str:
 def _caption(shown: int, count: int) -> str:
     part = "all" if shown == count else f"{shown} of"
     return (
-        "Drag turns the view, the wheel zooms; a click in a plot goes to that instant, and the space bar plays. "
-        "Solid: the applied law's forces; dotted: the squeezing forces that links intend (eq. 6). Friction margin: "
-        "friction angle less slip angle, the smallest of a finger; a gap where no force acts. A joint torque is what "
-        f"the hand feels. In three dimensions {part} {count} instants are shown."
+        "Drag turns the view, the wheel zooms; a click in a plot goes to that instant, a double click shows its peaks, "
+        "and the space bar plays. Solid: the applied law's forces; dotted: the squeezing forces that links intend "
+        "(eq. 6). Friction margin: friction angle less slip angle, the smallest of a finger; a gap where none acts. "
+        f"A joint torque is what the hand feels. In three dimensions {part} {count} instants are shown."
     )
 
 
@@ -167,7 +167,7 @@ def _view(stage: Stage) -> dict:
     axes = {f"{name}axis": axis3(name, *span) | {"showspikes": False} for name, span in spans}
     extent = stage.box[1] - stage.box[0]
     ratio = dict(zip("xyz", (np.sqrt(3) * extent / np.linalg.norm(extent)).tolist(), strict=True))
-    camera = {"eye": {"x": 1.1, "y": -1.5, "z": 0.35}}
+    camera = {"eye": {"x": 1.15, "y": 1.45, "z": 0.4}}
     shape = layout(640, scene={"aspectmode": "manual", "aspectratio": ratio, "camera": camera, **axes})
     shape["margin"] = {"l": 0, "r": 0, "t": 0, "b": 0}
     return shape

@@ -4,13 +4,21 @@ from jaxgrasp.report.bundle import listed
 from jaxgrasp.report.figures import axis, layout
 from jaxgrasp.report.history import History
 from jaxgrasp.report.look import HOLD_COLOURS, INK, MUTED
-from jaxgrasp.report.panels import Line, Panel, label_heights, levels, panels, spells, value_range
+from jaxgrasp.report.panels import (
+    WORTH_NAMING,
+    Line,
+    Panel,
+    footnote,
+    label_heights,
+    levels,
+    panels,
+    spells,
+    value_range,
+)
 
 PANEL, GAP, LABEL = 190, 22, 15
 """Heights of a panel, between panels, and of a label [px]."""
 PLAIN = {"xref": "paper", "showarrow": False}
-WORTH_NAMING = 0.06
-"""Share of the time from which a spell of slipping or falling is named."""
 
 
 def plots(history: History) -> dict:
@@ -31,8 +39,7 @@ def plots(history: History) -> dict:
         named = [line for line in panel.lines if line.label]
         heights = label_heights(levels(history, named), low, high, LABEL / PANEL * (high - low))
         notes += _labels(named, heights, name)
-        if panel.level:
-            notes.append(_level(panel, name, low))
+        notes.append(_footnote(panel, name, low))
     spans = _spells(history, span)
     cursor = {"type": "line", "x0": span[0], "x1": span[0], "y0": 0, "y1": 1, "yref": "paper"}
     shapes = [cursor | {"line": {"color": INK, "width": 1.5}}, *(shape for shape, _ in spans)]
@@ -69,11 +76,11 @@ def _labels(named: list[Line], heights: list[float], name: str) -> list[dict]:
     ]
 
 
-def _level(panel: Panel, name: str, low: float) -> dict:
-    """What zero means, at a panel's foot."""
+def _footnote(panel: Panel, name: str, low: float) -> dict:
+    """What is to be known, at a panel's foot."""
     look = {"font": {"size": 11, "color": MUTED}, "bgcolor": "rgba(255,255,255,0.8)", "borderpad": 1}
     place = {"x": 0.01, "y": low, "yref": name, "xanchor": "left", "yanchor": "bottom"}
-    return {"text": panel.level, **place, **look, **PLAIN}
+    return {"text": footnote(panel), **place, **look, **PLAIN}
 
 
 def _spells(history: History, span: tuple[float, float]) -> list[tuple[dict, dict | None]]:

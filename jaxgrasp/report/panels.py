@@ -6,7 +6,10 @@ import numpy as np
 
 from jaxgrasp.prehension.monitor import Hold
 from jaxgrasp.report.history import History
-from jaxgrasp.report.look import finger_colours
+from jaxgrasp.report.look import finger_colours, number
+
+WORTH_NAMING = 0.06
+"""Share of the time from which a spell of slipping or falling is named."""
 
 
 class Line(NamedTuple):
@@ -50,11 +53,18 @@ def spells(history: History) -> list[tuple[float, float, Hold]]:
 
 
 def levels(history: History, lines: list[Line]) -> list[float]:
-    """Where lines mostly run while the object is held, or where it never is, at all; 0 where nothing is known."""
+    """Where lines end; where the object is lost by then, or nothing known, where they mostly run while it is held."""
     held = history.hold == Hold.STABLE
-    held = held if held.any() else np.full(len(held), True)
-    known = [line.values[held & np.isfinite(line.values)] for line in lines]
-    return [float(np.median(values)) if len(values) else 0.0 for values in known]
+    lost = bool(history.hold[-1] == Hold.LOST)
+    return [_level(line.values, held, lost) for line in lines]
+
+
+def _level(values: np.ndarray, held: np.ndarray, lost: bool) -> float:
+    if not lost and np.isfinite(values[-1]):
+        return float(values[-1])
+    known = np.isfinite(values)
+    chosen = values[known & held] if (known & held).any() else values[known]
+    return float(np.median(chosen)) if len(chosen) else 0.0
 
 
 def label_heights(wanted: list[float], low: float, high: float, gap: float) -> list[float]:
@@ -73,14 +83,29 @@ def label_heights(wanted: list[float], low: float, high: float, gap: float) -> l
 
 def value_range(panel: Panel) -> tuple[float, float]:
     """What a panel shows: zero and all values, but of short peaks no more than would double it."""
-    values = np.concatenate([line.values for line in panel.lines])
-    values = np.append(values[np.isfinite(values)], 0)
+    values = _values(panel)
     least, low, high, most = (float(v) for v in np.quantile(values, [0, 0.02, 0.98, 1]))
     low, high = min(low, 0.0), max(high, 0.0)
     beyond = (high - low) / 2
     low, high = max(least, low - beyond), min(most, high + beyond)
     room = max(0.06 * (high - low), (panel.least - (high - low)) / 2)
     return low - room, high + room
+
+
+def footnote(panel: Panel) -> str:
+    """What zero means, and how far peaks go that the panel cuts off."""
+    low, high = value_range(panel)
+    values = _values(panel)
+    notes = [panel.level] if panel.level else []
+    if values.max() > high or values.min() < low:
+        notes.append(f"short peaks, cut off, go from {number(values.min(), 2)} to {number(values.max(), 2)}")
+    return "; ".join(notes)
+
+
+def _values(panel: Panel) -> np.ndarray:
+    """All that are known, and zero."""
+    values = np.concatenate([line.values for line in panel.lines])
+    return np.append(values[np.isfinite(values)], 0)
 
 
 def _forces(history: History, colours: dict[str, str]) -> Panel:

@@ -17,7 +17,9 @@ def test_a_cylinder_is_held_and_let_go(folder, capsys):
     assert "closed on the cylinder:" in said and "not stable for the first time" in said
     with np.load(folder / "out" / "grip.npz", allow_pickle=False) as file:
         found = {name: file[name] for name in file.files}
-    assert "report:" in said and (folder / "out" / "grip.html").stat().st_size < 6e6
+    assert "report:" in said and "pictures:" in said
+    assert (folder / "out" / "grip.html").stat().st_size < 6e6
+    assert all((folder / "out" / name).stat().st_size > 20_000 for name in ("grip.png", "grip_forces.png"))
     summary = json.loads((folder / "out" / "grip.json").read_text())
     count = len(found["time"])
     assert count == 101 == summary["instants"] and sum(summary["hold"].values()) == count

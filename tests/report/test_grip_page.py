@@ -29,7 +29,9 @@ from jaxgrasp import (
 from jaxgrasp.contact.kinematics import pose_hand
 from jaxgrasp.report import bundle
 from jaxgrasp.report.grip_page import FRAMES, grip_html, write_grip_page
+from jaxgrasp.report.grip_pictures import write_grip_pictures
 from jaxgrasp.report.history import History
+from jaxgrasp.report.instants_picture import instants_figure
 from jaxgrasp.report.panels import label_heights, panels, spells, value_range
 from jaxgrasp.report.stage import Scale, Stage
 from jaxgrasp.report.surfaces import arrow, arrows, hull, link_surfaces, placed, shape_surface
@@ -262,6 +264,33 @@ def test_a_short_peak_does_not_flatten_a_plot():
     history.torques[100] = 1e3
     low, high = value_range(panels(history)[1])
     assert low < -0.9 and 0 < high < 5
+
+
+def test_pictures_are_written_whole(tmp_path):
+    history = happened()
+    history.link_poses[2, 3] = np.nan
+    history.points[1, 2] = np.nan
+    paths = write_grip_pictures(tmp_path, scene(), history, {"closed": 0.0, "turned": 0.5, "end": 1.0})
+    assert [path.name for path in paths] == ["grip.png", "grip_forces.png"] and sorted(paths) == sorted(
+        tmp_path.iterdir()
+    )
+    assert all(path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 20_000 for path in paths)
+
+
+def test_pictures_name_each_instant_and_what_becomes_of_the_object():
+    figure = instants_figure(scene(), happened(), {"closed": 0, "end": 4})
+    assert [axes.get_title() for axes in figure.axes] == ["closed, 0.00 s", "end, 1.00 s"]
+    said = [axes.texts[0].get_text() for axes in figure.axes]
+    assert said == ["stable: 3 contacts, 1 hold, 1 slide, 1 pull", "lost: nothing touches"]
+    # Solids, normals, and a heap of arrows for each of holds, slides, pulls; no arrow where nothing touches.
+    assert [len(axes.collections) for axes in figure.axes] == [5, 1]
+
+
+def test_matplotlib_missing_is_one_line(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[report\]'"):
+        write_grip_pictures(tmp_path, scene(), happened(), {"closed": 0.0})
+    assert not list(tmp_path.iterdir())
 
 
 def test_plotly_missing_is_one_line(monkeypatch, tmp_path):

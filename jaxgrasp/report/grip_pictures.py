@@ -1,0 +1,39 @@
+"""Writes pictures of a grip, which need no browser."""
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.prehension.carry import Scene
+from jaxgrasp.report.history import History
+from jaxgrasp.report.instants_picture import instants_figure
+from jaxgrasp.report.panels_picture import panels_figure
+
+MISSING = "the pictures need matplotlib: pip install 'jaxgrasp[report]'"
+DPI = 130
+
+
+def write_grip_pictures(folder: Path, scene: Scene, history: History, instants: Mapping[str, float]) -> list[Path]:
+    """Write ``grip.png`` and ``grip_forces.png``, each whole or not at all, and say where.
+
+    Args:
+        folder: where to.
+        scene: hand, object and table.
+        history: what happened to them.
+        instants: names and times [s] of what ``grip.png`` shows.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise ImportError(MISSING) from None
+    shown = {name: int(np.abs(history.times - time).argmin()) for name, time in instants.items()}
+    figures = {"grip.png": instants_figure(scene, history, shown), "grip_forces.png": panels_figure(history, shown)}
+    for name, figure in figures.items():
+        replace_file(folder / name, partial(figure.savefig, format="png", dpi=DPI))
+    return [folder / name for name in figures]

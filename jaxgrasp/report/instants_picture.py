@@ -1,0 +1,152 @@
+"""Hand and object at a few instants of a grip, with normals and forces, as one picture."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxgrasp.prehension.carry import Scene
+from jaxgrasp.prehension.monitor import Hold
+from jaxgrasp.report.history import VERBS, History
+from jaxgrasp.report.look import (
+    GRID,
+    HOLD_COLOURS,
+    INK,
+    MUTED,
+    OBJECT_COLOUR,
+    SKIN_COLOUR,
+    TABLE_COLOUR,
+    TOUCH_COLOURS,
+    number,
+)
+from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage
+from jaxgrasp.report.surfaces import arrows, placed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ELEVATION, AZIMUTH = 12, 52
+"""Of the eye [degrees]: it sees a right thumb, and the palm once it is turned."""
+TO_EYE = np.array(
+    [
+        np.cos(np.radians(ELEVATION)) * np.cos(np.radians(AZIMUTH)),
+        np.cos(np.radians(ELEVATION)) * np.sin(np.radians(AZIMUTH)),
+        np.sin(np.radians(ELEVATION)),
+    ]
+)
+SUN = np.array([0.5, 0.3, 0.81])
+
+
+def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) -> "Figure":
+    """Hand and object at named instants, all seen from the same side and on the same scale."""
+    from matplotlib.figure import Figure
+
+    stage, scale = Stage.of(scene, history), Scale.of(history)
+    columns = 2 if len(shown) > 1 else 1
+    rows = -(-len(shown) // columns)
+    figure = Figure(figsize=(5.2 * columns, 4.9 * rows + 0.6))
+    boxes = {name: _around(history, stage, k) for name, k in shown.items()}
+    reach = max(float(np.ptp(box, axis=0).max()) for box in boxes.values()) / 2
+    for place, (name, k) in enumerate(shown.items(), 1):
+        axes = figure.add_subplot(rows, columns, place, projection="3d", computed_zorder=False)
+        _set_up(axes, boxes[name].mean(0), reach)
+        _draw_solids(axes, stage, history, k)
+        _draw_arrows(axes, history, k, scale)
+        axes.set_title(f"{name}, {history.times[k]:.2f} s", fontsize=12, color=INK, pad=14)
+        colour = HOLD_COLOURS[Hold(int(history.hold[k]))]
+        axes.text2D(0.5, 1.0, history.said(k), transform=axes.transAxes, ha="center", color=colour, weight="bold")
+    _legend(figure, scale)
+    foot = 0.55 / figure.get_figheight()
+    figure.subplots_adjust(left=0.05, right=0.98, bottom=foot + 0.02, top=0.95, wspace=0.1, hspace=0.14)
+    return figure
+
+
+def _around(history: History, stage: Stage, k: int) -> np.ndarray:
+    """The box of the hand at an instant, and of the object unless it is lost."""
+    parts = [placed(link.corners, pose) for link, pose in zip(stage.links, history.link_poses[k], strict=True)]
+    if history.hold[k] != Hold.LOST:
+        parts.append(placed(stage.object.corners, history.object_pose[k]))
+    corners = np.concatenate(parts)
+    corners = corners[np.isfinite(corners).all(1)]
+    return np.stack([corners.min(0), corners.max(0)]) if len(corners) else stage.box
+
+
+def _set_up(axes, middle: np.ndarray, reach: float) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.view_init(ELEVATION, AZIMUTH)
+    axes.set_proj_type("ortho")
+    axes.set_box_aspect((1, 1, 1), zoom=1.15)
+    for name, at in zip("xyz", middle.tolist(), strict=True):
+        getattr(axes, f"set_{name}lim")(at - reach, at + reach)
+        getattr(axes, f"set_{name}label")(f"{name} [m]", fontsize=9, color=MUTED)
+        own = getattr(axes, f"{name}axis")
+        own.set_major_locator(MaxNLocator(4))
+        own.set_pane_color((1, 1, 1, 0))
+        own._axinfo["grid"].update(color=GRID, linewidth=0.8)
+    axes.tick_params(labelsize=8, labelcolor=MUTED)
+
+
+def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
+    """What lies within the axes of hand, object and table."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    thing = placed(stage.object.corners, history.object_pose[k])
+    solids = [
+        (placed(link.corners, pose), link.faces, SKIN_COLOUR, 1.0)
+        for link, pose in zip(stage.links, history.link_poses[k], strict=True)
+    ]
+    solids.append((thing, stage.object.faces, OBJECT_COLOUR, 0.5))
+    if stage.table is not None:
+        solids.append((stage.table.corners, stage.table.faces, TABLE_COLOUR, 0.5))
+    triangles, colours = (np.concatenate(part) for part in zip(*(_shaded(*solid) for solid in solids), strict=True))
+    low, high = np.array([axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()]).T
+    seen = ((triangles >= low) & (triangles <= high)).all((1, 2))
+    # Opaque triangles are drawn a hair larger, or what lies behind would shine through their seams.
+    rims = np.where(colours[:, 3:] < 1, 0, colours)
+    look = {"facecolors": colours[seen], "edgecolors": rims[seen], "linewidths": 0.4, "zorder": 1}
+    axes.add_collection3d(Poly3DCollection(triangles[seen], **look))
+    if ((thing >= low) & (thing <= high)).all():
+        edges = placed(stage.object.lines, history.object_pose[k])
+        axes.plot(*edges.T, color=MUTED, linewidth=0.7, zorder=2)
+
+
+def _draw_arrows(axes, history: History, k: int, scale: Scale) -> None:
+    """Over all solids, or nobody would see what happens between hand and object."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    drawn, points = history.drawn[k], history.points[k]
+    heaps = [(arrows(points[drawn], NORMAL * history.normals[k][drawn], HEAD), INK)]
+    for touch in VERBS:
+        own = drawn & (history.touches[k] == touch) & np.isfinite(history.forces[k]).all(-1)
+        heaps.append((arrows(points[own], scale.metres * history.forces[k][own], HEAD), TOUCH_COLOURS[touch]))
+    for zorder, (heap, colour) in enumerate(heaps, 3):
+        if len(heap.faces):
+            look = {"facecolors": colour, "linewidths": 0, "zorder": zorder}
+            axes.add_collection3d(Poly3DCollection(heap.corners[heap.faces], **look))
+
+
+def _shaded(corners: np.ndarray, faces: np.ndarray, colour: str, alpha: float) -> tuple[np.ndarray, np.ndarray]:
+    """The triangles that face the eye, and their colours under a high sun."""
+    from matplotlib.colors import to_rgb
+
+    triangles = corners[faces]
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    sizes = np.linalg.norm(normals, axis=1, keepdims=True)
+    seen = (normals @ TO_EYE > 0) & (sizes[:, 0] > 0)
+    lit = 0.62 + 0.38 * np.maximum(normals[seen] / sizes[seen] @ SUN, 0)
+    colours = np.column_stack([lit[:, None] * np.array(to_rgb(colour)), np.full(len(lit), alpha)])
+    return triangles[seen], np.clip(colours, 0, 1)
+
+
+def _legend(figure: "Figure", scale: Scale) -> None:
+    from matplotlib.lines import Line2D
+
+    names = {f"force where a contact {touch.name.lower()}": TOUCH_COLOURS[touch] for touch in VERBS}
+    names = {f"inward normal ({number(1000 * NORMAL)} mm)": INK, **names}
+    handles = [Line2D([], [], color=colour, linewidth=3, label=name) for name, colour in names.items()]
+    figure.legend(
+        handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=9.5, bbox_to_anchor=(0.5, 0.022)
+    )
+    words = f"forces on the object: {number(1000 * scale.length)} mm stand for {number(scale.newtons)} N"
+    figure.text(0.5, 0.012, words, ha="center", fontsize=9.5, color=INK)

@@ -3,7 +3,7 @@
 (async function () {
   const film = stored("film");
   const frames = film.frames;
-  const [view, slider, play] = ["view", "instant", "play"].map((id) => document.getElementById(id));
+  const [view, slider, play, close] = ["view", "instant", "play", "close"].map((id) => document.getElementById(id));
   const plots = document.querySelector("[data-figure]");
   const traces = Object.fromEntries(film.figure.data.map((trace, n) => [trace.name, n]));
   const moving = film.figure.data.map((_, n) => n).filter((n) => n !== traces.table);
@@ -93,6 +93,15 @@
     return Object.fromEntries(names.map((name) => [name, moving.map((n) => own[n][name])]));
   }
 
+  // The whole way of the hand, or a cube about it that goes with it: on equal axes either way.
+  function window3d({ middle }) {
+    const whole = film.figure.layout.scene;
+    const range = (n) => [middle[n] - film.reach, middle[n] + film.reach];
+    const ranges = ["xaxis", "yaxis", "zaxis"].map((name, n) => [name, close.checked ? range(n) : whole[name].range]);
+    const update = Object.fromEntries(ranges.map(([name, range]) => ["scene." + name + ".range", range]));
+    return { ...update, "scene.aspectratio": close.checked ? { x: 1, y: 1, z: 1 } : whole.aspectratio };
+  }
+
   function tell(frame) {
     document.getElementById("clock").textContent = frame.time.toFixed(2) + " s";
     const state = document.getElementById("state");
@@ -121,7 +130,7 @@
         const frame = frames[wanted];
         wanted = null;
         keepCamera();
-        await Plotly.restyle(view, restyled(drawnAt(frame)), moving);
+        await Plotly.update(view, restyled(drawnAt(frame)), window3d(frame), moving);
         await Plotly.relayout(plots, { "shapes[0].x0": frame.time, "shapes[0].x1": frame.time });
       }
     } finally {
@@ -162,8 +171,9 @@
   tell(frames[0]);
   play.addEventListener("click", () => setPlaying(!playing));
   slider.addEventListener("input", () => pauseAt(Number(slider.value)));
+  close.addEventListener("change", () => show(shown));
   document.addEventListener("keydown", (event) => {
-    if (event.code !== "Space" || event.target === play) return;
+    if (event.code !== "Space" || event.target === play || event.target === close) return;
     event.preventDefault();
     setPlaying(!playing);
   });
@@ -171,7 +181,7 @@
     await loadLibrary();
     const first = drawnAt(frames[0]);
     const data = film.figure.data.map((trace, n) => ({ ...trace, ...first[n] }));
-    await Plotly.newPlot(view, data, film.figure.layout, config);
+    await Plotly.newPlot(view, data, structuredClone(film.figure.layout), config);
     const figure = stored(plots.dataset.figure);
     await Plotly.newPlot(plots, figure.data, figure.layout, config);
     plots.on("plotly_click", (event) => pauseAt(nearest(event.points[0].x)));

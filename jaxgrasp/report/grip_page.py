@@ -25,7 +25,7 @@ from jaxgrasp.report.look import (
 )
 from jaxgrasp.report.scene import axis3
 from jaxgrasp.report.sections import details_html, figure_html
-from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage
+from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage, largest_reach
 from jaxgrasp.report.surfaces import arrow
 
 FRAMES = 100
@@ -61,7 +61,8 @@ def grip_html(scene: Scene, history: History, *, title: str, details: dict[str, 
     body = f"""<header><h1>{text(title)}</h1></header>
 <section id="grip"><div class="chooser"><button id="play">Play</button>
 <input type="range" id="instant" min="0" max="{len(shown) - 1}" value="0" aria-label="instant">
-<output id="clock"></output><output id="state"></output></div>
+<output id="clock"></output><label><input type="checkbox" id="close"> stay close to the hand</label>
+<output id="state"></output></div>
 <div class="film"><div><p class="note">{_legend(scale)}</p>
 <div class="figure" id="view" style="min-height:{film["figure"]["layout"]["height"]}px"></div></div>
 {figure_html("plots", plots(history))}</div>
@@ -94,6 +95,7 @@ def _film(scene: Scene, history: History) -> dict:
     """What moves: rigid parts stored once, poses and contacts of each frame."""
     stage = Stage.of(scene, history)
     body = len(stage.links)
+    boxes = [stage.around(history, k) for k in range(len(history.times))]
     return {
         "figure": {"data": _traces(stage), "layout": _view(stage)},
         "rigid": [
@@ -107,7 +109,8 @@ def _film(scene: Scene, history: History) -> dict:
         "touches": {str(int(touch)): touch.name.lower() for touch in VERBS},
         "links": list(history.links),
         "colours": {str(int(hold)): colour for hold, colour in HOLD_COLOURS.items()},
-        "frames": [_frame(history, k) for k in range(len(history.times))],
+        "reach": round(largest_reach(boxes), 4),
+        "frames": [_frame(history, k, box.mean(0)) for k, box in enumerate(boxes)],
     }
 
 
@@ -115,7 +118,7 @@ def _part(body: int, corners: np.ndarray) -> dict:
     return {"body": body, "corners": listed(corners, 5)}
 
 
-def _frame(history: History, k: int) -> dict:
+def _frame(history: History, k: int, middle: np.ndarray) -> dict:
     drawn = np.flatnonzero(history.drawn[k])
     rows = np.concatenate([history.points[k], history.normals[k], history.forces[k]], -1)[drawn]
     bodies = np.concatenate([history.link_poses[k], history.object_pose[k][None]])
@@ -123,6 +126,7 @@ def _frame(history: History, k: int) -> dict:
         "time": float(f"{history.times[k]:.4g}"),
         "hold": int(history.hold[k]),
         "said": history.said(k),
+        "middle": listed(middle, 4),
         "poses": listed(bodies.reshape(-1, 12), 5),
         "contacts": {
             "links": drawn.tolist(),

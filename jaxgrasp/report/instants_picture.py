@@ -19,8 +19,8 @@ from jaxgrasp.report.look import (
     TOUCH_COLOURS,
     number,
 )
-from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage
-from jaxgrasp.report.surfaces import arrows, placed
+from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage, largest_reach
+from jaxgrasp.report.surfaces import Surface, arrows, placed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,8 +45,8 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
     columns = 2 if len(shown) > 1 else 1
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(5.2 * columns, 4.9 * rows + 0.6))
-    boxes = {name: _around(history, stage, k) for name, k in shown.items()}
-    reach = max(float(np.ptp(box, axis=0).max()) for box in boxes.values()) / 2
+    boxes = {name: stage.around(history, k) for name, k in shown.items()}
+    reach = largest_reach(boxes.values())
     for place, (name, k) in enumerate(shown.items(), 1):
         axes = figure.add_subplot(rows, columns, place, projection="3d", computed_zorder=False)
         _set_up(axes, boxes[name].mean(0), reach)
@@ -59,16 +59,6 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
     foot = 0.55 / figure.get_figheight()
     figure.subplots_adjust(left=0.05, right=0.98, bottom=foot + 0.02, top=0.95, wspace=0.1, hspace=0.14)
     return figure
-
-
-def _around(history: History, stage: Stage, k: int) -> np.ndarray:
-    """The box of the hand at an instant, and of the object unless it is lost."""
-    parts = [placed(link.corners, pose) for link, pose in zip(stage.links, history.link_poses[k], strict=True)]
-    if history.hold[k] != Hold.LOST:
-        parts.append(placed(stage.object.corners, history.object_pose[k]))
-    corners = np.concatenate(parts)
-    corners = corners[np.isfinite(corners).all(1)]
-    return np.stack([corners.min(0), corners.max(0)]) if len(corners) else stage.box
 
 
 def _set_up(axes, middle: np.ndarray, reach: float) -> None:
@@ -88,7 +78,7 @@ def _set_up(axes, middle: np.ndarray, reach: float) -> None:
 
 
 def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
-    """What lies within the axes of hand, object and table."""
+    """What of hand, object and table lies within the axes."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     thing = placed(stage.object.corners, history.object_pose[k])
@@ -97,8 +87,6 @@ def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
         for link, pose in zip(stage.links, history.link_poses[k], strict=True)
     ]
     solids.append((thing, stage.object.faces, OBJECT_COLOUR, 0.5))
-    if stage.table is not None:
-        solids.append((stage.table.corners, stage.table.faces, TABLE_COLOUR, 0.5))
     triangles, colours = (np.concatenate(part) for part in zip(*(_shaded(*solid) for solid in solids), strict=True))
     low, high = np.array([axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()]).T
     seen = ((triangles >= low) & (triangles <= high)).all((1, 2))
@@ -106,9 +94,20 @@ def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
     rims = np.where(colours[:, 3:] < 1, 0, colours)
     look = {"facecolors": colours[seen], "edgecolors": rims[seen], "linewidths": 0.4, "zorder": 1}
     axes.add_collection3d(Poly3DCollection(triangles[seen], **look))
+    if stage.table is not None:
+        _draw_table(axes, stage.table, low, high)
     if ((thing >= low) & (thing <= high)).all():
         edges = placed(stage.object.lines, history.object_pose[k])
         axes.plot(*edges.T, color=MUTED, linewidth=0.7, zorder=2)
+
+
+def _draw_table(axes, table: Surface, low: np.ndarray, high: np.ndarray) -> None:
+    """Its part within the axes, below everything; none of a table that is tilted or lies beyond them."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    corners = np.clip(table.corners, low, high)
+    if (corners[:, 2] == table.corners[0, 2]).all() and np.ptp(table.corners[:, 2]) == 0:
+        axes.add_collection3d(Poly3DCollection([corners], facecolors=TABLE_COLOUR, alpha=0.5, linewidths=0, zorder=0))
 
 
 def _draw_arrows(axes, history: History, k: int, scale: Scale) -> None:

@@ -89,7 +89,8 @@ def value_range(panel: Panel) -> tuple[float, float]:
     beyond = (high - low) / 2
     low, high = max(least, low - beyond), min(most, high + beyond)
     room = max(0.06 * (high - low), (panel.least - (high - low)) / 2)
-    return low - room, high + room
+    # A footnote stands below all lines.
+    return low - 2 * room, high + room
 
 
 def footnote(panel: Panel) -> str:
@@ -98,7 +99,7 @@ def footnote(panel: Panel) -> str:
     values = _values(panel)
     notes = [panel.level] if panel.level else []
     if values.max() > high or values.min() < low:
-        notes.append(f"short peaks, cut off, go from {number(values.min(), 2)} to {number(values.max(), 2)}")
+        notes.append(f"peaks cut off: {number(values.min(), 2)} to {number(values.max(), 2)}")
     return "; ".join(notes)
 
 

@@ -1,5 +1,6 @@
 """What stands on the stage of a grip, how much of the world is shown, and how long a newton is drawn."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +56,15 @@ class Stage:
         """Where each link's corners begin among those of the whole hand."""
         return np.cumsum([0, *(len(link.corners) for link in self.links[:-1])])
 
+    def around(self, history: History, k: int) -> np.ndarray:
+        """The box of the hand alone at an instant, and of the object unless it is lost; all where neither is known."""
+        parts = [placed(link.corners, pose) for link, pose in zip(self.links, history.link_poses[k], strict=True)]
+        if history.hold[k] != Hold.LOST:
+            parts.append(placed(self.object.corners, history.object_pose[k]))
+        corners = np.concatenate(parts)
+        corners = corners[np.isfinite(corners).all(1)]
+        return np.stack([corners.min(0), corners.max(0)]) if len(corners) else self.box
+
     @staticmethod
     def of(scene: Scene, history: History) -> "Stage":
         """All that the hand goes through and the object while it is held, and a little of its fall."""
@@ -75,6 +85,11 @@ class Stage:
             return Stage(links, thing, None, box)
         box[0, 2] -= max(float(height), 0.0)
         return Stage(links, thing, _table(scene, box), box)
+
+
+def largest_reach(boxes: Iterable[np.ndarray]) -> float:
+    """Half the edge of a cube that holds each of the boxes."""
+    return max(float(np.ptp(box, axis=0).max()) for box in boxes) / 2
 
 
 def _table(scene: Scene, box: np.ndarray) -> Surface:

@@ -1,12 +1,19 @@
 """``jaxgrasp grip``: what it writes obeys the laws of statics, and what it cannot do it says."""
 
 import json
+import sys
 
+import jax
 import numpy as np
 import pytest
 
-from jaxgrasp import Hold
+from jaxgrasp import Body, Hold, Instant, Pose, Scene, Sphere, human_hand, observe
+from jaxgrasp.cli.arguments import Grip
+from jaxgrasp.cli.grip import _write_report
 from jaxgrasp.cli.main import main
+from jaxgrasp.prehension.power_grip import lay_on
+from jaxgrasp.report import bundle
+from jaxgrasp.report.history import history
 
 
 @pytest.mark.slow
@@ -38,6 +45,23 @@ def test_a_cylinder_is_held_and_let_go(folder, capsys):
     # The object rose with the hand, and fell.
     lifted = found["object_origin"][:, 2] - found["object_origin"][0, 2]
     assert lifted[:76].max() > 0.15 and lifted[-1] < lifted[75] - 0.05
+
+
+def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatch):
+    bundle.plotly_bundle.cache_clear()
+    for module in ("plotly.offline", "matplotlib.figure"):
+        monkeypatch.setitem(sys.modules, module, None)
+    hand, shape = human_hand(), Sphere(0.03)
+    posture, placed = lay_on(hand, shape)
+    table = Pose(np.array([0.0, 0, -0.5]), np.eye(3))
+    scene = Scene(hand, Body(shape, 0.4), table, 0.6, 1e3, np.ones(len(hand.links)), np.array([0.0, 0, -9.81]))
+    tick = observe(scene, posture, placed)
+    record = [Instant(placed, tick, Hold(int(tick.assessment.hold)), False, np.zeros(6))]
+    postures = jax.tree.map(lambda x: x[None], posture)
+    _write_report(Grip(out=folder), scene, history(scene, postures, np.zeros(1), record))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["no report", "no pictures"]
+    assert all(line.endswith("pip install 'jaxgrasp[report]'") for line in lines) and not list(folder.iterdir())
 
 
 @pytest.mark.parametrize(

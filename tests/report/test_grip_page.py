@@ -229,6 +229,9 @@ def test_a_table_is_drawn_where_it_is_near():
     stage = Stage.of(scene(table=-0.1), history)
     assert stage.table is not None and stage.table.corners[:, 2] == pytest.approx(-0.1)
     assert stage.box[0, 2] <= -0.1
+    # In a picture only where it lies within the axes: below the hand at first, and no more once it has risen.
+    figure = instants_figure(scene(table=-0.05), happened(contacts=()), {"closed": 0, "lifted": 3})
+    assert [len(axes.collections) for axes in figure.axes] == [2, 1]
 
 
 def test_everything_held_lies_in_the_box():
@@ -264,6 +267,11 @@ def test_a_short_peak_does_not_flatten_a_plot():
     history.torques[100] = 1e3
     low, high = value_range(panels(history)[1])
     assert low < -0.9 and 0 < high < 5
+
+
+def test_one_instant_is_enough(tmp_path):
+    assert len(stored(page(happened(count=1)), "film")["frames"]) == 1
+    assert len(write_grip_pictures(tmp_path, scene(), happened(count=1), {"now": 0.0})) == 2
 
 
 def test_pictures_are_written_whole(tmp_path):

@@ -35,7 +35,6 @@ def panels_figure(history: History, shown: Mapping[str, int]) -> "Figure":
     rows[0].plot([], [], color=INK, linewidth=1.2, linestyle=":", label="squeezing force (eq. 6)")
     figure.legend(loc="lower right", frameon=False, fontsize=9, ncols=2)
     rows[-1].set_xlabel("time [s]")
-    rows[-1].margins(x=0)
     figure.subplots_adjust(left=0.085, right=0.85, top=0.94, bottom=0.075, hspace=0.1)
     figure.align_ylabels()
     return figure
@@ -43,6 +42,7 @@ def panels_figure(history: History, shown: Mapping[str, int]) -> "Figure":
 
 def _draw_panel(axes: "Axes", panel: Panel, history: History) -> None:
     low, high = value_range(panel)
+    axes.margins(x=0)
     for line in panel.lines:
         style = {"linestyle": ":", "linewidth": 1.2} if line.dotted else {"linewidth": 1.8}
         axes.plot(history.times, line.values, color=line.colour, **style)

@@ -8,7 +8,6 @@ What a scene does not need is skipped: a sphere about all that the hand can reac
 the poses whose sphere meets the object are gathered and looked at closely.
 """
 
-import math
 from functools import partial, reduce
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.contact.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
-from jaxgrasp.contact.shapes import Shape
+from jaxgrasp.contact.shapes import Shape, shared_or_spread
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec
@@ -42,7 +41,7 @@ class Contacts(eqx.Module):
     present: Float[Array, "*batch L"]
     """1 where the link touches; NaN where that cannot be told from the data."""
     tests: Int[Array, "*batch"]
-    """Sphere tests done for this pose: 1 where the hand is out of reach, else 1 and every leaf."""
+    """Sphere tests done for this pose: 1 where the hand is out of reach, else 1 and all of the closer look."""
 
 
 class _Scene(eqx.Module):
@@ -75,21 +74,16 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
     """
     flat, batch = flatten_posture(hand, posture)
     origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
-    sizes = jax.tree.map(jnp.asarray, shape)
-    whole = jnp.broadcast_shapes(
-        batch, origin.shape[:-1], rotation.shape[:-2], *(size.shape for size in jax.tree.leaves(sizes))
-    )
+    whole = jnp.broadcast_shapes(batch, origin.shape[:-1], rotation.shape[:-2], shape._batch)
 
-    def spread(array: Array, tail: tuple[int, ...]) -> Array:
-        return jnp.broadcast_to(array, (*whole, *tail)).reshape(-1, *tail)
-
-    def shared_or_spread(array: Array, tail: tuple[int, ...] = ()) -> Array:
-        return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(array, tail)
+    def spread(array: Array) -> Array:
+        tail = array.shape[1:]
+        return jnp.broadcast_to(array.reshape(*batch, *tail), (*whole, *tail)).reshape(-1, *tail)
 
     scene = _Scene(
-        jax.tree.map(lambda x: spread(x.reshape(*batch, *x.shape[1:]), x.shape[1:]), flat),
-        jax.tree.map(shared_or_spread, sizes),
-        Pose(shared_or_spread(origin, (3,)), shared_or_spread(rotation, (3, 3))),
+        jax.tree.map(spread, flat),
+        shape._flat(whole),
+        Pose(shared_or_spread(whole, origin, (3,)), shared_or_spread(whole, rotation, (3, 3))),
     )
     contacts = _detect(hand, scene)
     return jax.tree.map(lambda x: x.reshape(*whole, *x.shape[1:]), contacts)
@@ -136,14 +130,21 @@ def _skipping_vmap(axis_size: int, in_batched, hand: Hand, scene: _Scene):
         contacts = jax.vmap(_look_closely, in_axes=axes, axis_size=axis_size)(hand, scene)
     else:
         size = scene.posture.angles.shape[1 if scenes.posture.angles else 0]
-        flat = jax.tree.map(partial(_merged, axis_size, size), scene, scenes)
+        # What all poses share stays shared, be it one pose by each lane: a tree of spheres is large.
+        flat = _Scene(
+            jax.tree.map(partial(_merged, axis_size, size, False), scene.posture, scenes.posture),
+            *(
+                jax.tree.map(partial(_merged, axis_size, size, True), own, batched)
+                for own, batched in ((scene.shape, scenes.shape), (scene.placed, scenes.placed))
+            ),
+        )
         contacts = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), _skipping(hand, flat))
     return contacts, jax.tree.map(lambda _: True, contacts)
 
 
-def _merged(axis_size: int, size: int, array: Array, batched: bool) -> Array:
-    """One leaf with its mapped axis merged into the batch; shared ones stay shared."""
-    if not batched and array.shape[0] == 1 and size != 1:
+def _merged(axis_size: int, size: int, shared: bool, array: Array, batched: bool) -> Array:
+    """One leaf with its mapped axis merged into the batch; what may be shared stays so."""
+    if shared and not batched and array.shape[0] == 1:
         return array
     own = array if batched else array[None]
     return jnp.broadcast_to(own, (axis_size, size, *own.shape[2:])).reshape(-1, *own.shape[2:])
@@ -160,21 +161,20 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     reach = jnp.max(moves @ steps + jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1))
     center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
     own = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
-    distance, _ = scene.shape._distance(Vec(*own.T))
     # A NaN goes on to the closer look, which shows it.
-    return ~(distance > reach)
+    return ~(scene.shape._bound(Vec(*own.T)) > reach)
 
 
 def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
-    """Every leaf against the object."""
+    """Every sphere of the hand against the object."""
     object_ = body(scene.placed)
     links = stand(hand, scene.posture).links
     seen = _seen_from(object_, links)
     centers = _leaves(hand, seen)
     radii = jnp.asarray(hand.skin.radii)[..., None]
-    distance, out = scene.shape._distance(centers)
-    depth = jnp.where(radii > 0, jnp.maximum(radii - distance, 0), 0)
-    merged = _merge(depth, vec.sub(centers, vec.scale(distance, out)), out)
+    near = scene.shape._near(centers, radii)
+    depth = jnp.where(radii > 0, jnp.maximum(radii - near.distance, 0), 0)
+    merged = _merge(depth, vec.sub(centers, vec.scale(near.distance, near.out)), near.out)
     point = vec.add(object_.origin, vec.rotate_back(object_.axes, merged.point))
     normal = vec.rotate_back(object_.axes, merged.normal)
     touching = merged.depth > 0
@@ -186,7 +186,7 @@ def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
         normals=vectors(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal))), (size,)),
         depths=jnp.where(known, merged.depth, jnp.nan).T,
         present=jnp.where(known, touching.astype(merged.depth.dtype), jnp.nan).T,
-        tests=jnp.full(size, 1 + int(np.prod(hand.skin.radii.shape)), jnp.int32),
+        tests=1 + near.tests,
     )
 
 

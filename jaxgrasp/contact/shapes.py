@@ -4,8 +4,10 @@ Each stands in a frame of its own. Distances are positive outside and negative i
 Inside, near edges and axes, the nearest surface changes and the normal jumps, as it must.
 """
 
+import math
 from abc import abstractmethod
-from functools import reduce
+from functools import partial, reduce
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,12 +22,48 @@ from jaxgrasp.numerics.vec import Vec
 Size = Float[AnyArray, "*batch"] | float
 
 
+class Near(NamedTuple):
+    """Of spheres, batch-last: how far their centres are from a solid, exactly where they reach into it."""
+
+    distance: Array
+    out: Vec
+    """The way out of the solid."""
+    tests: Array
+    """``(B,)``: how many distances were computed for it."""
+
+
+def shared_or_spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
+    """An array with its leading axes flattened: of size 1 where it has but one entry, else the whole batch."""
+    array = jnp.asarray(array)
+    if array.size == math.prod(tail):
+        return array.reshape(1, *tail)
+    return jnp.broadcast_to(array, (*batch, *tail)).reshape(-1, *tail)
+
+
 class Shape(eqx.Module):
     """A solid whose sizes are its fields, each with any leading axes [m]."""
+
+    @property
+    def _batch(self) -> tuple[int, ...]:
+        """The leading axes of its sizes."""
+        return jnp.broadcast_shapes(*(jnp.shape(size) for size in jax.tree.leaves(self)))
+
+    def _flat(self, batch: tuple[int, ...]) -> "Shape":
+        """With its leading axes flattened into one, of size 1 where all of the batch share it."""
+        return jax.tree.map(partial(shared_or_spread, batch), self)
 
     @abstractmethod
     def _distance(self, point: Vec) -> tuple[Array, Vec]:
         """Signed distance and outward unit normal; sizes broadcast against the last axis of components."""
+
+    def _bound(self, point: Vec) -> Array:
+        """At most the signed distance, and quick to find."""
+        return self._distance(point)[0]
+
+    def _near(self, centers: Vec, radii: Array) -> Near:
+        """What spheres ``(L, m, B)`` meet, whose radii ``(L, m, 1)`` are those of all poses."""
+        distance, out = self._distance(centers)
+        return Near(distance, out, jnp.full(distance.shape[-1], radii.size, jnp.int32))
 
     def _support(self, direction: Vec) -> Array:
         """How far the solid reaches from its origin along a direction."""

@@ -10,7 +10,13 @@ from tests.contact.hands import random_posture, rotations
 
 HAND = human_hand()
 SHAPES = [Sphere(0.04), Box(0.06, 0.09, 0.05), Cylinder(0.03, 0.12), Capsule(0.025, 0.08), Plane()]
-each_shape = pytest.mark.parametrize("shape", SHAPES, ids=[type(shape).__name__ for shape in SHAPES])
+QUICK = (Box, Cylinder)
+"""Every other shape compiles anew: the long tests try those too."""
+PARAMETERS = [
+    pytest.param(shape, id=type(shape).__name__, marks=() if isinstance(shape, QUICK) else pytest.mark.slow)
+    for shape in SHAPES
+]
+each_shape = pytest.mark.parametrize("shape", PARAMETERS)
 FIELDS = ("points", "normals", "depths", "present")
 
 
@@ -23,7 +29,7 @@ def scenes(count: int, seed: int = 1) -> tuple[Posture, Pose]:
     return posture, Pose(origin, rotations(count, rng))
 
 
-@pytest.fixture(scope="module", params=SHAPES, ids=[type(shape).__name__ for shape in SHAPES])
+@pytest.fixture(scope="module", params=PARAMETERS)
 def case(request):
     posture, placed = scenes(40)
     return request.param, posture, placed, jax.device_get(find_contacts(HAND, posture, request.param, placed))
@@ -58,7 +64,7 @@ def merged(depths, points, normals) -> tuple:
     return weight @ np.asarray(points) / weight.sum(), normal / np.linalg.norm(normal), weight @ depths / weight.sum()
 
 
-@pytest.mark.parametrize("shape", SHAPES[:4], ids=[type(shape).__name__ for shape in SHAPES[:4]])
+@pytest.mark.parametrize("shape", PARAMETERS[:4])
 def test_contacts_are_those_of_mujoco(shape):
     """Each overlap is MuJoCo's: point, normal and depth; then the rule that merges them."""
     mujoco = pytest.importorskip("mujoco")

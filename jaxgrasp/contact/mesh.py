@@ -1,0 +1,208 @@
+"""Watertight triangle meshes: reading and checking them, and the point of their surface nearest to a given one."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxgrasp.model.hand import Pose
+
+MISSING = "meshes need trimesh and scipy: pip install 'jaxgrasp[mesh]'"
+CHUNK = 4096
+"""Points looked up at a time, which bounds the memory of their candidate triangles."""
+FLAT = 1e-9
+"""Share of its extent, or volume, below which a solid counts as none."""
+
+
+class Mesh(NamedTuple):
+    """Triangles, wound so that their normals point out."""
+
+    vertices: np.ndarray
+    """``(V, 3)`` [m]"""
+    faces: np.ndarray
+    """``(F, 3)`` indices of vertices."""
+
+
+class MassProperties(NamedTuple):
+    """Of a solid of uniform density."""
+
+    volume: float
+    """[m^3]"""
+    center: np.ndarray
+    """``(3,)`` of mass [m]."""
+    inertia: np.ndarray
+    """``(3, 3)`` by unit of mass, about the centre of mass [m^2]."""
+
+
+def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
+    """A mesh from any file that trimesh reads.
+
+    Args:
+        path: of an .obj, .stl, .ply, .off ... file.
+        scale: metres for one unit of the file.
+
+    Raises:
+        ImportError: without the extra `mesh`.
+        FileNotFoundError, ValueError: for a file that is not there, or holds no closed solid.
+    """
+    trimesh = _import_trimesh()
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file; expected a mesh")
+    try:
+        loaded = trimesh.load_mesh(path)
+    except Exception as error:  # readers of many formats fail in as many ways
+        raise ValueError(f"{path} cannot be read as a mesh: {error}") from None
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"scale is {scale}: expected a positive number of metres for one unit of the file")
+    try:
+        return check_mesh(Mesh(np.asarray(loaded.vertices, float) * scale, np.asarray(loaded.faces, int)))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def check_mesh(mesh: Mesh) -> Mesh:
+    """The mesh, wound outwards; ValueError unless it closes around a volume."""
+    trimesh = _import_trimesh()
+    vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError(
+            f"vertices and faces have shapes {vertices.shape} and {faces.shape}: expected (V, 3) and (F, 3)"
+        )
+    if not len(vertices) or not len(faces):
+        raise ValueError(f"the mesh has {len(vertices)} vertices and {len(faces)} faces: expected a closed surface")
+    bad = np.argwhere(~np.isfinite(vertices))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        raise ValueError(f"vertices[{at[0]}, {at[1]}] is {vertices[at]}: expected a finite number [m]")
+    bad = np.argwhere((faces < 0) | (faces >= len(vertices)))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        raise ValueError(
+            f"faces[{at[0]}, {at[1]}] is {faces[at]}: expected the index of one of {len(vertices)} vertices"
+        )
+    if np.linalg.matrix_rank(vertices - vertices[0], tol=FLAT * np.ptp(vertices, axis=0).max()) < 3:
+        raise ValueError("the mesh is flat: expected a solid, which can be touched")
+    solid = trimesh.Trimesh(vertices, faces)  # merges vertices that formats like .stl repeat
+    if not solid.is_watertight:
+        edges = len(trimesh.grouping.group_rows(solid.edges_sorted, require_count=1))
+        raise ValueError(f"the mesh does not close: {edges} edges have a face on one side only; expected a solid")
+    solid.fix_normals()
+    if not solid.volume > FLAT * float(np.prod(solid.extents)):
+        raise ValueError(f"the mesh has a volume of {solid.volume:.3g} m^3: expected a solid, which can be touched")
+    return Mesh(np.asarray(solid.vertices, float), np.asarray(solid.faces, int))
+
+
+def mass_properties(mesh: Mesh) -> MassProperties:
+    """Volume, centre of mass, and inertia about it, of a checked mesh."""
+    solid = _import_trimesh().Trimesh(*mesh, process=False)
+    return MassProperties(
+        float(solid.volume), np.asarray(solid.center_mass), np.asarray(solid.moment_inertia) / solid.volume
+    )
+
+
+def principal_frame(mesh: Mesh) -> tuple[Mesh, Pose]:
+    """The mesh in the frame of its principal axes at its centre of mass, and that frame's pose in the old one."""
+    _, center, inertia = mass_properties(mesh)
+    _, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return Mesh((mesh.vertices - center) @ axes, mesh.faces), Pose(center, axes)
+
+
+def sample_surface(mesh: Mesh, count: int, seed: int) -> np.ndarray:
+    """Points spread evenly over the surface ``(count, 3)``."""
+    trimesh = _import_trimesh()
+    return np.asarray(trimesh.sample.sample_surface(trimesh.Trimesh(*mesh, process=False), count, seed=seed)[0])
+
+
+class Nearest(NamedTuple):
+    """Of some points: what a surface looks like from there."""
+
+    distance: np.ndarray
+    """``(P,)``: to the surface, negative inside [m]."""
+    foot: np.ndarray
+    """``(P, 3)``: its nearest point."""
+
+
+class Surface:
+    """Looks up the nearest points of a checked mesh, exactly.
+
+    The mesh is cut into triangles no longer than ``size``. The nearest of their centres bounds the distance, and
+    with it which triangles can hold the nearest point.
+    """
+
+    def __init__(self, mesh: Mesh, size: float):
+        self._trimesh = _import_trimesh()
+        solid = self._trimesh.Trimesh(*mesh, process=False).subdivide_to_size(size, max_iter=20)
+        self._solid = self._trimesh.Trimesh(solid.vertices, solid.faces)
+        self._triangles = np.asarray(self._solid.triangles)
+        self._centers = self._triangles.mean(1)
+        self._reach = float(np.linalg.norm(self._triangles - self._centers[:, None], axis=-1).max())
+
+    @cached_property
+    def _tree(self) -> Any:
+        try:
+            from scipy.spatial import cKDTree
+        except ImportError:
+            raise ImportError(MISSING) from None
+        return cKDTree(self._centers)
+
+    def nearest(self, points: np.ndarray) -> Nearest:
+        """Distances and feet of points ``(P, 3)``."""
+        parts = [self._nearest(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
+        return Nearest(np.concatenate([p.distance for p in parts]), np.concatenate([p.foot for p in parts]))
+
+    def _nearest(self, points: np.ndarray) -> Nearest:
+        bound, _ = self._tree.query(points)
+        lists = self._tree.query_ball_point(points, bound + self._reach * (1 + 1e-9), return_sorted=False)
+        sizes = np.array([len(found) for found in lists])
+        triangles, owners = np.concatenate(lists).astype(int), np.repeat(np.arange(len(points)), sizes)
+        feet = self._trimesh.triangles.closest_point(self._triangles[triangles], points[owners])
+        far = np.linalg.norm(feet - points[owners], axis=1)
+        order = np.lexsort((far, owners))
+        best = order[np.concatenate([[0], np.cumsum(sizes)[:-1]])]
+        foot, triangle, distance = feet[best], triangles[best], far[best]
+        way = points - foot
+        outside = np.einsum("pi,pi->p", way, self._pseudonormal(foot, triangle)) >= 0
+        return Nearest(np.where(outside, distance, -distance), foot)
+
+    def _pseudonormal(self, foot: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+        """A vector at the foot whose side tells inside from out: of the face, the edge, or the vertex.
+
+        At an edge or a vertex no single face's normal does (Baerentzen and Aanaes 2005).
+        """
+        corners = self._solid.faces[triangle]
+        weights = self._trimesh.triangles.points_to_barycentric(self._triangles[triangle], foot)
+        at = weights > 1e-9
+        count = at.sum(1)
+        normal = np.array(self._solid.face_normals[triangle])
+        edge = count == 2
+        normal[edge] = self._edge_normals(triangle[edge], np.argmin(weights[edge], 1))
+        corner = count == 1
+        normal[corner] = self._solid.vertex_normals[corners[corner, np.argmax(weights[corner], 1)]]
+        return normal
+
+    def _edge_normals(self, triangle: np.ndarray, opposite: np.ndarray) -> np.ndarray:
+        """The sum of both faces' normals at the edge of a triangle opposite one of its corners."""
+        return self._edge_sums[triangle, opposite]
+
+    @cached_property
+    def _edge_sums(self) -> np.ndarray:
+        faces, normals = np.asarray(self._solid.faces), np.asarray(self._solid.face_normals)
+        # Edge k lies opposite corner k.
+        ends = np.sort(np.stack([faces[:, [1, 2]], faces[:, [2, 0]], faces[:, [0, 1]]], 1), -1).reshape(-1, 2)
+        _, edge = np.unique(ends, axis=0, return_inverse=True)
+        sums = np.zeros((edge.max() + 1, 3))
+        np.add.at(sums, edge.ravel(), np.repeat(normals, 3, axis=0))
+        return sums[edge.ravel()].reshape(-1, 3, 3)
+
+
+def _import_trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError:
+        raise ImportError(MISSING) from None
+    return trimesh

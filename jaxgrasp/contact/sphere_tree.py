@@ -1,0 +1,225 @@
+"""A solid as a tree of spheres: what a mesh becomes so that contacts with it can be found. Built once, in NumPy."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxgrasp.contact.descent import Balls, Nodes, descend, try_all
+from jaxgrasp.contact.mesh import Mesh, Nearest, Surface, check_mesh, mass_properties, sample_surface
+from jaxgrasp.contact.octree import Octree, octree_balls
+from jaxgrasp.contact.shapes import Near, Shape, check_shape, signed_distance
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+LEVELS = 5
+"""How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""
+CROSSOVER = 300
+"""Balls up to which trying all is faster than descending (python -m benchmarks.sphere_trees)."""
+START = 12
+"""Nodes with which a descent starts, at least."""
+OFF_AXIS = 1e-6
+"""Share of a solid's size, or of its inertia, by which a frame may miss the principal one."""
+
+
+class SphereTree(Shape):
+    """A solid by balls inside it, the same for all poses; from [`jaxgrasp.sphere_tree`][]."""
+
+    balls: Balls
+    nodes: Nodes
+    moments: Float[AnyArray, "*batch 3"]
+    """Principal moments of inertia by unit of mass [m^2]; NaN where the frame is not the principal one."""
+    descends: bool = eqx.field(static=True)
+    """Whether contacts are found by descent, or by trying all balls."""
+
+    @property
+    def _batch(self) -> tuple[int, ...]:
+        return ()
+
+    def _flat(self, batch: tuple[int, ...]) -> "SphereTree":
+        return jax.tree.map(lambda x: jnp.asarray(x)[None], self)
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        """To the nearest ball, by trying all."""
+        centers, radii = (jnp.asarray(part) for part in (self.balls.centers, self.balls.radii))
+
+        def of_one(one: Array) -> tuple[Array, Array]:
+            way = one - centers
+            length = jnp.sqrt(jnp.sum(way * way, -1))
+            nearest = jnp.argmin(length - radii)
+            x, y, z = way[nearest]
+            size = vec.norm(Vec(x, y, z))
+            out = jnp.stack([jnp.where(size > 0, vec.safe_divide(c, size), i == 0) for i, c in enumerate((x, y, z))])
+            return size - radii[nearest], out
+
+        distance, out = lax.map(of_one, jnp.stack(point, -1).reshape(-1, 3))
+        shape = jnp.shape(point.x)
+        return distance.reshape(shape), Vec(*(out[:, i].reshape(shape) for i in range(3)))
+
+    def _bound(self, point: Vec) -> Array:
+        bounds = self.nodes.bounds
+        return vec.norm(vec.sub(point, Vec(*bounds.centers[:, 0].T))) - bounds.radii[:, 0]
+
+    def _near(self, centers: Vec, radii: Array) -> Near:
+        shape = centers.x.shape
+        points = jnp.moveaxis(jnp.stack(centers, -1).reshape(-1, shape[-1], 3), 0, 1)
+        sizes = jnp.broadcast_to(radii, (*shape[:-1], 1)).ravel()
+        try_some = partial(descend, self.balls, self.nodes) if self.descends else partial(try_all, self.balls)
+        seen = try_some(points, sizes)
+        out = Vec(*(seen.out[..., i].T.reshape(shape) for i in range(3)))
+        return Near(seen.distance.T.reshape(shape), out, seen.tests)
+
+    def _support(self, direction: Vec) -> Array:
+        along = jnp.stack(direction, -1) @ jnp.asarray(self.balls.centers).T
+        return jnp.max(along + self.balls.radii * vec.norm(direction)[..., None], -1)
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        x, y, z = jnp.asarray(self.moments)
+        return x, y, z
+
+
+class LevelError(NamedTuple):
+    """How well the balls of a tree of so many levels fill a solid: what of its surface lies outside all of them."""
+
+    levels: int
+    cell: float
+    """Edge of the smallest cells [m]."""
+    balls: int
+    largest: float
+    """Distance from the surface to the balls, at the worst of the sampled points [m]."""
+    mean: float
+    """[m]"""
+
+
+def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | None = None) -> SphereTree:
+    """The tree of balls inside a solid.
+
+    Args:
+        solid: a watertight mesh, or an exact shape with an end.
+        levels: how often the cube about it is cut in eight.
+        descends: whether contacts are found by descent; ``None`` for what is faster.
+
+    Raises:
+        ImportError: for a mesh without the extra `mesh`.
+        ValueError: for a mesh that is no closed solid, a size that is not positive, or no levels.
+    """
+    if levels < 1:
+        raise ValueError(f"levels is {levels}: expected 1 or more")
+    outline = _outline(solid, levels)
+    tree = octree_balls(outline.nearest, outline.low, outline.high, levels)
+    balls = Balls(jnp.asarray(tree.centers[tree.radii > 0]), jnp.asarray(tree.radii[tree.radii > 0]))
+    descends = len(balls.radii) > CROSSOVER if descends is None else descends
+    return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
+
+
+def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: int = 0) -> list[LevelError]:
+    """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
+
+    Since all balls lie inside, a tree makes depths smaller than they are by at most this, and never larger.
+
+    Args:
+        mesh: a watertight one.
+        levels: of the finest tree.
+        samples: points on the surface.
+        seed: of their places.
+
+    Raises:
+        ImportError, ValueError: as [`jaxgrasp.sphere_tree`][] does.
+    """
+    mesh = check_mesh(mesh)
+    points = sample_surface(mesh, samples, seed)
+    errors = []
+    for level in range(1, levels + 1):
+        outline = _outline(mesh, level)
+        tree = octree_balls(outline.nearest, outline.low, outline.high, level)
+        leaf = tree.radii > 0
+        left = np.maximum(_outside(points, tree.centers[leaf], tree.radii[leaf]), 0)
+        cell = float((outline.high - outline.low).max()) / 2**level
+        errors.append(LevelError(level, cell, int(leaf.sum()), float(left.max()), float(left.mean())))
+    return errors
+
+
+def _outside(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Distance of points from the nearest ball, negative inside."""
+    chunks = np.array_split(points, max(1, points.shape[0] * len(radii) // 10**7))
+    return np.concatenate([np.min(np.linalg.norm(c[:, None] - centers, axis=-1) - radii, 1) for c in chunks])
+
+
+class _Outline(NamedTuple):
+    """What the octree asks of a solid."""
+
+    nearest: Callable[[np.ndarray], Nearest]
+    low: np.ndarray
+    high: np.ndarray
+    moments: np.ndarray
+
+
+def _outline(solid: Mesh | Shape, levels: int) -> _Outline:
+    if isinstance(solid, Shape):
+        check_shape(solid)
+        low, high = (sign * _ends(solid, sign) for sign in (-1.0, 1.0))
+        return _Outline(lambda points: _nearest(solid, points), low, high, np.array(solid._moments()))
+    mesh = check_mesh(solid)
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    cell = float((high - low).max()) / 2**levels
+    return _Outline(Surface(mesh, 2 * cell).nearest, low, high, _principal_moments(mesh))
+
+
+def _ends(shape: Shape, sign: float) -> np.ndarray:
+    """How far a shape reaches along x, y and z, or against them."""
+    x, y, z = sign * np.eye(3)
+    return np.asarray(shape._support(Vec(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
+
+
+def _nearest(shape: Shape, points: np.ndarray) -> Nearest:
+    distance, out = (np.asarray(part, float) for part in signed_distance(shape, jnp.asarray(points)))
+    return Nearest(distance, points - distance[:, None] * out)
+
+
+def _principal_moments(mesh: Mesh) -> np.ndarray:
+    """NaN where the mesh does not stand in its principal frame: a Body's frame is that."""
+    _, center, inertia = mass_properties(mesh)
+    moments = np.diagonal(inertia)
+    off_axis = np.abs(inertia - np.diag(moments)).max() > OFF_AXIS * moments.max()
+    off_center = np.linalg.norm(center) > OFF_AXIS * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    return np.full(3, np.nan) if off_axis or off_center else moments
+
+
+def _nodes(tree: Octree) -> Nodes:
+    """Bounds, children and the start of the descent."""
+    count, leaf = len(tree.radii), tree.radii > 0
+    bounds = tree.radii.copy()
+    above, below = tree.parents[leaf], np.flatnonzero(leaf)
+    while (there := above >= 0).any():
+        above, below = above[there], below[there]
+        reach = np.linalg.norm(tree.centers[below] - tree.centers[above], axis=1) + tree.radii[below]
+        np.maximum.at(bounds, above, reach)
+        above = tree.parents[above]
+    children = np.full((count, 8), -1, np.int32)
+    children[leaf, 0] = np.flatnonzero(leaf)
+    place = np.zeros(count, int)
+    for node in range(1, count):
+        parent = tree.parents[node]
+        children[parent, place[parent]] = node
+        place[parent] += 1
+    places = np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32)
+    level, start = _start(tree)
+    steps = int(tree.level.max()) - level
+    around = Balls(jnp.asarray(tree.centers), jnp.asarray(bounds))
+    return Nodes(around, jnp.asarray(children), jnp.asarray(places), jnp.asarray(start), steps)
+
+
+def _start(tree: Octree) -> tuple[int, np.ndarray]:
+    """The first level with enough nodes, together with the leaves above it."""
+    leaf, last = tree.radii > 0, int(tree.level.max())
+    for level in range(last + 1):
+        nodes = (tree.level == level) | (leaf & (tree.level < level))
+        if nodes.sum() >= START or level == last:
+            break
+    return level, np.flatnonzero(nodes).astype(np.int32)

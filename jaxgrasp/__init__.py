@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
     from jaxgrasp.contact.limits import check_pose, check_posture, clamp_posture
     from jaxgrasp.contact.mesh import Mesh, check_mesh, load_mesh, principal_frame
+    from jaxgrasp.contact.parallel_jaw import parallel_jaw
     from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
     from jaxgrasp.contact.sphere_tree import LevelError, SphereTree, level_errors, sphere_tree
     from jaxgrasp.contact.to_grasp import grasp_from_contacts, link_contributions
@@ -109,6 +110,7 @@ _HOME = {
     "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
     "observe": "prehension.carry",
+    "parallel_jaw": "contact.parallel_jaw",
     "pose_hand": "contact.kinematics",
     "principal_frame": "contact.mesh",
     "pyramid_optimum": "force.pyramid",

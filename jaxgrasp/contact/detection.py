@@ -151,18 +151,20 @@ def _merged(axis_size: int, size: int, shared: bool, array: Array, batched: bool
 
 
 def _within_reach(hand: Hand, scene: _Scene) -> Array:
-    """Whether the object meets the sphere about all that the hand can reach, whatever its angles."""
-    first = np.flatnonzero(np.array(hand.parents) < 0)
-    middle = jnp.mean(hand.origins[first], 0)
+    """Whether the object meets the sphere about all that the hand can reach, whatever its hinges' angles."""
+    first = np.flatnonzero(np.array(hand.parents, int) < 0)
+    middle = jnp.mean(hand.origins[first] if len(first) else hand.skin.centers.reshape(-1, 3), 0)
     steps = jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
     carriers = np.array([link.joint for link in hand.links])
-    moves = ancestry(hand).astype(float)
     centers = hand.skin.centers - jnp.where((carriers < 0)[:, None, None], middle, 0)
-    reach = jnp.max(moves @ steps + jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1))
+    own = jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1)
+    # What slides reaches as far as it was moved.
+    ways = jnp.sum(jnp.abs(scene.posture.angles[:, hand.slides]), -1)
+    reach = jnp.max(ancestry(hand).astype(float) @ steps + own) + ways
     center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
-    own = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
+    seen = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
     # A NaN goes on to the closer look, which shows it.
-    return ~(scene.shape._bound(Vec(*own.T)) > reach)
+    return ~(scene.shape._bound(Vec(*seen.T)) > reach)
 
 
 def _look_closely(hand: Hand, scene: _Scene) -> Contacts:

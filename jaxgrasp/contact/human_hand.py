@@ -110,16 +110,18 @@ def mirrored(hand: Hand) -> Hand:
     flip = jnp.array([1.0, -1.0, 1.0])
     skin = Spheres(hand.skin.centers * flip, hand.skin.radii)
     # An axis of rotation is mirrored, then turned about: so that an angle keeps its meaning.
+    turned = jnp.where(hand.slides[:, None], 1, -1)
     return Hand(
         hand.origins * flip,
         flip[:, None] * hand.rests * flip,
-        -hand.axes * flip,
+        turned * hand.axes * flip,
         hand.lower,
         hand.upper,
         skin,
         hand.parents,
         hand.joints,
         hand.links,
+        hand.sliding,
     )
 
 

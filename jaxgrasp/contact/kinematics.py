@@ -28,30 +28,30 @@ class Bodies(NamedTuple):
 class Standing(NamedTuple):
     """A posed hand, batch-last."""
 
-    hinges: Bodies
-    hinge_axes: Vec
+    joints: Bodies
+    axes: Vec
     links: Bodies
 
 
 @jax.jit
 def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
-    """The frames of a hand's hinges and links.
+    """The frames of a hand's joints and links.
 
     Args:
-        hand: its tree of ``J`` hinges and ``L`` links.
+        hand: its tree of ``J`` joints and ``L`` links.
         posture: wrist and angles, with any leading axes that broadcast.
 
     Returns:
         Frames in the world ``(..., J)`` and ``(..., L)``.
 
     Raises:
-        ValueError: where there are not as many angles as hinges.
+        ValueError: where there are not as many angles as joints.
     """
     flat, batch = flatten_posture(hand, posture)
     standing = stand(hand, flat)
     return HandFrames(
-        joints=Pose(vectors(standing.hinges.origin, batch), _rotations(standing.hinges.axes, batch)),
-        axes=vectors(standing.hinge_axes, batch),
+        joints=Pose(vectors(standing.joints.origin, batch), _rotations(standing.joints.axes, batch)),
+        axes=vectors(standing.axes, batch),
         links=Pose(vectors(standing.links.origin, batch), _rotations(standing.links.axes, batch)),
     )
 
@@ -74,8 +74,9 @@ def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, .
 
 
 def stand(hand: Hand, posture: Posture) -> Standing:
-    """The frames of a flat batch of postures, hinges of equal depth at once."""
-    wrist, angles, rows = body(posture.wrist), posture.angles.T, levels(hand.parents)
+    """The frames of a flat batch of postures, joints of equal depth at once."""
+    wrist, angles, rows, slides = body(posture.wrist), posture.angles.T, levels(hand.parents), hand.slides[:, None]
+    turns, ways = (jnp.where(chosen, angles, 0) for chosen in (~slides, slides))
     placed, axes = [wrist], []
     for depth, row in enumerate(rows):
         parents = [hand.parents[j] for j in row]
@@ -84,17 +85,21 @@ def stand(hand: Hand, posture: Posture) -> Standing:
         rest = compose(carrier.axes, _columns(hand.rests[row]))
         axis = _column(hand.axes[row])
         axes.append(vec.rotate_back(rest, axis))
-        placed.append(Bodies(origin, compose(rest, _rotation(axis, angles[row]))))
-    order = np.argsort(np.concatenate(rows))
-    hinges = take(_joined(placed[1:]), order)
+        if slides[row].any():
+            origin = vec.add(origin, vec.scale(ways[row], axes[-1]))
+        placed.append(Bodies(origin, compose(rest, _rotation(axis, turns[row]))))
+    order = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
     # The wrist stands last, where an index of -1 finds it.
-    links = take(_joined([hinges, wrist]), np.array([link.joint for link in hand.links]))
-    return Standing(hinges, take(_joined(axes), order), links)
+    all_placed = _joined([*placed[1:], wrist])
+    joints = take(all_placed, order)
+    links = take(_joined([joints, wrist]), np.array([link.joint for link in hand.links]))
+    nowhere = jax.tree.map(lambda c: c[:0], wrist.origin)
+    return Standing(joints, take(_joined([*axes, nowhere]), order), links)
 
 
 @cache
 def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
-    """The hinges by how many others carry them; each level in ascending order."""
+    """The joints by how many others carry them; each level in ascending order."""
     depth: list[int] = []
     for parent in parents:
         depth.append(0 if parent < 0 else depth[parent] + 1)
@@ -102,7 +107,7 @@ def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
 
 
 def ancestry(hand: Hand) -> np.ndarray:
-    """Which hinges move which links: ``(L, J)`` booleans."""
+    """Which joints move which links: ``(L, J)`` booleans."""
     return _ancestry(hand.parents, hand.links)
 
 
@@ -110,10 +115,10 @@ def ancestry(hand: Hand) -> np.ndarray:
 def _ancestry(parents: tuple[int, ...], links: tuple[Link, ...]) -> np.ndarray:
     moves = np.zeros((len(links), len(parents)), bool)
     for row, link in zip(moves, links, strict=True):
-        hinge = link.joint
-        while hinge >= 0:
-            row[hinge] = True
-            hinge = parents[hinge]
+        joint = link.joint
+        while joint >= 0:
+            row[joint] = True
+            joint = parents[joint]
     return moves
 
 
@@ -174,7 +179,7 @@ def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
 def contact_jacobian(
     hand: Hand, frames: HandFrames, points: Float[AnyArray, "*batch L 3"]
 ) -> Float[Array, "*batch L 3 J"]:
-    """How a point of each link moves with the joints: d point / d angle [m/rad].
+    """How a point of each link moves with the joints: d point / d angle [m/rad, or 1 of those that slide].
 
     Args:
         hand: whose tree tells which joints move which links.
@@ -182,11 +187,13 @@ def contact_jacobian(
         points: one of each link, in the world [m]; they move with their links.
 
     Returns:
-        Joint axis x (point - joint), zero for joints that do not carry the link.
+        Joint axis x (point - joint) of hinges, the axis of joints that slide; zero for joints that do not carry
+        the link.
     """
     moves = ancestry(hand)
     arms = jnp.asarray(points)[..., :, None, :] - frames.joints.origin[..., None, :, :]
-    columns = jnp.cross(frames.axes[..., None, :, :], arms)
+    axes = frames.axes[..., None, :, :]
+    columns = jnp.where(hand.slides[:, None], axes, jnp.cross(axes, arms))
     return jnp.where(moves[:, :, None], columns, 0).swapaxes(-1, -2)
 
 
@@ -199,7 +206,8 @@ def joint_torques(
     """What contact forces do to the joints: J^T (-f) [N.m].
 
     ``forces`` are what the hand exerts on the object; the hand feels their opposites. A torque is positive
-    where it helps a joint's positive angle: what resists flexion is negative, and is what a glove renders.
+    where it helps a joint's positive angle: what resists flexion is negative, and is what a glove renders. Of joints
+    that slide it is the force along their axis [N].
 
     Args:
         hand: whose tree tells which joints carry which links.
@@ -211,4 +219,5 @@ def joint_torques(
     felt = -jnp.asarray(forces)
     total = jnp.einsum("jl,...lc->...jc", moves, felt)
     moment = jnp.einsum("jl,...lc->...jc", moves, jnp.cross(jnp.asarray(points), felt))
-    return jnp.sum(frames.axes * (moment - jnp.cross(frames.joints.origin, total)), -1)
+    felt_there = jnp.where(hand.slides[:, None], total, moment - jnp.cross(frames.joints.origin, total))
+    return jnp.sum(frames.axes * felt_there, -1)

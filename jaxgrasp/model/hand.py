@@ -1,14 +1,16 @@
-"""The Hand: links that turn about hinges, the spheres that they are made of for contact, and where it all stands.
+"""The Hand: links that turn or slide, the spheres that they are made of for contact, and where it all stands.
 
 - Angles are in rad. Of a human hand's joints flexion bends towards the palm and counts positive; abduction
   counts positive towards the thumb, but for ring and little finger away from it, and the thumb's own away from
   the palm.
+- A joint that slides has a way [m] in place of an angle, and feels a force in place of a torque.
 - A frame is an origin and a rotation; the rotation's columns are the frame's axes.
 """
 
 from typing import NamedTuple
 
 import equinox as eqx
+import numpy as np
 
 from jaxgrasp.model.arrays import AnyArray, Float
 
@@ -21,7 +23,7 @@ class Link(NamedTuple):
     phalanx: str
     """palm (a finger's metacarpal), metacarpal (the thumb's), proximal, middle or distal; or empty."""
     joint: int
-    """The hinge that carries it; -1 for the wrist."""
+    """The joint that carries it; -1 for the wrist."""
 
     @property
     def name(self) -> str:
@@ -38,10 +40,10 @@ class Spheres(eqx.Module):
 
 
 class Hand(eqx.Module):
-    """A tree of hinges that grows from the wrist (source: sections II-B and II-G.2).
+    """A tree of joints that grows from the wrist (source: sections II-B and II-G.2); without any, one rigid body.
 
-    A hinge's frame stands at ``origins`` in its parent's, turned by ``rests`` where the angle is zero, and turns
-    about ``axes``. A link's frame is its hinge's. Hinges come after their parents.
+    A joint's frame stands at ``origins`` in its parent's, turned by ``rests`` where the angle is zero, and turns
+    about ``axes``, or slides along them. A link's frame is its joint's. Joints come after their parents.
     """
 
     origins: Float[AnyArray, "J 3"]
@@ -55,10 +57,17 @@ class Hand(eqx.Module):
     """Largest angles [rad]."""
     skin: Spheres
     parents: tuple[int, ...] = eqx.field(static=True)
-    """The hinge that carries each hinge; -1 for the wrist."""
+    """The joint that carries each joint; -1 for the wrist."""
     joints: tuple[str, ...] = eqx.field(static=True)
-    """Names of the hinges, such as ``index MP``."""
+    """Names of the joints, such as ``index MP``."""
     links: tuple[Link, ...] = eqx.field(static=True)
+    sliding: tuple[str, ...] = eqx.field(static=True, default=())
+    """Names of those joints that slide; the others are hinges."""
+
+    @property
+    def slides(self) -> np.ndarray:
+        """``(J,)`` booleans: which joints slide."""
+        return np.array([name in self.sliding for name in self.joints], bool)
 
 
 class Pose(eqx.Module):
@@ -75,15 +84,15 @@ class Posture(eqx.Module):
 
     wrist: Pose
     angles: Float[AnyArray, "*batch J"]
-    """[rad]"""
+    """[rad]; [m] of joints that slide."""
 
 
 class HandFrames(eqx.Module):
     """Where the parts of a posed hand stand in the world."""
 
     joints: Pose
-    """Of the hinges ``(..., J)``, turned by their angles."""
+    """Of the joints ``(..., J)``, turned or moved by their angles."""
     axes: Float[AnyArray, "*batch J 3"]
-    """About which the hinges turn."""
+    """About which they turn, or along which they slide."""
     links: Pose
     """Of the links ``(..., L)``."""

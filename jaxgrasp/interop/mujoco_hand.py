@@ -24,6 +24,7 @@ class MujocoHand:
     """A Hand, and where its parts are in the model that it came from."""
 
     hand: Hand
+    model: mujoco.MjModel
     addresses: np.ndarray
     """``(J,)``: of each joint's angle in ``data.qpos``."""
     velocities: np.ndarray
@@ -170,6 +171,7 @@ def _finish(mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int,
     )
     return MujocoHand(
         hand=hand,
+        model=model,
         addresses=model.jnt_qposadr[joints].copy(),
         velocities=model.jnt_dofadr[joints].copy(),
         bodies=np.array(kept, int),
@@ -187,7 +189,8 @@ def _spheres(mujoco: Any, model: mujoco.MjModel, geom: int, place: _Carrier) -> 
     """A row of spheres inside the geom along its longest side, in the link's frame; None for other geoms."""
     kinds = mujoco.mjtGeom
     size, along = model.geom_size[geom], np.linspace(-1, 1, LEAVES)
-    kind = model.geom_type[geom]
+    # As MuJoCo's own kind: it calls no NumPy number its equal.
+    kind = kinds(model.geom_type[geom])
     direction = np.array([0.0, 0.0, 1.0])
     if kind == kinds.mjGEOM_SPHERE:
         offsets, radii = np.zeros(1), np.array([size[0]])

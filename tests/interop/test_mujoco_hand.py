@@ -1,6 +1,7 @@
 """Hands out of MuJoCo models: their kinematics are MuJoCo's own, and so are the places of their spheres."""
 
 import importlib.util
+from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
 import jax
@@ -8,11 +9,21 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Pose, Posture, hand_from_mujoco, pose_hand
+from jaxgrasp import Pose, Posture, hand_from_mujoco, hand_from_urdf, pose_hand
 
 mujoco = pytest.importorskip("mujoco")
 COUNT = 1000
 OPPOSED = -0.25
+
+
+def allegro() -> Path:
+    """The Allegro hand's URDF, or the test is skipped."""
+    try:
+        found = files("example-robot-data") or []
+    except PackageNotFoundError:
+        pytest.skip("needs example-robot-data")
+    (path,) = [file.locate() for file in found if file.name == "allegro_right_hand.urdf"]
+    return Path(path)
 
 
 def model_of(name: str):
@@ -20,6 +31,8 @@ def model_of(name: str):
     if name == "myohand":
         compose = pytest.importorskip("myo_sim.build.compose")
         return compose.build_right_hand_from_arm_spec().compile(), None, {"cmc_flexion_r": OPPOSED}
+    if name == "allegro":
+        return hand_from_urdf(allegro(), "palm_link").model, "palm_link", {}
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None:
         pytest.skip("needs gymnasium-robotics")
@@ -36,7 +49,7 @@ def wrist_of(model, wrist: str | None) -> str:
     return model.body(int(model.body_parentid[model.body("secondmc_r").id])).name
 
 
-@pytest.fixture(scope="module", params=["myohand", "shadow", "adroit"])
+@pytest.fixture(scope="module", params=["myohand", "shadow", "adroit", "allegro"])
 def case(request):
     model, wrist, locked = model_of(request.param)
     wrist = wrist_of(model, wrist)
@@ -94,6 +107,13 @@ def test_it_has_the_joints_that_were_asked_for(case):
         assert len(kinds) == 19 and sum(kinds) == 5
     limited = model.jnt_limited[[model.joint(joint).id for joint in hand.joints]].astype(bool)
     assert (np.asarray(hand.lower)[limited] < np.asarray(hand.upper)[limited]).all()
+
+
+def test_only_meshes_are_left_out(case):
+    _, model, _, _, found = case
+    by_name = {model.geom(g).name or f"geom {g}": g for g in range(model.ngeom)}
+    kinds = {int(model.geom_type[by_name[name]]) for name in found.left_out}
+    assert kinds <= {int(mujoco.mjtGeom.mjGEOM_MESH)}
 
 
 def outside(model, geom: int, at: np.ndarray) -> np.ndarray:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxgrasp.force.reachable import Reachable, reachable_wrench
     from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
     from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
+    from jaxgrasp.interop.urdf_hand import hand_from_urdf
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
@@ -99,6 +100,7 @@ _HOME = {
     "grasp_from_contacts": "contact.to_grasp",
     "grasp_matrix": "model.wrench",
     "hand_from_mujoco": "interop.mujoco_hand",
+    "hand_from_urdf": "interop.urdf_hand",
     "human_hand": "contact.human_hand",
     "joint_torques": "contact.kinematics",
     "lagrange_forces": "force.lagrange",

@@ -8,6 +8,7 @@ What a scene does not need is skipped: a sphere about all that the hand can reac
 the poses whose sphere meets the object are gathered and looked at closely.
 """
 
+import math
 from functools import partial, reduce
 from typing import NamedTuple
 
@@ -78,7 +79,7 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
 
     def spread(array: Array) -> Array:
         tail = array.shape[1:]
-        return jnp.broadcast_to(array.reshape(*batch, *tail), (*whole, *tail)).reshape(-1, *tail)
+        return jnp.broadcast_to(array.reshape(*batch, *tail), (*whole, *tail)).reshape(math.prod(whole), *tail)
 
     scene = _Scene(
         jax.tree.map(spread, flat),

@@ -1,5 +1,6 @@
 """Where a posed hand's parts are, how contact points move with its joints, and which torques forces put on them."""
 
+import math
 from functools import cache
 from typing import NamedTuple, TypeVar
 
@@ -63,14 +64,12 @@ def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, .
     if angles.shape[-1:] != (count,):
         raise ValueError(f"angles has shape {angles.shape}: expected (..., {count}), one for each joint")
     batch = jnp.broadcast_shapes(origin.shape[:-1], rotation.shape[:-2], angles.shape[:-1])
-    flat = Posture(
-        Pose(
-            jnp.broadcast_to(origin, (*batch, 3)).reshape(-1, 3),
-            jnp.broadcast_to(rotation, (*batch, 3, 3)).reshape(-1, 3, 3),
-        ),
-        jnp.broadcast_to(angles, (*batch, count)).reshape(-1, count),
-    )
-    return flat, batch
+    size = math.prod(batch)
+
+    def flat(array: Array, *tail: int) -> Array:
+        return jnp.broadcast_to(array, (*batch, *tail)).reshape(size, *tail)
+
+    return Posture(Pose(flat(origin, 3), flat(rotation, 3, 3)), flat(angles, count)), batch
 
 
 def stand(hand: Hand, posture: Posture) -> Standing:
@@ -168,12 +167,12 @@ def _rotation(axis: Vec, angle: Array) -> Axes:
 
 def vectors(vector: Vec, batch: tuple[int, ...]) -> Array:
     """Components ``(bodies, B)`` as ``(..., bodies, 3)``."""
-    return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, -1, 3)
+    return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, vector.x.shape[0], 3)
 
 
 def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
     columns = jnp.stack([jnp.stack(axis, -1) for axis in axes], -1)
-    return columns.swapaxes(0, 1).reshape(*batch, -1, 3, 3)
+    return columns.swapaxes(0, 1).reshape(*batch, columns.shape[0], 3, 3)
 
 
 def contact_jacobian(

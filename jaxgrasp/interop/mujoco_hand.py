@@ -24,6 +24,7 @@ class MujocoHand:
     """A Hand, and where its parts are in the model that it came from."""
 
     hand: Hand
+    model: mujoco.MjModel
     addresses: np.ndarray
     """``(J,)``: of each joint's angle in ``data.qpos``."""
     velocities: np.ndarray
@@ -40,7 +41,7 @@ class MujocoHand:
 
 @dataclass
 class _Carrier:
-    """A body's frame in that of the hinge that carries it."""
+    """A body's frame in that of the joint that carries it."""
 
     joint: int
     position: np.ndarray
@@ -68,11 +69,11 @@ def hand_from_mujoco(
             are called by their own name, and ``""``.
 
     Returns:
-        The Hand: every hinge below the wrist that is not locked, and a link for every body with collision geoms.
+        The Hand: every joint below the wrist that is not locked, and a link for every body with collision geoms.
 
     Raises:
         ImportError: without MuJoCo.
-        ValueError: for a name that the model lacks, a joint that is neither a hinge nor locked, or a body that
+        ValueError: for a name that the model lacks, a joint that neither turns nor slides, or a body that
             carries no hand.
     """
     mujoco = import_mujoco("hand_from_mujoco")
@@ -94,7 +95,7 @@ def hand_from_mujoco(
 
 
 class _Tree:
-    """Hinges as they are met."""
+    """Joints as they are met."""
 
     def __init__(self, mujoco: Any, model: mujoco.MjModel, locked: dict[str, float]):
         self.mujoco, self.model, self.locked = mujoco, model, locked
@@ -104,7 +105,7 @@ class _Tree:
         self.rests: list[np.ndarray] = []
 
     def add_joints(self, body: int, place: _Carrier) -> _Carrier:
-        """The body's frame in that of its last hinge."""
+        """The body's frame in that of its last joint."""
         first = int(self.model.body_jntadr[body])
         for joint in range(first, first + int(self.model.body_jntnum[body])):
             place = self._add(joint, place)
@@ -113,7 +114,10 @@ class _Tree:
     def _add(self, joint: int, place: _Carrier) -> _Carrier:
         model, name = self.model, self.model.joint(joint).name
         anchor, axis = model.jnt_pos[joint], model.jnt_axis[joint]
-        hinge = model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_HINGE
+        kinds = self.mujoco.mjtJoint
+        hinge, slide = (model.jnt_type[joint] == kind for kind in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE))
+        if not (hinge or slide):
+            raise ValueError(f"joint {name!r} neither turns about an axis nor slides along one: a Hand's joints do")
         # MuJoCo turns from the angle that the joint has in the reference configuration.
         reference = model.qpos0[model.jnt_qposadr[joint]]
         if name in self.locked:
@@ -121,15 +125,14 @@ class _Tree:
             if hinge:
                 turn = _turn(self.mujoco, axis, way)
                 return place.carry(anchor - turn @ anchor, turn)
-            if model.jnt_type[joint] == self.mujoco.mjtJoint.mjJNT_SLIDE:
-                return place.carry(way * axis, np.eye(3))
-        if not hinge:
-            raise ValueError(f"joint {name!r} is no hinge: lock it, since a Hand's joints all turn about an axis")
+            return place.carry(way * axis, np.eye(3))
         here = place.carry(anchor, np.eye(3))
         self.joints.append(joint)
         self.parents.append(here.joint)
         self.origins.append(here.position)
         self.rests.append(here.rotation)
+        if slide:
+            return _Carrier(len(self.joints) - 1, -reference * axis - anchor, np.eye(3))
         back = _turn(self.mujoco, axis, -reference)
         return _Carrier(len(self.joints) - 1, -back @ anchor, back)
 
@@ -153,8 +156,9 @@ def _finish(mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int,
             spheres.append((np.concatenate([c for c, _ in parts]), np.concatenate([r for _, r in parts])))
             kept.append(body)
     if not tree.joints or not links:
-        raise ValueError("no hinge, or no geom that can touch, hangs on the wrist's body: is it the right one?")
+        raise ValueError("no joint, or no geom that can touch, hangs on the wrist's body: is it the right one?")
     joints = np.array(tree.joints, int)
+    slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     # Limits that the model does not have are a whole turn.
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.pi, np.pi])
     hand = Hand(
@@ -167,9 +171,11 @@ def _finish(mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int,
         tuple(tree.parents),
         tuple(model.joint(j).name for j in joints),
         tuple(links),
+        tuple(model.joint(j).name for j in joints[slides]),
     )
     return MujocoHand(
         hand=hand,
+        model=model,
         addresses=model.jnt_qposadr[joints].copy(),
         velocities=model.jnt_dofadr[joints].copy(),
         bodies=np.array(kept, int),
@@ -187,7 +193,8 @@ def _spheres(mujoco: Any, model: mujoco.MjModel, geom: int, place: _Carrier) -> 
     """A row of spheres inside the geom along its longest side, in the link's frame; None for other geoms."""
     kinds = mujoco.mjtGeom
     size, along = model.geom_size[geom], np.linspace(-1, 1, LEAVES)
-    kind = model.geom_type[geom]
+    # As MuJoCo's own kind: it calls no NumPy number its equal.
+    kind = kinds(model.geom_type[geom])
     direction = np.array([0.0, 0.0, 1.0])
     if kind == kinds.mjGEOM_SPHERE:
         offsets, radii = np.zeros(1), np.array([size[0]])

@@ -1,6 +1,7 @@
 """Hands out of MuJoCo models: their kinematics are MuJoCo's own, and so are the places of their spheres."""
 
 import importlib.util
+from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
 import jax
@@ -8,11 +9,21 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Pose, Posture, hand_from_mujoco, pose_hand
+from jaxgrasp import Pose, Posture, hand_from_mujoco, hand_from_urdf, pose_hand
 
 mujoco = pytest.importorskip("mujoco")
 COUNT = 1000
 OPPOSED = -0.25
+
+
+def allegro() -> Path:
+    """The Allegro hand's URDF, or the test is skipped."""
+    try:
+        found = files("example-robot-data") or []
+    except PackageNotFoundError:
+        pytest.skip("needs example-robot-data")
+    (path,) = [file.locate() for file in found if file.name == "allegro_right_hand.urdf"]
+    return Path(path)
 
 
 def model_of(name: str):
@@ -20,6 +31,8 @@ def model_of(name: str):
     if name == "myohand":
         compose = pytest.importorskip("myo_sim.build.compose")
         return compose.build_right_hand_from_arm_spec().compile(), None, {"cmc_flexion_r": OPPOSED}
+    if name == "allegro":
+        return hand_from_urdf(allegro(), "palm_link").model, "palm_link", {}
     found = importlib.util.find_spec("gymnasium_robotics")
     if found is None:
         pytest.skip("needs gymnasium-robotics")
@@ -36,7 +49,7 @@ def wrist_of(model, wrist: str | None) -> str:
     return model.body(int(model.body_parentid[model.body("secondmc_r").id])).name
 
 
-@pytest.fixture(scope="module", params=["myohand", "shadow", "adroit"])
+@pytest.fixture(scope="module", params=["myohand", "shadow", "adroit", "allegro"])
 def case(request):
     model, wrist, locked = model_of(request.param)
     wrist = wrist_of(model, wrist)
@@ -96,6 +109,13 @@ def test_it_has_the_joints_that_were_asked_for(case):
     assert (np.asarray(hand.lower)[limited] < np.asarray(hand.upper)[limited]).all()
 
 
+def test_only_meshes_are_left_out(case):
+    _, model, _, _, found = case
+    by_name = {model.geom(g).name or f"geom {g}": g for g in range(model.ngeom)}
+    kinds = {int(model.geom_type[by_name[name]]) for name in found.left_out}
+    assert kinds <= {int(mujoco.mjtGeom.mjGEOM_MESH)}
+
+
 def outside(model, geom: int, at: np.ndarray) -> np.ndarray:
     """How far beyond a geom's surface points in its own frame are: by its definition, no more than 0 inside."""
     kinds, size = mujoco.mjtGeom, model.geom_size[geom]
@@ -146,17 +166,49 @@ def test_names_that_the_model_lacks_are_refused(case):
         hand_from_mujoco(model, wrist, locked={"none": 0.0})
 
 
-def test_a_sliding_joint_must_be_locked():
+def drawer(*kinds) -> mujoco.MjModel:
+    """Bodies that hang on each other, each by a joint that is out of place and out of true."""
     spec = mujoco.MjSpec()
-    body = spec.worldbody.add_body(name="wrist").add_body(name="drawer")
-    body.add_joint(name="slide", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.01, 0.02, 0])
-    model = spec.compile()
-    with pytest.raises(ValueError, match="joint 'slide' is no hinge: lock it"):
-        hand_from_mujoco(model, "wrist")
-    with pytest.raises(ValueError, match="no hinge, or no geom that can touch"):
-        hand_from_mujoco(model, "wrist", locked={"slide": 0.3})
-    body.add_joint(name="lid", axis=[0, 1, 0])
-    found = hand_from_mujoco(spec.compile(), "wrist", locked={"slide": 0.3})
-    np.testing.assert_allclose(found.hand.origins, [[0.3, 0, 0]], atol=1e-15)
-    assert found.hand.links[0].name == "drawer" and found.hand.joints == ("lid",)
+    body = spec.worldbody.add_body(name="wrist")
+    for i, kind in enumerate(kinds):
+        body = body.add_body(name=f"body {i}", pos=[0.1, 0.02 * i, 0], quat=[1, 0.2 * i, 0.3, 0])
+        body.add_joint(name=f"joint {i}", type=kind, axis=[1, 0.5, i], pos=[0.01, 0, 0.02], ref=0.05)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.01, 0.02, 0])
+    return spec.compile()
+
+
+HINGE, SLIDE, BALL = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_BALL
+
+
+def test_what_slides_in_mujoco_slides_here():
+    model = drawer(SLIDE, HINGE, SLIDE, HINGE)
+    found = hand_from_mujoco(model, "wrist")
+    assert found.hand.sliding == ("joint 0", "joint 2")
+    angles = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 4))
+    for row, (data, wrist) in zip(angles, states(model, "wrist", {}, found, angles), strict=True):
+        frames = pose_hand(found.hand, Posture(wrist, row))
+        at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, found.positions)
+        np.testing.assert_allclose(at, data.xpos[found.bodies], atol=1e-12)
+        jacobian = jaxgrasp.contact_jacobian(found.hand, frames, at)
+        for link, body in enumerate(found.bodies):
+            expected = np.zeros((3, model.nv))
+            mujoco.mj_jacBody(model, data, expected, None, body)
+            np.testing.assert_allclose(jacobian[link], expected[:, found.velocities], atol=1e-12)
+
+
+def test_a_locked_slide_stays_where_it_was_put():
+    model = drawer(SLIDE, HINGE)
+    found = hand_from_mujoco(model, "wrist", locked={"joint 0": 0.3})
+    assert found.hand.joints == ("joint 1",) and [link.name for link in found.hand.links] == ["body 0", "body 1"]
+    angles = np.array([[0.2]])
+    ((data, wrist),) = states(model, "wrist", {"joint 0": 0.3}, found, angles)
+    frames = pose_hand(found.hand, Posture(wrist, angles[0]))
+    at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, found.positions)
+    np.testing.assert_allclose(at, data.xpos[found.bodies], atol=1e-12)
+
+
+def test_what_neither_turns_nor_slides_is_refused():
+    with pytest.raises(ValueError, match="joint 'joint 0' neither turns about an axis nor slides"):
+        hand_from_mujoco(drawer(BALL), "wrist")
+    with pytest.raises(ValueError, match="no joint, or no geom that can touch"):
+        hand_from_mujoco(drawer(SLIDE), "wrist", locked={"joint 0": 0.3})

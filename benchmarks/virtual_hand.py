@@ -1,0 +1,278 @@
+"""The paper's Table II again: time of a tick of the virtual hand and of its parts, and how good the answers are.
+
+    python -m benchmarks.virtual_hand --out benchmarks/results
+
+A tick is ``observe``: posture to contacts, forces by method B and their optimum, joint torques. The hand holds a
+cylinder in a power grip. For n contacts it is left with n parts of its skin, so that n is what every solver sees.
+Writes virtual_hand.json and virtual_hand.md.
+"""
+
+import os
+
+# One thread, decided before JAX starts its pool.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxgrasp
+from benchmarks import laws
+from benchmarks import references as R
+from benchmarks.closed_form import counts, force_error
+from benchmarks.machine import machine
+from benchmarks.page import hand_tables
+from benchmarks.page.clock import interleaved
+from benchmarks.problem_data import Problems
+from jaxgrasp import CYLINDRICAL_POWER_GRIP, Body, Contacts, Cylinder, Hand, Pose, Posture, Scene, Solution, Spheres
+from jaxgrasp.prehension.power_grip import lay_on, power_grip
+
+NAME = "virtual_hand"
+PAPER = {3: 2.0, 5: 2.0, 10: 3.0, 15: 5.0, 20: 7.0}
+"""Table II: milliseconds for the forces of so many contacts, on a workstation of 50 MHz."""
+RADIUS, HEIGHT, MASS = 0.035, 0.3, 0.4
+FRICTION, STIFFNESS, DEPTH = 0.6, 1000.0, 2e-3
+CLEAR = 5e-4
+"""Depth in the unperturbed grip that a part needs to be kept [m]: shallower ones would often be absent."""
+TURN, SHIFT = 5e-3, 2e-4
+"""By how much poses differ: standard deviations of every joint's angle [rad], and of the object's place [m]."""
+BELOW, APART = 0.12, 1.0
+"""How far down from the open hand the object lies within reach, and how far off out of it [m]."""
+WHOLE = "whole hand"
+PARTS = ("tick", "contacts", "closed form", "optimum", "torques")
+
+
+class Plan(NamedTuple):
+    """How much to measure."""
+
+    sizes: tuple[int, ...] = tuple(PAPER)
+    batch: int = 10_000
+    singles: int = 7
+    """Poses that are computed one at a time."""
+    judged: int = 1_000
+    repeats: int = 21
+    budget: float = 4.0
+    """Seconds that one call may take up in all."""
+    burst: float = 5e-3
+    """Seconds that a single pose is computed again and again before it is another's turn."""
+
+
+QUICK = Plan(sizes=(3,), batch=16, singles=1, judged=16, repeats=3, budget=0.5)
+
+
+class Case(NamedTuple):
+    """A scene, and its poses with a leading axis."""
+
+    scene: Scene
+    posture: Posture
+    placed: Pose
+
+
+def in_halves(hand: Hand) -> Hand:
+    """The hand with the skin of every link in two parts, near and far, each of which touches by itself."""
+    half = hand.skin.radii.shape[1] // 2
+    skin = Spheres(hand.skin.centers.reshape(-1, half, 3), hand.skin.radii.reshape(-1, half))
+    return with_skin(hand, skin, np.repeat(np.arange(len(hand.links)), 2))
+
+
+def with_skin(hand: Hand, skin: Spheres, links: np.ndarray) -> Hand:
+    """The same hinges under another skin, whose rows are parts of these links."""
+    kept = tuple(hand.links[i] for i in links)
+    joints = (hand.origins, hand.rests, hand.axes, hand.lower, hand.upper)
+    return Hand(*joints, skin, hand.parents, hand.joints, kept)
+
+
+def with_parts(hand: Hand, kept: np.ndarray) -> Hand:
+    return with_skin(hand, Spheres(hand.skin.centers[kept], hand.skin.radii[kept]), kept)
+
+
+def spread_out(contacts: Contacts, n: int) -> np.ndarray:
+    """Parts that touch, n of them: the deepest, and then whichever is the farthest from all those taken."""
+    points = np.asarray(contacts.points)
+    touching = np.flatnonzero(np.asarray(contacts.depths) > CLEAR)
+    if len(touching) < n:
+        raise ValueError(f"sizes holds {n}: expected at most {len(touching)}, the parts that touch")
+    taken = [touching[np.argmax(np.asarray(contacts.depths)[touching])]]
+    while len(taken) < n:
+        distance = np.linalg.norm(points[touching, None] - points[taken], axis=-1).min(1)
+        taken.append(touching[np.argmax(distance)])
+    return np.sort(taken)
+
+
+def cases(plan: Plan) -> dict[str, Case]:
+    """The grip with n parts of the hand, with the whole hand, and two ways to touch nothing."""
+    whole = jaxgrasp.human_hand()
+    shape = Cylinder(RADIUS, HEIGHT)
+    closed, placed, _ = power_grip(whole, shape, DEPTH)
+    parts = in_halves(whole)
+    touched = jaxgrasp.find_contacts(parts, closed, shape, placed)
+    share = jaxgrasp.link_contributions(whole, CYLINDRICAL_POWER_GRIP)
+    found = {}
+    for n in plan.sizes:
+        kept = spread_out(touched, n)
+        found[str(n)] = Case(scene(with_parts(parts, kept), shape, share[kept // 2] / 2), *poses(closed, placed, plan))
+    held = Case(scene(whole, shape, share), *poses(closed, placed, plan))
+    away = held.placed.origin + jnp.array([0.0, 0.0, APART])
+    wrist, angles = held.posture.wrist, lay_on(whole, shape)[0].angles
+    opened = held._replace(posture=Posture(wrist, jnp.broadcast_to(angles, held.posture.angles.shape)))
+    lower = held.placed.origin - BELOW * wrist.rotation[..., 2]
+    return found | {
+        WHOLE: held,
+        "open hand, object within reach": opened._replace(placed=Pose(lower, held.placed.rotation)),
+        "object out of reach": held._replace(placed=Pose(away, held.placed.rotation)),
+    }
+
+
+def scene(hand: Hand, shape: Cylinder, contributions: jax.Array) -> Scene:
+    table = Pose(jnp.array([0.0, 0.0, -1.0]), jnp.eye(3))
+    gravity = jnp.array([0.0, 0.0, -9.81])
+    return Scene(hand, Body(shape, MASS), table, FRICTION, STIFFNESS, contributions, gravity)
+
+
+def poses(closed: Posture, placed: Pose, plan: Plan) -> tuple[Posture, Pose]:
+    """The grip turned every way as a whole, its angles and the object's place a little different each time."""
+    rng = np.random.default_rng(0)
+    turns = np.linalg.qr(rng.normal(size=(plan.batch, 3, 3)))[0]
+    turns[..., 0] *= np.linalg.det(turns)[:, None]
+    angles = np.asarray(closed.angles) + TURN * rng.normal(size=(plan.batch, closed.angles.shape[-1]))
+    origin = np.asarray(placed.origin) + SHIFT * rng.normal(size=(plan.batch, 3))
+    wrist = Pose(jnp.zeros((plan.batch, 3)), jnp.asarray(turns))
+    turned = Pose(jnp.asarray(np.einsum("bij,bj->bi", turns, origin)), jnp.asarray(turns @ placed.rotation))
+    return Posture(wrist, jnp.asarray(angles)), turned
+
+
+@jax.jit
+def contacts(hand: Hand, posture: Posture, shape: Cylinder, placed: Pose):
+    return jaxgrasp.pose_hand(hand, posture), jaxgrasp.find_contacts(hand, posture, shape, placed)
+
+
+tick, closed_form = jax.jit(jaxgrasp.observe), jax.jit(jaxgrasp.closed_form)
+optimum, torques = jax.jit(jaxgrasp.constrained_optimum), jax.jit(jaxgrasp.joint_torques)
+
+
+def calls(case: Case) -> dict[str, Callable]:
+    """A tick, and its parts on what the tick handed them."""
+    hand, shape = case.scene.hand, case.scene.body.shape
+    frames, touched = contacts(hand, case.posture, shape, case.placed)
+    found = tick(*case)
+    functions: dict[str, tuple[Callable, tuple]] = {
+        "tick": (tick, tuple(case)),
+        "contacts": (contacts, (hand, case.posture, shape, case.placed)),
+        "closed form": (closed_form, (found.grasp, found.wrench)),
+        "optimum": (optimum, (found.grasp, found.wrench)),
+        "torques": (torques, (hand, frames, touched.points, found.assessment.forces)),
+    }
+    return {name: lambda f=f, given=given: jax.block_until_ready(f(*given)) for name, (f, given) in functions.items()}
+
+
+def measure(name: str, case: Case, plan: Plan) -> dict:
+    """Times of one case in a batch and, where the plan has singles, alone; and what its answers are worth."""
+    batched = interleaved(calls(case), plan.repeats, plan.budget)
+    found = {
+        "case": name,
+        "contacts": len(case.scene.hand.links),
+        "dtype": case.posture.angles.dtype.name,
+        "batch": plan.batch,
+        "threads": 1,
+        "batch_microseconds": {part: seconds / plan.batch * 1e6 for part, seconds in batched.items()},
+    }
+    return found | (alone(case, plan) if plan.singles else {}) | quality(case, plan)
+
+
+def alone(case: Case, plan: Plan) -> dict:
+    """Times of the first poses, each by itself."""
+    turns = {}
+    for i in range(plan.singles):
+        posture, placed = (jax.tree.map(lambda x, i=i: x[i], tree) for tree in (case.posture, case.placed))
+        turns |= {(part, i): call for part, call in calls(Case(case.scene, posture, placed)).items()}
+    spent = interleaved(turns, plan.repeats, plan.budget / 10, plan.burst)
+    micro = {part: [spent[part, i] * 1e6 for i in range(plan.singles)] for part in PARTS}
+    return {
+        "single_microseconds": {part: float(np.median(times)) for part, times in micro.items()},
+        "slowest_single_tick_microseconds": max(micro["tick"]),
+    }
+
+
+def quality(case: Case, plan: Plan) -> dict:
+    """What touched, the verdicts, and the errors of the first answers, by code that shares nothing with a solver."""
+    found = jax.device_get(tick(*case))
+    closed, best = found.assessment.closed, found.assessment.optimum
+    solved = best.verdict <= jaxgrasp.Verdict.OPTIMAL
+    row = {
+        "sphere_tests": float(found.contacts.tests.mean()),
+        "mean_present": float(found.contacts.present.sum(-1).mean()),
+        "all_present_share": float((found.contacts.present == 1).all(-1).mean()),
+        "active_share": float((best.verdict == jaxgrasp.Verdict.OPTIMAL).mean()),
+        "closed_form_verdicts": counts(closed.verdict),
+        "optimum_verdicts": counts(best.verdict),
+        "mean_newton_steps": float(best.steps.mean()),
+        "judged": min(plan.judged, len(solved)),
+    }
+    first = lambda tree: jax.tree.map(lambda x: x[: plan.judged], tree)  # noqa: E731
+    grasp = first(found.grasp)
+    arrays = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze)
+    problem = Problems(NAME, *arrays, first(found.wrench), feasible=None)
+    return row | errors(problem, first(closed), first(best)) | {"max_torque_error": torque_error(case, found)}
+
+
+def errors(problem: Problems, closed: Solution, best: Solution) -> dict:
+    """Of the forces, over the poses that their own verdict calls answered; None where there are none."""
+    answered = closed.verdict <= jaxgrasp.Verdict.OUTSIDE_CONES
+    held = laws.hold(problem, problem.squeeze, best)
+    apart = force_error(problem, closed.forces)[0]
+    balance = R.backward_error(R.centred(problem, problem.squeeze), closed.forces)
+    return {
+        "wrong": int(laws.any_of(held.broken).sum()),
+        "closed_form_force_error": worst(apart, answered),
+        "closed_form_backward_error": worst(balance, answered),
+        "optimum_gap": worst(held.judged.gap, held.solved),
+        "optimum_backward_error": worst(held.judged.backward_error, held.solved),
+        "optimum_violation": worst(held.judged.violation, held.solved),
+    }
+
+
+def worst(values: np.ndarray, where: np.ndarray) -> float | None:
+    return float(values[where].max()) if where.any() else None
+
+
+def torque_error(case: Case, found: jaxgrasp.Tick) -> float | None:
+    """Against the contacts' Jacobian, relative to each pose's largest torque; None where no pose has one."""
+    hand = case.scene.hand
+    frames = jaxgrasp.pose_hand(hand, case.posture)
+    jacobian = np.asarray(jaxgrasp.contact_jacobian(hand, frames, found.contacts.points), float)
+    expected = -np.einsum("blcj,blc->bj", jacobian, found.assessment.forces)
+    largest = np.abs(expected).max(-1)
+    apart = np.abs(found.torques - expected).max(-1)
+    return worst(apart / np.where(largest > 0, largest, 1), largest > 0)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
+    parser.add_argument("--quick", action="store_true", help="a few poses of one size: a test, not a measurement")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    plan = QUICK if options.quick else Plan()
+    rows = [measure(name, case, plan) for name, case in cases(plan).items()]
+    # What was traced with 64-bit integers cannot be used without them.
+    jax.clear_caches()
+    with jax.enable_x64(False):
+        held = {name: case for name, case in cases(plan).items() if name.isdecimal() or name == WHOLE}
+        rows += [measure(name, case, plan._replace(singles=0)) for name, case in held.items()]
+    setting = {"radius": RADIUS, "mass": MASS, "friction": FRICTION, "turn": TURN, "shift": SHIFT}
+    report = {"machine": machine(), "plan": plan._asdict(), "setting": setting, "paper_ms": PAPER, "rows": rows}
+    (options.out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
+    (options.out / f"{NAME}.md").write_text(hand_tables.page(report))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""A robot's hand out of a URDF file, as ROS packages have it: MuJoCo compiles it, and its hinges become a Hand's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
+
+if TYPE_CHECKING:
+    import mujoco
+
+PACKAGE = "package://"
+COMPILER = {
+    "strippath": "false",
+    "meshdir": "",
+    "discardvisual": "true",
+    # Fixed joints keep their links apart, so that each can touch, and the wrist keeps its name.
+    "fusestatic": "false",
+    # Many a URDF has inertias that no body can have; a Hand has none.
+    "balanceinertia": "true",
+    "boundmass": "1e-9",
+    "boundinertia": "1e-12",
+}
+"""How MuJoCo is to read the file."""
+
+
+def hand_from_urdf(
+    path: str | Path,
+    wrist: str,
+    *,
+    locked: Mapping[str, float] | None = None,
+    names: Mapping[str, tuple[str, str]] | None = None,
+) -> MujocoHand:
+    """The hand that hangs on a link of a URDF file.
+
+    Collision geometry alone counts. A mesh becomes a capsule of the same inertia, as MuJoCo fits it: right for a
+    phalanx, rough for a palm. Links joined by a fixed joint touch each by itself.
+
+    Args:
+        path: of the file. Its meshes are found beside it, or for ``package://NAME/...`` in a folder called NAME above
+            it.
+        wrist: name of the link that is the wrist; its frame is the Hand's.
+        locked: joints that stay at an angle [rad] or a place [m], by name.
+        names: finger and phalanx of a link, by its name, such as ``{"link_3.0": ("index", "distal")}``.
+
+    Returns:
+        The Hand, and the MuJoCo model that it came from.
+
+    Raises:
+        ImportError: without MuJoCo.
+        ValueError: for a file or a mesh that is not there, or that MuJoCo cannot read, and as
+            [`jaxgrasp.hand_from_mujoco`][] does.
+    """
+    mujoco = import_mujoco("hand_from_urdf")
+    return hand_from_mujoco(_compiled(mujoco, Path(path)), wrist, locked=locked, names=names)
+
+
+def _compiled(mujoco: Any, path: Path) -> mujoco.MjModel:
+    robot = _read(path)
+    for element in robot.iterfind("link"):
+        for mesh in element.iterfind("collision/geometry/mesh"):
+            mesh.set("filename", str(_mesh_file(path, element.get("name", ""), mesh.get("filename", ""))))
+    extension = _child(robot, "mujoco")
+    _child(extension, "compiler").attrib.update(COMPILER)
+    try:
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"))
+        for geom in spec.geoms:
+            if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+                geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+        return spec.compile()
+    except ValueError as error:
+        said = " ".join(str(error).split())
+        raise ValueError(f"path is {str(path)!r}: expected a URDF that MuJoCo can read; it says: {said}") from None
+
+
+def _read(path: Path) -> ElementTree.Element:
+    """The file's ``robot`` element."""
+    if not path.is_file():
+        raise ValueError(f"path is {str(path)!r}: expected a URDF file, but there is none")
+    try:
+        robot = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"path is {str(path)!r}: expected a URDF file, but it is no XML: {error}") from None
+    if robot.tag != "robot":
+        raise ValueError(f"path is {str(path)!r}: expected a URDF file, whose root is <robot>, not <{robot.tag}>")
+    return robot
+
+
+def _mesh_file(path: Path, link: str, name: str) -> Path:
+    """Where a mesh is that the file names."""
+    folder = path.resolve().parent
+    if name.startswith(PACKAGE):
+        package, _, rest = name.removeprefix(PACKAGE).partition("/")
+        tried = [above / rest for above in (folder, *folder.parents) if above.name == package]
+        where = f"below a folder {package!r} that holds the URDF"
+    else:
+        tried, where = [folder / name.removeprefix("file://")], "beside the URDF"
+    for file in tried:
+        if file.is_file():
+            return file
+    raise ValueError(f"link {link!r} has the mesh {name!r}: expected that file {where}, but there is none")
+
+
+def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
+    """The first child of a tag, made where there is none."""
+    found = parent.find(tag)
+    return ElementTree.SubElement(parent, tag) if found is None else found

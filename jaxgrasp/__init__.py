@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from jaxgrasp.batch.file_error import GraspFileError
     from jaxgrasp.batch.sources import load_grasps, save_grasps
     from jaxgrasp.contact.closing import close_hand
+    from jaxgrasp.contact.deepest import Kept, keep_deepest
     from jaxgrasp.contact.detection import Contacts, find_contacts
     from jaxgrasp.contact.human_hand import human_hand, mirrored
     from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
@@ -62,6 +63,7 @@ _HOME = {
     "HandFrames": "model.hand",
     "Hold": "prehension.monitor",
     "Instant": "prehension.carry",
+    "Kept": "contact.deepest",
     "LevelError": "contact.sphere_tree",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
@@ -103,6 +105,7 @@ _HOME = {
     "hand_from_urdf": "interop.urdf_hand",
     "human_hand": "contact.human_hand",
     "joint_torques": "contact.kinematics",
+    "keep_deepest": "contact.deepest",
     "lagrange_forces": "force.lagrange",
     "level_errors": "contact.sphere_tree",
     "link_contributions": "contact.to_grasp",

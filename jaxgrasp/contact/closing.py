@@ -22,7 +22,7 @@ def close_hand(
     placed: Pose,
     depth: float | AnyArray = 1e-3,
     *,
-    towards: Float[AnyArray, "J"] | None = None,
+    towards: Float[AnyArray, "*#batch J"] | None = None,
     steps: int = 200,
 ) -> tuple[Posture, Contacts]:
     """Turn the joints until the links press into the object.

@@ -22,19 +22,34 @@ from jaxgrasp.numerics.vec import Vec
 
 Tree = TypeVar("Tree")
 
-ROOMS = (2048, 8192)
-"""Pairs that a frontier holds: the second is tried where the first does not hold all, and then every ball."""
+ROOMS = (9, 36)
+"""Pairs that a frontier holds for each sphere: the second is tried where the first does not hold all, and then every
+ball. Few spheres touch, so that those which do find room for many."""
 FAR = 1e3
 """How far a sphere is said to be that meets nothing [m]: finite, since it is multiplied by a weight of zero."""
 
 
 class Balls(eqx.Module):
-    """Some spheres, in a solid's frame; in a batch with a leading axis of poses, of size 1 where they share them."""
+    """Some spheres, in a solid's frame; in a batch with a leading axis of poses, of size 1 where they share them.
 
-    centers: Float[AnyArray, "*batch K 3"]
-    """[m]"""
+    By components: three gathers of numbers are faster than one of rows.
+    """
+
+    x: Float[AnyArray, "*batch K"]
+    """Of the centres [m]."""
+    y: Float[AnyArray, "*batch K"]
+    z: Float[AnyArray, "*batch K"]
     radii: Float[AnyArray, "*batch K"]
     """[m]"""
+
+    @property
+    def centers(self) -> Float[Array, "*batch K 3"]:
+        """[m]"""
+        return jnp.stack([self.x, self.y, self.z], -1)
+
+    def some(self, index: Array) -> tuple[Vec, Array]:
+        """Centres and radii of some."""
+        return Vec(*(jnp.asarray(c)[index] for c in (self.x, self.y, self.z))), jnp.asarray(self.radii)[index]
 
 
 class Nodes(eqx.Module):
@@ -42,7 +57,7 @@ class Nodes(eqx.Module):
 
     bounds: Balls
     """Of each node, the root first: a sphere about all balls below it; a leaf's own ball."""
-    children: Int[AnyArray, "*batch N 8"]
+    children: Int[AnyArray, "*batch 8 N"]
     """Places among the nodes; -1 where there is none. A leaf's first child is itself."""
     leaf: Int[AnyArray, "*batch N"]
     """A leaf's place among the balls; -1 for other nodes."""
@@ -81,7 +96,7 @@ def descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array) -> Seen:
     """As [`try_all`][], of those balls alone that a sphere can meet."""
 
     def of_pose(own: Array, tree: tuple[Balls, Nodes]) -> Seen:
-        return _descend(*tree, own, radii, ROOMS)
+        return _descend(*tree, own, radii, tuple(room * radii.size for room in ROOMS))
 
     return _each(of_pose, (balls, nodes), centers)
 
@@ -97,13 +112,12 @@ def _each(function: Callable[[Array, Tree], Seen], tree: Tree, poses: Array) -> 
 
 def _try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
     """One pose."""
-    everywhere = slice(None)
-    all_balls = _columns(balls.centers, everywhere)
+    all_balls, sizes = Vec(*map(jnp.asarray, (balls.x, balls.y, balls.z))), jnp.asarray(balls.radii)
 
     @jax.checkpoint
     def of_sphere(one: tuple[Array, Array]) -> tuple[Array, Array]:
         center, radius = one
-        gap, weighted = _overlaps(Vec(*center), radius, all_balls, jnp.asarray(balls.radii))
+        gap, weighted = _overlaps(Vec(*center), radius, all_balls, sizes)
         return jnp.min(gap), _unit(Vec(*map(jnp.sum, weighted)))
 
     distance, out = lax.map(of_sphere, (centers, radii))
@@ -132,9 +146,7 @@ def _met(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Arra
     count = radii.shape[0]
     # Pairs of no node are counted for a sphere beyond the last, which is then left out.
     one = jnp.minimum(pairs.sphere, count - 1)
-    gap, weighted = _overlaps(
-        _columns(centers, one), radii[one], _columns(balls.centers, pairs.node), balls.radii[pairs.node]
-    )
+    gap, weighted = _overlaps(_columns(centers, one), radii[one], *balls.some(pairs.node))
     least = jnp.full(count + 1, FAR, gap.dtype).at[pairs.sphere].min(lax.stop_gradient(gap))
     nearest = (gap == least[pairs.sphere]).astype(gap.dtype)
     ties, total, *out = (
@@ -161,9 +173,9 @@ def _unit(vector: Vec) -> Array:
     return jnp.stack([jnp.where(size > 0, vec.safe_divide(c, size), i == 0) for i, c in enumerate(vector)], -1)
 
 
-def _columns(vectors: AnyArray, index: Array | slice) -> Vec:
-    """Some of the vectors ``(N, 3)`` by components: three gathers of numbers are faster than one of rows."""
-    return Vec(*(jnp.asarray(vectors)[:, i][index] for i in range(3)))
+def _columns(vectors: Array, index: Array) -> Vec:
+    """Some of the vectors ``(N, 3)`` by components."""
+    return Vec(*(vectors[:, i][index] for i in range(3)))
 
 
 def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pairs, Array]:
@@ -173,7 +185,7 @@ def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pa
     tried = jnp.broadcast_to(nodes.start[:, None], (nodes.start.shape[0], count))
     pairs, missed = _kept(nodes, centers, radii, sphere, tried, room)
     for _ in range(nodes.steps):
-        children = jnp.where(pairs.node >= 0, nodes.children.T[:, pairs.node], -1)
+        children = jnp.where(pairs.node >= 0, nodes.children[:, pairs.node], -1)
         pairs, more = _kept(nodes, centers, radii, pairs.sphere, children, room)
         missed = missed | more
     return Pairs(pairs.sphere, nodes.leaf[pairs.node]), missed
@@ -182,9 +194,9 @@ def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pa
 def _kept(nodes: Nodes, centers: Array, radii: Array, sphere: Array, tried: Array, room: int) -> tuple[Pairs, Array]:
     """Of the nodes ``(k, P)`` tried against spheres ``(P,)`` those that meet, and whether some had no room."""
     own = jnp.minimum(sphere, radii.shape[0] - 1)
-    bounds = nodes.bounds
-    way = vec.sub(_columns(centers, own), _columns(bounds.centers, tried))
-    near = radii[own] + bounds.radii[tried]
+    middles, sizes = nodes.bounds.some(tried)
+    way = vec.sub(_columns(centers, own), middles)
+    near = radii[own] + sizes
     met = (tried >= 0) & (radii[own] > 0) & (vec.dot(way, way) < near * near)
     # Places count through the nodes of a sphere first: short sums over those, and one long sum over the spheres.
     count, ranks = jnp.zeros(sphere.shape, jnp.int32), []

@@ -47,7 +47,7 @@ class SphereTree(Shape):
 
     def _distance(self, point: Vec) -> tuple[Array, Vec]:
         """To the nearest ball, by trying all."""
-        centers, radii = (jnp.asarray(part) for part in (self.balls.centers, self.balls.radii))
+        centers, radii = self.balls.centers, jnp.asarray(self.balls.radii)
 
         def of_one(one: Array) -> tuple[Array, Array]:
             way = one - centers
@@ -64,7 +64,8 @@ class SphereTree(Shape):
 
     def _bound(self, point: Vec) -> Array:
         bounds = self.nodes.bounds
-        return vec.norm(vec.sub(point, Vec(*bounds.centers[:, 0].T))) - bounds.radii[:, 0]
+        root = Vec(*(jnp.asarray(c)[:, 0] for c in (bounds.x, bounds.y, bounds.z)))
+        return vec.norm(vec.sub(point, root)) - bounds.radii[:, 0]
 
     def _near(self, centers: Vec, radii: Array) -> Near:
         shape = centers.x.shape
@@ -76,7 +77,7 @@ class SphereTree(Shape):
         return Near(seen.distance.T.reshape(shape), out, seen.tests)
 
     def _support(self, direction: Vec) -> Array:
-        along = jnp.stack(direction, -1) @ jnp.asarray(self.balls.centers).T
+        along = jnp.stack(direction, -1) @ self.balls.centers.T
         return jnp.max(along + self.balls.radii * vec.norm(direction)[..., None], -1)
 
     def _moments(self) -> tuple[Array, Array, Array]:
@@ -113,7 +114,9 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
         raise ValueError(f"levels is {levels}: expected 1 or more")
     outline = _outline(solid, levels)
     tree = octree_balls(outline.nearest, outline.low, outline.high, levels)
-    balls = Balls(jnp.asarray(tree.centers[tree.radii > 0]), jnp.asarray(tree.radii[tree.radii > 0]))
+    if not len(tree.radii):
+        raise ValueError(f"levels is {levels}: expected more, since no ball of so large cells fits into the solid")
+    balls = _balls(tree.centers[tree.radii > 0], tree.radii[tree.radii > 0])
     descends = len(balls.radii) > CROSSOVER if descends is None else descends
     return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
 
@@ -121,7 +124,8 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
 def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: int = 0) -> list[LevelError]:
     """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
 
-    Since all balls lie inside, a tree makes depths smaller than they are by at most this, and never larger.
+    Trees of so few levels that no ball fits into the solid are passed over. Since all balls lie inside, a tree makes
+    depths smaller than they are by at most this, and never larger.
 
     Args:
         mesh: a watertight one.
@@ -139,6 +143,8 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
         outline = _outline(mesh, level)
         tree = octree_balls(outline.nearest, outline.low, outline.high, level)
         leaf = tree.radii > 0
+        if not leaf.any():
+            continue
         left = np.maximum(_outside(points, tree.centers[leaf], tree.radii[leaf]), 0)
         cell = float((outline.high - outline.low).max()) / 2**level
         errors.append(LevelError(level, cell, int(leaf.sum()), float(left.max()), float(left.mean())))
@@ -191,6 +197,10 @@ def _principal_moments(mesh: Mesh) -> np.ndarray:
     return np.full(3, np.nan) if off_axis or off_center else moments
 
 
+def _balls(centers: np.ndarray, radii: np.ndarray) -> Balls:
+    return Balls(*map(jnp.asarray, (*centers.T, radii)))
+
+
 def _nodes(tree: Octree) -> Nodes:
     """Bounds, children and the start of the descent."""
     count, leaf = len(tree.radii), tree.radii > 0
@@ -211,8 +221,7 @@ def _nodes(tree: Octree) -> Nodes:
     places = np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32)
     level, start = _start(tree)
     steps = int(tree.level.max()) - level
-    around = Balls(jnp.asarray(tree.centers), jnp.asarray(bounds))
-    return Nodes(around, jnp.asarray(children), jnp.asarray(places), jnp.asarray(start), steps)
+    return Nodes(_balls(tree.centers, bounds), jnp.asarray(children.T), jnp.asarray(places), jnp.asarray(start), steps)
 
 
 def _start(tree: Octree) -> tuple[int, np.ndarray]:

@@ -87,7 +87,7 @@ def test_what_is_left_out_halves_with_the_cells():
 
 def test_every_node_holds_all_balls_below_it(tree):
     nodes = tree.nodes
-    children, leaf = np.asarray(nodes.children), np.asarray(nodes.leaf)
+    children, leaf = np.asarray(nodes.children).T, np.asarray(nodes.leaf)
     centers, radii = np.asarray(nodes.bounds.centers), np.asarray(nodes.bounds.radii)
     balls, sizes = np.asarray(tree.balls.centers), np.asarray(tree.balls.radii)
     seen = []

@@ -1,0 +1,179 @@
+"""``jaxgrasp contacts``: where hands or grippers touch a mesh, as a file for ``jaxgrasp evaluate``."""
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.grasp_poses import GraspPoses, read_poses
+from jaxgrasp.batch.sources import save_grasps
+from jaxgrasp.cli.arguments import Contacts
+from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.contact.closing import close_hand
+from jaxgrasp.contact.deepest import keep_deepest
+from jaxgrasp.contact.detection import Contacts as Found
+from jaxgrasp.contact.detection import find_contacts
+from jaxgrasp.contact.human_hand import human_hand
+from jaxgrasp.contact.mesh import load_mesh, mass_properties
+from jaxgrasp.contact.parallel_jaw import parallel_jaw
+from jaxgrasp.contact.sphere_tree import SphereTree, level_errors, sphere_tree
+from jaxgrasp.contact.to_grasp import grasp_from_contacts
+from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.wrench import weight_wrench
+
+CHUNK = 512
+"""Grasps at a time."""
+STRIDES = 24
+"""Steps of a closing hand's first way; as many again, within the last of them, find the depth."""
+
+
+@dataclass(frozen=True)
+class _Object:
+    """What is touched, and the wrench that holds it."""
+
+    tree: SphereTree
+    friction: float
+    wrench: np.ndarray
+
+
+def contacts_command(arguments: Contacts) -> int:
+    """Find the contacts, write them, and say what was found."""
+    _check(arguments)
+    poses = read_poses(arguments.file)
+    set_up_jax("float64")
+    hand = _hand(arguments)
+    if poses.angles is not None and poses.angles.shape[1] != len(hand.joints):
+        raise ValueError(
+            f"{poses.path}: angles has {poses.angles.shape[1]} columns: expected {len(hand.joints)}, "
+            f"the joints of the {arguments.hand} hand"
+        )
+    object_ = _object(arguments, poses)
+    parts, inside, dropped = [], [], 0
+    for first in range(0, len(poses), CHUNK):
+        found, stuck = _touch(arguments, hand, object_.tree, poses, slice(first, first + CHUNK))
+        inside.append(stuck)
+        if arguments.max_contacts is not None:
+            kept = keep_deepest(found, arguments.max_contacts)
+            dropped += int(kept.dropped.sum())
+            found = kept.contacts
+        parts.append(_sets(found, object_, arguments))
+    names = np.array([f"{poses.path.stem} {i}" for i in range(len(poses))])
+    found_sets = _joined(parts, names)
+    out = {
+        "whose hand starts inside the object": np.concatenate(inside),
+        "that touch nothing": found_sets.sizes == 0,
+    }
+    sets = found_sets.rows(np.flatnonzero(~np.any(list(out.values()), axis=0)))
+    if not len(sets):
+        raise ValueError(
+            f"none of the {len(poses)} grasps can be used: {'; '.join(_left_out(out))}; is the scale right?"
+        )
+    save_grasps(arguments.out, sets)
+    print(_said(sets, out, dropped))
+    print(f"written: {arguments.out}")
+    return 0
+
+
+def _check(arguments: Contacts) -> None:
+    for name in ("mass", "friction", "stiffness", "depth", "scale"):
+        value = getattr(arguments, name)
+        if value is not None and not (math.isfinite(value) and (value > 0 or (name == "friction" and value == 0))):
+            raise ValueError(f"{name} is {value}: expected a positive number")
+    if not np.all(np.isfinite(arguments.gravity)):
+        raise ValueError(f"gravity is {arguments.gravity}: expected finite numbers [m/s^2]")
+    if arguments.out.suffix != ".npz":
+        raise ValueError(f"out is {arguments.out}: expected a file that ends in .npz")
+
+
+def _hand(arguments: Contacts) -> Hand:
+    if arguments.hand == "jaw":
+        return parallel_jaw()
+    return human_hand(arguments.hand_length, side="right" if arguments.hand == "human-right" else "left")
+
+
+def _object(arguments: Contacts, poses: GraspPoses) -> _Object:
+    path = arguments.mesh or poses.mesh_path()
+    if path is None:
+        raise ValueError(
+            f"{poses.path} names the mesh {poses.mesh!r}, which is not beside it: give it by --mesh"
+            if poses.mesh
+            else "no mesh: give it by --mesh"
+        )
+    mesh = load_mesh(path, next(value for value in (arguments.scale, poses.scale, 1.0) if value is not None))
+    friction, mass = (_given(name, getattr(arguments, name), poses) for name in ("friction", "mass"))
+    finest = level_errors(mesh, arguments.levels)[-1]
+    tree = sphere_tree(mesh, arguments.levels)
+    print(
+        f"{path.name}: {finest.balls} balls in cells of {1e3 * finest.cell:.2g} mm leave out "
+        f"{1e3 * finest.mean:.2g} mm of the surface in the mean, {1e3 * finest.largest:.2g} mm at most"
+    )
+    center = poses.center_of_mass if poses.center_of_mass is not None else mass_properties(mesh).center
+    wrench = np.asarray(weight_wrench(mass, jnp.asarray(center), jnp.asarray(arguments.gravity)))
+    return _Object(tree, friction, wrench)
+
+
+def _given(name: str, wanted: float | None, poses: GraspPoses) -> float:
+    """What the user says, else what the file does."""
+    value = wanted if wanted is not None else getattr(poses, name)
+    if value is None:
+        raise ValueError(f"{poses.path} does not say the object's {name}: give it by --{name}")
+    return value
+
+
+def _touch(
+    arguments: Contacts, hand: Hand, tree: SphereTree, poses: GraspPoses, own: slice
+) -> tuple[Found, np.ndarray]:
+    """The contacts of some grasps, and which of them began inside the object."""
+    transforms = jnp.asarray(poses.transforms[own])
+    wrist = Pose(transforms[:, :3, 3], transforms[:, :3, :3])
+    open_ = jnp.clip(jnp.zeros(len(hand.joints)), hand.lower, hand.upper)
+    angles = jnp.broadcast_to(open_, (len(transforms), len(open_))) if poses.angles is None else poses.angles[own]
+    start = Posture(wrist, jnp.asarray(angles))
+    placed = Pose(jnp.zeros(3), jnp.eye(3))
+    found = find_contacts(hand, start, tree, placed)
+    if poses.angles is not None:
+        return found, np.zeros(len(transforms), bool)
+    inside = np.asarray(jnp.max(found.depths, -1) > arguments.depth)
+    near, _ = close_hand(hand, start, tree, placed, arguments.depth, steps=STRIDES)
+    stride = (hand.upper - start.angles) / STRIDES
+    back = Posture(wrist, jnp.maximum(near.angles - stride, start.angles))
+    return close_hand(hand, back, tree, placed, arguments.depth, towards=near.angles, steps=STRIDES)[1], inside
+
+
+def _sets(found: Found, object_: _Object, arguments: Contacts) -> ContactSets:
+    grasp = grasp_from_contacts(found, object_.friction, arguments.stiffness)
+    return ContactSets.from_grasp(jax.device_get(grasp), object_.wrench)
+
+
+def _joined(parts: list[ContactSets], names: np.ndarray) -> ContactSets:
+    sizes = np.concatenate([part.sizes for part in parts])
+    columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("points", "normals", "friction")}
+    return ContactSets(
+        **columns,
+        squeeze=np.concatenate([part.squeeze for part in parts]),
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        wrench=np.concatenate([part.wrench for part in parts]),
+        labels={"name": names},
+    )
+
+
+def _left_out(out: dict[str, np.ndarray]) -> list[str]:
+    """How many grasps were left out for each reason, and which came first."""
+    return [
+        f"left out: {chosen.sum()} {reason} (the first: {', '.join(map(str, np.flatnonzero(chosen)[:5]))})"
+        for reason, chosen in out.items()
+        if chosen.any()
+    ]
+
+
+def _said(sets: ContactSets, out: dict[str, np.ndarray], dropped: int) -> str:
+    sizes = Counter(sets.sizes.tolist())
+    shares = ", ".join(f"{count} with {size}" for size, count in sorted(sizes.items()))
+    lines = [f"{len(sets)} grasps by their number of contacts: {shares}", *_left_out(out)]
+    if dropped:
+        lines.append(f"dropped: {dropped} contacts beyond the deepest of each grasp")
+    return "\n".join(lines)

@@ -1,0 +1,150 @@
+"""``jaxgrasp contacts``: a box between jaws, and under a hand, from files of poses to a file of contacts."""
+
+import re
+
+import h5py
+import numpy as np
+import pytest
+import trimesh
+
+import jaxgrasp
+from jaxgrasp.cli.main import main
+
+WIDE = np.array([0.03, 0.05, 0.04])
+QUICK = ("--levels", "4")
+
+
+def poses(count: int = 3) -> np.ndarray:
+    """The box stands between the pads, each time turned by another quarter about the approach."""
+    transforms = np.tile(np.eye(4), (count, 1, 1))
+    for i in range(count):
+        turn = np.pi / 2 * i
+        transforms[i, :2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    transforms[:, 2, 3] = -0.103
+    return transforms
+
+
+@pytest.fixture
+def scene(folder):
+    """A mesh in millimetres, and files of both kinds that name it."""
+    (folder / "meshes").mkdir()
+    trimesh.creation.box(1e3 * WIDE).export(folder / "meshes" / "box.obj")
+    with h5py.File(folder / "poses.h5", "w") as file:
+        file["grasps/transforms"] = poses()
+        file["object/file"] = "meshes/box.obj"
+        file["object/scale"], file["object/mass"], file["object/friction"] = 1e-3, 0.2, 0.7
+        file["object/com"] = [0.0, 0.0, 0.004]
+    np.savez(folder / "poses.npz", transforms=poses(), mesh="meshes/box.obj", scale=1e-3)
+    return folder
+
+
+@pytest.fixture
+def run(scene, capsys):
+    def call(*words: str) -> tuple[int, str]:
+        status = main(["contacts", *words, *QUICK])
+        said = capsys.readouterr()
+        return status, said.out + said.err
+
+    return call
+
+
+def test_jaws_close_on_the_box_of_an_hdf5_file(run):
+    status, said = run("poses.h5")
+    assert status == 0, said
+    grasps = jaxgrasp.load_grasps("contacts.npz")
+    assert len(grasps) == 3 and np.all(grasps.sizes == 2) and "3 with 2" in said
+    assert list(grasps.labels["name"]) == ["poses 0", "poses 1", "poses 2"]
+    for i, axis in enumerate((0, 1, 0)):
+        grasp = grasps.grasp(i)
+        np.testing.assert_allclose(np.abs(grasp.points[:, axis]), WIDE[axis] / 2, atol=5e-4)
+        np.testing.assert_allclose(grasp.points.sum(0)[axis], 0, atol=1e-6)
+        np.testing.assert_allclose(-grasp.normals[:, axis], np.sign(grasp.points[:, axis]), atol=0.02)
+        # The jaws stop within a step of the depth that was asked for: K times it is the squeeze.
+        np.testing.assert_allclose(grasp.squeeze, 1.0, atol=0.12)
+    np.testing.assert_allclose(grasps.friction, 0.7)
+    np.testing.assert_allclose(grasps.wrench[:, 0], [[0, 0, 0.2 * 9.81, 0, 0, 0]] * 3, atol=1e-12)
+
+
+def test_what_the_user_says_goes_before_the_file(run):
+    status, said = run(
+        "poses.h5", "--friction", "0.3", "--mass", "1", "--gravity", "-9.81", "0", "0", "--out", "own.npz"
+    )
+    assert status == 0, said
+    grasps = jaxgrasp.load_grasps("own.npz")
+    np.testing.assert_allclose(grasps.friction, 0.3)
+    # About the mesh's origin: the weight acts 4 mm above it.
+    np.testing.assert_allclose(grasps.wrench[0, 0], [9.81, 0, 0, 0, 0.004 * 9.81, 0], atol=1e-12)
+
+
+def test_a_hands_posture_is_taken_as_it_is(scene, run):
+    hand = jaxgrasp.human_hand()
+    transforms = np.tile(np.eye(4), (2, 1, 1))
+    transforms[:, :3, 3] = [[-0.09, 0, 0.028], [-0.09, 0, 0.5]]
+    np.savez("hand.npz", transforms=transforms, angles=np.zeros((2, len(hand.joints))))
+    words = ("--mesh", "meshes/box.obj", "--scale", "1e-3", "--mass", "0.1", "--friction", "0.5")
+    status, said = run("hand.npz", "--hand", "human-right", *words)
+    assert status == 0, said
+    whole = jaxgrasp.load_grasps("contacts.npz")
+    assert len(whole) == 1 and whole.sizes[0] > 2 and "left out: 1 that touch nothing (the first: 1)" in said
+    status, said = run("hand.npz", "--hand", "human-right", *words, "--max-contacts", "2")
+    assert f"dropped: {whole.sizes[0] - 2} contacts beyond the deepest" in said
+    kept = jaxgrasp.load_grasps("contacts.npz")
+    assert kept.sizes[0] == 2
+    np.testing.assert_allclose(np.sort(kept.squeeze), np.sort(whole.squeeze)[-2:], rtol=1e-9)
+
+
+def test_a_file_of_misses_is_an_error(scene, run):
+    np.savez(
+        "far.npz", transforms=poses() + [[0, 0, 0, 9.0], *[[0] * 4] * 3], mesh="meshes/box.obj", mass=1, friction=1
+    )
+    status, said = run("far.npz", "--scale", "1e-3")
+    assert status == 1 and "none of the 3 grasps can be used: left out: 3 that touch nothing" in said
+    assert not (scene / "contacts.npz").exists()
+
+
+def test_a_gripper_that_starts_inside_is_left_out_and_named(scene, run):
+    moved = poses()
+    moved[1, :3, 3] += moved[1, :3, 0] * 0.045
+    np.savez("moved.npz", transforms=moved, mesh="meshes/box.obj", scale=1e-3, mass=0.1, friction=0.5)
+    status, said = run("moved.npz")
+    assert status == 0 and "left out: 1 whose hand starts inside the object (the first: 1)" in said
+    assert list(jaxgrasp.load_grasps("contacts.npz").labels["name"]) == ["moved 0", "moved 2"]
+
+
+@pytest.mark.parametrize(
+    "spoil, words",
+    [
+        ({"transforms": None}, "it has no transforms"),
+        ({"transforms": np.eye(4)}, r"transforms has shape \(4, 4\): expected \(N, 4, 4\)"),
+        ({"transforms": np.tile(2 * np.eye(4), (2, 1, 1))}, r"transforms\[0\] is no pose.* \(2 of 2 are none\)"),
+        ({"transforms": np.full((1, 4, 4), np.nan)}, r"transforms\[0, 0, 0\] is nan"),
+        ({"transforms": np.full((1, 4, 4), "a")}, "transforms holds <U1: expected numbers"),
+        ({"angles": np.zeros((2, 2))}, "angles has 2 rows: expected 3"),
+        ({"angles": np.zeros((3, 5))}, "angles has 5 columns: expected 2, the joints of the jaw hand"),
+        ({"mass": -1.0}, r"mass is \[?-1.0\]?: expected one number, 0 or more"),
+        ({"mesh": "none.obj"}, "names the mesh 'none.obj', which is not beside it: give it by --mesh"),
+        ({"mesh": None}, "no mesh: give it by --mesh"),
+        ({"mass": None}, "does not say the object's mass: give it by --mass"),
+    ],
+)
+def test_bad_files_are_refused_before_any_work(scene, run, spoil, words):
+    fields = {"transforms": poses(), "mesh": "meshes/box.obj", "scale": 1e-3, "mass": 0.2, "friction": 0.7} | spoil
+    np.savez("bad.npz", **{name: value for name, value in fields.items() if value is not None})
+    status, said = run("bad.npz")
+    assert status == 1 and len(said.strip().splitlines()) == 1
+    assert re.search(words, said), said
+    assert not (scene / "contacts.npz").exists()
+
+
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        (("none.npz",), "no such file; expected .npz, .h5 or .hdf5"),
+        (("meshes/box.obj",), "files end in .npz, .h5 or .hdf5, not in '.obj'"),
+        (("poses.h5", "--depth", "0"), "depth is 0.0: expected a positive number"),
+        (("poses.h5", "--out", "a.csv"), "expected a file that ends in .npz"),
+    ],
+)
+def test_bad_arguments_are_refused(run, words, expected):
+    status, said = run(*words)
+    assert status == 1 and expected in said

@@ -1,0 +1,52 @@
+"""Of more contacts than there is room for, the deepest are kept."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp import Contacts, keep_deepest
+
+
+def contacts(seed: int = 0) -> Contacts:
+    rng = np.random.default_rng(seed)
+    present = (rng.uniform(size=(6, 9)) < 0.7).astype(float)
+    present[0], present[1] = 0, 1
+    depths = rng.uniform(1e-4, 1e-3, (6, 9)) * present
+    arrays = (rng.normal(size=(6, 9, 3)), rng.normal(size=(6, 9, 3)), depths, present, np.ones(6, np.int32))
+    return Contacts(*map(jnp.asarray, arrays))
+
+
+@pytest.mark.parametrize("size", [1, 4, 9, 20])
+def test_the_deepest_are_kept_and_the_others_counted(size):
+    found = contacts()
+    kept = jax.jit(keep_deepest, static_argnums=1)(found, size)
+    width = min(size, 9)
+    assert kept.contacts.depths.shape == (6, width)
+    for i in range(6):
+        order = np.argsort(-np.asarray(found.depths[i]))[:width]
+        np.testing.assert_array_equal(kept.contacts.depths[i], found.depths[i][order])
+        there = np.asarray(kept.contacts.present[i]) > 0
+        np.testing.assert_array_equal(np.asarray(kept.links[i])[there], order[: there.sum()])
+        for name in ("points", "normals"):
+            np.testing.assert_array_equal(getattr(kept.contacts, name)[i][there], getattr(found, name)[i][order][there])
+        assert there.sum() == min(width, found.present[i].sum())
+        assert kept.dropped[i] == found.present[i].sum() - there.sum()
+
+
+def test_alone_is_as_in_a_batch():
+    found = contacts()
+    alone = keep_deepest(jax.tree.map(lambda x: x[3], found), 4)
+    np.testing.assert_array_equal(alone.contacts.points, keep_deepest(found, 4).contacts.points[3])
+
+
+def test_what_cannot_be_told_is_not_dropped():
+    found = contacts()
+    spoilt = eqx.tree_at(lambda c: c.present, found, found.present.at[1, 7].set(jnp.nan))
+    assert np.isnan(np.asarray(keep_deepest(spoilt, 2).contacts.present[1])).any()
+
+
+def test_no_room_at_all_is_refused():
+    with pytest.raises(ValueError, match="size is 0: expected at least one contact"):
+        keep_deepest(contacts(), 0)

@@ -22,9 +22,9 @@ from jaxgrasp.numerics.vec import Vec
 
 Tree = TypeVar("Tree")
 
-ROOMS = (9, 36)
-"""Pairs that a frontier holds for each sphere: the second is tried where the first does not hold all, and then every
-ball. Few spheres touch, so that those which do find room for many."""
+ROOMS = (8, 20, 48)
+"""Pairs that a frontier holds for each sphere of the hand: each is tried where the one before does not hold all, and
+then every ball. Few spheres touch, so that those which do find room for many."""
 FAR = 1e3
 """How far a sphere is said to be that meets nothing [m]: finite, since it is multiplied by a weight of zero."""
 

@@ -20,10 +20,9 @@ from jaxgrasp.numerics.vec import Vec
 
 LEVELS = 5
 """How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""
-CROSSOVER = 300
-"""Balls up to which trying all is faster than descending (python -m benchmarks.sphere_trees)."""
 START = 12
-"""Nodes with which a descent starts, at least."""
+"""Nodes with which a descent starts, at least: of so few balls all are tried. Of more a descent has always been faster
+(python -m benchmarks.sphere_trees)."""
 OFF_AXIS = 1e-6
 """Share of a solid's size, or of its inertia, by which a frame may miss the principal one."""
 
@@ -117,7 +116,7 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
     if not len(tree.radii):
         raise ValueError(f"levels is {levels}: expected more, since no ball of so large cells fits into the solid")
     balls = _balls(tree.centers[tree.radii > 0], tree.radii[tree.radii > 0])
-    descends = len(balls.radii) > CROSSOVER if descends is None else descends
+    descends = len(tree.radii[tree.radii > 0]) > START if descends is None else descends
     return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
 
 

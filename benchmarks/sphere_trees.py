@@ -1,0 +1,113 @@
+"""Sphere trees of meshes: what their balls leave out of the solid, and where a descent beats trying all balls.
+
+    python -m benchmarks.sphere_trees --out benchmarks/results
+
+A human hand in a power grip on a cylinder, and the same cylinder as a mesh in trees of more and more levels. Writes
+sphere_trees.json and sphere_trees.md.
+"""
+
+import os
+
+# One thread, decided before JAX starts its pool.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import trimesh
+
+import jaxgrasp
+from benchmarks.machine import machine
+from benchmarks.page import tree_tables
+from benchmarks.page.clock import interleaved
+from jaxgrasp import Cylinder, Mesh, Pose, Posture, SphereTree
+from jaxgrasp.prehension.power_grip import power_grip
+
+NAME = "sphere_trees"
+RADIUS, HEIGHT, SECTIONS = 0.03, 0.12, 256
+DEPTH, POSES, SHIFT = 2e-3, 64, 5e-4
+"""Depth of the grip [m]; poses, and how far the object is moved from one to the next (standard deviation) [m]."""
+SHALLOW = 4e-3
+"""Depth up to which contacts are judged [m]."""
+
+
+def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
+    """One tree: its size, what it leaves out, and times and contacts by both ways."""
+    start = time.perf_counter()
+    tree = jaxgrasp.sphere_tree(mesh, levels, descends=False)
+    seconds = time.perf_counter() - start
+    error = jaxgrasp.level_errors(mesh, levels)[-1]
+    hand, posture, placed = scene()
+    find = jaxgrasp.find_contacts
+    exact = find(hand, posture, Cylinder(RADIUS, HEIGHT), placed)
+    ways = {"all": tree, "descent": SphereTree(tree.balls, tree.nodes, tree.moments, True)}
+    calls = {
+        name: lambda t=t: jax.block_until_ready(jaxgrasp.find_contacts(hand, posture, t, placed))
+        for name, t in ways.items()
+    }
+    spent = interleaved(calls, repeats, 10.0)
+    found = {name: call() for name, call in calls.items()}
+    return {
+        "levels": levels,
+        "cell": error.cell,
+        "balls": error.balls,
+        "left_out_largest": error.largest,
+        "left_out_mean": error.mean,
+        "build_seconds": seconds,
+        "microseconds": {name: took / POSES * 1e6 for name, took in spent.items()},
+        "tests": {name: float(contacts.tests.mean()) for name, contacts in found.items()},
+        "ways_differ": max(
+            float(abs(getattr(found["all"], name) - getattr(found["descent"], name)).max())
+            for name in ("points", "normals", "depths")
+        ),
+        **against(exact, found["descent"]),
+    }
+
+
+def against(exact: jaxgrasp.Contacts, found: jaxgrasp.Contacts) -> dict:
+    """How far contacts are from those with the exact shape, where both touch, and how often only one does."""
+    shallow = np.asarray((exact.depths > 0) & (exact.depths < SHALLOW))
+    both = shallow & np.asarray(found.present > 0)
+    angles = np.degrees(np.arccos(np.clip(np.sum(found.normals * exact.normals, -1), -1, 1)))[both]
+    depths = np.abs(np.asarray(found.depths - exact.depths))[both]
+    return {
+        "judged": int(shallow.sum()),
+        "missed_share": float(1 - both.sum() / shallow.sum()),
+        "depth_error_median": float(np.median(depths)),
+        "normal_error_degrees_median": float(np.median(angles)),
+        "normal_error_degrees_largest": float(angles.max()),
+    }
+
+
+def scene() -> tuple[jaxgrasp.Hand, Posture, Pose]:
+    hand = jaxgrasp.human_hand()
+    posture, placed, _ = power_grip(hand, Cylinder(RADIUS, HEIGHT), DEPTH)
+    moved = np.random.default_rng(0).normal(scale=SHIFT, size=(POSES, 3))
+    return hand, posture, Pose(placed.origin + moved, placed.rotation)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
+    parser.add_argument("--levels", type=int, nargs="+", default=[2, 3, 4, 5, 6], help="of the trees")
+    parser.add_argument("--repeats", type=int, default=7, help="turns of each way")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    solid = trimesh.creation.cylinder(RADIUS, HEIGHT, sections=SECTIONS)
+    mesh = Mesh(np.array(solid.vertices), np.array(solid.faces))
+    rows = [measure(levels, mesh, options.repeats) for levels in options.levels]
+    setting = {"radius": RADIUS, "height": HEIGHT, "depth": DEPTH, "poses": POSES, "shift": SHIFT, "shallow": SHALLOW}
+    report = {"machine": machine(), "setting": setting, "rows": rows}
+    (options.out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
+    (options.out / f"{NAME}.md").write_text(tree_tables.page(report))
+
+
+if __name__ == "__main__":
+    main()

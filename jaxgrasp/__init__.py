@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
     from jaxgrasp.prehension.motion import Body
     from jaxgrasp.prehension.power_grip import power_grip
+    from jaxgrasp.prehension.precision_grip import precision_grip
 
 _HOME = {
     "Assessment": "prehension.monitor",
@@ -108,6 +109,7 @@ _HOME = {
     "multiplier_forces": "force.dual_function",
     "pose_hand": "contact.kinematics",
     "power_grip": "prehension.power_grip",
+    "precision_grip": "prehension.precision_grip",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",
     "save_grasps": "batch.sources",

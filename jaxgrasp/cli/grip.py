@@ -13,6 +13,7 @@ import numpy as np
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.machine import provenance, set_up_jax
+from jaxgrasp.contact.detection import Contacts
 from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
@@ -22,6 +23,7 @@ from jaxgrasp.prehension.lifting import lift_and_turn
 from jaxgrasp.prehension.monitor import Hold
 from jaxgrasp.prehension.motion import Body
 from jaxgrasp.prehension.power_grip import power_grip
+from jaxgrasp.prehension.precision_grip import precision_grip
 from jaxgrasp.report.history import History, history
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -36,7 +38,7 @@ def grip_command(arguments: Grip) -> int:
     check_shape(shape)
     set_up_jax("float64")
     hand = human_hand(arguments.hand_length, side=arguments.side)
-    closed, placed, contacts = power_grip(hand, shape, arguments.depth)
+    closed, placed, contacts = _closed(arguments, hand, shape)
     kind = GripType(int(grip_type(hand, closed, contacts)))
     print(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
     count = max(2, round(arguments.seconds / arguments.step) + 1)
@@ -80,6 +82,13 @@ def _check(arguments: Grip) -> None:
             raise ValueError(
                 f"{name} is {value}: expected a finite number{', 0 or more' if name == 'friction' else ''}"
             )
+
+
+def _closed(arguments: Grip, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:
+    """The hand, the object in it, and their contacts."""
+    if arguments.grip == "power":
+        return power_grip(hand, shape, arguments.depth)
+    return precision_grip(hand, shape, int(arguments.grip.removeprefix("precision-")), arguments.depth)
 
 
 def _words(kind: GripType) -> str:
@@ -152,7 +161,7 @@ def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
 
 def _title(arguments: Grip) -> str:
     hand = f"a {arguments.side} hand of {1000 * arguments.hand_length:g} mm"
-    return f"A {arguments.object} of {1000 * arguments.mass:g} g in {hand}"
+    return f"A {arguments.grip} grip of a {arguments.object} of {1000 * arguments.mass:g} g in {hand}"
 
 
 def _details(arguments: Grip) -> dict[str, str]:

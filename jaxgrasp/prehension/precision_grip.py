@@ -30,7 +30,7 @@ EASE = 0.02
 OFF_DEPTH = 0.1
 """By how much a depth may miss the wanted one, as a share of it."""
 OFF_LINE = 0.2
-"""By how much the normals may miss the line from the thumb to the fingers [rad]; friction 0.5 allows 0.46."""
+"""By how much unit normals may miss the line from the thumb to the fingers; friction 0.5 allows 0.46 rad."""
 
 
 def precision_grip(hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
@@ -38,12 +38,13 @@ def precision_grip(hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e
 
     Joint angles within their limits and the object's pose are found together, by least squares from several
     preshapes: each fingertip presses to the wanted depth, the other links and fingertips stay clear, and the thumb's
-    normal and the others' mean are opposed along the line between them, so that any friction cones about them
-    see each other (Nguyen 1988: such contacts hold an object against any wrench). Fingers that take no part
-    are straight. Wrist at the world's origin, palm down; the object's z axis lies about across the palm, its x axis
-    from the thumb to the fingers.
+    normal and the others' mean are opposed along the line between them, so that their friction cones hold that line:
+    Nguyen's condition of force closure (IJRR 7(3):3-16, 1988) for the thumb and one finger in place of the others.
+    Fingers that take no part are straight. Wrist at the world's origin, palm down; the object's z axis lies about
+    across the palm, its x axis about from the thumb to the fingers.
 
-    Hands of 0.16 to 0.21 m reach round objects of 15 to 35 mm radius and boxes as thick.
+    Hands of 0.16 to 0.21 m reach round objects of 15 to 35 mm radius and boxes as thick, pressed 0.3 to 3 mm deep.
+    The first call for a kind of shape and a number of fingers compiles, about 15 s; another takes a third of a second.
 
     Args:
         hand: a human hand.

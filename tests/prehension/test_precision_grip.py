@@ -1,6 +1,7 @@
 """Precision grips: fingertips alone touch, as deep as wanted, and hold the object whichever way it is turned."""
 
 from collections.abc import Callable
+from itertools import product
 
 import jax
 import numpy as np
@@ -62,11 +63,9 @@ def test_fingertips_alone_hold_it_whichever_way_is_down(fingers, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fingers, name", MORE)
-def test_all_the_stated_hands_reach_all_the_stated_objects(fingers, name):
-    for side in ("right", "left"):
-        for length in (0.16, 0.185, 0.21):
-            for radius in (0.015, 0.02, 0.025, 0.03, 0.035):
-                assert_held_by_its_tips(human_hand(length, side=side), SHAPES[name](radius), fingers, 1e-3)
+def test_the_stated_range_is_reached_to_its_corners(fingers, name):
+    for length, side, radius in product((0.16, 0.21), ("right", "left"), (0.015, 0.025, 0.035)):
+        assert_held_by_its_tips(human_hand(length, side=side), SHAPES[name](radius), fingers, 1e-3)
 
 
 def test_what_is_out_of_reach_is_named(unchecked):

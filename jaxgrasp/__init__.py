@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.closing import close_hand
     from jaxgrasp.contact.deepest import Kept, keep_deepest
     from jaxgrasp.contact.detection import Contacts, find_contacts
+    from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
     from jaxgrasp.contact.human_hand import human_hand, mirrored
     from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
     from jaxgrasp.contact.limits import check_pose, check_posture, clamp_posture
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from jaxgrasp.prehension.carry import Instant, Scene, Tick, carry, observe
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
     from jaxgrasp.prehension.motion import Body
+    from jaxgrasp.prehension.power_grip import power_grip
+    from jaxgrasp.prehension.precision_grip import precision_grip
 
 _HOME = {
     "Assessment": "prehension.monitor",
@@ -59,6 +62,7 @@ _HOME = {
     "Grasp": "model.grasp",
     "GraspError": "model.faults",
     "GraspFileError": "batch.file_error",
+    "GripType": "contact.grip_type",
     "Hand": "model.hand",
     "HandFrames": "model.hand",
     "Hold": "prehension.monitor",
@@ -94,6 +98,7 @@ _HOME = {
     "closed_form": "force.distribution",
     "constrained_optimum": "force.distribution",
     "contact_jacobian": "contact.kinematics",
+    "contributions_of": "contact.grip_type",
     "dual_value": "force.dual_function",
     "evaluate": "batch.evaluation",
     "find_contacts": "contact.detection",
@@ -101,6 +106,7 @@ _HOME = {
     "from_mujoco": "interop.mujoco_contacts",
     "grasp_from_contacts": "contact.to_grasp",
     "grasp_matrix": "model.wrench",
+    "grip_type": "contact.grip_type",
     "hand_from_mujoco": "interop.mujoco_hand",
     "hand_from_urdf": "interop.urdf_hand",
     "human_hand": "contact.human_hand",
@@ -117,6 +123,8 @@ _HOME = {
     "observe": "prehension.carry",
     "parallel_jaw": "contact.parallel_jaw",
     "pose_hand": "contact.kinematics",
+    "power_grip": "prehension.power_grip",
+    "precision_grip": "prehension.precision_grip",
     "principal_frame": "contact.mesh",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",

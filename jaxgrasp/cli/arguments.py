@@ -74,6 +74,8 @@ class Grip:
 
     object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
     """What is gripped; it lies across the palm."""
+    grip: Literal["power", "precision-3", "precision-5"] = "power"
+    """All of the hand around the object; or three or five fingertips, the thumb's opposite the others."""
     radius: float = 0.03
     """Of the object [m]; half the edge of a box."""
     height: float = 0.12

@@ -13,15 +13,17 @@ import numpy as np
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.machine import provenance, set_up_jax
-from jaxgrasp.contact.human_hand import human_hand
+from jaxgrasp.contact.detection import Contacts
+from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
+from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
-from jaxgrasp.contact.to_grasp import link_contributions
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP
 from jaxgrasp.prehension.carry import Instant, Scene, carry
+from jaxgrasp.prehension.lifting import lift_and_turn
 from jaxgrasp.prehension.monitor import Hold
 from jaxgrasp.prehension.motion import Body
-from jaxgrasp.prehension.power_grip import lay_on, lift_and_turn, power_grip
+from jaxgrasp.prehension.power_grip import power_grip
+from jaxgrasp.prehension.precision_grip import precision_grip
 from jaxgrasp.report.history import History, history
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -36,8 +38,9 @@ def grip_command(arguments: Grip) -> int:
     check_shape(shape)
     set_up_jax("float64")
     hand = human_hand(arguments.hand_length, side=arguments.side)
-    closed, placed, contacts = power_grip(hand, shape, arguments.depth)
-    print(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts")
+    closed, placed, contacts = _closed(arguments, hand, shape)
+    kind = GripType(int(grip_type(hand, closed, contacts)))
+    print(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
     count = max(2, round(arguments.seconds / arguments.step) + 1)
     times = np.linspace(0, arguments.seconds, count)
     postures = lift_and_turn(
@@ -46,7 +49,7 @@ def grip_command(arguments: Grip) -> int:
         lift=arguments.lift,
         turn=math.radians(arguments.turn),
         axis=np.array([1.0, 0.0, 0.0]),
-        release=lay_on(hand, shape)[0] if arguments.release else None,
+        release=Posture(closed.wrist, jnp.asarray(open_angles(hand))) if arguments.release else None,
     )
     scene = Scene(
         hand=hand,
@@ -54,12 +57,12 @@ def grip_command(arguments: Grip) -> int:
         table=Pose(jnp.array([0.0, 0.0, TABLE]), jnp.eye(3)),
         friction=arguments.friction,
         stiffness=arguments.stiffness,
-        contributions=link_contributions(hand, CYLINDRICAL_POWER_GRIP),
+        contributions=contributions_of(hand, kind),
         gravity=jnp.array(GRAVITY),
     )
     record = carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    summary = _summary(hand, times, record)
+    summary = {"grip": _words(kind)} | _summary(hand, times, record)
     _write(arguments.out, hand, times, postures, record, summary)
     print(_said(summary))
     print(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
@@ -79,6 +82,17 @@ def _check(arguments: Grip) -> None:
             raise ValueError(
                 f"{name} is {value}: expected a finite number{', 0 or more' if name == 'friction' else ''}"
             )
+
+
+def _closed(arguments: Grip, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:
+    """The hand, the object in it, and their contacts."""
+    if arguments.grip == "power":
+        return power_grip(hand, shape, arguments.depth)
+    return precision_grip(hand, shape, int(arguments.grip.removeprefix("precision-")), arguments.depth)
+
+
+def _words(kind: GripType) -> str:
+    return kind.name.lower().replace("_", " ")
 
 
 def _shape(arguments: Grip) -> Shape:
@@ -118,6 +132,7 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
         "disagrees": ticks.assessment.disagrees,
         "missed": np.stack([instant.missed for instant in record]),
         "torques": ticks.torques,
+        "grip_type": grip_type(hand, postures, ticks.contacts),
         "joints": np.array(hand.joints),
         "links": np.array([link.name for link in hand.links]),
     }
@@ -146,7 +161,7 @@ def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
 
 def _title(arguments: Grip) -> str:
     hand = f"a {arguments.side} hand of {1000 * arguments.hand_length:g} mm"
-    return f"A {arguments.object} of {1000 * arguments.mass:g} g in {hand}"
+    return f"A {arguments.grip} grip of a {arguments.object} of {1000 * arguments.mass:g} g in {hand}"
 
 
 def _details(arguments: Grip) -> dict[str, str]:

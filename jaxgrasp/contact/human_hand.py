@@ -62,6 +62,9 @@ LIMITS = {"MP": (0, 90), "PIP": (0, 100), "thumb abduction": (0, 60), "thumb MP"
 TOWARDS_THUMB = {"index": 1, "middle": 1, "ring": -1, "little": -1}
 """Which way abduction goes, that is, away from the middle finger."""
 
+OPPOSITION = 0.6
+"""Abduction of the thumb, with which its tip comes to face the fingers' [rad]."""
+
 
 class _Parts(NamedTuple):
     """What a finger adds to the hand."""
@@ -103,6 +106,19 @@ def human_hand(length: float = LENGTH, breadth: float | None = None, side: str =
         _add_finger(parts, name, finger, length, breadth)
     hand = _assemble(parts)
     return hand if side == "right" else mirrored(hand)
+
+
+def check_human(hand: Hand) -> None:
+    """Raise ValueError unless a hand has a human one's joints and links, by their names."""
+    tips = {f"{finger} distal" for finger in ("thumb", *FINGERS)} | {f"{finger} palm" for finger in FINGERS}
+    hinges = {f"{finger} {kind}" for finger in ("thumb", *FINGERS) for kind in ("abduction", "MP")}
+    if not (tips <= {link.name for link in hand.links} and hinges <= set(hand.joints)):
+        raise ValueError("hand is not a human one: expected joints and links named as by human_hand")
+
+
+def open_angles(hand: Hand) -> np.ndarray:
+    """Every joint's angle where fingers are straight and the thumb stands opposite them [rad]."""
+    return np.array([OPPOSITION if name == "thumb abduction" else 0.0 for name in hand.joints])
 
 
 def mirrored(hand: Hand) -> Hand:

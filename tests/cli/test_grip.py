@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp import Body, Hold, Instant, Pose, Scene, Sphere, human_hand, observe
+from jaxgrasp import Body, GripType, Hold, Instant, Pose, Scene, Sphere, contributions_of, human_hand, observe
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.grip import _write_report
 from jaxgrasp.cli.main import main
@@ -17,8 +17,16 @@ from jaxgrasp.report.history import history
 
 
 @pytest.mark.slow
-def test_a_cylinder_is_held_and_let_go(folder, capsys):
-    arguments = ["grip", "--seconds", "2", "--release", "--mass", "0.3", "--out", "out"]
+@pytest.mark.parametrize(
+    "grip, kind",
+    [
+        ("power", GripType.CYLINDRICAL_POWER),
+        ("precision-3", GripType.PRECISION_3),
+        ("precision-5", GripType.PRECISION_5),
+    ],
+)
+def test_a_cylinder_is_held_and_let_go(folder, capsys, grip, kind):
+    arguments = ["grip", "--grip", grip, "--seconds", "2", "--release", "--mass", "0.3", "--out", "out"]
     assert main(arguments) == 0
     said = capsys.readouterr().out
     assert "closed on the cylinder:" in said and "not stable for the first time" in said
@@ -30,6 +38,11 @@ def test_a_cylinder_is_held_and_let_go(folder, capsys):
     summary = json.loads((folder / "out" / "grip.json").read_text())
     count = len(found["time"])
     assert count == 101 == summary["instants"] and sum(summary["hold"].values()) == count
+    assert (found["grip_type"][:70] == kind).all() and found["grip_type"][-1] == GripType.NONE
+    assert summary["grip"] == kind.name.lower().replace("_", " ")
+    share = found["squeeze"][0] / np.where(found["present"][0] > 0, 1e3 * found["depths"][0], 1)
+    expected = contributions_of(human_hand(), kind) * found["present"][0]
+    np.testing.assert_allclose(share, expected, rtol=1e-9)
     assert all(np.isfinite(found[name]).all() for name in found if found[name].dtype.kind == "f")
     stable = found["hold"] == Hold.STABLE
     assert stable[:70].all() and found["hold"][-1] == Hold.LOST
@@ -45,6 +58,12 @@ def test_a_cylinder_is_held_and_let_go(folder, capsys):
     # The object rose with the hand, and fell.
     lifted = found["object_origin"][:, 2] - found["object_origin"][0, 2]
     assert lifted[:76].max() > 0.15 and lifted[-1] < lifted[75] - 0.05
+
+
+def test_a_grip_out_of_reach_is_said(folder, capsys):
+    assert main(["grip", "--grip", "precision-5", "--object", "sphere", "--radius", "0.003"]) == 1
+    assert "no precision grip of 5 fingers on this Sphere was found" in capsys.readouterr().err
+    assert not list(folder.iterdir())
 
 
 def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatch):

@@ -1,0 +1,97 @@
+"""Precision grips: fingertips alone touch, as deep as wanted, and hold the object whichever way it is turned."""
+
+from collections.abc import Callable
+from itertools import product
+
+import jax
+import numpy as np
+import pytest
+
+from jaxgrasp import (
+    Box,
+    Capsule,
+    Cylinder,
+    GripType,
+    Hand,
+    Shape,
+    Sphere,
+    Verdict,
+    check_posture,
+    constrained_optimum,
+    find_contacts,
+    grasp_from_contacts,
+    grip_type,
+    human_hand,
+    power_grip,
+    precision_grip,
+    weight_wrench,
+)
+
+FRICTION, STIFFNESS, MASS = 0.5, 1000.0, 0.4
+DOWN = np.concatenate([np.eye(3), -np.eye(3)])
+SHAPES: dict[str, Callable[[float], Shape]] = {
+    "cylinder": lambda radius: Cylinder(radius, 0.12),
+    "sphere": Sphere,
+    "box": lambda radius: Box(2 * radius, 2 * radius, 0.12),
+    "capsule": lambda radius: Capsule(radius, 0.08),
+}
+KINDS = [(3, "cylinder"), (5, "sphere")]
+MORE = [(fingers, name) for fingers in (3, 4, 5) for name in SHAPES]
+
+
+def assert_held_by_its_tips(hand: Hand, shape: Shape, fingers: int, depth: float) -> None:
+    posture, placed, contacts = jax.device_get(precision_grip(hand, shape, fingers, depth))
+    check_posture(hand, posture)
+    touching = [link for link, there in zip(hand.links, contacts.present, strict=True) if there]
+    assert [link.finger for link in touching] == ["thumb", "index", "middle", "ring", "little"][:fingers]
+    assert {link.phalanx for link in touching} == {"distal"}
+    np.testing.assert_allclose(contacts.depths[contacts.present > 0], depth, rtol=0.05)
+    seen = find_contacts(hand, posture, shape, placed)
+    np.testing.assert_allclose(seen.points, contacts.points, atol=1e-12)
+    grasp = grasp_from_contacts(contacts, FRICTION, STIFFNESS)
+    weights = np.stack([weight_wrench(MASS, placed.origin, 9.81 * down) for down in DOWN])
+    verdicts = np.asarray(constrained_optimum(grasp, weights).verdict)
+    assert np.isin(verdicts, (Verdict.OPTIMAL, Verdict.CLOSED_FORM_OPTIMAL)).all(), verdicts
+    assert int(grip_type(hand, posture, contacts)) == getattr(GripType, f"PRECISION_{fingers}")
+
+
+@pytest.mark.parametrize("fingers, name", KINDS)
+def test_fingertips_alone_hold_it_whichever_way_is_down(fingers, name):
+    for length, side, radius, depth in ((0.16, "right", 0.035, 1e-3), (0.21, "left", 0.015, 2e-3)):
+        assert_held_by_its_tips(human_hand(length, side=side), SHAPES[name](radius), fingers, depth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fingers, name", MORE)
+def test_the_stated_range_is_reached_to_its_corners(fingers, name):
+    for length, side, radius in product((0.16, 0.21), ("right", "left"), (0.015, 0.025, 0.035)):
+        assert_held_by_its_tips(human_hand(length, side=side), SHAPES[name](radius), fingers, 1e-3)
+
+
+def test_what_is_out_of_reach_is_named(unchecked):
+    hand = human_hand()
+    with pytest.raises(ValueError, match="precision grip of 3 fingers on this Cylinder was found: .*does not come"):
+        precision_grip(hand, Cylinder(0.2, 0.12), 3)
+    with pytest.raises(ValueError, match="precision grip of 5 fingers on this Sphere was found: .*have no room"):
+        precision_grip(hand, Sphere(0.003), 5)
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        ((Sphere(0.03), 2), "fingers is 2: expected 3, 4 or 5"),
+        ((Sphere(0.0), 3), "Sphere.radius is 0.0"),
+        ((Sphere(0.03), 3, 0.0), "depth is 0.0: expected a positive number of metres"),
+    ],
+)
+def test_bad_arguments_are_named(arguments, said):
+    with pytest.raises(ValueError, match=said):
+        precision_grip(human_hand(), *arguments)
+
+
+def test_a_hand_of_another_make_is_refused():
+    hand = human_hand()
+    strange = Hand(**{**vars(hand), "joints": tuple(name.replace("thumb", "claw") for name in hand.joints)})
+    for grip in (power_grip, precision_grip):
+        with pytest.raises(ValueError, match="hand is not a human one"):
+            grip(strange, Sphere(0.03))

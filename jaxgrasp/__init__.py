@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
     from jaxgrasp.contact.human_hand import human_hand, mirrored
     from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
-    from jaxgrasp.contact.limits import check_pose, check_posture, clamp_posture
+    from jaxgrasp.contact.limits import check_clear, check_pose, check_posture, clamp_posture
     from jaxgrasp.contact.mesh import Mesh, check_mesh, load_mesh, principal_frame
     from jaxgrasp.contact.parallel_jaw import parallel_jaw
     from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
     from jaxgrasp.contact.sphere_tree import LevelError, SphereTree, level_errors, sphere_tree
     from jaxgrasp.contact.to_grasp import grasp_from_contacts, link_contributions
+    from jaxgrasp.contact.world import rigid_body, spring_wrench, world_contacts
     from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
     from jaxgrasp.force.certificate import verify_certificate
     from jaxgrasp.force.distribution import ForceSplit, closed_form, constrained_optimum, split_forces
@@ -88,6 +89,7 @@ _HOME = {
     "Touch": "prehension.monitor",
     "Verdict": "model.solution",
     "carry": "prehension.carry",
+    "check_clear": "contact.limits",
     "check_grasp": "model.faults",
     "check_mesh": "contact.mesh",
     "check_pose": "contact.limits",
@@ -128,15 +130,18 @@ _HOME = {
     "principal_frame": "contact.mesh",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",
+    "rigid_body": "contact.world",
     "save_grasps": "batch.sources",
     "signed_distance": "contact.shapes",
     "slip_angle": "force.angles",
     "sphere_tree": "contact.sphere_tree",
     "split_forces": "force.distribution",
+    "spring_wrench": "contact.world",
     "squeezing": "model.squeeze",
     "stability_margin": "force.angles",
     "verify_certificate": "force.certificate",
     "weight_wrench": "model.wrench",
+    "world_contacts": "contact.world",
     "wrench_margin": "force.margin",
 }
 

@@ -28,7 +28,8 @@ def close_hand(
     """Turn the joints until the links press into the object.
 
     All joints turn together, each by its share of the way. A joint stops where a link that it carries has reached
-    the depth, or at its limit; those beyond it go on, so that a finger wraps around what it meets.
+    the depth, or at its limit; those beyond it go on, so that a finger wraps around what it meets. A hand that starts
+    inside the object stays there: [`jaxgrasp.check_clear`][] finds out.
 
     Args:
         hand: one for all postures.

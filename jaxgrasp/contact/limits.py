@@ -1,9 +1,11 @@
-"""Joint limits and bad poses: refused with their names, or clamped, as the caller likes."""
+"""Joint limits, bad poses and bad starts: refused with their names, or clamped, as the caller likes."""
 
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.contact.detection import find_contacts
 from jaxgrasp.contact.kinematics import flatten_posture
+from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
 
 ROUNDING = 1e-6
@@ -56,3 +58,25 @@ def check_pose(name: str, pose: Pose) -> None:
 def clamp_posture(hand: Hand, posture: Posture) -> Posture:
     """The posture with every angle brought within its limits; what is not a number stays."""
     return Posture(posture.wrist, jnp.clip(jnp.asarray(posture.angles), hand.lower, hand.upper))
+
+
+def check_clear(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth: float = 0.0) -> None:
+    """Raise ValueError where a hand starts inside an object: closing it there says nothing.
+
+    Args:
+        hand: one for all postures.
+        posture: where it starts; any leading axes.
+        shape: what it is to close on.
+        placed: where that stands.
+        depth: that links may have from the start [m].
+    """
+    depths = np.asarray(find_contacts(hand, posture, shape, placed).depths)
+    # A NaN is neither: it says that the data are bad.
+    bad = np.argwhere(~(depths <= depth))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        where = f"posture[{', '.join(map(str, at[:-1]))}]: " if at[:-1] else ""
+        raise ValueError(
+            f"{where}the link {hand.links[at[-1]].name} starts {depths[at]:.3g} m inside the object: "
+            f"expected at most {depth:.3g} m"
+        )

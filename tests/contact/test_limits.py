@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Pose, Posture, Sphere, Verdict, check_posture, clamp_posture, find_contacts, human_hand
+from jaxgrasp import (
+    Pose,
+    Posture,
+    Sphere,
+    Verdict,
+    check_clear,
+    check_posture,
+    clamp_posture,
+    find_contacts,
+    human_hand,
+)
 from tests.contact.hands import random_posture
 
 HAND = human_hand()
@@ -73,3 +83,19 @@ def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone
         wrench = np.broadcast_to([0.0, 0, 3, 0, 0, 0], (5, 6))
         verdict = jaxgrasp.closed_form(grasp, wrench).verdict
         assert verdict[2] == Verdict.INVALID_DATA and (verdict[others] != Verdict.INVALID_DATA).all()
+
+
+def test_a_start_inside_the_object_is_refused_by_name():
+    posture = random_posture(HAND, 5)
+    outside = posture.wrist.origin + np.array([0.0, 0.0, 1.0])
+    check_clear(HAND, posture, Sphere(0.05), Pose(outside, posture.wrist.rotation))
+    within = outside.copy()
+    within[3] = posture.wrist.origin[3]
+    with pytest.raises(
+        ValueError, match=r"posture\[3\]: the link .* starts .* m inside the object: expected at most 0 m"
+    ):
+        check_clear(HAND, posture, Sphere(0.05), Pose(within, posture.wrist.rotation))
+    check_clear(HAND, posture, Sphere(0.05), Pose(within, posture.wrist.rotation), depth=0.2)
+    within[3] = np.nan
+    with pytest.raises(ValueError, match=r"posture\[3\]: .* starts nan m inside"):
+        check_clear(HAND, posture, Sphere(0.05), Pose(within, posture.wrist.rotation), depth=0.2)

@@ -243,6 +243,17 @@ def test_depth_and_normal_do_not_jump_while_a_sphere_rolls_over_the_balls(tree):
     assert np.min(seen.out[0, :, 2]) > np.cos(np.radians(12))
 
 
+def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone(tree):
+    posture, placed = scenes(60, 5)
+    sound = find_contacts(HAND, posture, tree, placed)
+    origin = placed.origin.copy()
+    origin[7, 1] = np.nan
+    found = find_contacts(HAND, posture, tree, Pose(origin, placed.rotation))
+    assert np.all(np.isnan(found.present[7]))
+    others = np.arange(60) != 7
+    np.testing.assert_allclose(found.depths[others], sound.depths[others], atol=1e-15)
+
+
 @pytest.mark.parametrize("make", [box_mesh, ring_mesh])
 def test_a_meshs_surface_is_found_exactly(make):
     mesh = check_mesh(make())

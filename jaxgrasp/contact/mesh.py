@@ -125,6 +125,8 @@ class Nearest(NamedTuple):
     """``(P,)``: to the surface, negative inside [m]."""
     foot: np.ndarray
     """``(P, 3)``: its nearest point."""
+    normal: np.ndarray
+    """``(P, 3)``: a way out at the foot, of any length; at an edge between those of its faces."""
 
 
 class Surface:
@@ -153,7 +155,7 @@ class Surface:
     def nearest(self, points: np.ndarray) -> Nearest:
         """Distances and feet of points ``(P, 3)``."""
         parts = [self._nearest(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
-        return Nearest(np.concatenate([p.distance for p in parts]), np.concatenate([p.foot for p in parts]))
+        return Nearest(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _nearest(self, points: np.ndarray) -> Nearest:
         bound, _ = self._tree.query(points)
@@ -166,8 +168,9 @@ class Surface:
         best = order[np.concatenate([[0], np.cumsum(sizes)[:-1]])]
         foot, triangle, distance = feet[best], triangles[best], far[best]
         way = points - foot
-        outside = np.einsum("pi,pi->p", way, self._pseudonormal(foot, triangle)) >= 0
-        return Nearest(np.where(outside, distance, -distance), foot)
+        normal = self._pseudonormal(foot, triangle)
+        outside = np.einsum("pi,pi->p", way, normal) >= 0
+        return Nearest(np.where(outside, distance, -distance), foot, normal)
 
     def _pseudonormal(self, foot: np.ndarray, triangle: np.ndarray) -> np.ndarray:
         """A vector at the foot whose side tells inside from out: of the face, the edge, or the vertex.

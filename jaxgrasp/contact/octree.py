@@ -80,9 +80,11 @@ def _surface_balls(
 
     A ball through that point shrinks about it until no other point of the surface lies in it.
     """
-    way = cells - found.foot
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    outward = np.where(found.distance[:, None] < 0, -1, 1) * way / np.where(length > 0, length, 1)
+    # A cell whose centre lies on the surface is on no side of it.
+    apart = np.abs(found.distance) > ROUNDING * edge
+    away = np.where(found.distance < 0, -1, 1)[:, None] * (cells - found.foot)
+    outward = np.where(apart[:, None], away, found.normal)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     radius = np.full(len(cells), ROUND * edge)
     moving = np.arange(len(cells))
     for _ in range(SHRINKS):

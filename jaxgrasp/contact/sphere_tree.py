@@ -45,7 +45,7 @@ class SphereTree(Shape):
         return jax.tree.map(lambda x: jnp.asarray(x)[None], self)
 
     def _distance(self, point: Vec) -> tuple[Array, Vec]:
-        """To the nearest ball, by trying all."""
+        """From the nearest ball, by trying all."""
         centers, radii = self.balls.centers, jnp.asarray(self.balls.radii)
 
         def of_one(one: Array) -> tuple[Array, Array]:
@@ -124,7 +124,7 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
     """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
 
     Trees of so few levels that no ball fits into the solid are passed over. Since all balls lie inside, a tree makes
-    depths smaller than they are by at most this, and never larger.
+    depths smaller than they are, about by this, and never larger.
 
     Args:
         mesh: a watertight one.
@@ -184,7 +184,7 @@ def _ends(shape: Shape, sign: float) -> np.ndarray:
 
 def _nearest(shape: Shape, points: np.ndarray) -> Nearest:
     distance, out = (np.asarray(part, float) for part in signed_distance(shape, jnp.asarray(points)))
-    return Nearest(distance, points - distance[:, None] * out)
+    return Nearest(distance, points - distance[:, None] * out, out)
 
 
 def _principal_moments(mesh: Mesh) -> np.ndarray:

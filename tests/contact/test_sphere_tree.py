@@ -51,6 +51,10 @@ def ring_mesh() -> Mesh:
     return of_trimesh(trimesh.creation.annulus(0.02, 0.05, 0.03, sections=24))
 
 
+def capsule_mesh() -> Mesh:
+    return of_trimesh(trimesh.creation.capsule(0.08, 0.025, count=(16, 16)))
+
+
 @pytest.fixture(scope="module")
 def tree() -> SphereTree:
     return sphere_tree(BOX, 5, descends=True)
@@ -83,6 +87,29 @@ def test_what_is_left_out_halves_with_the_cells():
         assert fine.cell == pytest.approx(coarse.cell / 2)
         assert fine.mean < 0.6 * coarse.mean and fine.largest < 0.75 * coarse.largest and fine.balls > coarse.balls
     assert errors[-1].largest < 0.5 * errors[-1].cell and errors[-1].mean < 0.08 * errors[-1].cell
+
+
+@pytest.mark.parametrize("make", [box_mesh, ring_mesh, capsule_mesh])
+def test_no_hole_is_left_inside(make):
+    """Whatever is deeper than the cells are wide lies in a ball."""
+    mesh = check_mesh(make())
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    points = np.random.default_rng(0).uniform(low, high, (6000, 3))
+    for levels in (4, 5):
+        cell = (high - low).max() / 2**levels
+        inside = points[Surface(mesh, 2 * cell).nearest(points).distance < -0.5 * cell]
+        distance, _ = signed_distance(sphere_tree(mesh, levels), inside)
+        assert len(inside) > 1000 and np.max(distance) < 0.1 * cell
+
+
+def test_a_face_through_the_middle_of_cells_is_no_gap():
+    """Where centres of the last cells lie on the surface itself, neither side of it is theirs."""
+    box = Box(0.08, 0.05, 0.08 * 12.5 / 16)
+    tree = sphere_tree(box, 4)
+    across = np.random.default_rng(0).uniform(-0.5, 0.5, (500, 2)) * [0.07, 0.04]
+    face = np.column_stack([across, np.full(500, box.height / 2)])
+    distance, _ = signed_distance(tree, face)
+    assert np.max(distance) < 0.2 * 0.08 / 16
 
 
 def test_every_node_holds_all_balls_below_it(tree):

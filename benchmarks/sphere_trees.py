@@ -27,6 +27,7 @@ from benchmarks.machine import machine
 from benchmarks.page import tree_tables
 from benchmarks.page.clock import interleaved
 from jaxgrasp import Cylinder, Mesh, Pose, Posture, SphereTree
+from jaxgrasp.contact.filling import cell_size, filling_error
 from jaxgrasp.prehension.power_grip import power_grip
 
 NAME = "sphere_trees"
@@ -42,7 +43,7 @@ def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
     start = time.perf_counter()
     tree = jaxgrasp.sphere_tree(mesh, levels, descends=False)
     seconds = time.perf_counter() - start
-    error = jaxgrasp.level_errors(mesh, levels)[-1]
+    error = filling_error(tree, mesh)
     hand, posture, placed = scene()
     find = jaxgrasp.find_contacts
     exact = find(hand, posture, Cylinder(RADIUS, HEIGHT), placed)
@@ -55,7 +56,7 @@ def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
     found = {name: call() for name, call in calls.items()}
     return {
         "levels": levels,
-        "cell": error.cell,
+        "cell": cell_size(mesh, levels),
         "balls": error.balls,
         "left_out_largest": error.largest,
         "left_out_mean": error.mean,

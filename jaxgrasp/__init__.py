@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.closing import close_hand
     from jaxgrasp.contact.deepest import Kept, keep_deepest
     from jaxgrasp.contact.detection import Contacts, find_contacts
+    from jaxgrasp.contact.filling import LevelError, level_errors, sphere_tree
     from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
     from jaxgrasp.contact.human_hand import human_hand, mirrored
     from jaxgrasp.contact.kinematics import contact_jacobian, joint_torques, pose_hand
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.mesh import Mesh, check_mesh, load_mesh, principal_frame
     from jaxgrasp.contact.parallel_jaw import parallel_jaw
     from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
-    from jaxgrasp.contact.sphere_tree import LevelError, SphereTree, level_errors, sphere_tree
+    from jaxgrasp.contact.sphere_tree import SphereTree
     from jaxgrasp.contact.to_grasp import grasp_from_contacts, link_contributions
     from jaxgrasp.contact.world import rigid_body, spring_wrench, world_contacts
     from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
@@ -69,7 +70,7 @@ _HOME = {
     "Hold": "prehension.monitor",
     "Instant": "prehension.carry",
     "Kept": "contact.deepest",
-    "LevelError": "contact.sphere_tree",
+    "LevelError": "contact.filling",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
     "MujocoGrasp": "interop.mujoco_contacts",
@@ -115,7 +116,7 @@ _HOME = {
     "joint_torques": "contact.kinematics",
     "keep_deepest": "contact.deepest",
     "lagrange_forces": "force.lagrange",
-    "level_errors": "contact.sphere_tree",
+    "level_errors": "contact.filling",
     "link_contributions": "contact.to_grasp",
     "load_grasps": "batch.sources",
     "load_mesh": "contact.mesh",
@@ -134,7 +135,7 @@ _HOME = {
     "save_grasps": "batch.sources",
     "signed_distance": "contact.shapes",
     "slip_angle": "force.angles",
-    "sphere_tree": "contact.sphere_tree",
+    "sphere_tree": "contact.filling",
     "split_forces": "force.distribution",
     "spring_wrench": "contact.world",
     "squeezing": "model.squeeze",

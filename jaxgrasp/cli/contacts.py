@@ -17,10 +17,11 @@ from jaxgrasp.contact.closing import close_hand
 from jaxgrasp.contact.deepest import keep_deepest
 from jaxgrasp.contact.detection import Contacts as Found
 from jaxgrasp.contact.detection import find_contacts
+from jaxgrasp.contact.filling import cell_size, filling_error, sphere_tree
 from jaxgrasp.contact.human_hand import human_hand
 from jaxgrasp.contact.mesh import load_mesh, mass_properties
 from jaxgrasp.contact.parallel_jaw import parallel_jaw
-from jaxgrasp.contact.sphere_tree import SphereTree, level_errors, sphere_tree
+from jaxgrasp.contact.sphere_tree import SphereTree
 from jaxgrasp.contact.to_grasp import grasp_from_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.wrench import weight_wrench
@@ -105,11 +106,11 @@ def _object(arguments: Contacts, poses: GraspPoses) -> _Object:
         )
     mesh = load_mesh(path, next(value for value in (arguments.scale, poses.scale, 1.0) if value is not None))
     friction, mass = (_given(name, getattr(arguments, name), poses) for name in ("friction", "mass"))
-    finest = level_errors(mesh, arguments.levels)[-1]
     tree = sphere_tree(mesh, arguments.levels)
+    left_out = filling_error(tree, mesh)
     print(
-        f"{path.name}: {finest.balls} balls in cells of {1e3 * finest.cell:.2g} mm leave out "
-        f"{1e3 * finest.mean:.2g} mm of the surface in the mean, {1e3 * finest.largest:.2g} mm at most"
+        f"{path.name}: {left_out.balls} balls in cells of {1e3 * cell_size(mesh, arguments.levels):.2g} mm leave out "
+        f"{1e3 * left_out.mean:.2g} mm of the surface in the mean, {1e3 * left_out.largest:.2g} mm at most"
     )
     center = poses.center_of_mass if poses.center_of_mass is not None else mass_properties(mesh).center
     wrench = np.asarray(weight_wrench(mass, jnp.asarray(center), jnp.asarray(arguments.gravity)))

@@ -1,30 +1,17 @@
-"""A solid as a tree of spheres: what a mesh becomes so that contacts with it can be found. Built once, in NumPy."""
+"""A solid as a tree of spheres: what a mesh becomes so that contacts with it can be found."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.contact.descent import Balls, Nodes, descend, try_all
-from jaxgrasp.contact.mesh import Mesh, Nearest, Surface, check_mesh, mass_properties, sample_surface
-from jaxgrasp.contact.octree import Octree, octree_balls
-from jaxgrasp.contact.shapes import Near, Shape, check_shape, signed_distance
+from jaxgrasp.contact.shapes import Near, Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
-
-LEVELS = 5
-"""How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""
-START = 12
-"""Nodes with which a descent starts, at least: of so few balls all are tried. Of more a descent has always been faster
-(python -m benchmarks.sphere_trees)."""
-OFF_AXIS = 1e-6
-"""Share of a solid's size, or of its inertia, by which a frame may miss the principal one."""
 
 
 class SphereTree(Shape):
@@ -82,152 +69,3 @@ class SphereTree(Shape):
     def _moments(self) -> tuple[Array, Array, Array]:
         x, y, z = jnp.asarray(self.moments)
         return x, y, z
-
-
-class LevelError(NamedTuple):
-    """How well the balls of a tree of so many levels fill a solid: what of its surface lies outside all of them."""
-
-    levels: int
-    cell: float
-    """Edge of the smallest cells [m]."""
-    balls: int
-    largest: float
-    """Distance from the surface to the balls, at the worst of the sampled points [m]."""
-    mean: float
-    """[m]"""
-
-
-def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | None = None) -> SphereTree:
-    """The tree of balls inside a solid.
-
-    Args:
-        solid: a watertight mesh, or an exact shape with an end.
-        levels: how often the cube about it is cut in eight.
-        descends: whether contacts are found by descent; ``None`` for what is faster.
-
-    Raises:
-        ImportError: for a mesh without the extra `mesh`.
-        ValueError: for a mesh that is no closed solid, a size that is not positive, or no levels.
-    """
-    if levels < 1:
-        raise ValueError(f"levels is {levels}: expected 1 or more")
-    outline = _outline(solid, levels)
-    tree = octree_balls(outline.nearest, outline.low, outline.high, levels)
-    if not len(tree.radii):
-        raise ValueError(f"levels is {levels}: expected more, since no ball of so large cells fits into the solid")
-    balls = _balls(tree.centers[tree.radii > 0], tree.radii[tree.radii > 0])
-    descends = len(tree.radii[tree.radii > 0]) > START if descends is None else descends
-    return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
-
-
-def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: int = 0) -> list[LevelError]:
-    """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
-
-    Trees of so few levels that no ball fits into the solid are passed over. Since all balls lie inside, a tree makes
-    depths smaller than they are, about by this, and never larger.
-
-    Args:
-        mesh: a watertight one.
-        levels: of the finest tree.
-        samples: points on the surface.
-        seed: of their places.
-
-    Raises:
-        ImportError, ValueError: as [`jaxgrasp.sphere_tree`][] does.
-    """
-    mesh = check_mesh(mesh)
-    points = sample_surface(mesh, samples, seed)
-    errors = []
-    for level in range(1, levels + 1):
-        outline = _outline(mesh, level)
-        tree = octree_balls(outline.nearest, outline.low, outline.high, level)
-        leaf = tree.radii > 0
-        if not leaf.any():
-            continue
-        left = np.maximum(_outside(points, tree.centers[leaf], tree.radii[leaf]), 0)
-        cell = float((outline.high - outline.low).max()) / 2**level
-        errors.append(LevelError(level, cell, int(leaf.sum()), float(left.max()), float(left.mean())))
-    return errors
-
-
-def _outside(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Distance of points from the nearest ball, negative inside."""
-    chunks = np.array_split(points, max(1, points.shape[0] * len(radii) // 10**7))
-    return np.concatenate([np.min(np.linalg.norm(c[:, None] - centers, axis=-1) - radii, 1) for c in chunks])
-
-
-class _Outline(NamedTuple):
-    """What the octree asks of a solid."""
-
-    nearest: Callable[[np.ndarray], Nearest]
-    low: np.ndarray
-    high: np.ndarray
-    moments: np.ndarray
-
-
-def _outline(solid: Mesh | Shape, levels: int) -> _Outline:
-    if isinstance(solid, Shape):
-        check_shape(solid)
-        low, high = (sign * _ends(solid, sign) for sign in (-1.0, 1.0))
-        return _Outline(lambda points: _nearest(solid, points), low, high, np.array(solid._moments()))
-    mesh = check_mesh(solid)
-    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    cell = float((high - low).max()) / 2**levels
-    return _Outline(Surface(mesh, 2 * cell).nearest, low, high, _principal_moments(mesh))
-
-
-def _ends(shape: Shape, sign: float) -> np.ndarray:
-    """How far a shape reaches along x, y and z, or against them."""
-    x, y, z = sign * np.eye(3)
-    return np.asarray(shape._support(Vec(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
-
-
-def _nearest(shape: Shape, points: np.ndarray) -> Nearest:
-    distance, out = (np.asarray(part, float) for part in signed_distance(shape, jnp.asarray(points)))
-    return Nearest(distance, points - distance[:, None] * out, out)
-
-
-def _principal_moments(mesh: Mesh) -> np.ndarray:
-    """NaN where the mesh does not stand in its principal frame: a Body's frame is that."""
-    _, center, inertia = mass_properties(mesh)
-    moments = np.diagonal(inertia)
-    off_axis = np.abs(inertia - np.diag(moments)).max() > OFF_AXIS * moments.max()
-    off_center = np.linalg.norm(center) > OFF_AXIS * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
-    return np.full(3, np.nan) if off_axis or off_center else moments
-
-
-def _balls(centers: np.ndarray, radii: np.ndarray) -> Balls:
-    return Balls(*map(jnp.asarray, (*centers.T, radii)))
-
-
-def _nodes(tree: Octree) -> Nodes:
-    """Bounds, children and the start of the descent."""
-    count, leaf = len(tree.radii), tree.radii > 0
-    bounds = tree.radii.copy()
-    above, below = tree.parents[leaf], np.flatnonzero(leaf)
-    while (there := above >= 0).any():
-        above, below = above[there], below[there]
-        reach = np.linalg.norm(tree.centers[below] - tree.centers[above], axis=1) + tree.radii[below]
-        np.maximum.at(bounds, above, reach)
-        above = tree.parents[above]
-    children = np.full((count, 8), -1, np.int32)
-    children[leaf, 0] = np.flatnonzero(leaf)
-    place = np.zeros(count, int)
-    for node in range(1, count):
-        parent = tree.parents[node]
-        children[parent, place[parent]] = node
-        place[parent] += 1
-    places = np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32)
-    level, start = _start(tree)
-    steps = int(tree.level.max()) - level
-    return Nodes(_balls(tree.centers, bounds), jnp.asarray(children.T), jnp.asarray(places), jnp.asarray(start), steps)
-
-
-def _start(tree: Octree) -> tuple[int, np.ndarray]:
-    """The first level with enough nodes, together with the leaves above it."""
-    leaf, last = tree.radii > 0, int(tree.level.max())
-    for level in range(last + 1):
-        nodes = (tree.level == level) | (leaf & (tree.level < level))
-        if nodes.sum() >= START or level == last:
-            break
-    return level, np.flatnonzero(nodes).astype(np.int32)

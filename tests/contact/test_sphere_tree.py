@@ -29,6 +29,7 @@ from jaxgrasp import (
     sphere_tree,
 )
 from jaxgrasp.contact.descent import try_all
+from jaxgrasp.contact.filling import filling_error
 from jaxgrasp.contact.mesh import Surface
 from jaxgrasp.prehension.motion import spatial_inertia
 from tests.contact.hands import random_posture, rotations
@@ -85,8 +86,10 @@ def test_what_is_left_out_halves_with_the_cells():
     assert [error.levels for error in errors] == [1, 2, 3, 4, 5]
     for coarse, fine in pairwise(errors[1:]):
         assert fine.cell == pytest.approx(coarse.cell / 2)
-        assert fine.mean < 0.6 * coarse.mean and fine.largest < 0.75 * coarse.largest and fine.balls > coarse.balls
-    assert errors[-1].largest < 0.5 * errors[-1].cell and errors[-1].mean < 0.08 * errors[-1].cell
+        assert fine.error.mean < 0.6 * coarse.error.mean and fine.error.largest < 0.75 * coarse.error.largest
+        assert fine.error.balls > coarse.error.balls
+    assert errors[-1].error.largest < 0.5 * errors[-1].cell and errors[-1].error.mean < 0.08 * errors[-1].cell
+    assert filling_error(sphere_tree(box_mesh(), 5), check_mesh(box_mesh())) == errors[-1].error
 
 
 @pytest.mark.parametrize("make", [box_mesh, ring_mesh, capsule_mesh])
@@ -158,7 +161,7 @@ def test_small_trees_try_all_and_large_ones_descend():
 def test_contacts_come_as_close_to_the_exact_shapes_as_the_balls_come_to_its_surface(tree):
     posture, placed = scenes(60, 5)
     exact, found = find_contacts(HAND, posture, BOX, placed), find_contacts(HAND, posture, tree, placed)
-    errors = level_errors(box_mesh(), 5)[-1]
+    errors = level_errors(box_mesh(), 5)[-1].error
     shallow = (exact.depths > 0) & (exact.depths < 0.004)
     assert shallow.sum() > 30
     assert np.all(found.depths <= exact.depths + errors.largest + 1e-12)

@@ -236,6 +236,7 @@ def link_contact(merged: dict[int, tuple], link: int, count: int) -> tuple:
     return weight @ depth / weight.sum(), weight @ point / weight.sum(), normal / np.linalg.norm(normal)
 
 
+@pytest.mark.slow
 def test_derivatives_forward_reverse_and_by_differences(tree):
     posture, placed = scenes(60, 5)
     depths = find_contacts(HAND, posture, tree, placed).depths

@@ -60,7 +60,7 @@ def test_the_samples_meet_every_outcome(flat):
         assert set(others.tolist()) == {Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES}
 
 
-@pytest.mark.parametrize("shape", [(8, 8), (4, 1, 16)])
+@pytest.mark.parametrize("shape", [(8, 8), pytest.param((4, 1, 16), marks=pytest.mark.slow)])
 def test_any_leading_axes(flat, rows, shape):
     method, expected = flat
     got = solve(method, *(x.reshape(*shape, *x.shape[1:]) for x in rows))
@@ -75,6 +75,7 @@ def test_vmap_of_a_single_call_is_the_batch(flat, rows):
     same(jax.vmap(lambda *x: solve(method, *x))(*rows), expected)
 
 
+@pytest.mark.slow
 def test_vmap_of_vmap_under_jit_is_the_batch(flat, rows):
     method, expected = flat
     nested = jax.jit(jax.vmap(jax.vmap(lambda *x: solve(method, *x))))
@@ -88,6 +89,7 @@ def test_loop_over_single_calls_is_the_batch(flat, rows):
     same(jax.tree.map(lambda *leaves: np.stack(leaves), *alone), expected)
 
 
+@pytest.mark.slow
 def test_mapped_axis_may_be_any(flat, rows):
     method, expected = flat
     last = tuple(np.moveaxis(x, 0, -1) for x in rows)
@@ -124,7 +126,7 @@ def test_grasps_cross_wrenches(flat, rows):
     same(crossed, expected)
 
 
-@pytest.mark.parametrize("count", [129, 300])
+@pytest.mark.parametrize("count", [pytest.param(129, marks=pytest.mark.slow), 300])
 def test_batches_that_do_not_fill_their_tiles(flat, count):
     """Around the tile of 128 problems: the last tile overlaps, the unfinished are gathered."""
     method, _ = flat

@@ -336,6 +336,7 @@ def test_absent_contacts_have_zero_derivative():
     assert np.abs(gradient.points).max() > 0
 
 
+@pytest.mark.slow
 def test_nested_vmaps_differentiate_alike(compiled, ordinary):
     """Reverse mode inside vmap of vmap equals the batch's own."""
     square = tuple(x.reshape(8, 8, *x.shape[1:]) for x in ordinary)
@@ -351,6 +352,7 @@ def test_nested_vmaps_differentiate_alike(compiled, ordinary):
         assert (size_of(got - expected) <= 1e-9 * (1 + size_of(expected))).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_other_transformations_differentiate_alike(method, ordinary):
     """Linearisation, checkpoints and scans around one problem give the batch's own derivative."""
@@ -389,6 +391,7 @@ def one_sided(value, inputs, step, size: float):
     return [(4 * b - 3 * a - c) / (2 * size) for a, b, c in zip(here, near, far, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_weight_of_zero_has_its_one_sided_derivative(method):
     """Growing from nothing, a contact moves forces and objective: with its squeeze by method B, or alone."""

@@ -59,6 +59,7 @@ def test_a_margin_of_extreme_units_is_refused(what, factor):
     assert (theta == -np.inf).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
 def test_half_precision_is_solved_in_single(dtype):
     problem = P.problems("ordinary", N, COUNT, seed=1)

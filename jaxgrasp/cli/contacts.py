@@ -54,8 +54,13 @@ def contacts_command(arguments: Contacts) -> int:
         )
     object_ = _object(arguments, poses)
     parts, inside, dropped = [], [], 0
-    for first in range(0, len(poses), CHUNK):
-        found, stuck = _touch(arguments, hand, object_.tree, poses, slice(first, first + CHUNK))
+    size = min(CHUNK, len(poses))
+    for first in range(0, len(poses), size):
+        # The last are filled up with repeats: another size would be compiled anew.
+        own = np.minimum(np.arange(first, first + size), len(poses) - 1)
+        found, stuck = _touch(arguments, hand, object_.tree, poses, own)
+        real = slice(len(poses) - first)
+        found, stuck = jax.tree.map(lambda x, real=real: x[real], (found, stuck))
         inside.append(stuck)
         if arguments.max_contacts is not None:
             kept = keep_deepest(found, arguments.max_contacts)
@@ -126,7 +131,7 @@ def _given(name: str, wanted: float | None, poses: GraspPoses) -> float:
 
 
 def _touch(
-    arguments: Contacts, hand: Hand, tree: SphereTree, poses: GraspPoses, own: slice
+    arguments: Contacts, hand: Hand, tree: SphereTree, poses: GraspPoses, own: np.ndarray
 ) -> tuple[Found, np.ndarray]:
     """The contacts of some grasps, and which of them began inside the object."""
     transforms = jnp.asarray(poses.transforms[own])

@@ -65,6 +65,17 @@ def test_jaws_close_on_the_box_of_an_hdf5_file(run):
     np.testing.assert_allclose(grasps.wrench[:, 0], [[0, 0, 0.2 * 9.81, 0, 0, 0]] * 3, atol=1e-12)
 
 
+def test_more_grasps_than_are_worked_on_at_a_time(run, monkeypatch):
+    assert run("poses.h5")[0] == 0
+    whole = jaxgrasp.load_grasps("contacts.npz")
+    monkeypatch.setattr("jaxgrasp.cli.contacts.CHUNK", 2)
+    assert run("poses.h5")[0] == 0
+    parts = jaxgrasp.load_grasps("contacts.npz")
+    np.testing.assert_array_equal(parts.offsets, whole.offsets)
+    np.testing.assert_allclose(parts.points, whole.points, atol=1e-12)
+    assert list(parts.labels["name"]) == list(whole.labels["name"])
+
+
 def test_what_the_user_says_goes_before_the_file(run):
     status, said = run(
         "poses.h5", "--friction", "0.3", "--mass", "1", "--gravity", "-9.81", "0", "0", "--out", "own.npz"

@@ -5,14 +5,19 @@ import numpy as np
 
 from jaxgrasp.model.hand import Hand, Link, Spheres
 
-COLUMNS = 5
-"""Spheres across a pad; along it there are as many to the same length."""
+COLUMNS = 6
+"""Spheres across a pad; along it as many to the same length."""
+QUARTERS = ((0, 0), (0, 1), (1, 0), (1, 1))
+"""Parts of a pad, across and along: single points of contact could not keep an object from turning about the line
+between them, as two flat pads do."""
 
 
 def parallel_jaw(
     opening: float = 0.08, *, reach: tuple[float, float] = (0.0941, 0.1122), width: float = 0.02, radius: float = 5e-3
 ) -> Hand:
     """Two jaws that close along x, each by its own joint; the gripper looks along z.
+
+    Each pad has four parts, and so at most four contacts.
 
     The defaults are the pads of a Franka hand in the frame that ACRONYM's transforms give (Eppner et al. 2021), whose
     fingers end 0.1122 m along z. A joint slides from 0, open, to half the opening, closed.
@@ -35,10 +40,14 @@ def parallel_jaw(
         raise ValueError(
             f"radius is {radius}: expected at most half of the pads' sides, {width} and {sizes['reach']} m"
         )
-    rows = max(2, round(COLUMNS * (reach[1] - reach[0]) / width))
-    across, along = np.meshgrid(np.linspace(*spans[0], COLUMNS), np.linspace(*spans[1], rows))
-    pad = np.stack([np.full(across.size, radius), across.ravel(), along.ravel()], -1)
-    centers = np.stack([pad * [1, 1, 1], pad * [-1, 1, 1]])
+    rows = 2 * max(1, round(COLUMNS * (reach[1] - reach[0]) / width / 2))
+    across, along = (np.linspace(*span, count) for span, count in zip(spans, (COLUMNS, rows), strict=True))
+    parts = [
+        np.stack(np.meshgrid([radius], np.split(across, 2)[i], np.split(along, 2)[j], indexing="ij"), -1).reshape(-1, 3)
+        for i, j in QUARTERS
+    ]
+    centers = np.concatenate([np.stack(parts) * [side, 1, 1] for side in (1, -1)])
+    names = ("jaw +x", "jaw -x")
     half = opening / 2
     return Hand(
         origins=jnp.array([[half, 0, 0], [-half, 0, 0]]),
@@ -48,7 +57,9 @@ def parallel_jaw(
         upper=jnp.full(2, half),
         skin=Spheres(jnp.array(centers), jnp.full(centers.shape[:2], radius)),
         parents=(-1, -1),
-        joints=("jaw +x", "jaw -x"),
-        links=(Link("jaw +x", "", 0), Link("jaw -x", "", 1)),
-        sliding=("jaw +x", "jaw -x"),
+        joints=names,
+        links=tuple(
+            Link(name, "-+"[i] + "y" + "-+"[j] + "z", jaw) for jaw, name in enumerate(names) for i, j in QUARTERS
+        ),
+        sliding=names,
     )

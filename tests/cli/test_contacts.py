@@ -52,15 +52,16 @@ def test_jaws_close_on_the_box_of_an_hdf5_file(run):
     status, said = run("poses.h5")
     assert status == 0, said
     grasps = jaxgrasp.load_grasps("contacts.npz")
-    assert len(grasps) == 3 and np.all(grasps.sizes == 2) and "3 with 2" in said
+    assert len(grasps) == 3 and np.all(grasps.sizes == 8) and "3 with 8" in said
     assert list(grasps.labels["name"]) == ["poses 0", "poses 1", "poses 2"]
     for i, axis in enumerate((0, 1, 0)):
         grasp = grasps.grasp(i)
         np.testing.assert_allclose(np.abs(grasp.points[:, axis]), WIDE[axis] / 2, atol=5e-4)
-        np.testing.assert_allclose(grasp.points.sum(0)[axis], 0, atol=1e-6)
+        np.testing.assert_allclose(np.sort(grasp.points[:, axis])[[0, -1]].sum(), 0, atol=2e-4)
         np.testing.assert_allclose(-grasp.normals[:, axis], np.sign(grasp.points[:, axis]), atol=0.02)
-        # The jaws stop within a step of the depth that was asked for: K times it is the squeeze.
-        np.testing.assert_allclose(grasp.squeeze, 1.0, atol=0.12)
+        # The jaws stop within a step of the depth that was asked for: K times it is the squeeze of the deepest.
+        for jaw in (grasp.squeeze[:4], grasp.squeeze[4:]):
+            assert 1.0 <= jaw.max() <= 1.08 and jaw.min() > 0
     np.testing.assert_allclose(grasps.friction, 0.7)
     np.testing.assert_allclose(grasps.wrench[:, 0], [[0, 0, 0.2 * 9.81, 0, 0, 0]] * 3, atol=1e-12)
 

@@ -7,19 +7,24 @@ import pytest
 
 from jaxgrasp import (
     Box,
+    Grasp,
     Hand,
     Link,
     Pose,
     Posture,
     Sphere,
     Spheres,
+    Verdict,
     close_hand,
+    constrained_optimum,
     contact_jacobian,
     find_contacts,
+    grasp_from_contacts,
     joint_torques,
     mirrored,
     parallel_jaw,
     pose_hand,
+    weight_wrench,
 )
 from tests.contact.hands import random_posture, rotations
 
@@ -95,8 +100,11 @@ def test_jaws_close_on_what_stands_between_them():
     closed, contacts = close_hand(JAW, start, Box(0.03, 0.04, 0.05), placed, 5e-4, steps=400)
     np.testing.assert_allclose(contacts.present, 1)
     np.testing.assert_allclose(contacts.depths, 5e-4, atol=1.01e-4)
-    np.testing.assert_allclose(contacts.points[:, 0], [0.021, -0.009], atol=1e-12)
-    np.testing.assert_allclose(contacts.normals, [[-1, 0, 0], [1, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(contacts.points[:, 0], [0.021] * 4 + [-0.009] * 4, atol=1e-12)
+    np.testing.assert_allclose(contacts.normals, [[-1, 0, 0]] * 4 + [[1, 0, 0]] * 4, atol=1e-12)
+    # Every part touches in a corner of its own.
+    corners = np.sign(np.asarray(contacts.points) - [0, 0, 0.10315])[:, 1:]
+    np.testing.assert_array_equal(corners, [[-1, -1], [-1, 1], [1, -1], [1, 1]] * 2)
     np.testing.assert_allclose(closed.angles, [0.04 - 0.021, 0.04 - 0.009], atol=7e-4)
 
 
@@ -105,7 +113,7 @@ def test_what_slides_is_within_reach_wherever_it_slid(ways):
     """Even beyond its limits."""
     start = Posture(Pose(np.zeros(3), np.eye(3)), np.array(ways))
     pad = np.asarray(pose_hand(JAW, start).links.origin)[0] + [0, 0, 0.1]
-    assert find_contacts(JAW, start, Sphere(0.01), Pose(pad, np.eye(3))).present[0] == 1
+    assert find_contacts(JAW, start, Sphere(0.01), Pose(pad, np.eye(3))).present[:4].any()
 
 
 def test_a_body_without_joints_has_contacts_but_nothing_to_turn():
@@ -123,3 +131,17 @@ def test_a_body_without_joints_has_contacts_but_nothing_to_turn():
 def test_jaws_of_no_size_are_refused(sizes, words):
     with pytest.raises(ValueError, match=words):
         parallel_jaw(**sizes)
+
+
+def test_flat_pads_keep_a_box_from_turning():
+    """One point of contact on each side could not."""
+    placed = Pose(np.array([0.0, 0.0, 0.12]), np.eye(3))
+    start = Posture(Pose(np.zeros(3), np.eye(3)), np.zeros(2))
+    _, contacts = close_hand(JAW, start, Box(0.03, 0.04, 0.06), placed, 2e-3, steps=400)
+    grasp = grasp_from_contacts(contacts, 0.5, 2000.0)
+    # Its weight acts beside the line between the pads.
+    wrench = weight_wrench(0.2, placed.origin, jnp.array([0.0, -9.81, 0.0]))
+    assert constrained_optimum(grasp, wrench).verdict <= Verdict.OPTIMAL
+    middle = jnp.stack([jnp.mean(grasp.points[:4], 0), jnp.mean(grasp.points[4:], 0)])
+    points = Grasp(middle, grasp.normals[::4], grasp.friction[::4], grasp.squeeze[::4])
+    assert constrained_optimum(points, wrench).verdict == Verdict.INFEASIBLE

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.contact.limits import is_rotation
+from jaxgrasp.model.faults import entries
 
 MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
 ROUNDING = 1e-4
@@ -116,10 +118,7 @@ def _transforms(path: Path, array: Any) -> np.ndarray:
     poses = _numbers(path, "transforms", array)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise GraspFileError(path, f"transforms has shape {poses.shape}: expected (N, 4, 4), N at least 1")
-    turns = poses[:, :3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        square = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max((1, 2))
-        proper = (square <= ROUNDING) & (np.linalg.det(turns) > 0) & np.all(poses[:, 3] == [0, 0, 0, 1], axis=1)
+    proper = is_rotation(poses[:, :3, :3], ROUNDING) & np.all(poses[:, 3] == [0, 0, 0, 1], axis=1)
     bad = np.flatnonzero(~proper)
     if len(bad):
         raise GraspFileError(
@@ -135,10 +134,8 @@ def _numbers(path: Path, name: str, array: Any) -> np.ndarray:
     if not (np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)):
         raise GraspFileError(path, f"{name} holds {array.dtype}: expected numbers")
     array = array.astype(float)
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        at = tuple(int(i) for i in bad[0])
-        raise GraspFileError(path, f"{name}[{', '.join(map(str, at))}] is {array[at]}: expected a finite number")
+    for fault in entries(name, array, ~np.isfinite(array), "a finite number"):
+        raise GraspFileError(path, str(fault))
     return array
 
 

@@ -1,6 +1,5 @@
 """``jaxgrasp contacts``: where hands or grippers touch a mesh, as a file for ``jaxgrasp evaluate``."""
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.grasp_poses import GraspPoses, read_poses
 from jaxgrasp.batch.sources import save_grasps
 from jaxgrasp.cli.arguments import Contacts
+from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.contact.closing import close_hand
 from jaxgrasp.contact.deepest import keep_deepest
@@ -85,10 +85,8 @@ def contacts_command(arguments: Contacts) -> int:
 
 
 def _check(arguments: Contacts) -> None:
-    for name in ("mass", "friction", "stiffness", "depth", "scale"):
-        value = getattr(arguments, name)
-        if value is not None and not (math.isfinite(value) and (value > 0 or (name == "friction" and value == 0))):
-            raise ValueError(f"{name} is {value}: expected a positive number")
+    check_positive(arguments, "mass", "stiffness", "depth", "scale")
+    check_not_negative(arguments, "friction")
     if not np.all(np.isfinite(arguments.gravity)):
         raise ValueError(f"gravity is {arguments.gravity}: expected finite numbers [m/s^2]")
     if arguments.out.suffix != ".npz":

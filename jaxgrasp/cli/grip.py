@@ -12,13 +12,14 @@ import numpy as np
 
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Grip
+from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive
 from jaxgrasp.cli.machine import provenance, set_up_jax
 from jaxgrasp.contact.detection import Contacts
 from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.prehension.carry import Instant, Scene, carry
+from jaxgrasp.prehension.carry import Instant, Scene, carry, stacked
 from jaxgrasp.prehension.lifting import lift_and_turn
 from jaxgrasp.prehension.monitor import Hold
 from jaxgrasp.prehension.motion import Body
@@ -33,7 +34,9 @@ TABLE = -0.5
 
 def grip_command(arguments: Grip) -> int:
     """Close, lift, turn; write what happened, and say it."""
-    _check(arguments)
+    check_positive(arguments, "mass", "stiffness", "depth", "seconds", "step")
+    check_not_negative(arguments, "friction")
+    check_finite(arguments, "lift", "turn")
     shape = _shape(arguments)
     check_shape(shape)
     set_up_jax("float64")
@@ -60,7 +63,7 @@ def grip_command(arguments: Grip) -> int:
         contributions=contributions_of(hand, kind),
         gravity=jnp.array(GRAVITY),
     )
-    record = carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law)
+    record = stacked(carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law))
     arguments.out.mkdir(parents=True, exist_ok=True)
     summary = {"grip": _words(kind)} | _summary(hand, times, record)
     _write(arguments.out, hand, times, postures, record, summary)
@@ -69,19 +72,6 @@ def grip_command(arguments: Grip) -> int:
     if arguments.report:
         _write_report(arguments, scene, history(scene, postures, times, record))
     return 0
-
-
-def _check(arguments: Grip) -> None:
-    for name in ("mass", "stiffness", "depth", "seconds", "step"):
-        value = getattr(arguments, name)
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value}: expected a positive number")
-    for name in ("friction", "lift", "turn"):
-        value = getattr(arguments, name)
-        if not math.isfinite(value) or (name == "friction" and value < 0):
-            raise ValueError(
-                f"{name} is {value}: expected a finite number{', 0 or more' if name == 'friction' else ''}"
-            )
 
 
 def _closed(arguments: Grip, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:
@@ -106,16 +96,16 @@ def _shape(arguments: Grip) -> Shape:
     return shapes[arguments.object]
 
 
-def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: list[Instant], summary: dict) -> None:
+def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: Instant, summary: dict) -> None:
     """Everything over time in arrays, and in words what a person asks first."""
-    ticks = jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *(instant.tick for instant in record)))
+    ticks = record.tick
     columns = {
         "time": times,
         "wrist_origin": postures.wrist.origin,
         "wrist_rotation": postures.wrist.rotation,
         "angles": postures.angles,
-        "object_origin": np.stack([instant.placed.origin for instant in record]),
-        "object_rotation": np.stack([instant.placed.rotation for instant in record]),
+        "object_origin": record.placed.origin,
+        "object_rotation": record.placed.rotation,
         "points": ticks.contacts.points,
         "normals": ticks.contacts.normals,
         "depths": ticks.contacts.depths,
@@ -127,10 +117,10 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
         "optimum_forces": ticks.assessment.optimum.forces,
         "closed_form_verdict": ticks.assessment.closed.verdict,
         "optimum_verdict": ticks.assessment.optimum.verdict,
-        "hold": np.array([instant.hold for instant in record]),
+        "hold": record.hold,
         "touches": ticks.assessment.touches,
         "disagrees": ticks.assessment.disagrees,
-        "missed": np.stack([instant.missed for instant in record]),
+        "missed": record.missed,
         "torques": ticks.torques,
         "grip_type": grip_type(hand, postures, ticks.contacts),
         "joints": np.array(hand.joints),
@@ -170,19 +160,19 @@ def _details(arguments: Grip) -> dict[str, str]:
     return {name.replace("_", " "): str(value) for name, value in asked.items()} | provenance()
 
 
-def _summary(hand: Hand, times: np.ndarray, record: list[Instant]) -> dict:
-    holds = Counter(instant.hold.name for instant in record)
-    torques = np.stack([instant.tick.torques for instant in record])
-    worst = np.unravel_index(np.argmin(torques), torques.shape)
-    contacts = [int(instant.tick.contacts.present.sum()) for instant in record]
-    slips = [float(t) for t, instant in zip(times, record, strict=True) if instant.hold != Hold.STABLE]
+def _summary(hand: Hand, times: np.ndarray, record: Instant) -> dict:
+    ticks = record.tick
+    holds = Counter(Hold(code).name for code in np.asarray(record.hold).tolist())
+    worst = np.unravel_index(np.argmin(ticks.torques), ticks.torques.shape)
+    contacts = ticks.contacts.present.sum(-1).astype(int).tolist()
+    slips = times[np.asarray(record.hold) != Hold.STABLE].tolist()
     return {
-        "instants": len(record),
+        "instants": len(times),
         "hold": dict(holds),
         "first_not_stable_s": slips[0] if slips else None,
-        "laws_disagree": sum(bool(instant.tick.assessment.disagrees) for instant in record),
+        "laws_disagree": int(ticks.assessment.disagrees.sum()),
         "contacts": {"least": min(contacts), "most": max(contacts)},
-        "largest_resisting_torque_Nm": float(-torques[worst]),
+        "largest_resisting_torque_Nm": float(-ticks.torques[worst]),
         "its_joint": hand.joints[worst[1]],
         "its_time_s": float(times[worst[0]]),
     }

@@ -118,7 +118,7 @@ def _try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
     def of_sphere(one: tuple[Array, Array]) -> tuple[Array, Array]:
         center, radius = one
         gap, weighted = _overlaps(Vec(*center), radius, all_balls, sizes)
-        return jnp.min(gap), _unit(Vec(*map(jnp.sum, weighted)))
+        return jnp.min(gap), jnp.stack(vec.unit(Vec(*map(jnp.sum, weighted))))
 
     distance, out = lax.map(of_sphere, (centers, radii))
     return Seen(distance, out, jnp.int32(radii.size * balls.radii.size))
@@ -152,7 +152,7 @@ def _met(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Arra
     ties, total, *out = (
         jnp.zeros(count + 1, gap.dtype).at[pairs.sphere].add(part)[:-1] for part in (nearest, nearest * gap, *weighted)
     )
-    return jnp.where(ties > 0, vec.safe_divide(total, ties), FAR), _unit(Vec(*out))
+    return jnp.where(ties > 0, vec.safe_divide(total, ties), FAR), jnp.stack(vec.unit(Vec(*out)), -1)
 
 
 def _overlaps(centers: Vec, radii: Array, balls: Vec, ball_radii: Array) -> tuple[Array, Vec]:
@@ -165,12 +165,6 @@ def _overlaps(centers: Vec, radii: Array, balls: Vec, ball_radii: Array) -> tupl
     gap = length - ball_radii
     overlap = jnp.maximum(radii - gap, 0)
     return gap, vec.scale(vec.safe_divide(overlap * overlap, length), way)
-
-
-def _unit(vector: Vec) -> Array:
-    """``(..., 3)``; x where there is none."""
-    size = vec.norm(vector)
-    return jnp.stack([jnp.where(size > 0, vec.safe_divide(c, size), i == 0) for i, c in enumerate(vector)], -1)
 
 
 def _columns(vectors: Array, index: Array) -> Vec:

@@ -8,7 +8,6 @@ What a scene does not need is skipped: a sphere about all that the hand can reac
 the poses whose sphere meets the object are gathered and looked at closely.
 """
 
-import math
 from functools import partial, reduce
 from typing import NamedTuple
 
@@ -20,11 +19,11 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.contact.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
-from jaxgrasp.contact.shapes import Shape, shared_or_spread
+from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec
-from jaxgrasp.numerics.tiles import over_chosen
+from jaxgrasp.numerics.tiles import over_chosen, shared_or_spread, spread
 from jaxgrasp.numerics.vec import Vec
 
 TILE = 32
@@ -77,12 +76,12 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
     origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
     whole = jnp.broadcast_shapes(batch, origin.shape[:-1], rotation.shape[:-2], shape._batch)
 
-    def spread(array: Array) -> Array:
+    def respread(array: Array) -> Array:
         tail = array.shape[1:]
-        return jnp.broadcast_to(array.reshape(*batch, *tail), (*whole, *tail)).reshape(math.prod(whole), *tail)
+        return spread(whole, array.reshape(*batch, *tail), tail)
 
     scene = _Scene(
-        jax.tree.map(spread, flat),
+        jax.tree.map(respread, flat),
         shape._flat(whole),
         Pose(shared_or_spread(whole, origin, (3,)), shared_or_spread(whole, rotation, (3, 3))),
     )

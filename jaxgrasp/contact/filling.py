@@ -59,8 +59,8 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
     tree = octree_balls(outline.nearest, outline.low, outline.high, levels)
     if not len(tree.radii):
         raise ValueError(f"levels is {levels}: expected more, since no ball of so large cells fits into the solid")
-    balls = _balls(tree.centers[tree.radii > 0], tree.radii[tree.radii > 0])
-    descends = len(tree.radii[tree.radii > 0]) > START if descends is None else descends
+    balls = _balls(tree.centers[tree.leaf], tree.radii[tree.leaf])
+    descends = len(balls.radii) > START if descends is None else descends
     return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
 
 
@@ -85,9 +85,8 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
     for level in range(1, levels + 1):
         outline = _outline(mesh, level)
         tree = octree_balls(outline.nearest, outline.low, outline.high, level)
-        leaf = tree.radii > 0
-        if leaf.any():
-            left_out = _left_out(points, tree.centers[leaf], tree.radii[leaf])
+        if tree.leaf.any():
+            left_out = _left_out(points, tree.centers[tree.leaf], tree.radii[tree.leaf])
             errors.append(LevelError(level, cell_size(mesh, level), left_out))
     return errors
 
@@ -158,7 +157,7 @@ def _balls(centers: np.ndarray, radii: np.ndarray) -> Balls:
 
 def _nodes(tree: Octree) -> Nodes:
     """Bounds, children and the start of the descent."""
-    count, leaf = len(tree.radii), tree.radii > 0
+    count, leaf = len(tree.radii), tree.leaf
     bounds = tree.radii.copy()
     above, below = tree.parents[leaf], np.flatnonzero(leaf)
     while (there := above >= 0).any():
@@ -181,7 +180,7 @@ def _nodes(tree: Octree) -> Nodes:
 
 def _start(tree: Octree) -> tuple[int, np.ndarray]:
     """The first level with enough nodes, together with the leaves above it."""
-    leaf, last = tree.radii > 0, int(tree.level.max())
+    leaf, last = tree.leaf, int(tree.level.max())
     for level in range(last + 1):
         nodes = (tree.level == level) | (leaf & (tree.level < level))
         if nodes.sum() >= START or level == last:

@@ -1,6 +1,5 @@
 """Where a posed hand's parts are, how contact points move with its joints, and which torques forces put on them."""
 
-import math
 from functools import cache
 from typing import NamedTuple, TypeVar
 
@@ -12,6 +11,7 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.tiles import spread
 from jaxgrasp.numerics.vec import Vec
 
 Axes = tuple[Vec, Vec, Vec]
@@ -64,12 +64,8 @@ def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, .
     if angles.shape[-1:] != (count,):
         raise ValueError(f"angles has shape {angles.shape}: expected (..., {count}), one for each joint")
     batch = jnp.broadcast_shapes(origin.shape[:-1], rotation.shape[:-2], angles.shape[:-1])
-    size = math.prod(batch)
-
-    def flat(array: Array, *tail: int) -> Array:
-        return jnp.broadcast_to(array, (*batch, *tail)).reshape(size, *tail)
-
-    return Posture(Pose(flat(origin, 3), flat(rotation, 3, 3)), flat(angles, count)), batch
+    wrist = Pose(spread(batch, origin, (3,)), spread(batch, rotation, (3, 3)))
+    return Posture(wrist, spread(batch, angles, (count,))), batch
 
 
 def stand(hand: Hand, posture: Posture) -> Standing:

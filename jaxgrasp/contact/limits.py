@@ -6,6 +6,7 @@ import numpy as np
 from jaxgrasp.contact.detection import find_contacts
 from jaxgrasp.contact.kinematics import flatten_posture
 from jaxgrasp.contact.shapes import Shape
+from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose, Posture
 
 ROUNDING = 1e-6
@@ -39,20 +40,22 @@ def check_posture(hand: Hand, posture: Posture) -> None:
 def check_pose(name: str, pose: Pose) -> None:
     """Raise ValueError unless origins are finite and rotations are rotations."""
     origin, rotation = np.asarray(pose.origin), np.asarray(pose.rotation)
-    bad = np.argwhere(~np.isfinite(origin))
-    if len(bad):
-        at = tuple(int(i) for i in bad[0])
-        raise ValueError(f"{name}.origin[{', '.join(map(str, at))}] is {origin[at]}: expected a finite number [m]")
-    with np.errstate(invalid="ignore"):
-        square = np.abs(rotation @ rotation.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
-        proper = (square <= ROUNDING) & (np.linalg.det(rotation) > 0)
-    bad = np.argwhere(~proper)
+    for fault in entries(f"{name}.origin", origin, ~np.isfinite(origin), "a finite number [m]"):
+        raise ValueError(str(fault))
+    bad = np.argwhere(~is_rotation(rotation, ROUNDING))
     if len(bad):
         place = ", ".join(map(str, bad[0]))
         raise ValueError(
             f"{name}.rotation{f'[{place}]' if place else ''} is no rotation: expected a matrix with orthonormal "
             "columns and determinant 1"
         )
+
+
+def is_rotation(matrices: np.ndarray, rounding: float) -> np.ndarray | np.bool_:
+    """Which of the matrices ``(..., 3, 3)`` are rotations, but for that much in the products of their columns."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.abs(matrices @ matrices.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
+        return (square <= rounding) & (np.linalg.det(matrices) > 0)
 
 
 def clamp_posture(hand: Hand, posture: Posture) -> Posture:

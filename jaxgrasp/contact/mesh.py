@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
 
 MISSING = "meshes need trimesh and scipy: pip install 'jaxgrasp[mesh]'"
@@ -74,16 +76,12 @@ def check_mesh(mesh: Mesh) -> Mesh:
         )
     if not len(vertices) or not len(faces):
         raise ValueError(f"the mesh has {len(vertices)} vertices and {len(faces)} faces: expected a closed surface")
-    bad = np.argwhere(~np.isfinite(vertices))
-    if len(bad):
-        at = tuple(int(i) for i in bad[0])
-        raise ValueError(f"vertices[{at[0]}, {at[1]}] is {vertices[at]}: expected a finite number [m]")
-    bad = np.argwhere((faces < 0) | (faces >= len(vertices)))
-    if len(bad):
-        at = tuple(int(i) for i in bad[0])
-        raise ValueError(
-            f"faces[{at[0]}, {at[1]}] is {faces[at]}: expected the index of one of {len(vertices)} vertices"
-        )
+    strange = (faces < 0) | (faces >= len(vertices))
+    for fault in chain(
+        entries("vertices", vertices, ~np.isfinite(vertices), "a finite number [m]"),
+        entries("faces", faces, strange, f"the index of one of {len(vertices)} vertices"),
+    ):
+        raise ValueError(str(fault))
     if np.linalg.matrix_rank(vertices - vertices[0], tol=FLAT * np.ptp(vertices, axis=0).max()) < 3:
         raise ValueError("the mesh is flat: expected a solid, which can be touched")
     solid = trimesh.Trimesh(vertices, faces)  # merges vertices that formats like .stl repeat

@@ -39,6 +39,11 @@ class Octree(NamedTuple):
     level: np.ndarray
     """``(N,)``"""
 
+    @property
+    def leaf(self) -> np.ndarray:
+        """``(N,)`` Which are cut no further."""
+        return self.radii > 0
+
 
 def octree_balls(nearest: Callable[[np.ndarray], Nearest], low: np.ndarray, high: np.ndarray, levels: int) -> Octree:
     """Balls in a solid within a box, from how far points are from its surface.
@@ -108,7 +113,7 @@ def _surface_balls(
 
 def _without_empty(tree: Octree) -> Octree:
     """The tree without cells of which nothing is left."""
-    kept = tree.radii > 0
+    kept = tree.leaf
     for level in range(int(tree.level.max()), 0, -1):
         kept[tree.parents[kept & (tree.level == level)]] = True
     place = np.cumsum(kept) - 1

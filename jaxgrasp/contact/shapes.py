@@ -4,7 +4,6 @@ Each stands in a frame of its own. Distances are positive outside and negative i
 Inside, near edges and axes, the nearest surface changes and the normal jumps, as it must.
 """
 
-import math
 from abc import abstractmethod
 from functools import partial, reduce
 from typing import NamedTuple
@@ -16,7 +15,9 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.tiles import shared_or_spread
 from jaxgrasp.numerics.vec import Vec
 
 Size = Float[AnyArray, "*batch"] | float
@@ -32,16 +33,13 @@ class Near(NamedTuple):
     """``(B,)``: how many distances were computed for it."""
 
 
-def shared_or_spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
-    """An array with its leading axes flattened: of size 1 where it has but one entry, else the whole batch."""
-    array = jnp.asarray(array)
-    if array.size == math.prod(tail):
-        return array.reshape(1, *tail)
-    return jnp.broadcast_to(array, (*batch, *tail)).reshape(-1, *tail)
-
-
 class Shape(eqx.Module):
     """A solid whose sizes are its fields, each with any leading axes [m]."""
+
+    @property
+    def _sizes(self) -> dict[str, Size]:
+        """What must be positive, by name."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property
     def _batch(self) -> tuple[int, ...]:
@@ -81,7 +79,7 @@ class Sphere(Shape):
 
     def _distance(self, point: Vec) -> tuple[Array, Vec]:
         length = vec.norm(point)
-        return length - self.radius, _along(point, length)
+        return length - self.radius, vec.unit(point)
 
     def _support(self, direction: Vec) -> Array:
         return jnp.asarray(self.radius) * vec.norm(direction)
@@ -157,7 +155,7 @@ class Capsule(Shape):
         half = jnp.asarray(self.height) / 2
         offset = point._replace(z=point.z - jnp.clip(point.z, -half, half))
         length = vec.norm(offset)
-        return length - self.radius, _along(offset, length)
+        return length - self.radius, vec.unit(offset)
 
     def _support(self, direction: Vec) -> Array:
         return jnp.asarray(self.radius) * vec.norm(direction) + jnp.asarray(self.height) / 2 * jnp.abs(direction.z)
@@ -170,12 +168,6 @@ class Capsule(Shape):
         offset = (height / 2) ** 2 + 3 / 8 * height * radius
         side = straight * (radius**2 / 4 + height**2 / 12) + ends * (2 / 5 * radius**2 + offset)
         return side / (straight + ends), side / (straight + ends), axial
-
-
-def _along(vector: Vec, length: Array) -> Vec:
-    """The unit vector; x where there is none."""
-    x, y, z = (vec.safe_divide(c, length) for c in vector)
-    return Vec(jnp.where(length > 0, x, 1), y, z)
 
 
 def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
@@ -213,13 +205,9 @@ def signed_distance(
 
 def check_shape(shape: Shape) -> None:
     """Raise ValueError unless every size is a positive, finite number."""
-    for name in shape.__dataclass_fields__:
-        sizes = np.asarray(getattr(shape, name))
-        bad = np.flatnonzero(~(np.isfinite(sizes) & (sizes > 0)).ravel())
-        if len(bad):
-            index = "" if sizes.ndim == 0 else f"[{', '.join(map(str, np.unravel_index(bad[0], sizes.shape)))}]"
-            value = sizes.ravel()[bad[0]]
-            raise ValueError(
-                f"{type(shape).__name__}.{name}{index} is {value}: expected a positive number of metres, "
-                "since a shape of no volume cannot be touched"
-            )
+    for name, given in shape._sizes.items():
+        sizes = np.asarray(given)
+        bad = ~(np.isfinite(sizes) & (sizes > 0))
+        wanted = "a positive number of metres, since a shape of no volume cannot be touched"
+        for fault in entries(f"{type(shape).__name__}.{name}", sizes, bad, wanted):
+            raise ValueError(str(fault))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.contact.descent import Balls, Nodes, descend, try_all
-from jaxgrasp.contact.shapes import Near, Shape
+from jaxgrasp.contact.shapes import Near, Shape, Size
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
@@ -25,6 +25,10 @@ class SphereTree(Shape):
     """Whether contacts are found by descent, or by trying all balls."""
 
     @property
+    def _sizes(self) -> dict[str, Size]:
+        return {}
+
+    @property
     def _batch(self) -> tuple[int, ...]:
         return ()
 
@@ -39,10 +43,8 @@ class SphereTree(Shape):
             way = one - centers
             length = jnp.sqrt(jnp.sum(way * way, -1))
             nearest = jnp.argmin(length - radii)
-            x, y, z = way[nearest]
-            size = vec.norm(Vec(x, y, z))
-            out = jnp.stack([jnp.where(size > 0, vec.safe_divide(c, size), i == 0) for i, c in enumerate((x, y, z))])
-            return size - radii[nearest], out
+            shortest = Vec(*way[nearest])
+            return vec.norm(shortest) - radii[nearest], jnp.stack(vec.unit(shortest))
 
         distance, out = lax.map(of_one, jnp.stack(point, -1).reshape(-1, 3))
         shape = jnp.shape(point.x)

@@ -8,7 +8,7 @@ from jaxgrasp.contact.detection import Contacts, find_contacts
 from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.contact.sphere_tree import SphereTree
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import Hand, Link, Pose, Posture, Spheres
+from jaxgrasp.model.hand import Hand, Link, Pose, Posture, padded
 
 OCTANTS = tuple("".join("-+"[up] + axis for up, axis in zip(ups, "xyz", strict=True)) for ups in np.ndindex(2, 2, 2))
 
@@ -25,18 +25,13 @@ def rigid_body(tree: SphereTree) -> Hand:
     centers, radii = np.asarray(tree.balls.centers), np.asarray(tree.balls.radii)
     middle = (np.min(centers - radii[:, None], 0) + np.max(centers + radii[:, None], 0)) / 2
     octant = (centers > middle) @ np.array([4, 2, 1])
-    most = max(int(np.bincount(octant).max()), 1)
-    places, sizes = np.zeros((8, most, 3)), np.zeros((8, most))
-    for part in range(8):
-        own = octant == part
-        places[part, : own.sum()], sizes[part, : own.sum()] = centers[own], radii[own]
     return Hand(
         origins=jnp.zeros((0, 3)),
         rests=jnp.zeros((0, 3, 3)),
         axes=jnp.zeros((0, 3)),
         lower=jnp.zeros(0),
         upper=jnp.zeros(0),
-        skin=Spheres(jnp.asarray(places), jnp.asarray(sizes)),
+        skin=padded([(centers[octant == part], radii[octant == part]) for part in range(8)]),
         parents=(),
         joints=(),
         links=tuple(Link(name, "", -1) for name in OCTANTS),

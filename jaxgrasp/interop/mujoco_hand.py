@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
-from jaxgrasp.model.hand import Hand, Link, Spheres
+from jaxgrasp.model.hand import Hand, Link, padded
 
 if TYPE_CHECKING:
     import mujoco
@@ -167,7 +167,7 @@ def _finish(mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int,
         jnp.array(model.jnt_axis[joints]),
         jnp.array(limits[:, 0]),
         jnp.array(limits[:, 1]),
-        _padded(spheres),
+        padded(spheres),
         tuple(tree.parents),
         tuple(model.joint(j).name for j in joints),
         tuple(links),
@@ -216,15 +216,6 @@ def _spheres(mujoco: Any, model: mujoco.MjModel, geom: int, place: _Carrier) -> 
         return None
     own = place.carry(model.geom_pos[geom], _matrix(mujoco, model.geom_quat[geom]))
     return own.position + offsets[:, None] * (own.rotation @ direction), radii
-
-
-def _padded(spheres: list[tuple[np.ndarray, np.ndarray]]) -> Spheres:
-    """Links of different numbers of spheres in one array; what is missing has radius 0."""
-    most = max((len(radii) for _, radii in spheres), default=0)
-    centers, sizes = np.zeros((len(spheres), most, 3)), np.zeros((len(spheres), most))
-    for i, (points, radii) in enumerate(spheres):
-        centers[i, : len(radii)], sizes[i, : len(radii)] = points, radii
-    return Spheres(jnp.array(centers), jnp.array(sizes))
 
 
 def _matrix(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:

@@ -89,26 +89,27 @@ def value_faults(
 ) -> Iterator[Fault]:
     """Every entry that breaks a rule, field by field; shapes must fit already."""
     if present is not None:
-        yield from _entries("present", present, (present != 0) & (present != 1), "0 or 1")
+        yield from entries("present", present, (present != 0) & (present != 1), "0 or 1")
         looked_at = present == 1
     else:
         looked_at = np.ones(friction.shape, bool)
     finite_normals = np.isfinite(normals).all(-1)
-    yield from _entries("points", points, looked_at & ~np.isfinite(points).all(-1), "finite coordinates [m]")
-    yield from _entries("normals", normals, looked_at & ~finite_normals, "finite components")
+    yield from entries("points", points, looked_at & ~np.isfinite(points).all(-1), "finite coordinates [m]")
+    yield from entries("normals", normals, looked_at & ~finite_normals, "finite components")
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt(np.einsum("...i,...i->...", normals, normals))
         # A float32 file keeps unit length to about 1e-7, so one tolerance serves both precisions.
         not_unit = looked_at & finite_normals & (np.abs(length - 1) > UNIT_TOLERANCE)
-        yield from _entries("normals", normals, not_unit, "a vector of length 1 (to 1e-6)", length)
+        yield from entries("normals", normals, not_unit, "a vector of length 1 (to 1e-6)", length)
         for name, values in (("friction", friction), ("squeeze", squeeze)):
             bad = looked_at & ~(np.isfinite(values) & (values >= 0))
-            yield from _entries(name, values, bad, "a finite number, zero or more")
+            yield from entries(name, values, bad, "a finite number, zero or more")
 
 
-def _entries(
-    field: str, values: np.ndarray, bad: np.ndarray, expected: str, length: np.ndarray | None = None
+def entries(
+    field: str, values: np.ndarray, bad: np.ndarray | np.bool_, expected: str, length: np.ndarray | None = None
 ) -> Iterator[Fault]:
+    """The entries of a field that are bad, in order; a field may be a single number."""
     for index in np.argwhere(bad):
         place = tuple(int(i) for i in index)
         value = values[place]

@@ -7,9 +7,11 @@
 - A frame is an origin and a rotation; the rotation's columns are the frame's axes.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -37,6 +39,15 @@ class Spheres(eqx.Module):
     """In their link's frame [m]."""
     radii: Float[AnyArray, "L m"]
     """[m]"""
+
+
+def padded(rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> Spheres:
+    """Links of different numbers of spheres, centres and radii of each, in one array."""
+    most = max((len(radii) for _, radii in rows), default=0)
+    centers, sizes = np.zeros((len(rows), most, 3)), np.zeros((len(rows), most))
+    for i, (points, radii) in enumerate(rows):
+        centers[i, : len(radii)], sizes[i, : len(radii)] = points, radii
+    return Spheres(jnp.asarray(centers), jnp.asarray(sizes))
 
 
 class Hand(eqx.Module):

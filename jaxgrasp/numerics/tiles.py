@@ -4,18 +4,31 @@ Arrays are batch-first here. A leaf of leading size 1 is shared by the whole bat
 tile as it is. Nothing here rests on ``lax.cond`` under ``vmap``, which would compute both branches.
 """
 
+import math
 from collections.abc import Callable
 from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jax.typing import ArrayLike
 
 Tree = TypeVar("Tree")
 Out = TypeVar("Out")
 
 FEW = 4
 """A batch of so few is computed whole when any of it is chosen: gathering would cost more."""
+
+
+def spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
+    """An array broadcast to a batch's leading axes, and these flattened into one."""
+    return jnp.broadcast_to(array, (*batch, *tail)).reshape(math.prod(batch), *tail)
+
+
+def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, ...] = ()) -> Array:
+    """Likewise, but with a leading axis of size 1 where there is but one entry, which the batch then shares."""
+    array = jnp.asarray(given)
+    return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(batch, array, tail)
 
 
 def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int) -> Out:

@@ -92,6 +92,13 @@ def norm(a: Vec) -> Array:
     return safe_sqrt(dot(a, a))
 
 
+def unit(a: Vec) -> Vec:
+    """The vector at length 1; x where it has none."""
+    length = norm(a)
+    x, y, z = (safe_divide(c, length) for c in a)
+    return Vec(jnp.where(length > 0, x, 1), y, z)
+
+
 def safe_sqrt(square: Array) -> Array:
     """Square root whose derivative at zero is zero: both branches of the ``where`` must be finite."""
     positive = square > 0

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxgrasp.contact.detection import Contacts, find_contacts
@@ -69,6 +70,11 @@ class Instant(NamedTuple):
     """Whether the table carried it."""
     missed: Float[Array, "6"]
     """What of the wrench no allowed forces of these contacts could exert [N, N.m]."""
+
+
+def stacked(record: list[Instant]) -> Instant:
+    """All instants in one: NumPy arrays with a leading axis of time."""
+    return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
 
 
 def observe(

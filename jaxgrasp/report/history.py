@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, fields, replace
 
-import jax
 import numpy as np
 
 from jaxgrasp.contact.kinematics import ancestry, pose_hand
@@ -72,12 +71,11 @@ class History:
         return replace(self, **{name: array[chosen] for name, array in over_time.items()})
 
 
-def history(scene: Scene, postures: Posture, times: np.ndarray, record: list[Instant]) -> History:
-    """What a hand went through, with postures and record of the same T instants."""
-    ticks = jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *(instant.tick for instant in record)))
+def history(scene: Scene, postures: Posture, times: np.ndarray, record: Instant) -> History:
+    """What a hand went through, with postures and the stacked record of the same T instants."""
+    ticks = record.tick
     margins = np.asarray(friction_margin(ticks.grasp, ticks.assessment.forces))
     links = pose_hand(scene.hand, postures).links
-    placed = jax.tree.map(lambda *parts: np.stack(parts), *(instant.placed for instant in record))
     there = ticks.contacts.present > 0
     return History(
         fingers=tuple(link.finger for link in scene.hand.links),
@@ -86,15 +84,15 @@ def history(scene: Scene, postures: Posture, times: np.ndarray, record: list[Ins
         joints=scene.hand.joints,
         times=np.asarray(times, float),
         link_poses=_matrices(links),
-        object_pose=_matrices(placed),
-        points=ticks.contacts.points,
-        normals=ticks.contacts.normals,
-        forces=ticks.assessment.forces,
-        touches=ticks.assessment.touches,
+        object_pose=_matrices(record.placed),
+        points=np.asarray(ticks.contacts.points),
+        normals=np.asarray(ticks.contacts.normals),
+        forces=np.asarray(ticks.assessment.forces),
+        touches=np.asarray(ticks.assessment.touches),
         squeeze=np.where(there, ticks.grasp.squeeze, 0),
         margins=np.where(np.isfinite(margins), margins, np.nan),
-        torques=ticks.torques,
-        hold=np.array([instant.hold for instant in record]),
+        torques=np.asarray(ticks.torques),
+        hold=np.asarray(record.hold),
     )
 
 

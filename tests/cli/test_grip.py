@@ -11,6 +11,7 @@ from jaxgrasp import Body, GripType, Hold, Instant, Pose, Scene, Sphere, contrib
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.grip import _write_report
 from jaxgrasp.cli.main import main
+from jaxgrasp.prehension.carry import stacked
 from jaxgrasp.prehension.power_grip import lay_on
 from jaxgrasp.report import bundle
 from jaxgrasp.report.history import history
@@ -77,7 +78,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
     tick = observe(scene, posture, placed)
     record = [Instant(placed, tick, Hold(int(tick.assessment.hold)), False, np.zeros(6))]
     postures = jax.tree.map(lambda x: x[None], posture)
-    _write_report(Grip(out=folder), scene, history(scene, postures, np.zeros(1), record))
+    _write_report(Grip(out=folder), scene, history(scene, postures, np.zeros(1), stacked(record)))
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == ["no report", "no pictures"]
     assert all(line.endswith("pip install 'jaxgrasp[report]'") for line in lines) and not list(folder.iterdir())

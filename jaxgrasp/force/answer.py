@@ -5,10 +5,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.lanes import Frame, Lanes, certificate_out, forces_out, multiplier_out
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
@@ -37,23 +38,24 @@ class Outcome(NamedTuple):
     verdict: Array
     steps: Array
     certificate: Six
-    """Unstretched; read only where the verdict is INFEASIBLE."""
+    """A twist; read only where the verdict is INFEASIBLE."""
     undecided: Array
 
 
-def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, route: Route) -> Answer:
+def write(
+    lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, route: Route
+) -> Answer:
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
     valid = valid & frame.sound
     solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
     answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)
-    rest, error, objective, _ = measure(lanes, outcome.forces, stretch)
+    rest, error, objective, _ = measure(lanes, outcome.forces, unknowns)
     unsound = answered & ~(error <= tolerances(error.dtype).balance)
     verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, outcome.verdict)
     verdict = jnp.where(frame.weight > 0, verdict, Verdict.NO_CONTACTS)
     verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
-    linear, angular = dual.parts(outcome.multiplier)
-    linear, angular = multiplier_out(linear, vec.times(stretch, angular), frame)
+    linear, angular = multiplier_out(*unknowns.twist(outcome.multiplier), frame)
     one = jnp.ones((1, size), error.dtype)
     certificate = _certificate(frame, outcome, verdict, rest, one)
     return Answer(
@@ -64,59 +66,53 @@ def write(lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, out
         objective=_row(unit * objective, size),
         steps=_row(outcome.steps, size).astype(jnp.int32),
         route=jnp.full((size,), route, jnp.int32),
-        rank=_row(rank(frame, stretch), size).astype(jnp.int32),
+        rank=_row(rank(frame, unknowns), size).astype(jnp.int32),
         certificate=certificate,
         undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),
     )
 
 
-def rank(frame: Frame, stretch: Vec) -> Array:
-    turns = sum((s > 0).astype(jnp.int32) for s in stretch)
-    return jnp.where(frame.weight > 0, 3 + turns, 0)
+def rank(frame: Frame, unknowns: Unknowns) -> Array:
+    return jnp.where(frame.weight > 0, unknowns.rank(), 0)
 
 
 class Measured(NamedTuple):
     """Forces as they are, whatever they were meant to be."""
 
     rest: Six
-    """w - G f, unstretched."""
+    """w - G f, but for what a guide carries of it."""
     error: Array
     objective: Array
     push: Array
     """Sum of the normal forces."""
 
 
-def measure(lanes: Lanes, forces: Vec, stretch: Vec) -> Measured:
+def measure(lanes: Lanes, forces: Vec, unknowns: Unknowns) -> Measured:
     """What the forces leave of the wrench, their objective, and their backward error
 
-    |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as stretched: the larger.
+    |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as the unknowns see it: the larger.
 
     The squeezing force counts because f_i is computed from it: where zero is the right answer, an error
     cannot be measured against that.
     """
-    plain = Vec(*(jnp.ones_like(s) for s in stretch))
-    size2 = vec.dot(lanes.arms, lanes.arms)
+    plain = unstretched(lanes.force.x)
     push = jnp.maximum(vec.norm(forces), lanes.squeeze)
-
-    def through_contacts(scales: Vec) -> Array:
-        reach2 = sum(s * s * (size2 - r * r) for s, r in zip(scales, lanes.arms, strict=True))
-        return jnp.sqrt(1 + jnp.maximum(reach2, 0)) * push
-
     objective, total_push, *through, fx, fy, fz, tx, ty, tz = vec.totals(
         dual.spread(lanes, forces),
         vec.dot(forces, lanes.normals),
-        through_contacts(plain),
-        through_contacts(stretch),
+        plain.reach(lanes.arms) * push,
+        unknowns.reach(lanes.arms) * push,
         *dual.wrench_terms(lanes, forces),
     )
     force, torque = vec.sub(lanes.force, Vec(fx, fy, fz)), vec.sub(lanes.torque, Vec(tx, ty, tz))
+    rest, load = unknowns.felt(sixes.six(force, torque)), unknowns.felt(dual.load(lanes, plain))
 
-    def relative(scales: Vec, through: Array) -> Array:
-        rest = dual.length(dual.six(force, vec.times(scales, torque)))
-        return vec.safe_divide(rest, dual.length(dual.load(lanes, scales)) + through)
+    def relative(seen: Unknowns, through: Array) -> Array:
+        left, asked = (sixes.length(seen.wrench(*sixes.parts(wrench))) for wrench in (rest, load))
+        return vec.safe_divide(left, asked + through)
 
-    error = jnp.maximum(relative(plain, through[0]), relative(stretch, through[1]))
-    return Measured(dual.six(force, torque), error, objective, total_push)
+    error = jnp.maximum(relative(plain, through[0]), relative(unknowns, through[1]))
+    return Measured(rest, error, objective, total_push)
 
 
 def _certificate(frame: Frame, outcome: Outcome, verdict: Array, rest: Six, one: Array) -> Array:
@@ -124,7 +120,7 @@ def _certificate(frame: Frame, outcome: Outcome, verdict: Array, rest: Six, one:
     proven = verdict == Verdict.INFEASIBLE
     proof = jnp.where(proven, outcome.certificate, 0)
     bare = verdict == Verdict.NO_CONTACTS
-    linear, angular = dual.parts(jnp.where(bare, rest, proof))
+    linear, angular = sixes.parts(jnp.where(bare, rest, proof))
     linear, angular = certificate_out(linear, angular, frame)
     return _rows((*linear, *angular), one)
 

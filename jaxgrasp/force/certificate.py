@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual
+from jaxgrasp.force import cones, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Lanes, read
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -57,7 +57,7 @@ def _run(grasp, wrench, certificate, weights, *, sharing: str) -> Array:
 
 
 def _needed(lanes: Lanes, direction: Array) -> Array:
-    linear, angular = dual.parts(direction)
+    linear, angular = sixes.parts(direction)
     can_move = lanes.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
     centre = _middle(lanes.arms, can_move)

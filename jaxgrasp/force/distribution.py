@@ -15,7 +15,13 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
 
 
-def closed_form(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> Solution:
+def closed_form(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
+) -> Solution:
     """Forces closest to the squeezing forces that balance a wrench, friction not imposed.
 
     Minimises the sum of |f_i - s_i a_i|^2 / (2 k_i) subject to G f = w.
@@ -26,6 +32,10 @@ def closed_form(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sha
         sharing: the weights k: ``"uniform"`` for 1, method A (eq. 11); ``"squeeze"`` for s, method B
             (eq. 15, Proposition 1); or an array ``(..., n)`` of weights, zero or more. A contact of
             weight zero keeps its squeezing force.
+        free: twists (linear, angular) about the frame's origin along which a guide lets the object move, as the
+            columns of ``(..., 6, k)``, k from 1 to 6, of any size; ``None`` for an object that no guide holds. Only
+            the wrench's work along these is balanced, free^T (G f - w) = 0: the guide, without friction, carries
+            the rest of w - G f. Residual, rank and certificate are then those of the free twists.
 
     Returns:
         A Solution whose verdict says whether these forces lie inside the friction cones too.
@@ -33,7 +43,7 @@ def closed_form(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sha
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    return _distribute(grasp, wrench, sharing, constrained=False)
+    return _distribute(grasp, wrench, sharing, free, constrained=False)
 
 
 def constrained_optimum(
@@ -41,6 +51,7 @@ def constrained_optimum(
     wrench: Float[AnyArray, "*#batch 6"],
     sharing: Sharing = "squeeze",
     *,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
     safety: float | AnyArray = 1.0,
     solver: Any = None,
 ) -> Solution:
@@ -50,6 +61,7 @@ def constrained_optimum(
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
         sharing: as for [`jaxgrasp.closed_form`][].
+        free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
         safety: friction is divided by this, since an optimum on a cone's surface has no margin left: a number
             greater than 0, or one for each problem, an array of the leading axes.
         solver: ``None`` for this package's own Newton method; or an optimistix root finder, least-squares
@@ -68,7 +80,8 @@ def constrained_optimum(
     """
     if solver is not None:
         outside.check_solver(solver)
-    return _distribute(grasp, wrench, sharing, constrained=True, safety=_read_safety(grasp, safety), solver=solver)
+    divisor = _read_safety(grasp, safety)
+    return _distribute(grasp, wrench, sharing, free, constrained=True, safety=divisor, solver=solver)
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:
@@ -129,21 +142,22 @@ def _distribute(
     grasp: Grasp,
     wrench: AnyArray,
     sharing: Sharing,
+    free: AnyArray | None,
     *,
     constrained: bool,
     safety: float | AnyArray | None = None,
     solver: Any = None,
 ) -> Solution:
-    warn_of_lost_precision(grasp, wrench)
+    warn_of_lost_precision(grasp, wrench, free)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, safety, sharing=name, constrained=constrained, solver=solver)
+    return _run(grasp, wrench, weights, free, safety, sharing=name, constrained=constrained, solver=solver)
 
 
 @partial(jax.jit, static_argnames=("sharing", "constrained", "solver"))
-def _run(grasp, wrench, weights, safety, *, sharing: str, constrained: bool, solver: Any) -> Solution:
+def _run(grasp, wrench, weights, free, safety, *, sharing: str, constrained: bool, solver: Any) -> Solution:
     """Flatten the leading axes, solve, and restore them."""
     if safety is not None:
         grasp = _safer(grasp, safety)
-    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    problem, _, batch = flatten(grasp, wrench, weights, sharing, free=free)
     solution = shells.solver(constrained, solver)(problem)
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)

@@ -5,8 +5,7 @@ For a multiplier (a virtual twist) the best force of each contact is a projectio
     f_i = P_i(s_i a_i + k_i (linear + angular x r_i)),
 
 and the dual value is concave, once continuously differentiable, with gradient w - G f. Everything here is
-in the coordinates of ``lanes.py``. ``stretch`` scales the angular unknowns (and torques) along the axes,
-so that directions that the contacts hardly reach are as large as the others; 0 removes a direction.
+in the coordinates of ``lanes.py``; ``unknowns`` says what the six numbers of a multiplier stand for there.
 """
 
 from typing import NamedTuple
@@ -16,35 +15,16 @@ from jax import Array
 
 from jaxgrasp.force import cones
 from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force.sixes import Six, inner
+from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.symmetric import Lower
 from jaxgrasp.numerics.vec import Vec
 
-Six = Array
-"""``(6, B)``: linear components over angular ones."""
 
-
-def six(linear: Vec, angular: Vec) -> Six:
-    return jnp.concatenate(jnp.broadcast_arrays(*linear, *angular))
-
-
-def parts(x: Six) -> tuple[Vec, Vec]:
-    """The linear and the angular components, each ``(1, B)``."""
-    rows = [x[i : i + 1] for i in range(6)]
-    return Vec(*rows[:3]), Vec(*rows[3:])
-
-
-def inner(a: Six, b: Six) -> Array:
-    return sum(a[i : i + 1] * b[i : i + 1] for i in range(1, 6)) + a[:1] * b[:1]
-
-
-def length(x: Six) -> Array:
-    return jnp.sqrt(inner(x, x))
-
-
-def load(lanes: Lanes, stretch: Vec) -> Six:
+def load(lanes: Lanes, unknowns: Unknowns) -> Six:
     """The wrench asked for."""
-    return six(lanes.force, vec.times(stretch, lanes.torque))
+    return unknowns.wrench(lanes.force, lanes.torque)
 
 
 def solve(factors: tuple[list[list[Array]], list[Array]], right: Six) -> Six:
@@ -71,22 +51,22 @@ class Value(NamedTuple):
     """Sum of the normal forces: how large the numbers are that the gradient is a difference of."""
 
 
-def twist_at(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
+def twist_at(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Vec:
     """Velocity of the multiplier, as a twist, at each contact."""
-    linear, angular = parts(multiplier)
-    return vec.add(linear, vec.cross(vec.times(stretch, angular), lanes.arms))
+    linear, angular = unknowns.twist(multiplier)
+    return vec.add(linear, vec.cross(angular, lanes.arms))
 
 
-def best_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Forces:
-    twist = twist_at(lanes, multiplier, stretch)
+def best_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Forces:
+    twist = twist_at(lanes, multiplier, unknowns)
     target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
     sides = cones.split(target, lanes.normals, lanes.friction)
     return Forces(twist, sides, cones.project(target, lanes.normals, lanes.friction, sides))
 
 
-def residual(lanes: Lanes, forces: Vec, stretch: Vec) -> Six:
+def residual(lanes: Lanes, forces: Vec, unknowns: Unknowns) -> Six:
     """w - G f."""
-    return _unbalanced(lanes, stretch, vec.totals(*wrench_terms(lanes, forces)))
+    return _unbalanced(lanes, unknowns, vec.totals(*wrench_terms(lanes, forces)))
 
 
 def wrench_terms(lanes: Lanes, forces: Vec) -> tuple[Array, ...]:
@@ -94,22 +74,22 @@ def wrench_terms(lanes: Lanes, forces: Vec) -> tuple[Array, ...]:
     return (*forces, *vec.cross(lanes.arms, forces))
 
 
-def _unbalanced(lanes: Lanes, stretch: Vec, wrench: list[Array]) -> Six:
+def _unbalanced(lanes: Lanes, unknowns: Unknowns, wrench: list[Array]) -> Six:
     linear, angular = vec.sub(lanes.force, Vec(*wrench[:3])), vec.sub(lanes.torque, Vec(*wrench[3:]))
-    return six(linear, vec.times(stretch, angular))
+    return unknowns.wrench(linear, angular)
 
 
-def evaluate(lanes: Lanes, multiplier: Six, stretch: Vec) -> Value:
-    best = best_forces(lanes, multiplier, stretch)
+def evaluate(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Value:
+    best = best_forces(lanes, multiplier, unknowns)
     jacobian = cones.derivative(lanes.normals, lanes.friction, best.sides)
     sums = vec.totals(*_value_terms(lanes, best)) + vec.stacked_totals(*_curvature_terms(lanes, jacobian))
-    value, gradient, push = _value(lanes, multiplier, stretch, sums[:VALUE_TERMS])
-    return Value(value, gradient, _curvature_of(sums[VALUE_TERMS:], stretch), push)
+    value, gradient, push = _value(lanes, multiplier, unknowns, sums[:VALUE_TERMS])
+    return Value(value, gradient, _curvature_of(sums[VALUE_TERMS:], unknowns), push)
 
 
-def dual_value(lanes: Lanes, best: Forces, multiplier: Six, stretch: Vec) -> Array:
+def dual_value(lanes: Lanes, best: Forces, multiplier: Six, unknowns: Unknowns) -> Array:
     """The dual at a multiplier whose best forces are known."""
-    return _value(lanes, multiplier, stretch, vec.totals(*_value_terms(lanes, best)))[0]
+    return _value(lanes, multiplier, unknowns, vec.totals(*_value_terms(lanes, best)))[0]
 
 
 def total_push(lanes: Lanes, forces: Vec) -> Array:
@@ -126,9 +106,9 @@ def _value_terms(lanes: Lanes, best: Forces) -> tuple[Array, ...]:
     return own, vec.dot(best.forces, lanes.normals), *wrench_terms(lanes, best.forces)
 
 
-def _value(lanes: Lanes, multiplier: Six, stretch: Vec, sums: list[Array]) -> tuple[Array, Six, Array]:
+def _value(lanes: Lanes, multiplier: Six, unknowns: Unknowns, sums: list[Array]) -> tuple[Array, Six, Array]:
     own, push, *wrench = sums
-    return inner(load(lanes, stretch), multiplier) + own, _unbalanced(lanes, stretch, wrench), push
+    return inner(load(lanes, unknowns), multiplier) + own, _unbalanced(lanes, unknowns, wrench), push
 
 
 def spread(lanes: Lanes, forces: Vec) -> Array:
@@ -172,9 +152,9 @@ def price_of_nothing(lanes: Lanes) -> Array:
     return vec.totals(spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))))[0]
 
 
-def curvature(lanes: Lanes, jacobian: Lower, stretch: Vec) -> Lower:
+def curvature(lanes: Lanes, jacobian: Lower, unknowns: Unknowns) -> Lower:
     """Sum of k G D G^T over contacts, for a symmetric 3x3 matrix D of each: lower triangle, 6x6."""
-    return _curvature_of(vec.stacked_totals(*_curvature_terms(lanes, jacobian)), stretch)
+    return _curvature_of(vec.stacked_totals(*_curvature_terms(lanes, jacobian)), unknowns)
 
 
 def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:
@@ -189,9 +169,9 @@ def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:
     return terms
 
 
-def _curvature_of(sums: list[Array], stretch: Vec) -> Lower:
+def _curvature_of(sums: list[Array], unknowns: Unknowns) -> Lower:
     entry = iter(sums)
     linear_rows = [[next(entry) for _ in range(i + 1)] for i in range(3)]
-    mixed_rows = [[stretch[i] * next(entry) for _ in range(3)] for i in range(3)]
-    angular_rows = [[stretch[i] * stretch[j] * next(entry) for j in range(i + 1)] for i in range(3)]
-    return linear_rows + [m + a for m, a in zip(mixed_rows, angular_rows, strict=True)]
+    mixed_rows = [[next(entry) for _ in range(3)] for i in range(3)]
+    angular_rows = [[next(entry) for j in range(i + 1)] for i in range(3)]
+    return unknowns.curvature(linear_rows + [m + a for m, a in zip(mixed_rows, angular_rows, strict=True)])

@@ -13,9 +13,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual
+from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Lanes, read
+from jaxgrasp.force.sixes import Six
+from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec
@@ -89,10 +91,10 @@ def _evaluate(grasp, wrench, multiplier, weights, *, sharing: str) -> tuple[Arra
     return value.reshape(flat.batch), forces.reshape(flat.batch + forces.shape[1:])
 
 
-def _value_and_forces(lanes: Lanes, multiplier: dual.Six) -> tuple[Array, Vec]:
+def _value_and_forces(lanes: Lanes, multiplier: Six) -> tuple[Array, Vec]:
     one = jnp.ones_like(lanes.force.x)
-    unstretched = Vec(one, one, one)
-    best = dual.best_forces(lanes, multiplier, unstretched)
-    work = dual.inner(dual.load(lanes, unstretched), multiplier)
+    plain = unstretched(one)
+    best = dual.best_forces(lanes, multiplier, plain)
+    work = sixes.inner(dual.load(lanes, plain), multiplier)
     own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - vec.dot(best.twist, best.forces)
     return work + jnp.sum(own, 0, keepdims=True), best.forces

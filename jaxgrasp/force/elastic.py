@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxgrasp.force import dual
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.lanes import Frame, Lanes
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.symmetric import Lower
-from jaxgrasp.numerics.vec import Vec
 
 ARMIJO = 1e-4
 STEPS_PER_LEVEL = 100
@@ -49,6 +49,8 @@ class Pull(NamedTuple):
     metric: Lower
     normal: Six | None
     """Of the plane, of length 1 or 0; None where there is none."""
+    unknowns: Unknowns
+    """What x stands for."""
 
 
 class _Climb(NamedTuple):
@@ -101,23 +103,27 @@ def identity(like: Array) -> Lower:
     return [[one if i == j else zero for j in range(i + 1)] for i in range(6)]
 
 
-def nearest(lanes: Lanes, metric: Lower, frozen: Array, plane: Six | None = None) -> Nearest:
+def nearest(
+    lanes: Lanes, metric: Lower, frozen: Array, plane: Six | None = None, unknowns: Unknowns | None = None
+) -> Nearest:
     """The nearest wrench, what is missed of the load, e, being measured by e.metric^-1 e.
 
-    With a ``plane`` the metric must be the identity, and wrenches along the plane's normal cost nothing.
+    With a ``plane`` the metric must be the identity, and wrenches along the plane's normal cost nothing. Plane,
+    metric and point are those of the ``unknowns``: where they are not given, of the twist as it is.
     """
+    unknowns = unstretched(lanes.force.x) if unknowns is None else unknowns
     zero = jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype)
 
     def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
-        point = climb(lanes, Pull(1 / price, zero, metric, plane), price, foreseen, done)
-        rest = missed_wrench(lanes, point)
+        point = climb(lanes, Pull(1 / price, zero, metric, plane, unknowns), price, foreseen, done)
+        rest = missed_wrench(lanes, point, unknowns)
         if plane is not None:
             rest = _within(plane, rest)
-        far = dual.length(point) >= furthest_multiplier(zero.dtype)
-        return _Try(point, dual.inner(rest, solve_by(metric, rest)), far)
+        far = sixes.length(point) >= furthest_multiplier(zero.dtype)
+        return _Try(point, sixes.inner(rest, solve_by(metric, rest)), far)
 
     path = _follow(zero, frozen, attempt)
-    settled = dual.length(path.point) <= 2 * dual.length(path.point_before)
+    settled = sixes.length(path.point) <= 2 * sixes.length(path.point_before)
     return Nearest(path.point, settled | (path.badness <= tolerances(zero.dtype).range ** 2))
 
 
@@ -127,21 +133,21 @@ def along_ray(lanes: Lanes, ray: Six, start: Six, frozen: Array) -> tuple[Array,
     ``start`` does no work along the ``ray``, which has length 1. Lanes where no theta is in reach, or all
     are, should be ``frozen``.
     """
-    metric = identity(start[:1])
+    metric, plain = identity(start[:1]), unstretched(start[:1])
 
     def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
-        foreseen = foreseen + (price - dual.inner(ray, foreseen)) * ray
-        point = climb(lanes, Pull(STEADY / price, foreseen, metric, ray), price, foreseen, done)
-        rest = missed_wrench(lanes, point)
-        size = 1 + jnp.abs(dual.inner(point, rest) / price)
-        aside = dual.length(_within(ray, rest)) * dual.length(point) / price
+        foreseen = foreseen + (price - sixes.inner(ray, foreseen)) * ray
+        point = climb(lanes, Pull(STEADY / price, foreseen, metric, ray, plain), price, foreseen, done)
+        rest = missed_wrench(lanes, point, plain)
+        size = 1 + jnp.abs(sixes.inner(point, rest) / price)
+        aside = sixes.length(_within(ray, rest)) * sixes.length(point) / price
         enough = price >= size * furthest_multiplier(start.dtype)
         return _Try(point, (aside / size) ** 2 + BIAS * (size / price) ** 2, enough)
 
     path = _follow(start, frozen, attempt)
     price = jnp.where(path.price > 0, path.price, 1)
     # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
-    return -dual.inner(path.point, missed_wrench(lanes, path.point)) / price, path
+    return -sixes.inner(path.point, missed_wrench(lanes, path.point, plain)) / price, path
 
 
 def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _Try]) -> Path:
@@ -157,7 +163,7 @@ def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _T
         # A higher price is better. Where it is not Newton's method has failed: the next one starts from before.
         better = ~path.done & (tried.badness <= (1 + eps**0.5) * path.badness)
         # Where contacts resist only by enormous forces, the path bends late.
-        straight = dual.length(tried.point - foreseen) <= STRAIGHT * dual.length(tried.point)
+        straight = sixes.length(tried.point - foreseen) <= STRAIGHT * sixes.length(tried.point)
         return RISE * price, Path(
             price=jnp.where(better, price, path.price),
             point=jnp.where(better, tried.point, path.point),
@@ -178,9 +184,8 @@ def _foreseen(path: Path, price: Array) -> Six:
     return path.point + factor * (path.point - path.point_before)
 
 
-def missed_wrench(lanes: Lanes, point: Six) -> Six:
-    one = jnp.ones_like(point[:1])
-    return dual.residual(lanes, dual.best_forces(lanes, point, Vec(one, one, one)).forces, Vec(one, one, one))
+def missed_wrench(lanes: Lanes, point: Six, unknowns: Unknowns) -> Six:
+    return dual.residual(lanes, dual.best_forces(lanes, point, unknowns).forces, unknowns)
 
 
 def climb(lanes: Lanes, pull: Pull, price: Array, start: Six, frozen: Array) -> Six:
@@ -211,8 +216,8 @@ def _advance(lanes: Lanes, pull: Pull, price: Array, state: _Climb) -> _Climb:
     value, gradient, curvature = _look(lanes, pull, trial)
     eps = jnp.finfo(value.dtype).eps
     # The value is a small difference where the multiplier is large.
-    noise = 8 * eps * (1 + jnp.abs(value) + dual.length(trial))
-    gain = dual.inner(state.gradient, step)
+    noise = 8 * eps * (1 + jnp.abs(value) + sixes.length(trial))
+    gain = sixes.inner(state.gradient, step)
     better = value >= state.value + ARMIJO * gain - noise
     moves = better & ~state.done
     # Such a step doubles the digits, of which there are enough by then.
@@ -236,25 +241,24 @@ def _step(pull: Pull, state: _Climb) -> Six:
     if pull.normal is None:
         return step
     across = dual.solve(factors, pull.normal)
-    return step - vec.safe_divide(dual.inner(pull.normal, step), dual.inner(pull.normal, across)) * across
+    return step - vec.safe_divide(sixes.inner(pull.normal, step), sixes.inner(pull.normal, across)) * across
 
 
 def _look(lanes: Lanes, pull: Pull, trial: Six) -> tuple[Array, Six, Lower]:
     """Value, gradient and minus Hessian."""
-    one = jnp.ones_like(trial[:1])
-    at = dual.evaluate(lanes, trial, Vec(one, one, one))
+    at = dual.evaluate(lanes, trial, pull.unknowns)
     offset = trial - pull.centre
     heavy = pull.strength * times(pull.metric, offset)
     curvature = [
         [h + pull.strength * m for h, m in zip(*rows, strict=True)]
         for rows in zip(at.curvature, pull.metric, strict=True)
     ]
-    return at.value - dual.inner(offset, heavy) / 2, at.gradient - heavy, curvature
+    return at.value - sixes.inner(offset, heavy) / 2, at.gradient - heavy, curvature
 
 
 def _within(normal: Six, x: Six) -> Six:
     """The part of x in the plane."""
-    return x - dual.inner(normal, x) * normal
+    return x - sixes.inner(normal, x) * normal
 
 
 def solve_by(metric: Lower, right: Six) -> Six:
@@ -269,16 +273,16 @@ def times(metric: Lower, x: Six) -> Six:
 
 def wrench_in(wrench: Six, frame: Frame) -> Six:
     """A wrench about the user's origin in a lane's axes and lengths; in the user's forces."""
-    force, torque = dual.parts(wrench)
+    force, torque = sixes.parts(wrench)
     torque = vec.scale(1 / frame.length, vec.sub(torque, vec.cross(frame.centre, force)))
     if frame.axes is not None:
         force, torque = vec.rotate(frame.axes, force), vec.rotate(frame.axes, torque)
-    return dual.six(force, torque)
+    return sixes.six(force, torque)
 
 
 def wrench_out(wrench: Six, frame: Frame) -> Six:
     """The inverse of ``wrench_in``."""
-    force, torque = dual.parts(wrench)
+    force, torque = sixes.parts(wrench)
     if frame.axes is not None:
         force, torque = vec.rotate_back(frame.axes, force), vec.rotate_back(frame.axes, torque)
-    return dual.six(force, vec.add(vec.scale(frame.length, torque), vec.cross(frame.centre, force)))
+    return sixes.six(force, vec.add(vec.scale(frame.length, torque), vec.cross(frame.centre, force)))

@@ -35,10 +35,19 @@ class Flat(NamedTuple):
     """The leading axes."""
 
 
-def flatten(grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, sharing: str, **twist: AnyArray) -> Flat:
+def flatten(
+    grasp: Grasp,
+    wrench: AnyArray,
+    weights: AnyArray | None,
+    sharing: str,
+    *,
+    free: AnyArray | None = None,
+    **twist: AnyArray,
+) -> Flat:
     """Inputs of any leading axes as a flat batch in one precision.
 
-    ``twist`` may be one more array of sixes, under the name that its user knows it by.
+    ``free`` are the twists that a guide allows; ``twist`` may be one more array of sixes, under the name that its user
+    knows it by.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
@@ -48,8 +57,10 @@ def flatten(grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, sharing: s
     given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
     given = {"points": (points, (n, 3)), "normals": (normals, (n, 3))}
     given |= {name: (array, (n,)) for name, array in contacts.items()}
+    if free is not None:
+        given["free"] = (free, (6, _directions(free)))
     given |= {name: (array, (6,)) for name, array in {"wrench": wrench, **twist}.items()}
-    dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values())
+    dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values(), *([] if free is None else [free]))
     arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = _broadcast(leading)
@@ -73,6 +84,13 @@ def _contacts(points: AnyArray) -> int:
     if len(shape) < 2 or shape[-1] != 3 or shape[-2] == 0:
         raise ValueError(f"points has shape {shape}: expected (..., n, 3) with at least one contact")
     return shape[-2]
+
+
+def _directions(free: AnyArray) -> int:
+    shape = np.shape(free)
+    if len(shape) < 2 or shape[-2] != 6 or not 1 <= shape[-1] <= 6:
+        raise ValueError(f"free has shape {shape}: expected (..., 6, k), a column for each of 1 to 6 twists")
+    return shape[-1]
 
 
 def _precision(*arrays: AnyArray) -> np.dtype:
@@ -99,7 +117,7 @@ def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, 
     return array.shape[: array.ndim - len(tail)]
 
 
-def warn_of_lost_precision(*arguments: Grasp | AnyArray) -> None:
+def warn_of_lost_precision(*arguments: Grasp | AnyArray | None) -> None:
     """Say so where float64 data will be computed in float32; to be called two calls below the user's."""
     given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in jax.tree.leaves(arguments))
     if given and not jax.config.read("jax_enable_x64"):

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.force import cones, dual, pseudo_inverse
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force.guide import Mixing, directions_in, guided, mixing
 from jaxgrasp.force.lanes import (
     Frame,
     Lanes,
@@ -24,10 +24,34 @@ from jaxgrasp.force.lanes import (
     read,
     turn,
 )
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.unknowns import Stretch, Unknowns
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics import semidefinite, symmetric, vec
 from jaxgrasp.numerics.vec import Vec
+
+
+class _Data(NamedTuple):
+    """What moves with the problem, in a frame that stays."""
+
+    lanes: Lanes
+    directions: Array | None
+    """``(B, 6, k)``: the twists that a guide allows."""
+
+
+class _Constants(NamedTuple):
+    """What stays: the answer does not depend on it."""
+
+    frame: Frame
+    whitened: Stretch | Mixing
+    """The unknowns of a free object; how they come out of the free twists of one that a guide holds."""
+
+    def unknowns(self, data: _Data) -> Unknowns:
+        if isinstance(self.whitened, Stretch):
+            return self.whitened
+        assert data.directions is not None
+        return guided(data.directions, self.whitened)
 
 
 class Tangent(NamedTuple):
@@ -43,34 +67,35 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
 
     Zero where there is no solution to differentiate; on rank-deficient grasps, within the range.
     """
-    frame, stretch = _constants(problem)
-    lanes, lanes_moved = jax.jvp(lambda p: _in_frame(p, frame), (problem,), (moved,))
+    held = _constants(problem)
+    frame = held.frame
+    data, data_moved = jax.jvp(lambda p: _in_frame(p, frame), (problem,), (moved,))
+    lanes, unknowns = data.lanes, held.unknowns(data)
     answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
-    linear, angular = multiplier_in(solution.multiplier, frame)
-    inverse = Vec(*(vec.safe_divide(jnp.ones_like(s), s) for s in stretch))
-    at = jnp.where(answered, dual.six(linear, vec.times(inverse, angular)), 0)
-
+    at = jnp.where(answered, unknowns.recover(*multiplier_in(solution.multiplier, frame)), 0)
     unit = frame.weight / frame.load
 
-    def rest(lanes: Lanes) -> Six:
-        return dual.residual(lanes, _forces(lanes, at, stretch, unit, constrained)[0], stretch)
+    def rest(data: _Data) -> Six:
+        unknowns = held.unknowns(data)
+        return dual.residual(data.lanes, _forces(data.lanes, at, unknowns, unit, constrained)[0], unknowns)
 
-    _, unbalanced = jax.jvp(rest, (lanes,), (lanes_moved,))
-    turned = _solve(_curvature(lanes, at, stretch, constrained), unbalanced)
+    _, unbalanced = jax.jvp(rest, (data,), (data_moved,))
+    turned = _solve(_curvature(lanes, at, unknowns, constrained), unbalanced)
 
-    def outputs(lanes: Lanes, multiplier: Six) -> tuple[Vec, Array]:
-        f, pull = _forces(lanes, multiplier, stretch, unit, constrained)
-        return f, vec.totals(dual.spread_by(lanes, f, pull))[0]
+    def outputs(data: _Data, multiplier: Six) -> tuple[Vec, Array, tuple[Vec, Vec]]:
+        unknowns = held.unknowns(data)
+        f, pull = _forces(data.lanes, multiplier, unknowns, unit, constrained)
+        return f, vec.totals(dual.spread_by(data.lanes, f, pull))[0], unknowns.twist(multiplier)
 
-    _, (forces_moved, objective_moved) = jax.jvp(outputs, (lanes, at), (lanes_moved, turned))
-    return _out(frame, stretch, answered, forces_moved, turned, objective_moved)
+    _, tangents = jax.jvp(outputs, (data, at), (data_moved, turned))
+    return _out(frame, answered, *tangents)
 
 
-def _forces(lanes: Lanes, multiplier: Six, stretch: Vec, unit: Array, constrained: bool) -> tuple[Vec, Vec]:
+def _forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns, unit: Array, constrained: bool) -> tuple[Vec, Vec]:
     """The forces of a multiplier, and the pull (f - s a) / k of each contact."""
     if not constrained:
-        return pseudo_inverse.free_forces(lanes, multiplier, stretch), dual.twist_at(lanes, multiplier, stretch)
-    best = dual.best_forces(lanes, multiplier, stretch)
+        return pseudo_inverse.free_forces(lanes, multiplier, unknowns), dual.twist_at(lanes, multiplier, unknowns)
+    best = dual.best_forces(lanes, multiplier, unknowns)
     apex = _about_apex(lanes, best.twist, unit)
     return vec.where(_relaxed(lanes), apex, best.forces), dual.pull(lanes, best, unit)
 
@@ -89,16 +114,18 @@ def _about_apex(lanes: Lanes, twist: Vec, unit: Array) -> Vec:
     return Vec(*symmetric.multiply(side, target))
 
 
-def _constants(problem: Problem) -> tuple[Frame, Vec]:
-    """Principal frame and stretch of the problem, held constant."""
-    lanes, _ = read(lax.stop_gradient(problem))
+def _constants(problem: Problem) -> _Constants:
+    """Principal frame and unknowns of the problem."""
+    problem = lax.stop_gradient(problem)
+    lanes, _ = read(problem)
     lanes, frame = principal(lanes)
-    _, stretch = pseudo_inverse.whitened_metric(lanes, frame)
-    return frame, stretch
+    if problem.free is None:
+        return _Constants(frame, pseudo_inverse.whitened_metric(lanes, frame)[1])
+    return _Constants(frame, mixing(directions_in(problem.free, frame), lanes, frame))
 
 
-def _in_frame(problem: Problem, frame: Frame) -> Lanes:
-    """The problem's lanes in a given frame; a contact that is absent stays where no derivative reaches it."""
+def _in_frame(problem: Problem, frame: Frame) -> _Data:
+    """The problem in a given frame; a contact that is absent stays where no derivative reaches it."""
     lanes, _ = read(problem)
     weight = jnp.where(frame.weight > 0, frame.weight, 1)
     moved = vec.sub(lanes.torque, vec.cross(frame.centre, lanes.force))
@@ -110,15 +137,16 @@ def _in_frame(problem: Problem, frame: Frame) -> Lanes:
         torque=vec.scale(1 / (frame.load * frame.length), moved),
     )
     assert frame.axes is not None
-    return turn(scaled, frame.axes)
+    free = None if problem.free is None else directions_in(problem.free, frame)
+    return _Data(turn(scaled, frame.axes), free)
 
 
-def _curvature(lanes: Lanes, at: Six, stretch: Vec, constrained: bool) -> symmetric.Lower:
+def _curvature(lanes: Lanes, at: Six, unknowns: Unknowns, constrained: bool) -> symmetric.Lower:
     if constrained:
-        sides = dual.best_forces(lanes, at, stretch).sides
-        return dual.curvature(lanes, cones.derivative(lanes.normals, lanes.friction, sides), stretch)
+        sides = dual.best_forces(lanes, at, unknowns).sides
+        return dual.curvature(lanes, cones.derivative(lanes.normals, lanes.friction, sides), unknowns)
     one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
-    return dual.curvature(lanes, [[one], [zero, one], [zero, zero, one]], stretch)
+    return dual.curvature(lanes, [[one], [zero, one], [zero, zero, one]], unknowns)
 
 
 def _solve(curvature: symmetric.Lower, right: Six) -> Six:
@@ -133,10 +161,9 @@ def _solve(curvature: symmetric.Lower, right: Six) -> Six:
     return x + semidefinite.solve(factors, right - jnp.sum(full * x, 1))
 
 
-def _out(frame: Frame, stretch: Vec, answered: Array, forces: Vec, multiplier: Six, objective: Array) -> Tangent:
+def _out(frame: Frame, answered: Array, forces: Vec, objective: Array, twist: tuple[Vec, Vec]) -> Tangent:
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
-    linear, angular = dual.parts(multiplier)
-    linear, angular = multiplier_out(linear, vec.times(stretch, angular), frame)
+    linear, angular = multiplier_out(*twist, frame)
     return Tangent(
         forces=jnp.stack([jnp.where(answered, c, 0) for c in forces_out(forces, frame)]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,

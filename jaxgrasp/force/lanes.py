@@ -33,6 +33,8 @@ class Problem(eqx.Module):
     weights: Float[Array, "#B n"]
     """Sharing weights k."""
     wrench: Float[Array, "B 6"]
+    free: Float[Array, "#B 6 k"] | None = None
+    """Twists along which a guide lets the object move; None for an object that no guide holds."""
 
     @property
     def size(self) -> int:
@@ -85,6 +87,8 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
         good = (good | ~there) & ~jnp.isnan(present)
     lane_good = jnp.all(good, 0, keepdims=True)
     valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
+    if problem.free is not None:
+        valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
     use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
 
     def keep(array: Array) -> Array:

@@ -8,11 +8,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual, elastic
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force import dual, elastic, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec
@@ -154,14 +155,14 @@ def _line(problem: Problem, direction: Array) -> _Line:
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
     valid = valid & frame.sound & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
     ray = elastic.wrench_in(jnp.where(valid, direction.T, 0), frame)
-    size = dual.length(ray)
+    size = sixes.length(ray)
     held = vec.scale(lanes.squeeze, lanes.normals)
-    load = dual.residual(lanes, held, Vec(*(jnp.ones_like(size),) * 3))
+    load = dual.residual(lanes, held, unstretched(size))
     return _Line(_loaded(lanes, load), frame, vec.safe_divide(ray, size), size, valid)
 
 
 def _loaded(lanes: Lanes, wrench: Six) -> Lanes:
-    force, torque = dual.parts(wrench)
+    force, torque = sixes.parts(wrench)
     return lanes._replace(squeeze=0 * lanes.squeeze, force=force, torque=torque)
 
 
@@ -189,8 +190,7 @@ def _touch(line: _Line, path: elastic.Path) -> _Touch:
 
 
 def _touch_at(line: _Line, point: Six, price: Array) -> _Touch:
-    one = jnp.ones_like(price)
-    best = dual.best_forces(line.lanes, point, Vec(one, one, one))
+    best = dual.best_forces(line.lanes, point, unstretched(price))
     sides = best.sides
     used = jnp.where(sides.inside, vec.safe_divide(sides.size, line.lanes.friction * sides.along), 1)
     press = vec.dot(best.forces, line.lanes.normals)
@@ -202,13 +202,13 @@ def _written(line: _Line, end: _End) -> _Bound:
     frame, one = line.frame, jnp.ones_like(line.size)
     assert frame.axes is not None
     touch = _touch(line, end.path)
-    linear, angular = dual.parts(vec.safe_divide(touch.normal, line.size))
+    linear, angular = sixes.parts(vec.safe_divide(touch.normal, line.size))
     linear = vec.rotate_back(frame.axes, linear)
     angular = vec.rotate_back(frame.axes, vec.scale(1 / frame.length, angular))
     return _Bound(
         margin=_in_units(line, end),
         centre=jnp.concatenate([c * one for c in frame.centre]).T,
-        normal=dual.six(linear, angular).T,
+        normal=sixes.six(linear, angular).T,
         press=(frame.load * touch.press * one).T,
         lean=jnp.stack([c * one for c in vec.rotate_back(frame.axes, touch.lean)]).transpose(2, 1, 0),
     )
@@ -230,7 +230,7 @@ def _lagrangian(problem: Problem, direction: Array, bound: _Bound) -> Array:
     theta = jnp.where(jnp.isfinite(bound.margin), bound.margin, 0)
     centre, lean = (Vec(*jnp.moveaxis(a, -1, 0)) for a in (bound.centre, bound.lean))
     centre, lean = Vec(*(c[None] for c in centre)), Vec(*(c.T for c in lean))
-    linear, angular = dual.parts(bound.normal.T)
+    linear, angular = sixes.parts(bound.normal.T)
 
     def work(force: Vec, torque: Vec) -> Array:
         return vec.dot(linear, force) + vec.dot(angular, vec.sub(torque, vec.cross(centre, force)))
@@ -240,5 +240,5 @@ def _lagrangian(problem: Problem, direction: Array, bound: _Bound) -> Array:
     across = vec.sub(velocity, vec.scale(along, lanes.normals))
     press = jnp.where(lanes.weights > 0, bound.press.T, lanes.squeeze)
     push = along + jnp.where(lanes.weights > 0, lanes.friction * vec.dot(lean, across), 0)
-    asked = work(lanes.force, lanes.torque) + theta * work(*dual.parts(direction.T))
+    asked = work(lanes.force, lanes.torque) + theta * work(*sixes.parts(direction.T))
     return (jnp.sum(press * push, 0, keepdims=True) - asked)[0]

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import dual
+from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.answer import measure
-from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.vec import Vec
 
@@ -55,7 +56,7 @@ class Ascent(NamedTuple):
 
 def ascend(
     lanes: Lanes,
-    stretch: Vec,
+    unknowns: Unknowns,
     metric: Metric,
     start: Six,
     frozen: Array,
@@ -79,15 +80,15 @@ def ascend(
 
     def advance(carry):
         count, state = carry
-        return count + 1, _advance(lanes, stretch, metric, proximal, state)
+        return count + 1, _advance(lanes, unknowns, metric, proximal, state)
 
     _, state = lax.while_loop(unfinished, advance, (jnp.int32(0), state))
     return state
 
 
-def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | None, state: Ascent) -> Ascent:
+def _advance(lanes: Lanes, unknowns: Unknowns, metric: Metric, proximal: Proximal | None, state: Ascent) -> Ascent:
     trial = state.point + state.length * state.direction
-    at = dual.evaluate(lanes, trial, stretch)
+    at = dual.evaluate(lanes, trial, unknowns)
     value, ascent, curvature = at.value, at.gradient, at.curvature
     if proximal is not None:
         value, ascent, curvature = _pulled(at, trial, proximal)
@@ -104,7 +105,7 @@ def _advance(lanes: Lanes, stretch: Vec, metric: Metric, proximal: Proximal | No
         point=jnp.where(accepted, jnp.where(leap, trial + direction, trial), state.point),
         value=jnp.where(accepted, value, state.value),
         direction=jnp.where(accepted, direction, state.direction),
-        slope=jnp.where(accepted, dual.inner(ascent, direction), state.slope),
+        slope=jnp.where(accepted, sixes.inner(ascent, direction), state.slope),
         length=jnp.where(state.done, state.length, length),
         caution=jnp.where(accepted, caution, state.caution),
         size2=jnp.where(accepted, size2, state.size2),
@@ -123,7 +124,7 @@ def _is_better(state: Ascent, trial: Six, value: Array, size2: Array) -> Array:
     eps = jnp.finfo(value.dtype).eps
     rise = value - state.value - ARMIJO * state.length * state.slope
     noise = 8 * eps * (1 + jnp.abs(value))
-    return (rise >= -noise) | ((rise >= -noise - 8 * eps * dual.length(trial)) & (size2 < state.size2))
+    return (rise >= -noise) | ((rise >= -noise - 8 * eps * sixes.length(trial)) & (size2 < state.size2))
 
 
 def _next_arrives(state: Ascent, size2: Array) -> Array:
@@ -150,14 +151,14 @@ def _cut(state: Ascent, ascent: Six) -> Array:
     The slope along the line falls from positive to negative, and mostly late, beyond the kink that was not
     foreseen: where its chord meets zero, the value is still rising.
     """
-    overshot = jnp.maximum(-dual.inner(ascent, state.direction), state.slope)
+    overshot = jnp.maximum(-sixes.inner(ascent, state.direction), state.slope)
     return jnp.clip(2 * vec.safe_divide(state.slope, state.slope + overshot), *CUTS)
 
 
 def _pulled(at: dual.Value, trial: Six, proximal: Proximal):
     """Value, gradient and curvature with the proximal pull."""
     offset, rho = trial - proximal.centre, proximal.strength
-    value = at.value - rho * dual.inner(offset, offset) / 2
+    value = at.value - rho * sixes.inner(offset, offset) / 2
     gradient = at.gradient - rho * offset
     curvature = [list(row) for row in at.curvature]
     for i in range(6):
@@ -179,14 +180,13 @@ def is_within(
     """Whether the residual, beside the forces, and the duality gap, beside the objective, are as small as that."""
     balanced = size2 <= (residual * (1 + push)) ** 2
     scale = jnp.maximum(jnp.abs(value), dual.price_of_nothing(lanes))
-    return balanced & (jnp.abs(dual.inner(point, gradient)) <= gap * scale)
+    return balanced & (jnp.abs(sixes.inner(point, gradient)) <= gap * scale)
 
 
-def is_optimal(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, best: Vec, slack: float = 1.0) -> Array:
+def is_optimal(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, best: Vec, slack: float = 1.0) -> Array:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
-    found = measure(lanes, best, stretch)
-    linear, angular = dual.parts(found.rest)
-    rest = dual.six(linear, vec.times(stretch, angular))
+    found = measure(lanes, best, unknowns)
+    rest = unknowns.wrench(*sixes.parts(found.rest))
     return has_converged(lanes, point, rest, whitened_square(metric, rest), found.objective, found.push, slack)
 
 

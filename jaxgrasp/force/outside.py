@@ -14,10 +14,12 @@ from jax import Array
 from jaxgrasp.force import cones, dual, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range, proof
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
 from jaxgrasp.force.newton import has_converged, is_within
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.force.sixes import Six
+from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.tiles import over_tiles
@@ -50,10 +52,10 @@ def solve_optimum(solver: Any, problem: Problem) -> Answer:
 
 
 def write_to_tolerance(
-    lanes: Lanes, frame: Frame, stretch: Vec, valid: Array, size: int, outcome: Outcome, tolerance: float
+    lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, tolerance: float
 ) -> Answer:
     """``answer.write``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
-    answer = write(lanes, frame, stretch, valid, size, outcome, Route.GIVEN)
+    answer = write(lanes, frame, unknowns, valid, size, outcome, Route.GIVEN)
     disowned = (outcome.verdict[0] == Verdict.OPTIMAL) & (answer.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(disowned & (answer.residual <= tolerance), Verdict.OPTIMAL, answer.verdict)
     return answer._replace(verdict=verdict.astype(jnp.int32))
@@ -62,15 +64,15 @@ def write_to_tolerance(
 def _tile(solver: Any, problem: Problem) -> Answer:
     lanes, valid = read(problem)
     lanes, frame = principal(lanes)
-    metric, stretch = pseudo_inverse.whitened_metric(lanes, frame)
-    start = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
-    free = pseudo_inverse.free_forces(lanes, start, stretch)
+    metric, unknowns = whitened(problem, lanes, frame)
+    start = pseudo_inverse.closed_multiplier(lanes, unknowns, metric)
+    free = pseudo_inverse.free_forces(lanes, start, unknowns)
     inside = jnp.all(cones.contains(free, lanes.normals, lanes.friction), 0, keepdims=True)
-    missed, beyond = out_of_range(lanes, frame, stretch)
-    point, steps = _search(solver, lanes, stretch, start)
+    missed, beyond = out_of_range(lanes, frame, unknowns)
+    point, steps = _search(solver, lanes, unknowns, start)
     tolerance = float(max(solver.rtol, solver.atol))
-    forces, optimal = _judge(lanes, stretch, metric, point, tolerance)
-    proven, direction = _proof(lanes, frame, stretch, start, point)
+    forces, optimal = _judge(lanes, unknowns, metric, point, tolerance)
+    proven, direction = _proof(lanes, frame, unknowns, start, point)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
     outcome = Outcome(
@@ -81,14 +83,14 @@ def _tile(solver: Any, problem: Problem) -> Answer:
         certificate=jnp.where(missed, beyond, direction),
         undecided=jnp.zeros_like(missed),
     )
-    return write_to_tolerance(lanes, frame, stretch, valid, problem.size, outcome, tolerance)
+    return write_to_tolerance(lanes, frame, unknowns, valid, problem.size, outcome, tolerance)
 
 
-def _search(solver: Any, lanes: Lanes, stretch: Vec, start: Six) -> tuple[Six, Array]:
+def _search(solver: Any, lanes: Lanes, unknowns: Unknowns, start: Six) -> tuple[Six, Array]:
     """Where the solver ends in each lane, and after how many steps; the start where it runs off to infinity."""
     import optimistix as optx
 
-    def one(lane: tuple[Lanes, Vec], start: Six) -> tuple[Six, Array]:
+    def one(lane: tuple[Lanes, Unknowns], start: Six) -> tuple[Six, Array]:
         found: optx.Solution
         if isinstance(solver, optx.AbstractMinimiser):
             found = optx.minimise(_descent, solver, start, lane, max_steps=MAX_STEPS, throw=False)
@@ -97,41 +99,36 @@ def _search(solver: Any, lanes: Lanes, stretch: Vec, start: Six) -> tuple[Six, A
         return found.value, found.stats["num_steps"][None]
 
     size = start.shape[-1]
-    lane = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), (lanes, stretch))
+    lane = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), (lanes, unknowns))
     point, steps = jax.vmap(one, in_axes=-1, out_axes=-1)(lane, start)
     finite = jnp.all(jnp.isfinite(point), 0, keepdims=True)
     return jnp.where(finite, point, start), steps
 
 
-def _rest(point: Six, lane: tuple[Lanes, Vec]) -> Six:
+def _rest(point: Six, lane: tuple[Lanes, Unknowns]) -> Six:
     """The dual's gradient; directions that no contact reaches pull the multiplier to zero instead of nowhere."""
-    lanes, stretch = lane
-    rest = dual.residual(lanes, dual.best_forces(lanes, point, stretch).forces, stretch)
-    return rest - _out_of_reach(stretch) * point
+    lanes, unknowns = lane
+    rest = dual.residual(lanes, dual.best_forces(lanes, point, unknowns).forces, unknowns)
+    return rest - unknowns.idle() * point
 
 
-def _descent(point: Six, lane: tuple[Lanes, Vec]) -> Array:
+def _descent(point: Six, lane: tuple[Lanes, Unknowns]) -> Array:
     """Minus the dual, whose gradient is minus ``_rest``."""
-    lanes, stretch = lane
-    value = dual.dual_value(lanes, dual.best_forces(lanes, point, stretch), point, stretch)
-    return jnp.sum(_out_of_reach(stretch) * point**2) / 2 - value[0]
+    lanes, unknowns = lane
+    value = dual.dual_value(lanes, dual.best_forces(lanes, point, unknowns), point, unknowns)
+    return jnp.sum(unknowns.idle() * point**2) / 2 - value[0]
 
 
-def _out_of_reach(stretch: Vec) -> Six:
-    zero = Vec(*(jnp.zeros_like(s) for s in stretch))
-    return dual.six(zero, Vec(*((s == 0).astype(s.dtype) for s in stretch)))
-
-
-def _judge(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, tolerance: float) -> tuple[Vec, Array]:
+def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, tolerance: float) -> tuple[Vec, Array]:
     """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
-    best = dual.best_forces(lanes, point, stretch)
-    rest = dual.residual(lanes, best.forces, stretch)
-    value, push = dual.dual_value(lanes, best, point, stretch), dual.total_push(lanes, best.forces)
+    best = dual.best_forces(lanes, point, unknowns)
+    rest = dual.residual(lanes, best.forces, unknowns)
+    value, push = dual.dual_value(lanes, best, point, unknowns), dual.total_push(lanes, best.forces)
     found = (lanes, point, rest, whitened_square(metric, rest), value, push)
     return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
 
 
-def _proof(lanes: Lanes, frame: Frame, stretch: Vec, start: Six, point: Six) -> tuple[Array, Six]:
+def _proof(lanes: Lanes, frame: Frame, unknowns: Unknowns, start: Six, point: Six) -> tuple[Array, Six]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
-    rest = dual.residual(lanes, dual.best_forces(lanes, point, stretch).forces, stretch)
-    return proof(lanes, frame, stretch, rest, point - start)
+    rest = dual.residual(lanes, dual.best_forces(lanes, point, unknowns).forces, unknowns)
+    return proof(lanes, frame, unknowns, rest, point - start)

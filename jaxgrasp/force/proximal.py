@@ -13,10 +13,11 @@ from jax import Array, lax
 from jaxgrasp.force import dual
 from jaxgrasp.force.answer import Outcome
 from jaxgrasp.force.certify import proof
-from jaxgrasp.force.dual import Six
 from jaxgrasp.force.lanes import Frame, Lanes
 from jaxgrasp.force.newton import Proximal, ascend, is_optimal
 from jaxgrasp.force.pseudo_inverse import Metric
+from jaxgrasp.force.sixes import Six
+from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
@@ -37,7 +38,7 @@ class _Search(NamedTuple):
 
 
 def proximal_optimum(
-    lanes: Lanes, frame: Frame, stretch: Vec, metric: Metric, closed: Outcome, decided: Array
+    lanes: Lanes, frame: Frame, unknowns: Unknowns, metric: Metric, closed: Outcome, decided: Array
 ) -> Outcome:
     """The optimum of whitened lanes that are not ``decided`` and whose closed form is not optimal already."""
     optimal = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
@@ -56,23 +57,23 @@ def proximal_optimum(
 
     def fall(carry):
         strength, search = carry
-        return strength / 10, _level(lanes, frame, stretch, metric, strength, search)
+        return strength / 10, _level(lanes, frame, unknowns, metric, strength, search)
 
     start = jnp.asarray(STRONGEST, lanes.squeeze.dtype)
     _, search = lax.while_loop(unfinished, fall, (start, search))
-    best, good = _judge(lanes, stretch, metric, search.point, LAST_SLACK)
+    best, good = _judge(lanes, unknowns, metric, search.point, LAST_SLACK)
     verdict = jnp.where(~search.decided & good, Verdict.OPTIMAL, search.verdict)
     forces = vec.where(optimal | decided, closed.forces, best)
     return Outcome(forces, search.point, verdict, search.steps, search.certificate, jnp.zeros_like(decided))
 
 
-def _level(lanes: Lanes, frame: Frame, stretch: Vec, metric: Metric, strength: Array, search: _Search) -> _Search:
+def _level(lanes: Lanes, frame: Frame, unknowns: Unknowns, metric: Metric, strength: Array, search: _Search) -> _Search:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
     pull = Proximal(strength, search.point)
-    ascent = ascend(lanes, stretch, metric, search.point, search.decided, STEPS_PER_LEVEL, pull)
-    forces, optimal = _judge(lanes, stretch, metric, ascent.point, 1.0)
-    rest = dual.residual(lanes, forces, stretch)
-    proven, direction = proof(lanes, frame, stretch, rest, ascent.point - search.point)
+    ascent = ascend(lanes, unknowns, metric, search.point, search.decided, STEPS_PER_LEVEL, pull)
+    forces, optimal = _judge(lanes, unknowns, metric, ascent.point, 1.0)
+    rest = dual.residual(lanes, forces, unknowns)
+    proven, direction = proof(lanes, frame, unknowns, rest, ascent.point - search.point)
     hopeless = ~optimal & proven
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
@@ -85,7 +86,7 @@ def _level(lanes: Lanes, frame: Frame, stretch: Vec, metric: Metric, strength: A
     )
 
 
-def _judge(lanes: Lanes, stretch: Vec, metric: Metric, point: Six, slack: float) -> tuple[Vec, Array]:
+def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, slack: float) -> tuple[Vec, Array]:
     """The forces of a multiplier, and whether they are the optimum."""
-    best = dual.best_forces(lanes, point, stretch).forces
-    return best, is_optimal(lanes, stretch, metric, point, best, slack)
+    best = dual.best_forces(lanes, point, unknowns).forces
+    return best, is_optimal(lanes, unknowns, metric, point, best, slack)

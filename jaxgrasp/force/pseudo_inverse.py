@@ -5,10 +5,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.lanes import Frame, Lanes, blur, inertia
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.unknowns import Stretch, Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.vec import Vec
 
@@ -20,59 +21,58 @@ class Metric(NamedTuple):
     factors: tuple[list[list[Array]], list[Array]]
 
 
-def plain_metric(lanes: Lanes) -> tuple[Metric, Vec, Array]:
-    """The metric in the axes as they are, its stretch of one, and which lanes are too ill-conditioned for it."""
+def plain_metric(lanes: Lanes) -> tuple[Metric, Stretch, Array]:
+    """The metric in the axes as they are, its unknowns of one, and which lanes are too ill-conditioned for it."""
     matrix = inertia(lanes)
     lower, diagonal = symmetric.factor(matrix)
     pivot = tolerances(diagonal[0].dtype).pivot
     # `not >=` rather than `<`, so that a NaN out of a zero pivot counts as ill.
     ill = ~((diagonal[0] >= pivot) & (diagonal[1] >= pivot) & (diagonal[2] >= pivot))
-    one = jnp.ones_like(diagonal[0])
     safe = [jnp.where(ill, 1, d) for d in diagonal]
     lower = [[jnp.where(ill, 0, entry) for entry in row] for row in lower]
-    return Metric(matrix, (lower, safe)), Vec(one, one, one), ill
+    return Metric(matrix, (lower, safe)), unstretched(diagonal[0]), ill
 
 
-def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Vec]:
-    """For lanes in principal axes: the stretch that makes the metric the identity but for rounding.
+def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Stretch]:
+    """For lanes in principal axes: the unknowns that makes the metric the identity but for rounding.
 
-    Axes along which the contacts have no spread get a stretch of zero: no force can turn the object
+    Axes along which the contacts have no spread get a unknowns of zero: no force can turn the object
     about them.
     """
     matrix = inertia(lanes)
     diagonal = [matrix[i][i] for i in range(3)]
     cut = (tolerances(diagonal[0].dtype).rank * blur(frame)) ** 2
-    stretch = Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
-    rows = [[stretch[i] * stretch[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
+    scales = Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
+    rows = [[scales[i] * scales[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
     for i in range(3):
-        rows[i][i] = jnp.where(stretch[i] > 0, rows[i][i], 1)
-    return Metric(rows, symmetric.factor(rows)), stretch
+        rows[i][i] = jnp.where(scales[i] > 0, rows[i][i], 1)
+    return Metric(rows, symmetric.factor(rows)), Stretch(scales)
 
 
-def closed_multiplier(lanes: Lanes, stretch: Vec, metric: Metric) -> Six:
+def closed_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
-    return _balancing(lanes, vec.scale(lanes.squeeze, lanes.normals), stretch, metric)
+    return _balancing(lanes, vec.scale(lanes.squeeze, lanes.normals), unknowns, metric)
 
 
-def refined_multiplier(lanes: Lanes, stretch: Vec, metric: Metric) -> Six:
+def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     """The same, corrected by what it leaves unbalanced: a whitened metric is only the identity but for rounding."""
-    multiplier = closed_multiplier(lanes, stretch, metric)
-    return multiplier + _balancing(lanes, free_forces(lanes, multiplier, stretch), stretch, metric)
+    multiplier = closed_multiplier(lanes, unknowns, metric)
+    return multiplier + _balancing(lanes, free_forces(lanes, multiplier, unknowns), unknowns, metric)
 
 
-def _balancing(lanes: Lanes, forces: Vec, stretch: Vec, metric: Metric) -> Six:
+def _balancing(lanes: Lanes, forces: Vec, unknowns: Unknowns, metric: Metric) -> Six:
     """The multiplier that balances what these forces leave of the wrench."""
-    linear, angular = dual.parts(dual.residual(lanes, forces, stretch))
-    return dual.six(linear, Vec(*symmetric.solve(metric.factors, angular)))
+    linear, angular = sixes.parts(dual.residual(lanes, forces, unknowns))
+    return sixes.six(linear, Vec(*symmetric.solve(metric.factors, angular)))
 
 
-def free_forces(lanes: Lanes, multiplier: Six, stretch: Vec) -> Vec:
+def free_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Vec:
     """Forces of eq. 8 with weights: s a + k (G^T multiplier), whatever friction says."""
-    twist = dual.twist_at(lanes, multiplier, stretch)
+    twist = dual.twist_at(lanes, multiplier, unknowns)
     return vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
 
 
 def whitened_square(metric: Metric, gradient: Six) -> Array:
     """Squared length of a wrench as the contacts see it: g.(G W G^T)^-1 g."""
-    linear, angular = dual.parts(gradient)
+    linear, angular = sixes.parts(gradient)
     return vec.dot(linear, linear) + vec.dot(angular, Vec(*symmetric.solve(metric.factors, angular)))

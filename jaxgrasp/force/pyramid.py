@@ -20,6 +20,7 @@ from jaxgrasp.force.answer import Answer, Outcome
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Lanes, Problem, principal, read
 from jaxgrasp.force.outside import write_to_tolerance
+from jaxgrasp.force.unknowns import Stretch
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
@@ -153,8 +154,8 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
     lanes, frame = principal(lanes)
     assert frame.axes is not None
     first, second = (vec.rotate(frame.axes, tangent) for tangent in tangents)
-    _, stretch = pseudo_inverse.whitened_metric(lanes, frame)
-    program = _program(lanes, stretch, _facets(lanes, (first, second), settings.sides), problem.size)
+    _, unknowns = pseudo_inverse.whitened_metric(lanes, frame)
+    program = _program(lanes, unknowns, _facets(lanes, (first, second), settings.sides), problem.size)
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
     found = jax.vmap(partial(_splitting, settings=settings))(program)
@@ -173,14 +174,14 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
         certificate=jnp.zeros((6, problem.size), forces.x.dtype),
         undecided=jnp.zeros((1, problem.size), bool),
     )
-    return write_to_tolerance(lanes, frame, stretch, valid, problem.size, outcome, BALANCE * settings.tol)
+    return write_to_tolerance(lanes, frame, unknowns, valid, problem.size, outcome, BALANCE * settings.tol)
 
 
 def _finite(array: Array, dtype: jnp.dtype) -> Array:
     return jnp.where(jnp.isfinite(array), array, 0).astype(dtype)
 
 
-def _program(lanes: Lanes, stretch: Vec, facets: tuple[Array, Array], size: int) -> Program:
+def _program(lanes: Lanes, unknowns: Stretch, facets: tuple[Array, Array], size: int) -> Program:
     """The programs of all lanes, batch-first."""
     squeezing = vec.scale(lanes.squeeze, lanes.normals)
     rows, bounds = facets
@@ -188,21 +189,21 @@ def _program(lanes: Lanes, stretch: Vec, facets: tuple[Array, Array], size: int)
     # Facets of a contact see its own force alone.
     apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
     program = Program(
-        a=_balance(lanes, stretch),
-        b=dual.residual(lanes, squeezing, stretch).T,
+        a=_balance(lanes, unknowns),
+        b=dual.residual(lanes, squeezing, unknowns).T,
         c=apart.reshape(-1, contacts * each, 3 * contacts),
         d=bounds.reshape(-1, contacts * each),
     )
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape[1:])), program)
 
 
-def _balance(lanes: Lanes, stretch: Vec) -> Array:
+def _balance(lanes: Lanes, unknowns: Stretch) -> Array:
     """A = G W^(1/2), ``(B, 6, 3n)``."""
     root, zero = jnp.sqrt(lanes.weights), jnp.zeros_like(lanes.weights)
     columns = []
     for axis in range(3):
         unit = Vec(*(root if i == axis else zero for i in range(3)))
-        torque = vec.times(stretch, vec.cross(lanes.arms, unit))
+        torque = vec.times(unknowns.scales, vec.cross(lanes.arms, unit))
         columns.append(jnp.stack(jnp.broadcast_arrays(*unit, *torque)))
     matrix = jnp.stack(columns, 2)  # (6, n, 3, B)
     return matrix.transpose(3, 0, 1, 2).reshape(matrix.shape[-1], 6, -1)

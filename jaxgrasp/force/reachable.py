@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, elastic, shells
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force import cones, dual, elastic, shells, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.guide import restricted, unwhitened
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, certificate_out, forces_out, principal, read
+from jaxgrasp.force.sixes import Six
+from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
@@ -45,6 +47,7 @@ def reachable_wrench(
     sharing: Sharing = "squeeze",
     *,
     inertia: Float[AnyArray, "*#batch 6 6"] | None = None,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
 ) -> Reachable:
     """The wrench closest to ``wrench`` that forces inside the friction cones exert, and the forces that do.
 
@@ -62,6 +65,8 @@ def reachable_wrench(
         sharing: as for [`jaxgrasp.closed_form`][].
         inertia: spatial inertia about the frame's origin, in (linear, angular) order ``(..., 6, 6)``
             [kg, kg.m, kg.m^2]; symmetric, positive definite.
+        free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][]. What is
+            missed is then the shortest wrench that does its work along these.
 
     Returns:
         A Reachable. Where data are invalid the wrench and the forces are zero and the distance is infinite.
@@ -70,19 +75,19 @@ def reachable_wrench(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated.
     """
-    warn_of_lost_precision(grasp, wrench)
+    warn_of_lost_precision(grasp, wrench, free)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, inertia, sharing=name)
+    return _run(grasp, wrench, weights, inertia, free, sharing=name)
 
 
 @partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, weights, inertia, *, sharing: str) -> Reachable:
+def _run(grasp, wrench, weights, inertia, free, *, sharing: str) -> Reachable:
     if inertia is not None:
         if jnp.shape(inertia)[-2:] != (6, 6):
             raise ValueError(f"inertia has shape {jnp.shape(inertia)}: expected (..., 6, 6)")
         axes = jnp.broadcast_shapes(jnp.shape(inertia)[:-2], jnp.shape(wrench)[:-1])
         wrench = jnp.broadcast_to(wrench, (*axes, 6))
-    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    problem, _, batch = flatten(grasp, wrench, weights, sharing, free=free)
     if inertia is not None:
         inertia = jnp.broadcast_to(jnp.asarray(inertia, problem.wrench.dtype), (*batch, 6, 6)).reshape(-1, 6, 6)
     closest = _closest(problem, inertia)
@@ -119,25 +124,30 @@ def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Rea
     problem, inertia = arguments
     lanes, valid = read(problem)
     lanes, frame = principal(lanes)
-    metric, mass, sound = _metric(lanes, frame, inertia)
+    whole, mass, sound = _metric(lanes, frame, inertia)
     valid = jnp.broadcast_to(valid & sound & frame.sound, (1, problem.size))
-    point = elastic.nearest(lanes, metric, ~valid).point
-    forces = _rescaled(lanes, metric, point)
+    unknowns = unwhitened(problem, lanes, frame)
+    metric = restricted(whole, unknowns)
+    point = elastic.nearest(lanes, metric, ~valid, unknowns=unknowns).point
+    forces = _rescaled(lanes, metric, unknowns, point)
     one = jnp.ones_like(point[:1])
-    rest = dual.residual(lanes, forces, Vec(one, one, one))
-    distance = jnp.sqrt(dual.inner(rest, elastic.solve_by(metric, rest)))
-    shown = _is_closest(lanes, metric, forces, point, distance)
+    rest = dual.residual(lanes, forces, unknowns)
+    across = elastic.solve_by(metric, rest)
+    distance = jnp.sqrt(sixes.inner(rest, across))
+    shown = _is_closest(lanes, metric, unknowns, forces, point, distance)
     known = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
     ok = valid[0]
+    if problem.free is not None:
+        rest = elastic.times(whole, sixes.six(*unknowns.twist(across)))
     missed = elastic.wrench_out(frame.load * rest, frame).T
     stacked = jnp.stack([c * one for c in forces_out(forces, frame)]).transpose(2, 1, 0)
-    linear, angular = certificate_out(*dual.parts(vec.safe_divide(point, dual.length(point))), frame)
+    linear, angular = certificate_out(*unknowns.twist(vec.safe_divide(point, sixes.length(point))), frame)
     return Reachable(
         wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
         distance=jnp.where(ok, (frame.load * distance / jnp.sqrt(mass))[0], jnp.inf),
-        certificate=jnp.where(ok[:, None], dual.six(linear, angular).T, 0),
+        certificate=jnp.where(ok[:, None], sixes.six(linear, angular).T, 0),
         verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
     )
 
@@ -158,29 +168,27 @@ def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, A
     return metric, jnp.where(sound, mass, 1), sound
 
 
-def _rescaled(lanes: Lanes, metric: Lower, point: Six) -> Vec:
+def _rescaled(lanes: Lanes, metric: Lower, unknowns: Unknowns, point: Six) -> Vec:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
-    one = jnp.ones_like(point[:1])
-    forces = dual.best_forces(lanes, point, Vec(one, one, one)).forces
+    forces = dual.best_forces(lanes, point, unknowns).forces
     can_move, nothing = lanes.weights > 0, vec.sub(forces, forces)
     held, free = vec.where(can_move, nothing, forces), vec.where(can_move, forces, nothing)
-    asked = dual.residual(lanes, held, Vec(one, one, one))
-    exerted = asked - dual.residual(lanes, forces, Vec(one, one, one))
+    asked = dual.residual(lanes, held, unknowns)
+    exerted = asked - dual.residual(lanes, forces, unknowns)
     along = elastic.solve_by(metric, exerted)
-    square = dual.inner(exerted, along)
-    share = jnp.where(square > 0, vec.safe_divide(dual.inner(asked, along), square), 1)
+    square = sixes.inner(exerted, along)
+    share = jnp.where(square > 0, vec.safe_divide(sixes.inner(asked, along), square), 1)
     return vec.add(held, vec.scale(share, free))
 
 
-def _is_closest(lanes: Lanes, metric: Lower, forces: Vec, point: Six, distance: Array) -> Array:
+def _is_closest(lanes: Lanes, metric: Lower, unknowns: Unknowns, forces: Vec, point: Six, distance: Array) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
-    one = jnp.ones_like(distance)
-    twist = dual.twist_at(lanes, point, Vec(one, one, one))
+    twist = dual.twist_at(lanes, point, unknowns)
     can_move = lanes.weights > 0
     push = jnp.max(jnp.where(can_move, cones.support(twist, lanes.normals, lanes.friction), 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
-    work = dual.inner(dual.load(lanes, Vec(one, one, one)), point) - jnp.sum(fixed, 0, keepdims=True)
+    work = sixes.inner(dual.load(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
     best = work - push * dual.total_push(lanes, forces)
-    size = jnp.sqrt(dual.inner(point, elastic.times(metric, point)))
+    size = jnp.sqrt(sixes.inner(point, elastic.times(metric, point)))
     loose = 2**10 * jnp.finfo(distance.dtype).eps ** 0.5
     return (distance > 0) & (best >= (1 - loose) * size * distance)

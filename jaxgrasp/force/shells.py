@@ -63,7 +63,7 @@ def _batched(solve: Callable[[Problem], Answer]) -> Callable[[Problem], Solution
 def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem, int]:
     """The problem with its mapped axis merged into the batch, and the size that each mapped element had."""
     size = problem.wrench.shape[1 if batched.wrench else 0]
-    contacts = lambda p: (p.points, p.normals, p.friction, p.squeeze, p.present, p.weights)  # noqa: E731
+    contacts = lambda p: (p.points, p.normals, p.friction, p.squeeze, p.present, p.weights, p.free)  # noqa: E731
     shared = not any(jax.tree.leaves(contacts(batched))) and problem.points.shape[0] == 1
 
     def merge(array: Array, is_batched: bool) -> Array:
@@ -73,7 +73,7 @@ def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem,
 
     merged = jax.tree.map(merge, problem, batched)
     if shared:
-        names = ("points", "normals", "friction", "squeeze", "present", "weights")
+        names = ("points", "normals", "friction", "squeeze", "present", "weights", "free")
         merged = Problem(**{name: getattr(problem, name) for name in names}, wrench=merged.wrench)
     return merged, size
 

@@ -12,13 +12,14 @@ from functools import partial
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import cones, dual, newton, pseudo_inverse
+from jaxgrasp.force import cones, dual, newton, pseudo_inverse, sixes
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range
-from jaxgrasp.force.dual import Six
+from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
 from jaxgrasp.force.newton import ascend
 from jaxgrasp.force.proximal import proximal_optimum
+from jaxgrasp.force.sixes import Six
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
 from jaxgrasp.numerics.vec import Vec
@@ -31,11 +32,15 @@ STEPS = (5, 6, 30)
 
 def solve_closed(problem: Problem) -> Answer:
     """The closed form of a flat batch."""
+    if problem.free is not None:
+        return over_tiles(partial(_whole, constrained=False), problem, problem.size, CAREFUL_TILE)
     return finish_closed(problem, first_pass(problem))
 
 
 def solve_optimum(problem: Problem) -> Answer:
     """The constrained optimum of a flat batch."""
+    if problem.free is not None:
+        return over_tiles(partial(_whole, constrained=True), problem, problem.size, CAREFUL_TILE)
     return finish_optimum(problem, first_pass(problem))
 
 
@@ -76,12 +81,12 @@ def _waiting(answer: Answer) -> Array:
 def _closed_tile(problem: Problem) -> Answer:
     lanes, valid = read(problem)
     lanes, frame = normalise(lanes)
-    metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
-    multiplier = pseudo_inverse.closed_multiplier(lanes, stretch, metric)
-    forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
+    metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
+    multiplier = pseudo_inverse.closed_multiplier(lanes, unknowns, metric)
+    forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
     steps = jnp.zeros_like(ill, jnp.int32)
     outcome = Outcome(forces, multiplier, _closed_verdict(lanes, forces), steps, _no_proof(lanes), ill)
-    return write(lanes, frame, stretch, valid, problem.size, outcome, Route.CLOSED_FORM)
+    return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CLOSED_FORM)
 
 
 def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
@@ -90,22 +95,22 @@ def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
 
 
 def _no_proof(lanes: Lanes) -> Six:
-    return dual.six(lanes.force, lanes.torque) * 0
+    return sixes.six(lanes.force, lanes.torque) * 0
 
 
 def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     """Newton from where the last stage stopped; what has not converged keeps OUTSIDE_CONES and stays undecided."""
     lanes, valid = read(problem)
     lanes, frame = normalise(lanes)
-    metric, stretch, ill = pseudo_inverse.plain_metric(lanes)
+    metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
     linear, angular = multiplier_in(prior.multiplier, frame)
-    start = dual.six(linear, angular)
-    ascent = ascend(lanes, stretch, metric, start, ill, limit)
-    best = dual.best_forces(lanes, ascent.point, stretch).forces
-    converged = newton.is_optimal(lanes, stretch, metric, ascent.point, best) & ~ill
+    start = sixes.six(linear, angular)
+    ascent = ascend(lanes, unknowns, metric, start, ill, limit)
+    best = dual.best_forces(lanes, ascent.point, unknowns).forces
+    converged = newton.is_optimal(lanes, unknowns, metric, ascent.point, best) & ~ill
     verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)
     outcome = Outcome(best, ascent.point, verdict, ascent.steps + prior.steps, _no_proof(lanes), ~converged)
-    answer = write(lanes, frame, stretch, valid, problem.size, outcome, Route.FAST)
+    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
     undecided = answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED)
     more = undecided & ~(ascent.stuck | converged | ill)[0]
@@ -113,15 +118,20 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
 
 
 def _careful_tile(problem: Problem, _: Answer, constrained: bool) -> Answer:
+    return _whole(problem, constrained)
+
+
+def _whole(problem: Problem, constrained: bool) -> Answer:
+    """The careful pass, which begins at the beginning; of guided objects the only one."""
     lanes, valid = read(problem)
     lanes, frame = principal(lanes)
-    metric, stretch = pseudo_inverse.whitened_metric(lanes, frame)
-    multiplier = pseudo_inverse.refined_multiplier(lanes, stretch, metric)
-    forces = pseudo_inverse.free_forces(lanes, multiplier, stretch)
+    metric, unknowns = whitened(problem, lanes, frame)
+    multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric)
+    forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
     verdict = _closed_verdict(lanes, forces)
-    missed, direction = out_of_range(lanes, frame, stretch)
+    missed, direction = out_of_range(lanes, frame, unknowns)
     outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, jnp.zeros_like(missed))
     if constrained:
-        outcome = proximal_optimum(lanes, frame, stretch, metric, outcome, missed)
+        outcome = proximal_optimum(lanes, frame, unknowns, metric, outcome, missed)
     outcome = outcome._replace(verdict=jnp.where(missed, Verdict.INFEASIBLE, outcome.verdict))
-    return write(lanes, frame, stretch, valid, problem.size, outcome, Route.CAREFUL)
+    return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)

@@ -42,11 +42,13 @@ if TYPE_CHECKING:
     from jaxgrasp.model.solution import Route, Solution, Verdict
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
-    from jaxgrasp.prehension.carry import Instant, Scene, Tick, carry, observe
+    from jaxgrasp.prehension.carry import Instant, carry
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
     from jaxgrasp.prehension.motion import Body
     from jaxgrasp.prehension.power_grip import power_grip
     from jaxgrasp.prehension.precision_grip import precision_grip
+    from jaxgrasp.prehension.scene import Obstacle, Scene
+    from jaxgrasp.prehension.tick import Tick, observe
 
 _HOME = {
     "Assessment": "prehension.monitor",
@@ -75,18 +77,19 @@ _HOME = {
     "Mesh": "contact.mesh",
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
+    "Obstacle": "prehension.scene",
     "Plane": "contact.shapes",
     "Pose": "model.hand",
     "Posture": "model.hand",
     "Reachable": "force.reachable",
     "Route": "model.solution",
-    "Scene": "prehension.carry",
+    "Scene": "prehension.scene",
     "Shape": "contact.shapes",
     "Solution": "model.solution",
     "Sphere": "contact.shapes",
     "SphereTree": "contact.sphere_tree",
     "Spheres": "model.hand",
-    "Tick": "prehension.carry",
+    "Tick": "prehension.tick",
     "Touch": "prehension.monitor",
     "Verdict": "model.solution",
     "carry": "prehension.carry",
@@ -123,7 +126,7 @@ _HOME = {
     "mirrored": "contact.human_hand",
     "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
-    "observe": "prehension.carry",
+    "observe": "prehension.tick",
     "parallel_jaw": "contact.parallel_jaw",
     "pose_hand": "contact.kinematics",
     "power_grip": "prehension.power_grip",

@@ -19,12 +19,13 @@ from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.prehension.carry import Instant, Scene, carry, stacked
+from jaxgrasp.prehension.carry import Instant, carry, stacked
 from jaxgrasp.prehension.lifting import lift_and_turn
 from jaxgrasp.prehension.monitor import Hold
 from jaxgrasp.prehension.motion import Body
 from jaxgrasp.prehension.power_grip import power_grip
 from jaxgrasp.prehension.precision_grip import precision_grip
+from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import History, history
 
 GRAVITY = (0.0, 0.0, -9.81)

@@ -6,57 +6,38 @@
   holds, nothing is missed, and the object stays in the hand.
 - LOST: it keeps the motion that it had, and falls.
 
-The wrench holds the object's weight and gives it the acceleration of its contacts. A table stops it: nothing bounces.
+The wrench holds the object's weight, gives it the acceleration of its contacts, and resists the obstacles that it is
+pressed into. A guide carries what it can of all that. Table and obstacles stop what moves by itself: nothing bounces.
 """
 
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.contact.detection import Contacts, find_contacts
-from jaxgrasp.contact.kinematics import joint_torques, pose_hand
-from jaxgrasp.contact.to_grasp import grasp_from_contacts
+from jaxgrasp.contact.kinematics import pose_hand
 from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
-from jaxgrasp.model.wrench import weight_wrench
-from jaxgrasp.prehension.monitor import Assessment, Hold, Law, monitor
-from jaxgrasp.prehension.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
-
-
-class Scene(eqx.Module):
-    """What stays the same while time goes on."""
-
-    hand: Hand
-    body: Body
-    table: Pose
-    """Its top is the xy plane of this frame; the half space below is solid."""
-    friction: float | AnyArray
-    stiffness: float | AnyArray
-    """K of eq. 6 [N/m]"""
-    contributions: Float[AnyArray, "L"]
-    """c of eq. 6, of each link."""
-    gravity: Float[AnyArray, "3"]
-    """[m/s^2]"""
-
-
-class Tick(eqx.Module):
-    """One instant: what touches, which forces act, and whether they hold. Any leading axes."""
-
-    contacts: Contacts
-    grasp: Grasp
-    """In a frame at the object's centre, along the world's axes."""
-    wrench: Float[Array, "*batch 6"]
-    """What the contacts must exert about that centre [N, N.m]."""
-    assessment: Assessment
-    torques: Float[Array, "*batch J"]
-    """On the joints [N.m]: negative where they resist a positive angle."""
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.prehension.monitor import Hold, Law
+from jaxgrasp.prehension.motion import (
+    Motion,
+    follow,
+    follow_along,
+    guide_at,
+    mobility,
+    motion_between,
+    moved,
+    rest_on,
+    spatial_inertia,
+    spun,
+)
+from jaxgrasp.prehension.obstacles import check_outline, stop
+from jaxgrasp.prehension.scene import Scene
+from jaxgrasp.prehension.tick import Tick, assessed, touched
 
 
 class Instant(NamedTuple):
@@ -67,7 +48,7 @@ class Instant(NamedTuple):
     tick: Tick
     hold: Hold
     stands: bool
-    """Whether the table carried it."""
+    """Whether the table or an obstacle carried it."""
     missed: Float[Array, "6"]
     """What of the wrench no allowed forces of these contacts could exert [N, N.m]."""
 
@@ -75,52 +56,6 @@ class Instant(NamedTuple):
 def stacked(record: list[Instant]) -> Instant:
     """All instants in one: NumPy arrays with a leading axis of time."""
     return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
-
-
-def observe(
-    scene: Scene,
-    posture: Posture,
-    placed: Pose,
-    inertial: Float[AnyArray, "*#batch 6"] | None = None,
-    *,
-    law: Law = "closed-form",
-) -> Tick:
-    """One tick of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
-
-    Args:
-        scene: hand, object, and the laws of their contacts.
-        posture: of the hand; any leading axes.
-        placed: where the object stands; leading axes that broadcast.
-        inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
-        law: which forces the hand applies, as for [`jaxgrasp.monitor`][].
-    """
-    contacts, grasp = _touched(scene, posture, placed)
-    return _assessed(scene, pose_hand(scene.hand, posture), contacts, grasp, inertial, law)
-
-
-def _assessed(
-    scene: Scene,
-    frames: HandFrames,
-    contacts: Contacts,
-    grasp: Grasp,
-    inertial: Float[AnyArray, "*#batch 6"] | None,
-    law: Law,
-) -> Tick:
-    weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
-    wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
-    if inertial is not None:
-        wrench = wrench + inertial
-    assessment = monitor(grasp, wrench, law=law)
-    torques = joint_torques(scene.hand, frames, contacts.points, assessment.forces)
-    return Tick(contacts, grasp, wrench, assessment, torques)
-
-
-def _touched(scene: Scene, posture: Posture, placed: Pose) -> tuple[Contacts, Grasp]:
-    """The contacts, and their Grasp in a frame at the object's centre, along the world's axes."""
-    contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
-    world = grasp_from_contacts(contacts, scene.friction, scene.stiffness, scene.contributions)
-    points = world.points - jnp.asarray(placed.origin)[..., None, :]
-    return contacts, Grasp(points, world.normals, world.friction, world.squeeze, world.present)
 
 
 class _State(NamedTuple):
@@ -142,13 +77,19 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
         law: which forces decide whether the object slips, as for [`jaxgrasp.monitor`][].
 
     Raises:
-        ValueError: for a step of time that is not positive.
+        ValueError: for a step of time that is not positive, and for obstacles without the object's outline.
     """
     if not dt > 0:
         raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
+    if scene.obstacles:
+        check_outline(scene)
     frames = pose_hand(scene.hand, postures)
     count = frames.axes.shape[0]
-    state = _State(placed, Motion(jnp.zeros(3), jnp.zeros(3)), jnp.asarray(False))
+    state = _State(
+        Pose(*map(jnp.asarray, (placed.origin, placed.rotation))),
+        Motion(jnp.zeros(3), jnp.zeros(3)),
+        jnp.asarray(False),
+    )
     state = state._replace(stands=rest_on(scene.table, scene.body.shape, placed, state.motion)[2])
     instants = []
     for k in range(count):
@@ -158,7 +99,7 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
         hold = Hold(int(tick.assessment.hold))
         missed = _missed(scene, tick, state.placed, hold)
         instants.append(Instant(state.placed, tick, hold, bool(state.stands), missed))
-        state = _go_on(scene, dt, state.placed, led, missed)
+        state = _go_on(scene, dt, state, led, missed, tick.assessment.hold)
     return instants
 
 
@@ -167,15 +108,24 @@ def _tick(
     scene: Scene, dt: float | AnyArray, state: _State, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
 ) -> tuple[Tick, Motion]:
     """An instant, and the motion that the object's contacts ask of it: its own, where nothing touches."""
-    contacts, grasp = _touched(scene, posture, state.placed)
+    contacts, grasp = touched(scene, posture, state.placed)
     lost = ~jnp.any(contacts.present > 0)
     weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
-    followed = motion_between(state.placed, follow(now, later, contacts.points, weights, state.placed), dt)
+    followed = _followed(scene, dt, now, later, contacts.points, weights, state.placed)
     led = Motion(*(jnp.where(lost, own, new) for own, new in zip(state.motion, followed, strict=True)))
     gained = jnp.concatenate([(new - own) / dt for own, new in zip(state.motion, led, strict=True)])
     inertia = spatial_inertia(scene.body, state.placed.rotation)
     spin = jnp.append(jnp.zeros(3), jnp.cross(led.angular, inertia[3:, 3:] @ led.angular))
-    return _assessed(scene, now, contacts, grasp, inertia @ gained + spin, law), led
+    return assessed(scene, now, state.placed, contacts, grasp, inertia @ gained + spin, law), led
+
+
+def _followed(
+    scene: Scene, dt: float | AnyArray, now: HandFrames, later: HandFrames, points: Array, weights: Array, placed: Pose
+) -> Motion:
+    """The motion of an object that goes with its contacts."""
+    if scene.guide is None:
+        return motion_between(placed, follow(now, later, points, weights, placed), dt)
+    return follow_along(scene.guide, now, later, points, weights, placed, dt)
 
 
 def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
@@ -185,12 +135,37 @@ def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
     if hold == Hold.LOST:
         return tick.wrench
     inertia = spatial_inertia(scene.body, placed.rotation)
-    return tick.wrench - reachable_wrench(tick.grasp, tick.wrench, inertia=inertia).wrench
+    free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
+    return tick.wrench - reachable_wrench(tick.grasp, tick.wrench, inertia=inertia, free=free).wrench
 
 
 @jax.jit
-def _go_on(scene: Scene, dt: float | AnyArray, placed: Pose, led: Motion, missed: Array) -> _State:
-    """The object's next pose and motion: as it was led, less what was missed."""
-    lag = jnp.linalg.solve(spatial_inertia(scene.body, placed.rotation), missed) * dt
-    motion = Motion(led.linear - lag[:3], led.angular - lag[3:])
-    return _State(*rest_on(scene.table, scene.body.shape, moved(placed, motion, dt), motion))
+def _go_on(scene: Scene, dt: float | AnyArray, state: _State, led: Motion, missed: Array, hold: Array) -> _State:
+    """The object's next pose and motion: as it was led, less what was missed; or as it falls."""
+    placed = state.placed
+    lag = mobility(scene.body, placed, scene.guide) @ missed * dt
+    slid, fallen = Motion(led.linear - lag[:3], led.angular - lag[3:]), _fallen(scene, dt, state)
+    lost = hold == Hold.LOST
+    motion = Motion(*(jnp.where(lost, free, own) for free, own in zip(fallen, slid, strict=True)))
+    blocked = jnp.asarray(False)
+    if scene.obstacles:
+        stopped = stop(scene, placed, motion, dt)
+        alone = hold != Hold.STABLE
+        motion = Motion(*(jnp.where(alone, new, own) for new, own in zip(stopped.motion, motion, strict=True)))
+        blocked = alone & stopped.touches
+    there, motion = moved(placed, motion, dt, scene.guide)
+    there, motion, stands = rest_on(
+        scene.table, scene.body.shape, there, motion, None if scene.guide is None else placed
+    )
+    return _State(there, motion, stands | blocked)
+
+
+def _fallen(scene: Scene, dt: float | AnyArray, state: _State) -> Motion:
+    """The motion of an object that nothing touches, after an instant of gravity."""
+    placed, own = state.placed, state.motion
+    if scene.guide is None:
+        gained = dt * jnp.asarray(scene.gravity)
+        return Motion(own.linear + gained, spun(scene.body, placed.rotation, own.angular, dt))
+    pull = jnp.append(scene.body.mass * jnp.asarray(scene.gravity), jnp.zeros(3))
+    gained = mobility(scene.body, placed, scene.guide) @ pull * dt
+    return Motion(own.linear + gained[:3], own.angular + gained[3:])

@@ -61,7 +61,12 @@ class Assessment(eqx.Module):
 
 @partial(jax.jit, static_argnames="law")
 def monitor(
-    grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze", *, law: Law = "closed-form"
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
+    law: Law = "closed-form",
 ) -> Assessment:
     """Whether a grasp is stable, slipping or lost, and why.
 
@@ -69,6 +74,7 @@ def monitor(
         grasp: contacts ``(..., n)``.
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
         sharing: as for [`jaxgrasp.closed_form`][].
+        free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
         law: which forces the hand applies: the closed form, as in the paper, or the optimum.
 
     Raises:
@@ -76,7 +82,8 @@ def monitor(
     """
     if law not in ("closed-form", "optimum"):
         raise ValueError(f"law is {law!r}: expected 'closed-form' or 'optimum'")
-    closed, optimum = closed_form(grasp, wrench, sharing), constrained_optimum(grasp, wrench, sharing)
+    closed = closed_form(grasp, wrench, sharing, free=free)
+    optimum = constrained_optimum(grasp, wrench, sharing, free=free)
     applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5

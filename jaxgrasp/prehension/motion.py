@@ -6,6 +6,7 @@ Quasi-static: a held object goes where its contacts go; only a slipping or a fre
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -14,6 +15,8 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.vec import Vec
 
+NEWTON_STEPS = 4
+"""Of an implicit step in time: it begins close by."""
 PAD = 2e-3
 """Half the width of what a contact holds on to [m]: a fingertip turns what it touches, if only a little."""
 
@@ -43,6 +46,22 @@ def spatial_inertia(body: Body, rotation: Float[AnyArray, "3 3"]) -> Float[Array
     return jnp.block([[body.mass * jnp.eye(3), zero], [zero, turned]])
 
 
+def guide_at(guide: Float[AnyArray, "6 k"], origin: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 6 k"]:
+    """A guide's twists about the world's origin as ones about another point, along the same axes."""
+    linear, angular = jnp.asarray(guide)[:3], jnp.asarray(guide)[3:]
+    moved = linear + jnp.cross(angular, jnp.asarray(origin)[..., None], axis=-2)
+    return jnp.concatenate([moved, jnp.broadcast_to(angular, moved.shape)], -2)
+
+
+def mobility(body: Body, placed: Pose, guide: AnyArray | None) -> Float[Array, "6 6"]:
+    """What a unit of impulse about the body's origin gives it in motion [1/kg, 1/(kg.m), 1/(kg.m^2)]."""
+    inertia = spatial_inertia(body, placed.rotation)
+    if guide is None:
+        return jnp.linalg.inv(inertia)
+    free = guide_at(guide, placed.origin)
+    return free @ jnp.linalg.pinv(free.T @ inertia @ free, hermitian=True) @ free.T
+
+
 def follow(
     before: HandFrames, after: HandFrames, points: Float[AnyArray, "L 3"], weights: Float[AnyArray, "L"], placed: Pose
 ) -> Pose:
@@ -57,12 +76,38 @@ def follow(
         weights: 0 for links that do not touch.
         placed: where the object stood.
     """
+    return _fit(*_pads(before, after, points, weights), placed)
+
+
+def follow_along(
+    guide: Float[AnyArray, "6 k"],
+    before: HandFrames,
+    after: HandFrames,
+    points: Float[AnyArray, "L 3"],
+    weights: Float[AnyArray, "L"],
+    placed: Pose,
+    dt: float | AnyArray,
+) -> Motion:
+    """Likewise for an object that a guide holds: its motion along the guide that comes closest to its contacts'."""
+    old, new, share = _pads(before, after, points, weights)
+    free = guide_at(guide, placed.origin)
+    arms = (old - placed.origin)[:, :, None]
+    velocities = (free[:3] + jnp.cross(free[None, 3:], arms, axis=1)) * jnp.sqrt(share)[:, None, None]
+    wanted = (new - old) * jnp.sqrt(share)[:, None] / dt
+    size = jnp.linalg.norm(free, axis=0)
+    along = jnp.linalg.lstsq((velocities / size).reshape(-1, free.shape[1]), wanted.reshape(-1))[0]
+    twist = free @ (along / size)
+    return Motion(twist[:3], twist[3:])
+
+
+def _pads(before: HandFrames, after: HandFrames, points: AnyArray, weights: AnyArray) -> tuple[Array, Array, Array]:
+    """Points of each contact's pad before and after, and what each counts."""
     turns = after.links.rotation @ before.links.rotation.swapaxes(-1, -2)
     pads = PAD * jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
     old = jnp.asarray(points)[:, None] + pads
     new = jnp.einsum("lij,lpj->lpi", turns, old - before.links.origin[:, None]) + after.links.origin[:, None]
     share = jnp.broadcast_to((weights / jnp.sum(weights))[:, None] / len(pads), old.shape[:2])
-    return _fit(old.reshape(-1, 3), new.reshape(-1, 3), share.reshape(-1), placed)
+    return old.reshape(-1, 3), new.reshape(-1, 3), share.reshape(-1)
 
 
 def _fit(old: Array, new: Array, share: Array, placed: Pose) -> Pose:
@@ -85,10 +130,36 @@ def motion_between(before: Pose, after: Pose, dt: float | AnyArray) -> Motion:
     return Motion(jnp.asarray(after.origin - before.origin) / dt, factor * twice_sine / dt)
 
 
-def moved(placed: Pose, motion: Motion, dt: float | AnyArray) -> Pose:
-    """A pose after ``dt`` seconds of a steady motion."""
+def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | None = None) -> tuple[Pose, Motion]:
+    """A pose after ``dt`` seconds, and the motion it then has: a free body's centre goes straight on, a guided body
+    goes on with one twist, by which it never leaves its guide."""
     turn = rotation_by(motion.angular * dt)
-    return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
+    if guide is None:
+        return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation), motion
+    x, y, z = motion.angular
+    screw = jnp.zeros((4, 4)).at[:3, :3].set(jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
+    whole = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)
+    way = whole[:3, 3]
+    return Pose(placed.origin + way, turn @ placed.rotation), Motion(
+        motion.linear + jnp.cross(motion.angular, way), motion.angular
+    )
+
+
+def spun(body: Body, rotation: AnyArray, angular: AnyArray, dt: float | AnyArray) -> Array:
+    """The spin of a body that nothing holds after ``dt`` seconds.
+
+    Euler's equations by an implicit step in the body's own axes, where the inertia stays: it gains no energy.
+    """
+    inertia = jnp.stack(jnp.broadcast_arrays(*body.shape._moments()))
+    own = jnp.asarray(rotation).T @ angular
+
+    def rest(spin: Array) -> Array:
+        return inertia * (spin - own) + dt * jnp.cross(spin, inertia * spin)
+
+    spin = own
+    for _ in range(NEWTON_STEPS):
+        spin = spin - jnp.linalg.solve(jax.jacfwd(rest)(spin), rest(spin))
+    return jnp.asarray(rotation) @ spin
 
 
 def rotation_by(vector: Array) -> Array:
@@ -104,11 +175,18 @@ def rotation_by(vector: Array) -> Array:
     return jnp.eye(3) + sine * cross + cosine * cross @ cross
 
 
-def rest_on(table: Pose, shape: Shape, placed: Pose, motion: Motion) -> tuple[Pose, Motion, Array]:
-    """An object lifted out of the table's half space, and whether it had to be; what stands on a table has stopped."""
+def rest_on(
+    table: Pose, shape: Shape, placed: Pose, motion: Motion, held: Pose | None = None
+) -> tuple[Pose, Motion, Array]:
+    """An object lifted out of the table's half space, and whether it had to be; what stands on a table has stopped.
+
+    One that a guide holds cannot be lifted: it stays where it was, ``held``.
+    """
     up = jnp.asarray(table.rotation)[:, 2]
     height = jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec(*(-up @ placed.rotation)))
     stands = height <= 0
     lifted = placed.origin - jnp.minimum(height, 0) * up
     stopped = Motion(*(jnp.where(stands, 0, part) for part in motion))
-    return Pose(lifted, placed.rotation), stopped, stands
+    if held is None:
+        return Pose(lifted, placed.rotation), stopped, stands
+    return jax.tree.map(lambda was, now: jnp.where(stands, was, now), held, placed), stopped, stands

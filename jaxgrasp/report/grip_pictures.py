@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.batch.npz_file import replace_file
-from jaxgrasp.prehension.carry import Scene
+from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import History
 from jaxgrasp.report.instants_picture import instants_figure
 from jaxgrasp.report.panels_picture import panels_figure

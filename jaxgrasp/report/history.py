@@ -7,8 +7,9 @@ import numpy as np
 from jaxgrasp.contact.kinematics import ancestry, pose_hand
 from jaxgrasp.force.angles import friction_margin
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.prehension.carry import Instant, Scene
+from jaxgrasp.prehension.carry import Instant
 from jaxgrasp.prehension.monitor import Hold, Touch
+from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.look import counted
 
 VERBS = {Touch.HOLDS: "hold", Touch.SLIDES: "slide", Touch.PULLS: "pull"}

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxgrasp.prehension.carry import Scene
 from jaxgrasp.prehension.monitor import Hold
+from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import VERBS, History
 from jaxgrasp.report.look import (
     GRID,

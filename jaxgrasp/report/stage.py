@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxgrasp.prehension.carry import Scene
 from jaxgrasp.prehension.monitor import Hold
+from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import History
 from jaxgrasp.report.scene import round_up
 from jaxgrasp.report.surfaces import Surface, link_surfaces, placed, shape_surface

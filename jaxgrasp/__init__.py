@@ -27,7 +27,13 @@ if TYPE_CHECKING:
     from jaxgrasp.contact.world import rigid_body, spring_wrench, world_contacts
     from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
     from jaxgrasp.force.certificate import verify_certificate
-    from jaxgrasp.force.distribution import ForceSplit, closed_form, constrained_optimum, split_forces
+    from jaxgrasp.force.distribution import (
+        ForceSplit,
+        closed_form,
+        closed_form_and_optimum,
+        constrained_optimum,
+        split_forces,
+    )
     from jaxgrasp.force.dual_function import dual_value, multiplier_forces
     from jaxgrasp.force.lagrange import lagrange_forces
     from jaxgrasp.force.margin import wrench_margin
@@ -102,6 +108,7 @@ _HOME = {
     "clamp_posture": "contact.limits",
     "close_hand": "contact.closing",
     "closed_form": "force.distribution",
+    "closed_form_and_optimum": "force.distribution",
     "constrained_optimum": "force.distribution",
     "contact_jacobian": "contact.kinematics",
     "contributions_of": "contact.grip_type",

@@ -1,5 +1,6 @@
 """The public answers: which force at each contact, by closed form or by constrained optimum."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ from jax import Array
 
 from jaxgrasp.force import outside, shells
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
@@ -43,7 +45,7 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    return _distribute(grasp, wrench, sharing, free, constrained=False)
+    return _distribute(grasp, wrench, sharing, free, solve=shells.solver(False))
 
 
 def constrained_optimum(
@@ -81,7 +83,21 @@ def constrained_optimum(
     if solver is not None:
         outside.check_solver(solver)
     divisor = _read_safety(grasp, safety)
-    return _distribute(grasp, wrench, sharing, free, constrained=True, safety=divisor, solver=solver)
+    return _distribute(grasp, wrench, sharing, free, divisor, solve=shells.solver(True, solver))
+
+
+def closed_form_and_optimum(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    free: Float[AnyArray, "*#batch 6 k"] | None = None,
+) -> tuple[Solution, Solution]:
+    """Both answers for the price of the optimum, which begins with the closed form.
+
+    Args and errors are those of [`jaxgrasp.closed_form`][].
+    """
+    return _distribute(grasp, wrench, sharing, free, solve=shells.both())
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:
@@ -143,21 +159,19 @@ def _distribute(
     wrench: AnyArray,
     sharing: Sharing,
     free: AnyArray | None,
-    *,
-    constrained: bool,
     safety: float | AnyArray | None = None,
-    solver: Any = None,
-) -> Solution:
+    *,
+    solve: Callable[[Problem], Any],
+) -> Any:
     warn_of_lost_precision(grasp, wrench, free)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, free, safety, sharing=name, constrained=constrained, solver=solver)
+    return _run(grasp, wrench, weights, free, safety, sharing=name, solve=solve)
 
 
-@partial(jax.jit, static_argnames=("sharing", "constrained", "solver"))
-def _run(grasp, wrench, weights, free, safety, *, sharing: str, constrained: bool, solver: Any) -> Solution:
-    """Flatten the leading axes, solve, and restore them."""
+@partial(jax.jit, static_argnames=("sharing", "solve"))
+def _run(grasp, wrench, weights, free, safety, *, sharing: str, solve: Callable[[Problem], Any]) -> Any:
+    """Flatten the leading axes, solve, and restore them: a Solution, or several."""
     if safety is not None:
         grasp = _safer(grasp, safety)
     problem, _, batch = flatten(grasp, wrench, weights, sharing, free=free)
-    solution = shells.solver(constrained, solver)(problem)
-    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solve(problem))

@@ -24,15 +24,29 @@ from jaxgrasp.model.solution import Solution
 @cache
 def solver(constrained: bool, given: Any = None) -> Callable[[Problem], Solution]:
     """The differentiable flat solver of one method; of the optimum, by a ``given`` solver from outside too."""
-    flat = _batched(_route(constrained, given))
+    solve = _route(constrained, given)
+    alone = _differentiable(lambda problem: (solve(problem),), (constrained,))
+    return lambda problem: alone(problem)[0]
+
+
+@cache
+def both() -> Callable[[Problem], tuple[Solution, ...]]:
+    """Closed form and optimum by one solver, which does their common work once."""
+    return _differentiable(stages.solve_both, (False, True))
+
+
+def _differentiable(
+    solve: Callable[[Problem], tuple[Answer, ...]], constrained: tuple[bool, ...]
+) -> Callable[[Problem], tuple[Solution, ...]]:
+    flat = _batched(solve)
     outer = jax.custom_jvp(flat)
 
     @outer.defjvp
     def jvp(primals, tangents):
         (problem,), (moved,) = primals, tangents
-        solution = outer(problem)
-        parts = implicit.tangent(problem, moved, solution, constrained)
-        return solution, _tangent_solution(solution, parts)
+        solutions = outer(problem)
+        moves = [implicit.tangent(problem, moved, *one) for one in zip(solutions, constrained, strict=True)]
+        return solutions, tuple(map(_tangent_solution, solutions, moves))
 
     return outer
 
@@ -43,18 +57,18 @@ def _route(constrained: bool, given: Any) -> Callable[[Problem], Answer]:
     return stages.solve_optimum if constrained else stages.solve_closed
 
 
-def _batched(solve: Callable[[Problem], Answer]) -> Callable[[Problem], Solution]:
+def _batched(solve: Callable[[Problem], tuple[Answer, ...]]) -> Callable[[Problem], tuple[Solution, ...]]:
+    names = Solution.__dataclass_fields__
+
     @custom_vmap
-    def flat(problem: Problem) -> Solution:
-        answer = solve(problem)
-        return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
+    def flat(problem: Problem) -> tuple[Solution, ...]:
+        return tuple(Solution(**{name: getattr(answer, name) for name in names}) for answer in solve(problem))
 
     @flat.def_vmap
     def rule(axis_size: int, in_batched, problem: Problem):
         (batched,) = in_batched
         merged, size = _merge(axis_size, batched, problem)
-        solution = flat(merged)
-        split = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), solution)
+        split = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), flat(merged))
         return split, jax.tree.map(lambda _: True, split)
 
     return flat

@@ -44,6 +44,14 @@ def solve_optimum(problem: Problem) -> Answer:
     return finish_optimum(problem, first_pass(problem))
 
 
+def solve_both(problem: Problem) -> tuple[Answer, Answer]:
+    """Closed form and constrained optimum, which starts from it."""
+    if problem.free is not None:
+        return solve_closed(problem), solve_optimum(problem)
+    first = first_pass(problem)
+    return finish_closed(problem, first), finish_optimum(problem, first)
+
+
 def first_pass(problem: Problem) -> Answer:
     """The closed form of every problem; ``undecided`` where it is too ill-conditioned for this pass."""
     return over_tiles(_closed_tile, problem, problem.size, TILE)

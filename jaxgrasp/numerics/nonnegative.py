@@ -17,7 +17,7 @@ class _Iterate(NamedTuple):
     """Of the quadratic at x; at the minimum zero where x is not."""
     size: Array
     """Mean of their products: the gap."""
-    count: Array
+    steps: Array
 
 
 def minimise_nonnegative(matrix: Array, linear: Array) -> Array:
@@ -51,14 +51,14 @@ def minimise_nonnegative(matrix: Array, linear: Array) -> Array:
         centred = now.size * (foreseen / now.size) ** 3
         dx, ds = direction(centred - x * s - ahead * steeper)
         step = SHORT_OF * jnp.minimum(_room(x, dx), _room(s, ds))
-        there = _Iterate(x + step * dx, s + step * ds, jnp.mean((x + step * dx) * (s + step * ds)), now.count + 1)
+        there = _Iterate(x + step * dx, s + step * ds, jnp.mean((x + step * dx) * (s + step * ds)), now.steps + 1)
         # At the end of its digits a step leads nowhere.
         sound = jnp.all(there.x > 0) & jnp.all(there.slope > 0) & jnp.isfinite(there.size)
-        return jax.tree.map(lambda new, old: jnp.where(sound, new, old), there, now._replace(count=jnp.int32(STEPS)))
+        return jax.tree.map(lambda new, old: jnp.where(sound, new, old), there, now._replace(steps=jnp.int32(STEPS)))
 
     one = jnp.ones_like(b)
     start = _Iterate(one, one, jnp.asarray(1.0, b.dtype), jnp.int32(0))
-    found = lax.while_loop(lambda now: (now.size > least) & (now.count < STEPS), better, start)
+    found = lax.while_loop(lambda now: (now.size > least) & (now.steps < STEPS), better, start)
     # Of x and its slope one is zero.
     return jnp.where(used & (found.x > found.slope), found.x * scale * unit, 0)
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force.distribution import closed_form, constrained_optimum
+from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.flat import Sharing
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
@@ -82,8 +82,7 @@ def monitor(
     """
     if law not in ("closed-form", "optimum"):
         raise ValueError(f"law is {law!r}: expected 'closed-form' or 'optimum'")
-    closed = closed_form(grasp, wrench, sharing, free=free)
-    optimum = constrained_optimum(grasp, wrench, sharing, free=free)
+    closed, optimum = closed_form_and_optimum(grasp, wrench, sharing, free=free)
     applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5

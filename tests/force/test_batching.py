@@ -108,6 +108,7 @@ def test_one_grasp_serves_many_wrenches(flat, rows):
     assert len(set(expected.verdict.tolist())) > 1
 
 
+@pytest.mark.slow
 def test_many_grasps_share_a_wrench(flat, rows):
     method, _ = flat
     wrench = rows[4][0]
@@ -115,6 +116,7 @@ def test_many_grasps_share_a_wrench(flat, rows):
     same(solve(method, *rows[:4], wrench), expected)
 
 
+@pytest.mark.slow
 def test_grasps_cross_wrenches(flat, rows):
     """(8, 1) grasps against (1, 8) wrenches."""
     method, _ = flat
@@ -126,7 +128,8 @@ def test_grasps_cross_wrenches(flat, rows):
     same(crossed, expected)
 
 
-@pytest.mark.parametrize("count", [pytest.param(129, marks=pytest.mark.slow), 300])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [129, 300])
 def test_batches_that_do_not_fill_their_tiles(flat, count):
     """Around the tile of 128 problems: the last tile overlaps, the unfinished are gathered."""
     method, _ = flat
@@ -156,3 +159,21 @@ def test_a_single_bad_problem_does_not_raise(flat, rows):
     got = solve(method, *(x[17] for x in rows))
     assert int(got.verdict) == Verdict.INVALID_DATA
     assert (np.asarray(got.forces) == 0).all()
+
+
+@pytest.mark.slow
+def test_both_answers_at_once_are_the_two(rows):
+    """Values to the last digits, and derivatives."""
+    points, normals, friction, squeeze, wrench = rows
+    grasp, mix = Grasp(points, normals, friction, squeeze), np.random.default_rng(23).normal(size=points.shape)
+    both = jax.device_get(jaxgrasp.closed_form_and_optimum(grasp, wrench))
+    for found, method in zip(both, METHODS, strict=True):
+        same(found, jax.device_get(METHODS[method](grasp, wrench)))
+
+    def by_squeeze(k: int, s):
+        solved = jaxgrasp.closed_form_and_optimum(Grasp(points, normals, friction, s), wrench)[k]
+        return (mix * solved.forces).sum()
+
+    for k, method in enumerate(METHODS.values()):
+        alone = jax.grad(lambda s, m=method: (mix * m(Grasp(points, normals, friction, s), wrench).forces).sum())
+        np.testing.assert_allclose(jax.grad(by_squeeze, 1)(k, squeeze), alone(squeeze), rtol=1e-9, atol=1e-12)

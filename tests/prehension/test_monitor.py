@@ -46,6 +46,7 @@ def test_each_contact_names_the_condition_that_it_breaks(case):
     assert (seen.touches[~slipping] == Touch.HOLDS).all()
 
 
+@pytest.mark.slow
 def test_the_optimum_as_law_holds_whatever_can_be_held(case):
     grasp, wrench, by_closed = case
     seen = monitor(grasp, wrench, law="optimum")

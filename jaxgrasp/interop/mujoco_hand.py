@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import mujoco
 
 LEAVES = 12
-"""Spheres along a geom."""
+"""The most spheres along a geom."""
 
 
 @dataclass(frozen=True)
@@ -190,32 +190,46 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
 
 
 def _spheres(mujoco: Any, model: mujoco.MjModel, geom: int, place: _Carrier) -> tuple[np.ndarray, np.ndarray] | None:
-    """A row of spheres inside the geom along its longest side, in the link's frame; None for other geoms."""
+    """Spheres inside the geom, along its longest side or all over a box, in the link's frame; None for other geoms."""
     kinds = mujoco.mjtGeom
-    size, along = model.geom_size[geom], np.linspace(-1, 1, LEAVES)
     # As MuJoCo's own kind: it calls no NumPy number its equal.
-    kind = kinds(model.geom_type[geom])
-    direction = np.array([0.0, 0.0, 1.0])
+    size, kind = model.geom_size[geom], kinds(model.geom_type[geom])
     if kind == kinds.mjGEOM_SPHERE:
-        offsets, radii = np.zeros(1), np.array([size[0]])
+        centers, radii = np.zeros((1, 3)), np.array([size[0]])
     elif kind == kinds.mjGEOM_CAPSULE:
-        offsets, radii = size[1] * along, np.full(LEAVES, size[0])
+        centers, radii = _row(2, size[1]), np.full(LEAVES, size[0])
     elif kind == kinds.mjGEOM_CYLINDER:
-        offsets, radii = max(size[1] - size[0], 0) * along, np.full(LEAVES, min(size[0], size[1]))
-    elif kind in (kinds.mjGEOM_ELLIPSOID, kinds.mjGEOM_BOX):
-        order = np.argsort(size)
-        direction, (thin, _, long) = np.eye(3)[order[2]], size[order]
-        if kind == kinds.mjGEOM_BOX:
-            offsets, radii = (long - thin) * along, np.full(LEAVES, thin)
-        else:
-            # The largest sphere about a point of the long axis that fits under the curve.
-            offsets = (long - thin**2 / long) * along
-            radii = thin * np.sqrt(1 - offsets**2 / np.maximum(long**2 - thin**2, 1e-300))
-            radii = np.where(offsets == 0, thin, radii)
+        centers, radii = _row(2, max(size[1] - size[0], 0)), np.full(LEAVES, min(size[0], size[1]))
+    elif kind == kinds.mjGEOM_BOX:
+        centers = _filled(size)
+        radii = np.full(len(centers), size.min())
+    elif kind == kinds.mjGEOM_ELLIPSOID:
+        order = np.argsort(size).tolist()
+        thin, _, long = size[order]
+        # The largest sphere about a point of the long axis that fits under the curve.
+        centers = _row(order[2], long - thin**2 / long)
+        offsets = centers[:, order[2]]
+        radii = thin * np.sqrt(1 - offsets**2 / np.maximum(long**2 - thin**2, 1e-300))
+        radii = np.where(offsets == 0, thin, radii)
     else:
         return None
     own = place.carry(model.geom_pos[geom], _matrix(mujoco, model.geom_quat[geom]))
-    return own.position + offsets[:, None] * (own.rotation @ direction), radii
+    return own.position + centers @ own.rotation.T, radii
+
+
+def _row(axis: int, reach: float) -> np.ndarray:
+    """Points along an axis."""
+    return np.linspace(-reach, reach, LEAVES)[:, None] * np.eye(3)[axis]
+
+
+def _filled(size: np.ndarray) -> np.ndarray:
+    """Centres of balls as thick as a box all over it, no further apart than their radius; a bar is one row."""
+    reach = size - size.min()
+    counts = np.where(reach > 0, np.minimum(1 + np.ceil(2 * reach / size.min()), LEAVES), 1).astype(int)
+    if np.median(reach) == 0 < reach.max():
+        counts[size.argmax()] = LEAVES
+    axes = [np.linspace(-r, r, n) if n > 1 else np.zeros(1) for r, n in zip(reach, counts, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
 
 
 def _matrix(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:

@@ -77,6 +77,7 @@ def test_order_does_not_matter(sets, whole):
     )
 
 
+@pytest.mark.slow
 def test_shapes_of_their_own_change_nothing(sets, whole, monkeypatch):
     monkeypatch.setattr(blocks, "WORTH_A_SHAPE", 1)
     assert len(set(blocks.widths(sets.sizes, 2))) == 3
@@ -174,6 +175,7 @@ def assert_same_summary(a, b):
     assert a == b
 
 
+@pytest.mark.slow
 def test_a_stream_says_what_the_whole_says(sets, whole, tmp_path):
     outcome = streamed(sets, tmp_path)
     assert_same_summary(outcome.summary, whole.summary)

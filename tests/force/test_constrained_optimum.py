@@ -209,6 +209,7 @@ def test_nothing_pulls_without_friction():
     np.testing.assert_allclose(solution.forces, [[10, 0, 0], [0, 0, 0]], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_named_sharings_are_their_weights():
     problem = P.problems("ordinary", 3, COUNT, seed=1)
     named = solve(problem, "squeeze")
@@ -248,6 +249,7 @@ def test_safety_divides_the_friction():
         solve(problem, problem.squeeze, safety=np.ones(5))
 
 
+@pytest.mark.slow
 def test_safety_is_that_of_a_problem_not_of_a_contact():
     """One for each, also where there are as many problems as contacts."""
     problem = P.problems("ordinary", 3, 3, seed=1)
@@ -257,6 +259,7 @@ def test_safety_is_that_of_a_problem_not_of_a_contact():
     np.testing.assert_array_equal(each.forces, divided.forces)
 
 
+@pytest.mark.slow
 def test_absent_friction_does_not_spoil_the_derivative_by_safety():
     problem = P.problems("low_friction", 3, 3, seed=1)
     present = np.ones((3, 3))

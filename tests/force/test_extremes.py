@@ -60,7 +60,7 @@ def test_a_margin_of_extreme_units_is_refused(what, factor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+@pytest.mark.parametrize("dtype", [jnp.float16, pytest.param(jnp.bfloat16, marks=pytest.mark.slow)])
 def test_half_precision_is_solved_in_single(dtype):
     problem = P.problems("ordinary", N, COUNT, seed=1)
     names = ("points", "normals", "friction", "squeeze", "wrench")

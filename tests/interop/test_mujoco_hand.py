@@ -158,6 +158,22 @@ def test_spheres_lie_inside_their_geoms(case):
         assert used >= {g for g in geoms if (model.geom(g).name or f"geom {g}") not in found.left_out}
 
 
+def test_a_wide_palm_is_covered_to_its_edges():
+    """What lies flat on a box touches it all over: no point of its middle plane is far from a sphere."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="palm"><geom type="box" size="0.04 0.01 0.05"/>
+        <body><joint type="hinge"/><geom type="box" size="0.008 0.008 0.02"/></body></body></worldbody></mujoco>"""
+    )
+    hand = hand_from_mujoco(model, "palm").hand
+    centers, radii = np.asarray(hand.skin.centers), np.asarray(hand.skin.radii)
+    x, z = np.meshgrid(np.linspace(-0.039, 0.039, 40), np.linspace(-0.049, 0.049, 40))
+    plane = np.stack([x, 0 * x, z], -1).reshape(-1, 1, 3)
+    depth = radii[0] - np.linalg.norm(plane - centers[0], axis=-1)
+    # But for the corners themselves.
+    assert np.quantile(depth.max(1), 0.02) > 0 and depth.max(1).min() > -0.005
+    assert (radii[1] > 0).sum() == 12
+
+
 def test_names_that_the_model_lacks_are_refused(case):
     _, model, wrist, _, _ = case
     with pytest.raises(ValueError, match="wrist is 'elbow': the model has no body of that name"):

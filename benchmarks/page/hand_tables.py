@@ -27,6 +27,7 @@ def page(report: dict) -> str:
                 table(["contacts", "paper", *parts], [_alone(row, parts, report["paper_ms"]) for row in wide]),
                 f"## {rows[0]['batch']:,} poses at a time [µs a pose]",
                 table(["contacts", "precision", *parts], [_batched(row, parts) for row in rows]),
+                _devices(report["devices_microseconds"]),
                 "## What touched (float64)",
                 table(TOUCHED, [_touched(row) for row in wide]),
                 "## What the answers are worth",
@@ -55,6 +56,11 @@ def _preface(report: dict) -> str:
         "distributions with their verdicts, and joint torques. Its parts are timed each by itself, on what the tick "
         "hands them."
     )
+
+
+def _devices(times: dict) -> str:
+    each = " and ".join(f"{time:.1f} µs a pose on {number}" for number, time in times.items())
+    return f"The whole hand's tick in float64, on devices that have a core each, in a process of its own: {each}."
 
 
 def _alone(row: dict, parts: list[str], paper: dict) -> list[str]:

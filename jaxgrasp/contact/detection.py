@@ -4,8 +4,8 @@ Every link is a row of spheres. A sphere that reaches into the object is an over
 of its overlaps, each weighted by the square of its depth. So point, normal and depth move without a jump while a
 phalanx rolls and its spheres meet the surface and leave it again.
 
-What a scene does not need is skipped: a sphere about all that the hand can reach is tried first, and only
-the poses whose sphere meets the object are gathered and looked at closely.
+What a scene does not need is skipped: a sphere about all that the hand can reach is tried first, then, of the poses
+whose sphere meets the object, one about each link, and only where one of these meets it the links' own spheres.
 """
 
 from functools import partial, reduce
@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.contact.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
@@ -41,7 +41,8 @@ class Contacts(eqx.Module):
     present: Float[Array, "*batch L"]
     """1 where the link touches; NaN where that cannot be told from the data."""
     tests: Int[Array, "*batch"]
-    """Sphere tests done for this pose: 1 where the hand is out of reach, else 1 and all of the closer look."""
+    """Sphere tests done for this pose: 1 where the hand is out of reach; else one for each link too; and where one of
+    the poses that are looked at together comes near the object, those of all its spheres."""
 
 
 class _Scene(eqx.Module):
@@ -118,7 +119,7 @@ def _skipping(hand: Hand, scene: _Scene) -> Contacts:
     links = len(hand.links)
     zero = jnp.zeros((scene.size, links, 3), scene.posture.angles.dtype)
     nothing = Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
-    look = lambda scene, _: _look_closely(hand, scene)  # noqa: E731
+    look = lambda scene, _: _look(hand, scene)  # noqa: E731
     return over_chosen(look, scene, nothing, _within_reach(hand, scene), TILE)
 
 
@@ -167,11 +168,35 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     return ~(scene.shape._bound(Vec(*seen.T)) > reach)
 
 
+def _look(hand: Hand, scene: _Scene) -> Contacts:
+    """Links first, as a ball each, and their spheres only where one of all these poses comes near."""
+    seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
+    leaves, radii = hand.skin.centers, hand.skin.radii
+    size = jnp.maximum(jnp.sum(radii > 0, -1, keepdims=True), 1)
+    middle = jnp.sum(leaves * (radii > 0)[..., None], 1) / size
+    reach = jnp.max(jnp.where(radii > 0, jnp.linalg.norm(leaves - middle[:, None], axis=-1) + radii, 0), -1)
+    center = vec.add(seen.origin, vec.rotate_back(seen.axes, Vec(*(middle[:, i, None] for i in range(3)))))
+    # A NaN goes on to the closer look, which shows it.
+    near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
+    links = len(reach)
+
+    def none() -> Contacts:
+        zero = jnp.zeros((scene.size, links, 3), scene.posture.angles.dtype)
+        return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
+
+    found = lax.cond(near, lambda: _touching(hand, scene, seen), none)
+    return eqx.tree_at(lambda c: c.tests, found, found.tests + links)
+
+
 def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
     """Every sphere of the hand against the object."""
+    seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
+    return _touching(hand, scene, seen)
+
+
+def _touching(hand: Hand, scene: _Scene, seen: Bodies) -> Contacts:
+    """The contacts of links whose frames are those seen from the object."""
     object_ = body(scene.placed)
-    links = stand(hand, scene.posture).links
-    seen = _seen_from(object_, links)
     centers = _leaves(hand, seen)
     radii = jnp.asarray(hand.skin.radii)[..., None]
     near = scene.shape._near(centers, radii)

@@ -153,6 +153,22 @@ def pose_at(pose: Pose, i: int) -> Pose:
     return Pose(pose.origin[i], pose.rotation[i])
 
 
+def test_what_comes_near_with_no_link_costs_a_test_for_each_link():
+    """An open hand about nothing: within reach of the object, but no link is near."""
+    posture, placed = scenes(40)
+    aside = Pose(placed.origin - 0.09 * np.asarray(posture.wrist.rotation)[..., 2], placed.rotation)
+    beside = find_contacts(HAND, posture, Sphere(0.005), aside)
+    assert (beside.tests == 1 + len(HAND.links)).all() and (beside.present == 0).all()
+    # One pose that comes near makes those beside it be looked at too, and finds what it does alone.
+    origin = np.asarray(aside.origin).copy()
+    origin[7] = placed.origin[7]
+    found = find_contacts(HAND, posture, Sphere(0.03), Pose(origin, placed.rotation))
+    assert found.present[7].any() and (found.tests > 1 + len(HAND.links)).any()
+    alone = find_contacts(HAND, jax.tree.map(lambda x: x[7], posture), Sphere(0.03), pose_at(placed, 7))
+    for name in FIELDS:
+        np.testing.assert_allclose(getattr(found, name)[7], getattr(alone, name), atol=1e-14)
+
+
 def test_what_is_out_of_reach_costs_one_test():
     posture, placed = scenes(40)
     away = placed.origin.copy()
@@ -160,7 +176,7 @@ def test_what_is_out_of_reach_costs_one_test():
     found = find_contacts(HAND, posture, Sphere(0.04), Pose(away, placed.rotation))
     full = find_contacts(HAND, posture, Sphere(0.04), placed)
     assert (found.tests[::2] == 1).all() and (found.present[::2] == 0).all()
-    assert (found.tests[1::2] == 1 + HAND.skin.radii.size).all()
+    assert (found.tests[1::2] == 1 + len(HAND.links) + HAND.skin.radii.size).all()
     for name in FIELDS:
         np.testing.assert_allclose(getattr(found, name)[1::2], getattr(full, name)[1::2], atol=1e-15)
 

@@ -73,6 +73,9 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
     Raises:
         ValueError: for shapes of arrays that do not fit.
     """
+    floats = [jnp.asarray(leaf) for leaf in jax.tree.leaves((hand, posture, shape, placed))]
+    dtype = jnp.result_type(*(leaf for leaf in floats if jnp.issubdtype(leaf.dtype, jnp.floating)))
+    posture, placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (posture, placed))
     flat, batch = flatten_posture(hand, posture)
     origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
     whole = jnp.broadcast_shapes(batch, origin.shape[:-1], rotation.shape[:-2], shape._batch)

@@ -48,7 +48,7 @@ def mixing(directions: Array, lanes: Lanes, frame: Frame) -> Mixing:
     that are tiny; forming the metric along the free twists would square their condition.
     """
     rank = tolerances(directions.dtype).rank
-    basis, onto = _basis(directions)
+    basis, onto = _basis(directions, frame)
     _, seen, turned = _singular(_root_metric(lanes, frame, rank)[..., None] * basis)
     reached = (seen > rank * blur(frame)[0][:, None])[:, None]
     across = onto @ jnp.swapaxes(turned, 1, 2)
@@ -69,7 +69,7 @@ def unwhitened(problem: Problem, lanes: Lanes, frame: Frame) -> Unknowns:
     if problem.free is None:
         return unstretched(lanes.force.x)
     directions = directions_in(problem.free, frame)
-    return Guided(_columns(_basis(directions)[0]), ())
+    return Guided(_columns(_basis(directions, frame)[0]), ())
 
 
 def restricted(metric: Lower, unknowns: Unknowns) -> Lower:
@@ -94,15 +94,16 @@ def identity_metric(like: Array) -> Metric:
     return Metric(matrix, symmetric.factor(matrix))
 
 
-def _basis(directions: Array) -> tuple[Array, Array]:
+def _basis(directions: Array, frame: Frame) -> tuple[Array, Array]:
     """An orthonormal basis of the free twists ``(B, 6, k)``, and how it comes out of them ``(B, k, k)``.
 
-    Twists that are given twice, or as sums of others, add columns of zeros.
+    Twists that are given twice, or as sums of others, add columns of zeros; in a frame far away they are less exactly
+    what they were meant to be.
     """
     size = jnp.sqrt(jnp.sum(directions**2, 1, keepdims=True))
     size = jnp.where(size > 0, size, 1)
     left, spread, right = _singular(directions / size)
-    new = (spread > tolerances(directions.dtype).rank)[:, None]
+    new = (spread > tolerances(directions.dtype).rank * blur(frame)[0][:, None])[:, None]
     onto = jnp.swapaxes(right, 1, 2) / jnp.where(new, spread[:, None], 1) / jnp.swapaxes(size, 1, 2)
     return jnp.where(new, left, 0), jnp.where(new, onto, 0)
 

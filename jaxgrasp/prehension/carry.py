@@ -22,6 +22,7 @@ from jaxgrasp.contact.kinematics import pose_hand
 from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.prehension.falling import fallen, gone_on, led_on
 from jaxgrasp.prehension.monitor import Hold, Law
 from jaxgrasp.prehension.motion import (
     Motion,
@@ -33,10 +34,9 @@ from jaxgrasp.prehension.motion import (
     moved,
     rest_on,
     spatial_inertia,
-    spun,
 )
-from jaxgrasp.prehension.obstacles import check_outline, stop
-from jaxgrasp.prehension.scene import Scene
+from jaxgrasp.prehension.obstacles import stop
+from jaxgrasp.prehension.scene import Scene, check_scene
 from jaxgrasp.prehension.tick import Tick, assessed, touched
 
 
@@ -61,7 +61,10 @@ def stacked(record: list[Instant]) -> Instant:
 class _State(NamedTuple):
     placed: Pose
     motion: Motion
+    """That brought it there."""
     stands: Array
+    before: Pose
+    """Where that began."""
 
 
 def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Instant]:
@@ -77,20 +80,17 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
         law: which forces decide whether the object slips, as for [`jaxgrasp.monitor`][].
 
     Raises:
-        ValueError: for a step of time that is not positive, and for obstacles without the object's outline.
+        ValueError: for a step of time that is not positive, a guide that is none, and obstacles without the object's
+            outline.
     """
     if not dt > 0:
         raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
-    if scene.obstacles:
-        check_outline(scene)
+    check_scene(scene)
     frames = pose_hand(scene.hand, postures)
     count = frames.axes.shape[0]
-    state = _State(
-        Pose(*map(jnp.asarray, (placed.origin, placed.rotation))),
-        Motion(jnp.zeros(3), jnp.zeros(3)),
-        jnp.asarray(False),
-    )
-    state = state._replace(stands=rest_on(scene.table, scene.body.shape, placed, state.motion)[2])
+    start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
+    still = Motion(jnp.zeros(3), jnp.zeros(3))
+    state = _State(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
     instants = []
     for k in range(count):
         posture, now = (jax.tree.map(lambda x, k=k: x[k], tree) for tree in (postures, frames))
@@ -142,30 +142,22 @@ def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
 @jax.jit
 def _go_on(scene: Scene, dt: float | AnyArray, state: _State, led: Motion, missed: Array, hold: Array) -> _State:
     """The object's next pose and motion: as it was led, less what was missed; or as it falls."""
-    placed = state.placed
+    placed, lost = state.placed, hold == Hold.LOST
     lag = mobility(scene.body, placed, scene.guide) @ missed * dt
-    slid, fallen = Motion(led.linear - lag[:3], led.angular - lag[3:]), _fallen(scene, dt, state)
-    lost = hold == Hold.LOST
-    motion = Motion(*(jnp.where(lost, free, own) for free, own in zip(fallen, slid, strict=True)))
-    blocked = jnp.asarray(False)
+    slid = Motion(led.linear - lag[:3], led.angular - lag[3:])
+    going = gone_on(scene, dt, state.before, state.motion, placed)
+    motion, blocked = _either(lost, fallen(scene, dt, placed, going), slid), jnp.asarray(False)
     if scene.obstacles:
         stopped = stop(scene, placed, motion, dt)
         alone = hold != Hold.STABLE
-        motion = Motion(*(jnp.where(alone, new, own) for new, own in zip(stopped.motion, motion, strict=True)))
-        blocked = alone & stopped.touches
-    there, motion = moved(placed, motion, dt, scene.guide)
-    there, motion, stands = rest_on(
-        scene.table, scene.body.shape, there, motion, None if scene.guide is None else placed
-    )
-    return _State(there, motion, stands | blocked)
+        motion, blocked = _either(alone, stopped.motion, motion), alone & stopped.touches
+    if scene.guide is not None:
+        motion = _either(lost, led_on(scene, dt, placed, going, motion), motion)
+    there = moved(placed, motion, dt, scene.guide)
+    held = None if scene.guide is None else placed
+    there, motion, stands = rest_on(scene.table, scene.body.shape, there, motion, held)
+    return _State(there, motion, stands | blocked, placed)
 
 
-def _fallen(scene: Scene, dt: float | AnyArray, state: _State) -> Motion:
-    """The motion of an object that nothing touches, after an instant of gravity."""
-    placed, own = state.placed, state.motion
-    if scene.guide is None:
-        gained = dt * jnp.asarray(scene.gravity)
-        return Motion(own.linear + gained, spun(scene.body, placed.rotation, own.angular, dt))
-    pull = jnp.append(scene.body.mass * jnp.asarray(scene.gravity), jnp.zeros(3))
-    gained = mobility(scene.body, placed, scene.guide) @ pull * dt
-    return Motion(own.linear + gained[:3], own.angular + gained[3:])
+def _either(condition: Array, one: Motion, other: Motion) -> Motion:
+    return Motion(*(jnp.where(condition, a, b) for a, b in zip(one, other, strict=True)))

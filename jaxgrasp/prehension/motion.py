@@ -15,8 +15,6 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.vec import Vec
 
-NEWTON_STEPS = 4
-"""Of an implicit step in time: it begins close by."""
 PAD = 2e-3
 """Half the width of what a contact holds on to [m]: a fingertip turns what it touches, if only a little."""
 
@@ -59,6 +57,9 @@ def mobility(body: Body, placed: Pose, guide: AnyArray | None) -> Float[Array, "
     if guide is None:
         return jnp.linalg.inv(inertia)
     free = guide_at(guide, placed.origin)
+    # By the energy of each, so that their sizes do not matter.
+    size = jnp.sqrt(jnp.diagonal(free.T @ inertia @ free))
+    free = free / jnp.where(size > 0, size, 1)
     return free @ jnp.linalg.pinv(free.T @ inertia @ free, hermitian=True) @ free.T
 
 
@@ -95,6 +96,7 @@ def follow_along(
     velocities = (free[:3] + jnp.cross(free[None, 3:], arms, axis=1)) * jnp.sqrt(share)[:, None, None]
     wanted = (new - old) * jnp.sqrt(share)[:, None] / dt
     size = jnp.linalg.norm(free, axis=0)
+    size = jnp.where(size > 0, size, 1)
     along = jnp.linalg.lstsq((velocities / size).reshape(-1, free.shape[1]), wanted.reshape(-1))[0]
     twist = free @ (along / size)
     return Motion(twist[:3], twist[3:])
@@ -130,36 +132,16 @@ def motion_between(before: Pose, after: Pose, dt: float | AnyArray) -> Motion:
     return Motion(jnp.asarray(after.origin - before.origin) / dt, factor * twice_sine / dt)
 
 
-def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | None = None) -> tuple[Pose, Motion]:
-    """A pose after ``dt`` seconds, and the motion it then has: a free body's centre goes straight on, a guided body
-    goes on with one twist, by which it never leaves its guide."""
+def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | None = None) -> Pose:
+    """A pose after ``dt`` seconds of a steady motion: a free body's centre goes straight on, a guided body goes on with
+    one twist, by which it never leaves its guide."""
     turn = rotation_by(motion.angular * dt)
     if guide is None:
-        return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation), motion
+        return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
     x, y, z = motion.angular
     screw = jnp.zeros((4, 4)).at[:3, :3].set(jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
-    whole = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)
-    way = whole[:3, 3]
-    return Pose(placed.origin + way, turn @ placed.rotation), Motion(
-        motion.linear + jnp.cross(motion.angular, way), motion.angular
-    )
-
-
-def spun(body: Body, rotation: AnyArray, angular: AnyArray, dt: float | AnyArray) -> Array:
-    """The spin of a body that nothing holds after ``dt`` seconds.
-
-    Euler's equations by an implicit step in the body's own axes, where the inertia stays: it gains no energy.
-    """
-    inertia = jnp.stack(jnp.broadcast_arrays(*body.shape._moments()))
-    own = jnp.asarray(rotation).T @ angular
-
-    def rest(spin: Array) -> Array:
-        return inertia * (spin - own) + dt * jnp.cross(spin, inertia * spin)
-
-    spin = own
-    for _ in range(NEWTON_STEPS):
-        spin = spin - jnp.linalg.solve(jax.jacfwd(rest)(spin), rest(spin))
-    return jnp.asarray(rotation) @ spin
+    way = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)[:3, 3]
+    return Pose(placed.origin + way, turn @ placed.rotation)
 
 
 def rotation_by(vector: Array) -> Array:
@@ -176,17 +158,24 @@ def rotation_by(vector: Array) -> Array:
 
 
 def rest_on(
-    table: Pose, shape: Shape, placed: Pose, motion: Motion, held: Pose | None = None
+    table: Pose, shape: Shape, placed: Pose, motion: Motion, before: Pose | None = None
 ) -> tuple[Pose, Motion, Array]:
     """An object lifted out of the table's half space, and whether it had to be; what stands on a table has stopped.
 
-    One that a guide holds cannot be lifted: it stays where it was, ``held``.
+    One that a guide holds cannot be lifted: where it would go deeper than ``before``, it stays there.
     """
     up = jnp.asarray(table.rotation)[:, 2]
-    height = jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec(*(-up @ placed.rotation)))
-    stands = height <= 0
-    lifted = placed.origin - jnp.minimum(height, 0) * up
-    stopped = Motion(*(jnp.where(stands, 0, part) for part in motion))
-    if held is None:
-        return Pose(lifted, placed.rotation), stopped, stands
-    return jax.tree.map(lambda was, now: jnp.where(stands, was, now), held, placed), stopped, stands
+    height = _height(table, shape, placed)
+    if before is None:
+        stands = height <= 0
+        there = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
+    else:
+        stands = (height <= 0) & (height < _height(table, shape, before))
+        there = jax.tree.map(lambda was, now: jnp.where(stands, was, now), before, placed)
+    return there, Motion(*(jnp.where(stands, 0, part) for part in motion)), stands
+
+
+def _height(table: Pose, shape: Shape, placed: Pose) -> Array:
+    """Of an object's lowest point above a table."""
+    up = jnp.asarray(table.rotation)[:, 2]
+    return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec(*(-up @ placed.rotation)))

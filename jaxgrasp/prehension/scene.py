@@ -1,9 +1,11 @@
 """What stays the same while a hand handles an object: both of them, the laws of their contacts, and the world."""
 
 import equinox as eqx
+import numpy as np
 
 from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose
 from jaxgrasp.prehension.motion import Body
 
@@ -38,3 +40,18 @@ class Scene(eqx.Module):
     obstacles: tuple[Obstacle, ...] = ()
     outline: Hand | None = None
     """The object's parts that meet obstacles, from [`jaxgrasp.rigid_body`][]; needed where there are any."""
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise ValueError where a guide is none, or obstacles lack what they need."""
+    if scene.guide is not None:
+        guide = np.asarray(scene.guide)
+        if guide.ndim != 2 or guide.shape[0] != 6 or not 1 <= guide.shape[1] <= 6:
+            raise ValueError(f"guide has shape {guide.shape}: expected (6, k), a column for each of 1 to 6 twists")
+        for fault in entries("guide", guide, ~np.isfinite(guide), "a finite number"):
+            raise ValueError(str(fault))
+    if not isinstance(scene.obstacles, tuple):
+        raise ValueError(f"obstacles is a {type(scene.obstacles).__name__}: expected a tuple of Obstacles")
+    if scene.obstacles and not isinstance(scene.outline, Hand):
+        given = None if scene.outline is None else f"a {type(scene.outline).__name__}"
+        raise ValueError(f"outline is {given}: with obstacles expected rigid_body(sphere_tree(shape)) of the object")

@@ -1,6 +1,7 @@
 """One instant of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -14,7 +15,7 @@ from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.prehension.monitor import Assessment, Law, monitor
 from jaxgrasp.prehension.motion import guide_at
 from jaxgrasp.prehension.obstacles import world_wrench
-from jaxgrasp.prehension.scene import Scene
+from jaxgrasp.prehension.scene import Scene, check_scene
 
 
 class Tick(eqx.Module):
@@ -46,7 +47,12 @@ def observe(
         placed: where the object stands; leading axes that broadcast.
         inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
         law: which forces the hand applies, as for [`jaxgrasp.monitor`][].
+
+    Raises:
+        ValueError: for a guide that is none, and obstacles without the object's outline.
     """
+    if not isinstance(scene.guide, jax.core.Tracer):
+        check_scene(scene)
     contacts, grasp = touched(scene, posture, placed)
     return assessed(scene, pose_hand(scene.hand, posture), placed, contacts, grasp, inertial, law)
 

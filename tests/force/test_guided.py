@@ -117,6 +117,28 @@ def test_only_the_span_of_the_twists_counts():
     assert (other.rank == 3).all()
 
 
+@pytest.mark.parametrize("distance", [1.0, 10.0, 100.0])
+def test_a_twist_given_twice_is_one_however_far_the_frame(distance):
+    """A hinge among the contacts, written about an origin far away, where its digits are few."""
+    problem = P.problems("ordinary", N, COUNT, seed=21)
+    middle = problem.points.mean(1)
+    away = distance * P.unit(np.random.default_rng(22).normal(size=(COUNT, 3)))
+    points = problem.points - middle[:, None] + away[:, None]
+    forces = problem.wrench[:, :3]
+    torque = problem.wrench[:, 3:] + np.cross(away - middle, forces)
+    axis = P.unit(np.random.default_rng(23).normal(size=(COUNT, 3)))
+    hinge = np.concatenate([np.cross(away, axis), axis], -1)[..., None]
+    grasp = Grasp(points, problem.normals, problem.friction, problem.squeeze)
+    wrench = np.concatenate([forces, torque], -1)
+    once, twice = (
+        jax.device_get(jaxgrasp.closed_form(grasp, wrench, free=f))
+        for f in (hinge, np.concatenate([hinge, 3.3 * hinge], -1))
+    )
+    assert (once.rank == 1).all() and (twice.rank == 1).all()
+    np.testing.assert_array_equal(once.verdict, twice.verdict)
+    np.testing.assert_allclose(twice.forces, once.forces, atol=1e-8 * np.abs(once.forces).max())
+
+
 @pytest.mark.slow
 def test_a_guide_never_makes_it_dearer():
     """Each twist that is taken away is one condition less."""

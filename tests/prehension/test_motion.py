@@ -21,10 +21,10 @@ def test_a_motion_leads_where_it_was_read_from(angle):
     axis = np.array([0.48, -0.6, 0.64])
     start = Pose(RNG.normal(size=3), rotations(1, RNG)[0])
     motion = Motion(jnp.asarray(RNG.normal(size=3)), jnp.asarray(angle / 0.1 * axis))
-    again = motion_between(start, moved(start, motion, 0.1)[0], 0.1)
+    again = motion_between(start, moved(start, motion, 0.1), 0.1)
     np.testing.assert_allclose(again.linear, motion.linear, atol=1e-13)
     np.testing.assert_allclose(again.angular, motion.angular, atol=1e-13)
-    turned = moved(start, motion, 0.1)[0].rotation
+    turned = moved(start, motion, 0.1).rotation
     np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-14)
 
 

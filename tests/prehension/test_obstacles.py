@@ -24,7 +24,8 @@ from jaxgrasp import (
     world_contacts,
 )
 from jaxgrasp.numerics.nonnegative import minimise_nonnegative
-from jaxgrasp.prehension.motion import spatial_inertia, spun
+from jaxgrasp.prehension.falling import spun
+from jaxgrasp.prehension.motion import spatial_inertia
 
 SHAPE, MASS, DT = Box(0.06, 0.08, 0.05), 0.5, 5e-3
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -88,6 +89,15 @@ def test_what_falls_on_obstacles_gains_no_energy_and_goes_no_deeper(outline, slo
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("start", [0.025, 0.03, 0.034, 0.4])
+def test_a_thin_board_stops_it_too(outline, start):
+    """From whatever height, and so at whatever place of a step it comes to the board."""
+    board = Obstacle(Box(0.3, 0.3, 0.002), Pose(jnp.array([0.0, 0, -0.1]), jnp.eye(3)), 2e3)
+    record = carry(scene(outline, board), without_hand(90), Pose(jnp.array([0.0, 0.0, start]), jnp.eye(3)), DT)
+    assert float(record[-1].placed.origin[2]) == pytest.approx(-0.099 + 0.025, abs=1.5e-3) and record[-1].stands
+
+
+@pytest.mark.slow
 def test_a_hand_that_presses_it_down_is_pressed_back(outline):
     """Eq. 1: the hand must exert the weight less what the springs carry; and the object goes with the hand."""
     hand = parallel_jaw()
@@ -144,7 +154,14 @@ def test_impulses_are_the_least_squares_of_zero_or_more():
     np.testing.assert_allclose(minimise_nonnegative(jnp.asarray(idle), jnp.array([-4.0, -1.0])), [2, 0])
 
 
-def test_obstacles_need_an_outline(outline):
-    bare = scene(None, Obstacle(Plane(), Pose(np.zeros(3), np.eye(3)), 1e3))
-    with pytest.raises(ValueError, match="outline is None: with obstacles expected rigid_body"):
-        carry(bare, without_hand(2), Pose(np.zeros(3), np.eye(3)), DT)
+def test_obstacles_need_an_outline(outline, unchecked):
+    ground = Obstacle(Plane(), Pose(np.zeros(3), np.eye(3)), 1e3)
+    given = (
+        scene(None, ground),
+        scene(sphere_tree(SHAPE, 2), ground),
+        Scene(**{**vars(scene(outline)), "obstacles": ground}),
+    )
+    said = "outline is None: with obstacles expected rigid_body", "outline is a SphereTree", "obstacles is a Obstacle"
+    for world, words in zip(given, said, strict=True):
+        with pytest.raises(ValueError, match=words):
+            carry(world, without_hand(2), Pose(np.zeros(3), np.eye(3)), DT)

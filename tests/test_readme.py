@@ -12,15 +12,17 @@ README = Path(__file__).parent.parent / "README.md"
 
 
 def test_the_ten_lines_run(capsys):
-    (code,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.S)
-    assert len(code.strip().splitlines()) <= 16
+    code, hand = re.findall(r"```python\n(.*?)```", README.read_text(), re.S)
+    assert len(code.strip().splitlines()) <= 16 and len(hand.strip().splitlines()) <= 8
     names: dict = {}
     exec(compile(code, "README", "exec"), names)
     assert capsys.readouterr().out
-    best = names["best"]
+    best, wrench = names["best"], names["wrench"]
     assert jaxgrasp.Verdict(int(best.verdict)).solved
-    np.testing.assert_allclose(np.asarray(best.forces).sum(0), np.asarray(names["wrench"])[:3], atol=1e-9)
+    np.testing.assert_allclose(np.asarray(best.forces).sum(0), np.asarray(wrench)[:3], atol=1e-9)
     assert names["by_squeeze"].shape == (3, 3, 3)
+    exec(compile(hand, "README", "exec"), names)
+    assert "STABLE" in capsys.readouterr().out
 
 
 def test_the_tables_are_those_of_the_committed_results():

@@ -70,10 +70,15 @@ class Validate(Data):
 
 @dataclass(frozen=True)
 class Grip:
-    """Close the virtual hand on an object, lift it, turn it, and write contacts, forces, verdicts and torques."""
+    """Close the virtual hand on an object, lift it, turn it, and write contacts, forces, verdicts and torques.
+
+    grip.npz holds arrays over time: points, normals, depths, forces and squeeze by `links`, angles and torques by
+    `joints` (what resists flexion is negative). Points, normals, forces and poses are in the world, wrench and missed
+    about the object's centre. Codes are those of jaxgrasp.Hold, Touch, GripType and Verdict.
+    """
 
     object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
-    """What is gripped; it lies across the palm."""
+    """What is gripped; in a power grip it lies across the palm."""
     grip: Literal["power", "precision-3", "precision-5"] = "power"
     """All of the hand around the object; or three or five fingertips, the thumb's opposite the others."""
     radius: float = 0.03
@@ -85,7 +90,7 @@ class Grip:
     friction: float = 0.6
     """Coulomb's coefficient at every contact."""
     stiffness: float = 1000.0
-    """K of eq. 6 [N/m]."""
+    """K [N/m] of the paper's eq. 6: a contact's squeeze is K times its depth times its link's contribution."""
     depth: float = 2e-3
     """How far the links press into the object [m]."""
     hand_length: float = 0.19
@@ -95,15 +100,15 @@ class Grip:
     lift: float = 0.2
     """How high the hand goes [m]."""
     turn: float = 90.0
-    """How far it then turns about its own length [degrees]."""
+    """How far it then turns about its own length, by the right hand about the wrist's x [degrees]."""
     release: bool = False
     """Open the hand at the end."""
     seconds: float = 4.0
-    """A quarter of it each to hold, lift, turn, and hold or let go [s]."""
+    """A quarter of it each to hold, lift, turn, and hold or let go [s]; in a short time inertia weighs more."""
     step: float = 0.02
     """From one instant to the next [s]."""
     law: Literal["closed-form", "optimum"] = "optimum"
-    """Which forces decide whether the object slips; the paper's are the closed form."""
+    """Which forces decide whether the object slips; the paper's are the closed form, the default of jaxgrasp.carry."""
     report: bool = True
     """Write grip.html, grip.png and grip_forces.png beside the results (needs the extra `report`)."""
     out: Path = Path("jaxgrasp-grip")

@@ -38,6 +38,8 @@ def grip_command(arguments: Grip) -> int:
     check_positive(arguments, "mass", "stiffness", "depth", "seconds", "step")
     check_not_negative(arguments, "friction")
     check_finite(arguments, "lift", "turn")
+    if arguments.step > arguments.seconds:
+        raise ValueError(f"step is {arguments.step}: expected at most seconds, {arguments.seconds}")
     shape = _shape(arguments)
     check_shape(shape)
     set_up_jax("float64")

@@ -70,6 +70,10 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
         shape: sizes broadcast against the other leading axes.
         placed: where the object stands; leading axes likewise.
 
+    Returns:
+        A contact for each link ``(..., L)``, in the world, its normal into the object;
+        [`jaxgrasp.grasp_from_contacts`][] makes a Grasp of them.
+
     Raises:
         ValueError: for shapes of arrays that do not fit.
     """

@@ -82,8 +82,11 @@ class _Parts(NamedTuple):
 def human_hand(length: float = LENGTH, breadth: float | None = None, side: str = "right") -> Hand:
     """A human hand: 14 flexions and 5 abductions, 19 links that can touch.
 
-    Joints are ``thumb abduction``, ``thumb MP``, ``thumb IP``, then ``abduction``, ``MP``, ``PIP`` and ``DIP`` of
-    index, middle, ring and little finger.
+    The wrist's frame: x towards the fingers, z out of the back of the hand, y towards the thumb of a right hand and
+    away from that of a left one. Joints are ``thumb abduction``, ``thumb MP``, ``thumb IP``, then ``abduction``,
+    ``MP``, ``PIP`` and ``DIP`` of index, middle, ring and little finger. Angles are in rad; flexion bends towards the
+    palm and counts positive; abduction counts positive towards the thumb, but for ring and little finger away from it,
+    and the thumb's own away from the palm.
 
     Args:
         length: from the wrist's crease to the middle finger's tip [m].

@@ -70,22 +70,31 @@ class _State(NamedTuple):
 def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Instant]:
     """What becomes of an object while a hand goes through postures.
 
-    A loop in Python over compiled ticks, so that only an object that slips pays for the closest wrench.
+    Stable, it goes where its contacts go, and presses into obstacles as far as the hand presses it; slipping, what the
+    contacts cannot exert of the wrench lags behind; lost, it falls. A loop in Python over compiled ticks, so that only
+    an object that slips pays for the closest wrench.
 
     Args:
-        scene: hand, object, table, and the laws of their contacts.
-        postures: with a leading axis T of instants.
+        scene: hand, object, table, guide, obstacles, and the laws of their contacts.
+        postures: with a leading axis T of instants; the hand is at rest before the first and after the last, so
+            that one that moves at once jolts what it holds.
         placed: where the object stands at first, at rest.
         dt: time from one instant to the next [s].
         law: which forces decide whether the object slips, as for [`jaxgrasp.monitor`][].
 
+    Returns:
+        An Instant for each posture: where the object was, its Tick, and what became of it. What a guide carries is
+        the tick's wrench less what its forces exert.
+
     Raises:
-        ValueError: for a step of time that is not positive, a guide that is none, and obstacles without the object's
-            outline.
+        ValueError: for postures without that axis, a step of time that is not positive, a guide that is none, and
+            obstacles without the object's outline.
     """
     if not dt > 0:
         raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
     check_scene(scene)
+    if np.ndim(postures.angles) != 2:
+        raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
     frames = pose_hand(scene.hand, postures)
     count = frames.axes.shape[0]
     start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))

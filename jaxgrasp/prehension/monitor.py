@@ -75,7 +75,11 @@ def monitor(
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
         sharing: as for [`jaxgrasp.closed_form`][].
         free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
-        law: which forces the hand applies: the closed form, as in the paper, or the optimum.
+        law: which forces the hand applies: the closed form, as in the paper, or the optimum (the default of the
+            command ``jaxgrasp grip``). The closed form often slips where other forces would hold.
+
+    Returns:
+        An Assessment: what becomes of the object, what each contact does, and whether the two laws disagree.
 
     Raises:
         ValueError: for another law, or as [`jaxgrasp.closed_form`][] does.

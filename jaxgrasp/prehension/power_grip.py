@@ -39,7 +39,18 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose
 
 
 def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
-    """A hand closed on an object that lies in its palm: posture, the object's place, and the contacts.
+    """A hand closed on an object that lies in its palm.
+
+    What is too thick or too thin for the hand is closed on as far as it goes: [`jaxgrasp.grip_type`][] tells.
+
+    Args:
+        hand: a human hand.
+        shape: of the object; its z axis goes across the palm.
+        depth: at which links press into it [m].
+
+    Returns:
+        The posture, its wrist at the world's origin and its palm down; where the object lies in the world; and the
+        contacts.
 
     Raises:
         ValueError: for a hand that is not a human one.

@@ -48,6 +48,9 @@ def observe(
         inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
         law: which forces the hand applies, as for [`jaxgrasp.monitor`][].
 
+    Returns:
+        A Tick: its contacts in the world, its grasp and wrench about the object's centre, along the world's axes.
+
     Raises:
         ValueError: for a guide that is none, and obstacles without the object's outline.
     """

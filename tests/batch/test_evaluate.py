@@ -109,6 +109,7 @@ def test_float64_needs_its_mode(sets):
     assert single.results["B"].forces.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_a_bad_grasp_stops_or_is_set_aside(sets, whole):
     friction = sets.friction.copy()
     friction[sets.offsets[7]] = np.nan
@@ -200,6 +201,7 @@ class Interrupted(MemorySource):
             yield part
 
 
+@pytest.mark.slow
 def test_an_interrupted_stream_goes_on(sets, whole, tmp_path, monkeypatch):
     # With more at a time, none of these few chunks would be done by then.
     monkeypatch.setattr(stream, "_workers", lambda engine: 1)
@@ -320,6 +322,7 @@ def test_summaries_survive_json(whole):
     assert_same_summary(from_json(data), whole.summary)
 
 
+@pytest.mark.slow
 def test_summaries_merge(sets, whole):
     halves = [evaluate(sets.rows(part)).summary for part in (slice(0, 17), slice(17, None))]
     merged = halves[0].merged(halves[1])

@@ -66,6 +66,7 @@ def test_jaws_close_on_the_box_of_an_hdf5_file(run):
     np.testing.assert_allclose(grasps.wrench[:, 0], [[0, 0, 0.2 * 9.81, 0, 0, 0]] * 3, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_more_grasps_than_are_worked_on_at_a_time(run, monkeypatch):
     assert run("poses.h5")[0] == 0
     whole = jaxgrasp.load_grasps("contacts.npz")

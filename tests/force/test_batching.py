@@ -96,6 +96,7 @@ def test_mapped_axis_may_be_any(flat, rows):
     same(jax.vmap(lambda *x: solve(method, *x), in_axes=-1)(*last), expected)
 
 
+@pytest.mark.slow
 def test_one_grasp_serves_many_wrenches(flat, rows):
     """Broadcast, mapped over wrenches alone, or written out: one answer."""
     method, _ = flat

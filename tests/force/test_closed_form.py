@@ -37,6 +37,7 @@ def case(request, ordinary):
     return ordinary, weights, solve(ordinary, weights)
 
 
+@pytest.mark.slow
 def test_named_sharings_are_their_weights(ordinary):
     grasp = Grasp(ordinary.points, ordinary.normals, ordinary.friction, ordinary.squeeze)
     for sharing in SHARINGS:

@@ -157,6 +157,7 @@ def padded():
     return three, three._replace(**filled), present, place
 
 
+@pytest.mark.slow
 def test_absent_contacts_change_nothing(padded):
     three, wide, present, place = padded
     bare, other = solve(three, three.squeeze), solve(wide, wide.squeeze, present)
@@ -200,6 +201,7 @@ def test_known_answers_of_a_pair(padded):
     np.testing.assert_allclose(largest, np.sqrt(1 + 1 / 0.2**2), rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_nothing_pulls_without_friction():
     """Two slippery contacts face to face: all of the load is the one's that can press against it."""
     line = np.array([[1.0, 0, 0], [-1, 0, 0]])

@@ -194,6 +194,7 @@ def check_hessian(method: str, ordinary):
     assert inner(hv, u)[lanes].any()
 
 
+@pytest.mark.slow
 def test_hessian_vector_products_of_the_closed_form(ordinary):
     check_hessian("closed", ordinary)
 
@@ -203,6 +204,7 @@ def test_hessian_vector_products_of_the_optimum(ordinary):
     check_hessian("optimum", ordinary)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("uniform", [False, True])
 def test_answers_are_homogeneous_in_wrench_and_squeeze(compiled, uniform):
     """Twice of both is twice the forces, so that along both the derivative is known exactly.

@@ -81,6 +81,7 @@ def test_answers_are_proven_by_weak_duality(kind, k, sharing):
     assert (held.solved | held.hopeless | (found.verdict == Verdict.NO_CONTACTS)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ordinary", "infeasible", "near_collinear"])
 def test_all_six_twists_are_an_object_that_no_guide_holds(kind):
     problem = P.problems(kind, N, COUNT, seed=3)
@@ -108,6 +109,7 @@ def test_a_vertical_slider_by_hand():
     assert (found.rank == 1).all()
 
 
+@pytest.mark.slow
 def test_only_the_span_of_the_twists_counts():
     problem = P.problems("ordinary", N, COUNT, seed=6)
     free = twists(problem, 3, seed=7)
@@ -176,6 +178,7 @@ def test_a_twist_that_no_contact_resists_is_named():
     np.testing.assert_allclose(still.forces, [[0, 0, 1]])
 
 
+@pytest.mark.slow
 def test_what_a_rail_leaves_to_fall():
     """The closest wrench that the contacts exert along the free twists, against least squares over fine pyramids."""
     nnls = pytest.importorskip("scipy.optimize").nnls

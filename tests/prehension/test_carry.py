@@ -117,3 +117,8 @@ def test_time_must_go_forward(closed):
     one = Posture(Pose(np.zeros((1, 3)), np.eye(3)[None]), np.asarray(closed.angles)[None])
     with pytest.raises(ValueError, match="dt is 0.0: expected a positive time"):
         carry(scene(), one, START, 0.0)
+
+
+def test_postures_go_over_time(closed, unchecked):
+    with pytest.raises(ValueError, match=r"postures.angles has shape \(19,\): expected \(T, J\), T instants"):
+        carry(scene(), closed, START, DT)

@@ -262,6 +262,7 @@ def test_a_hand_lifts_it_out_of_a_table_that_it_begins_in(held):
     [
         (np.zeros(6), r"guide has shape \(6,\): expected \(6, k\), a column for each of 1 to 6 twists"),
         (np.zeros((3, 6)), r"guide has shape \(3, 6\)"),
+        (np.zeros((6, 2)), "guide is all zeros: expected a twist in one of its columns"),
         (np.full((6, 1), np.nan), r"guide\[0, 0\] is nan: expected a finite number"),
     ],
 )

@@ -55,6 +55,7 @@ def test_the_optimum_as_law_holds_whatever_can_be_held(case):
     np.testing.assert_allclose(seen.forces, by_closed.optimum.forces, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_without_contacts_the_object_is_lost(case):
     grasp, wrench, seen = case
     present = np.ones((COUNT, 3))

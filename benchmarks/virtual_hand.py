@@ -29,7 +29,7 @@ from benchmarks import laws
 from benchmarks import references as R
 from benchmarks.closed_form import counts, force_error
 from benchmarks.machine import machine
-from benchmarks.page import hand_tables
+from benchmarks.page import devices, hand_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.problem_data import Problems
 from jaxgrasp import CYLINDRICAL_POWER_GRIP, Body, Contacts, Cylinder, Hand, Pose, Posture, Scene, Solution, Spheres
@@ -259,13 +259,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
     parser.add_argument("--quick", action="store_true", help="a few poses of one size: a test, not a measurement")
     options = parser.parse_args()
-    # It imports this module: its process is pinned as this one is, and then frees itself.
-    from benchmarks.page import hand_devices
-
     jax.config.update("jax_enable_x64", True)
     options.out.mkdir(parents=True, exist_ok=True)
     plan = QUICK if options.quick else Plan()
-    devices = hand_devices.compared(plan.batch)
+    times = devices.compared(plan.batch, "benchmarks.page.hand_devices")
     rows = [measure(name, case, plan) for name, case in cases(plan).items()]
     # What was traced with 64-bit integers cannot be used without them.
     jax.clear_caches()
@@ -274,7 +271,7 @@ def main() -> None:
         rows += [measure(name, case, plan._replace(singles=0)) for name, case in held.items()]
     setting = {"radius": RADIUS, "mass": MASS, "friction": FRICTION, "turn": TURN, "shift": SHIFT}
     report = {"machine": machine(), "plan": plan._asdict(), "setting": setting, "paper_ms": PAPER, "rows": rows}
-    report["devices_microseconds"] = devices
+    report["devices_microseconds"] = times
     (options.out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
     (options.out / f"{NAME}.md").write_text(hand_tables.page(report))
 

@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -23,21 +24,31 @@ REPEATS = 9
 CONTACTS = 5
 
 
-def compared(count: int) -> dict[str, float]:
-    """Microseconds a problem on one device and on two; on one alone where this machine has a single core."""
-    command = [sys.executable, "-m", "benchmarks.page.devices", str(count)]
-    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+def compared(count: int, module: str = "benchmarks.page.devices") -> dict[str, float]:
+    """Microseconds a problem on one device and on two, as a module prints them; on one alone where this machine has a
+    single core."""
+    said = subprocess.run([sys.executable, "-m", module, str(count)], check=True, capture_output=True, text=True).stdout
     return json.loads(said.splitlines()[-1])
 
 
-def main() -> None:
-    count = int(sys.argv[1])
+def take_cores() -> int:
+    """Make each of this process's cores a device; how many there are."""
     # The page pins itself, and its children inherit that.
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     cores = min(CORES, len(os.sched_getaffinity(0)))
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", cores)
+    return cores
+
+
+def say(calls: dict[str, Callable], count: int) -> None:
+    """Print microseconds a problem of each call."""
+    print(json.dumps({number: seconds / count * 1e6 for number, seconds in interleaved(calls, REPEATS, 60.0).items()}))
+
+
+def main() -> None:
+    count, cores = int(sys.argv[1]), take_cores()
     drawn = problems("ordinary", CONTACTS, count, seed=0)
     grasps = Grasp(drawn.points, drawn.normals, drawn.friction, drawn.squeeze)
 
@@ -45,7 +56,7 @@ def main() -> None:
         str(number): partial(jaxgrasp.evaluate, grasps, drawn.wrench, methods=("B-optimum",), devices=number)
         for number in range(1, cores + 1)
     }
-    print(json.dumps({number: seconds / count * 1e6 for number, seconds in interleaved(calls, REPEATS, 60.0).items()}))
+    say(calls, count)
 
 
 if __name__ == "__main__":

@@ -123,9 +123,7 @@ MOVING = ("points", "normals", "depths")
 @custom_vmap
 def _skipping(hand: Hand, scene: _Scene) -> Contacts:
     """A close look at the poses that have the object within reach."""
-    links = len(hand.links)
-    zero = jnp.zeros((scene.size, links, 3), scene.posture.angles.dtype)
-    nothing = Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
+    nothing = _nothing(hand, scene)
     look = lambda scene, _: _look(hand, scene)  # noqa: E731
     return over_chosen(look, scene, nothing, _within_reach(hand, scene), TILE)
 
@@ -175,6 +173,12 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     return ~(scene.shape._bound(Vec(*seen.T)) > reach)
 
 
+def _nothing(hand: Hand, scene: _Scene) -> Contacts:
+    """No contact at all, which took one test."""
+    zero = jnp.zeros((scene.size, len(hand.links), 3), scene.posture.angles.dtype)
+    return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
+
+
 def _look(hand: Hand, scene: _Scene) -> Contacts:
     """Links first, as a ball each, and their spheres only where one of all these poses comes near."""
     seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
@@ -185,14 +189,8 @@ def _look(hand: Hand, scene: _Scene) -> Contacts:
     center = vec.add(seen.origin, vec.rotate_back(seen.axes, Vec(*(middle[:, i, None] for i in range(3)))))
     # A NaN goes on to the closer look, which shows it.
     near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
-    links = len(reach)
-
-    def none() -> Contacts:
-        zero = jnp.zeros((scene.size, links, 3), scene.posture.angles.dtype)
-        return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
-
-    found = lax.cond(near, lambda: _touching(hand, scene, seen), none)
-    return eqx.tree_at(lambda c: c.tests, found, found.tests + links)
+    found = lax.cond(near, lambda: _touching(hand, scene, seen), lambda: _nothing(hand, scene))
+    return eqx.tree_at(lambda c: c.tests, found, found.tests + len(reach))
 
 
 def _look_closely(hand: Hand, scene: _Scene) -> Contacts:

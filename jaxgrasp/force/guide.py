@@ -9,14 +9,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, blur, inertia
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, blur, inertia, twist_in
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_metric
-from jaxgrasp.force.sixes import Six, six
+from jaxgrasp.force.sixes import Six, parts, six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Guided, Stretch, Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.symmetric import Lower
-from jaxgrasp.numerics.vec import Vec
 
 
 class Mixing(NamedTuple):
@@ -29,14 +28,9 @@ class Mixing(NamedTuple):
 
 def directions_in(free: Array, frame: Frame) -> Array:
     """Free twists about the user's origin ``(B, 6, k)`` in a lane's axes and lengths."""
-    columns = []
+    known, columns = jnp.where(jnp.isfinite(free), free, 0), []
     for j in range(free.shape[-1]):
-        known = jnp.where(jnp.isfinite(free), free, 0)
-        rows = [known[:, i, j][None] for i in range(6)]
-        linear, angular = Vec(*rows[:3]), Vec(*rows[3:])
-        linear = vec.add(linear, vec.cross(angular, frame.centre))
-        if frame.axes is not None:
-            linear, angular = vec.rotate(frame.axes, linear), vec.rotate(frame.axes, angular)
+        linear, angular = twist_in(*parts(known[..., j].T), frame)
         columns.append(six(linear, vec.scale(frame.length, angular)))
     return jnp.stack(columns, -1).transpose(1, 0, 2)
 

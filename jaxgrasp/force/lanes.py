@@ -208,11 +208,17 @@ def multiplier_in(multiplier: Array, frame: Frame) -> tuple[Vec, Vec]:
     """The inverse of ``multiplier_out``, from ``(B, 6)``."""
     columns = multiplier.T
     linear, angular = Vec(*(columns[i : i + 1] for i in range(3))), Vec(*(columns[i : i + 1] for i in range(3, 6)))
+    linear, angular = twist_in(linear, angular, frame)
+    unit = frame.weight / frame.load
+    return vec.scale(unit, linear), vec.scale(unit * frame.length, angular)
+
+
+def twist_in(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+    """A twist about the user's origin as one about the lane's centre, along its axes; in the user's units."""
     linear = vec.add(linear, vec.cross(angular, frame.centre))
     if frame.axes is not None:
         linear, angular = vec.rotate(frame.axes, linear), vec.rotate(frame.axes, angular)
-    unit = frame.weight / frame.load
-    return vec.scale(unit, linear), vec.scale(unit * frame.length, angular)
+    return linear, angular
 
 
 def certificate_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:

@@ -1,6 +1,7 @@
 """What stays the same while a hand handles an object: both of them, the laws of their contacts, and the world."""
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from jaxgrasp.contact.shapes import Shape
@@ -48,8 +49,8 @@ class Scene(eqx.Module):
 
 
 def check_scene(scene: Scene) -> None:
-    """Raise ValueError where a guide is none, or obstacles lack what they need."""
-    if scene.guide is not None:
+    """Raise ValueError where a guide is none, or obstacles lack what they need; what is traced is not checked."""
+    if scene.guide is not None and not isinstance(scene.guide, jax.core.Tracer):
         guide = np.asarray(scene.guide)
         if guide.ndim != 2 or guide.shape[0] != 6 or not 1 <= guide.shape[1] <= 6:
             raise ValueError(f"guide has shape {guide.shape}: expected (6, k), a column for each of 1 to 6 twists")
@@ -60,6 +61,8 @@ def check_scene(scene: Scene) -> None:
     if not isinstance(scene.obstacles, tuple):
         raise ValueError(f"obstacles is a {type(scene.obstacles).__name__}: expected a tuple of Obstacles")
     for k, obstacle in enumerate(scene.obstacles):
+        if isinstance(obstacle.stiffness, jax.core.Tracer):
+            continue
         stiffness = np.asarray(obstacle.stiffness)
         for fault in entries("stiffness", stiffness, ~(np.isfinite(stiffness) & (stiffness >= 0)), "0 or more [N/m]"):
             raise ValueError(f"obstacles[{k}].{fault}")

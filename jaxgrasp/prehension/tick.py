@@ -1,7 +1,6 @@
 """One instant of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -54,8 +53,7 @@ def observe(
     Raises:
         ValueError: for a guide that is none, and obstacles without the object's outline.
     """
-    if not isinstance(scene.guide, jax.core.Tracer):
-        check_scene(scene)
+    check_scene(scene)
     contacts, grasp = touched(scene, posture, placed)
     return assessed(scene, pose_hand(scene.hand, posture), placed, contacts, grasp, inertial, law)
 

@@ -97,6 +97,7 @@ def test_outward_normals_are_suspected_and_turned(grasps):
         np.testing.assert_array_equal(a["B.forces"], b["B.forces"])
 
 
+@pytest.mark.slow
 def test_normals_that_hold_nothing_up_are_suspected(folder):
     # Three contacts under a plate carry it only if their normals point up.
     points = np.array([[[0.1, 0, 0], [-0.05, 0.09, 0], [-0.05, -0.09, 0]]])

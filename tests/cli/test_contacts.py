@@ -89,6 +89,7 @@ def test_what_the_user_says_goes_before_the_file(run):
     np.testing.assert_allclose(grasps.wrench[0, 0], [9.81, 0, 0, 0, 0.004 * 9.81, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_hands_posture_is_taken_as_it_is(scene, run):
     hand = jaxgrasp.human_hand()
     transforms = np.tile(np.eye(4), (2, 1, 1))

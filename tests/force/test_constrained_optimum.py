@@ -235,6 +235,7 @@ def test_weight_zero_keeps_its_squeezing_force():
     assert judged.gap.max() < GAP and judged.backward_error.max() < BALANCE and judged.violation.max() < ROUNDING
 
 
+@pytest.mark.slow
 def test_safety_divides_the_friction():
     problem = P.problems("ordinary", 3, COUNT, seed=1)
     plain = solve(problem._replace(friction=problem.friction / 1.25), problem.squeeze)

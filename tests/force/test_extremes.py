@@ -52,6 +52,7 @@ def test_extreme_units_are_solved_or_refused(what, dtype):
     "what, factor",
     [("length", 1e-170), ("length", 1e170), ("force", 1e170), ("direction", 1e-170), ("direction", 1e170)],
 )
+@pytest.mark.slow
 def test_a_margin_of_extreme_units_is_refused(what, factor):
     problem, weights = scaled(what, factor, "float64")
     direction = np.random.default_rng(2).normal(size=(COUNT, 6)) * (factor if what == "direction" else 1)

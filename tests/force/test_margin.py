@@ -220,6 +220,7 @@ def steps(inputs, seed: int):
     return tuple(size * rng.normal(size=x.shape) for size, x in zip(sizes, inputs, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ordinary", "low_friction"])
 def test_derivatives_are_limits_of_differences(kind):
     """Fourth-order central differences at three step lengths, of which the best counts: kinks lie close by."""

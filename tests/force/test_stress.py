@@ -121,6 +121,7 @@ def single_is_lawful(problem: P.Problems, sharing: str) -> None:
         assert share(solution, Verdict.INFEASIBLE) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", P.KINDS)
 def test_single_precision_is_never_silently_wrong(kind):
     single_is_lawful(single(kind, 3, COUNT), "squeeze")

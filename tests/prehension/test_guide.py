@@ -25,6 +25,7 @@ from jaxgrasp import (
 )
 from jaxgrasp.prehension.falling import gone_on
 from jaxgrasp.prehension.motion import Motion, guide_at, mobility, moved, spatial_inertia
+from tests.prehension.hands import without_hand
 
 CUBE, MASS, DT = Box(0.07, 0.07, 0.07), 0.3, 0.01
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -126,10 +127,6 @@ def test_off_its_rail_the_same_grip_would_not_hold(held):
         assert record[0].hold == expected
     assert int(record[0].tick.assessment.optimum.verdict) == Verdict.INFEASIBLE
     np.testing.assert_allclose(record[1].placed.origin - placed.origin, [0, 3.0 * DT**2, 0], atol=1e-9)
-
-
-def without_hand(count: int) -> Posture:
-    return Posture(Pose(np.full((count, 3), 9.0), np.broadcast_to(np.eye(3), (count, 3, 3))), np.zeros((count, 2)))
 
 
 def energies(record: list, body: Body, dt: float) -> np.ndarray:

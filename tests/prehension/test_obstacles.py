@@ -1,5 +1,6 @@
 """Obstacles: springs to a hand that presses an object into them, and rigid to an object on its own."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from jaxgrasp import (
     Sphere,
     carry,
     close_hand,
+    observe,
     parallel_jaw,
     rigid_body,
     sphere_tree,
@@ -26,6 +28,7 @@ from jaxgrasp import (
 from jaxgrasp.numerics.nonnegative import minimise_nonnegative
 from jaxgrasp.prehension.falling import spun
 from jaxgrasp.prehension.motion import spatial_inertia
+from tests.prehension.hands import without_hand
 
 SHAPE, MASS, DT = Box(0.06, 0.08, 0.05), 0.5, 5e-3
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -48,10 +51,6 @@ def scene(outline, *obstacles: Obstacle, floor: float = -0.3, **more) -> Scene:
 
 def turned(*degrees: float) -> np.ndarray:
     return Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
-
-
-def without_hand(count: int) -> Posture:
-    return Posture(Pose(np.full((count, 3), 9.0), np.broadcast_to(np.eye(3), (count, 3, 3))), np.zeros((count, 2)))
 
 
 def energies(record: list) -> np.ndarray:
@@ -152,6 +151,18 @@ def test_impulses_are_the_least_squares_of_zero_or_more():
     idle = np.zeros((2, 2))
     idle[0, 0] = 2.0
     np.testing.assert_allclose(minimise_nonnegative(jnp.asarray(idle), jnp.array([-4.0, -1.0])), [2, 0])
+
+
+@pytest.mark.slow
+def test_a_compiled_tick_feels_the_world(outline):
+    """Rails and obstacles are arguments like any others."""
+    ground = Obstacle(Plane(), Pose(jnp.zeros(3), jnp.eye(3)), 1e3)
+    world = scene(outline, ground, guide=jnp.eye(6)[:, 2:3])
+    posture = Posture(Pose(jnp.full(3, 9.0), jnp.eye(3)), jnp.zeros(2))
+    placed = Pose(jnp.array([0, 0, 0.02]), jnp.eye(3))
+    plain, compiled = observe(world, posture, placed), jax.jit(observe)(world, posture, placed)
+    np.testing.assert_allclose(compiled.wrench, plain.wrench, rtol=1e-12)
+    assert float(plain.wrench[2]) < MASS * 9.81
 
 
 def test_obstacles_need_an_outline(outline, unchecked):

@@ -55,6 +55,7 @@ def assert_held_by_its_tips(hand: Hand, shape: Shape, fingers: int, depth: float
     assert int(grip_type(hand, posture, contacts)) == getattr(GripType, f"PRECISION_{fingers}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fingers, name", KINDS)
 def test_fingertips_alone_hold_it_whichever_way_is_down(fingers, name):
     for length, side, radius, depth in ((0.16, "right", 0.035, 1e-3), (0.21, "left", 0.015, 2e-3)):

@@ -1,0 +1,10 @@
+"""Where hands are that leave an object alone."""
+
+import numpy as np
+
+from jaxgrasp import Pose, Posture
+
+
+def without_hand(count: int) -> Posture:
+    """A parallel jaw that is far away at every instant."""
+    return Posture(Pose(np.full((count, 3), 9.0), np.broadcast_to(np.eye(3), (count, 3, 3))), np.zeros((count, 2)))

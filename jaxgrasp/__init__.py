@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     )
     from jaxgrasp.force.dual_function import dual_value, multiplier_forces
     from jaxgrasp.force.lagrange import lagrange_forces
+    from jaxgrasp.force.least_friction import least_friction
+    from jaxgrasp.force.least_squeeze import least_squeeze
     from jaxgrasp.force.margin import wrench_margin
     from jaxgrasp.force.pyramid import pyramid_optimum
     from jaxgrasp.force.reachable import Reachable, reachable_wrench
@@ -45,8 +47,11 @@ if TYPE_CHECKING:
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
+    from jaxgrasp.model.held import Held, HeldCylinder
+    from jaxgrasp.model.paths import Lift, Shake, Turn
     from jaxgrasp.model.solution import Route, Solution, Verdict
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
+    from jaxgrasp.model.task import Task, carrying
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
     from jaxgrasp.prehension.carry import Instant, carry
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
@@ -55,6 +60,10 @@ if TYPE_CHECKING:
     from jaxgrasp.prehension.precision_grip import precision_grip
     from jaxgrasp.prehension.scene import Obstacle, Scene
     from jaxgrasp.prehension.tick import Tick, observe
+    from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix, sensitivity_matrix
+    from jaxgrasp.sensitivity.outputs import Output
+    from jaxgrasp.sensitivity.paper_task import cylinder_task
+    from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, VariedCurves, sensitivity_trajectory
 
 _HOME = {
     "Assessment": "prehension.monitor",
@@ -75,30 +84,42 @@ _HOME = {
     "GripType": "contact.grip_type",
     "Hand": "model.hand",
     "HandFrames": "model.hand",
+    "Held": "model.held",
+    "HeldCylinder": "model.held",
     "Hold": "prehension.monitor",
+    "Influence": "sensitivity.matrix",
     "Instant": "prehension.carry",
     "Kept": "contact.deepest",
     "LevelError": "contact.filling",
+    "Lift": "model.paths",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
     "Obstacle": "prehension.scene",
+    "Output": "sensitivity.outputs",
     "Plane": "contact.shapes",
     "Pose": "model.hand",
     "Posture": "model.hand",
     "Reachable": "force.reachable",
     "Route": "model.solution",
     "Scene": "prehension.scene",
+    "SensitivityMatrix": "sensitivity.matrix",
+    "SensitivityTrajectory": "sensitivity.trajectory",
+    "Shake": "model.paths",
     "Shape": "contact.shapes",
     "Solution": "model.solution",
     "Sphere": "contact.shapes",
     "SphereTree": "contact.sphere_tree",
     "Spheres": "model.hand",
+    "Task": "model.task",
     "Tick": "prehension.tick",
     "Touch": "prehension.monitor",
+    "Turn": "model.paths",
+    "VariedCurves": "sensitivity.trajectory",
     "Verdict": "model.solution",
     "carry": "prehension.carry",
+    "carrying": "model.task",
     "check_clear": "contact.limits",
     "check_grasp": "model.faults",
     "check_mesh": "contact.mesh",
@@ -112,6 +133,7 @@ _HOME = {
     "constrained_optimum": "force.distribution",
     "contact_jacobian": "contact.kinematics",
     "contributions_of": "contact.grip_type",
+    "cylinder_task": "sensitivity.paper_task",
     "dual_value": "force.dual_function",
     "evaluate": "batch.evaluation",
     "find_contacts": "contact.detection",
@@ -126,6 +148,8 @@ _HOME = {
     "joint_torques": "contact.kinematics",
     "keep_deepest": "contact.deepest",
     "lagrange_forces": "force.lagrange",
+    "least_friction": "force.least_friction",
+    "least_squeeze": "force.least_squeeze",
     "level_errors": "contact.filling",
     "link_contributions": "contact.to_grasp",
     "load_grasps": "batch.sources",
@@ -143,6 +167,8 @@ _HOME = {
     "reachable_wrench": "force.reachable",
     "rigid_body": "contact.world",
     "save_grasps": "batch.sources",
+    "sensitivity_matrix": "sensitivity.matrix",
+    "sensitivity_trajectory": "sensitivity.trajectory",
     "signed_distance": "contact.shapes",
     "slip_angle": "force.angles",
     "sphere_tree": "contact.filling",

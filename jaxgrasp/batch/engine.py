@@ -12,12 +12,12 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxgrasp.batch.methods import Method
 from jaxgrasp.force import stages
 from jaxgrasp.force.angles import friction_margin
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.methods import Method
 from jaxgrasp.numerics import vec
 
 

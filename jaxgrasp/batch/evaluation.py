@@ -8,11 +8,11 @@ import numpy as np
 from jaxgrasp.batch.blocks import blocks
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
-from jaxgrasp.batch.methods import METHODS, methods_named
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.methods import METHODS, methods_named
 
 
 @dataclass(frozen=True)

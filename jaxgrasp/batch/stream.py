@@ -12,12 +12,12 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.evaluation import run, usable
-from jaxgrasp.batch.methods import METHODS, methods_named
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.faults import GraspError
+from jaxgrasp.model.methods import METHODS, methods_named
 
 CHUNK = 16_384
 MOST_WORKERS = 8

@@ -7,8 +7,8 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.histogram import LogHistogram
-from jaxgrasp.batch.methods import METHODS
 from jaxgrasp.batch.worst import KEPT, worst_cases
+from jaxgrasp.model.methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
 
 ANGLE_BINS = 90

@@ -4,8 +4,8 @@ import math
 
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
-from jaxgrasp.batch.methods import METHODS
 from jaxgrasp.batch.summary import Summary
+from jaxgrasp.model.methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
 
 _ROWS = (

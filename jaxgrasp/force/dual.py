@@ -36,7 +36,7 @@ class Forces(NamedTuple):
     """The best forces for a multiplier, and what they came from."""
 
     twist: Vec
-    """The multiplier's velocity at each contact."""
+    """The multiplier's velocity at each contact, less the toll along its normal."""
     sides: cones.Split
     forces: Vec
 
@@ -59,6 +59,8 @@ def twist_at(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Vec:
 
 def best_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Forces:
     twist = twist_at(lanes, multiplier, unknowns)
+    if lanes.toll is not None:
+        twist = vec.sub(twist, vec.scale(lanes.toll, lanes.normals))
     target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
     sides = cones.split(target, lanes.normals, lanes.friction)
     return Forces(twist, sides, cones.project(target, lanes.normals, lanes.friction, sides))

@@ -1,10 +1,11 @@
-"""The wrench that contacts can exert closest to a load, and the furthest along a ray, in a lane's coordinates.
+"""The wrench that contacts can exert closest to a load, the furthest along a ray, and the least that they must press.
 
-Both come out of the same dual as the optimum. Let a wrench e be missed at a price of t |e|^2 / 2: the dual is
-then pulled towards zero, by |x|^2 / 2t, and e = x / t. As the price rises e tends to the shortest wrench that
-must be missed, while the multiplier x runs off along it. Or let theta be paid for at t: the dual is then confined
-to the plane where the multiplier does work t along the ray. In both the squeezing forces hold the answer back, by
-terms that fall with 1 / t for the forces, and with their square for the distance and for theta.
+All come out of the same dual as the optimum, in a lane's coordinates. Let a wrench e be missed at a price of
+t |e|^2 / 2: the dual is then pulled towards zero, by |x|^2 / 2t, and e = x / t. As the price rises e tends to the
+shortest wrench that must be missed, while the multiplier x runs off along it. Or let theta be paid for at t: the dual
+is then confined to the plane where the multiplier does work t along the ray. Or let each unit of normal force cost a
+toll t, which takes t off the multiplier's velocity along each normal. In all of them the forces' own cost holds the
+answer back, by terms that fall with 1 / t for the forces, and with their square for the distance, theta and the total.
 """
 
 from collections.abc import Callable
@@ -148,6 +149,38 @@ def along_ray(lanes: Lanes, ray: Six, start: Six, frozen: Array) -> tuple[Array,
     price = jnp.where(path.price > 0, path.price, 1)
     # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
     return -sixes.inner(path.point, missed_wrench(lanes, path.point, plain)) / price, path
+
+
+def least_push(lanes: Lanes, frozen: Array) -> tuple[Array, Path]:
+    """The least total of normal forces that exert the load, and the multipliers of what bounds it, by the toll.
+
+    Lanes that have no forces at all should be ``frozen``.
+    """
+    zero = jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype)
+    metric, plain = identity(zero[:1]), unstretched(zero[:1])
+
+    def least(price: Array, point: Six) -> tuple[Array, Six]:
+        forces = dual.best_forces(tolled(lanes, price), point, plain).forces
+        rest = dual.residual(lanes, forces, plain)
+        # What is missed of the load would have to be pushed too, along the multiplier.
+        return dual.total_push(lanes, forces) + sixes.inner(point, rest) / price, rest
+
+    def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
+        point = climb(tolled(lanes, price), Pull(STEADY / price, foreseen, metric, None, plain), price, foreseen, done)
+        total, rest = least(price, point)
+        size = 1 + total
+        aside = sixes.length(rest) * sixes.length(point) / price
+        return _Try(
+            point, (aside / size) ** 2 + BIAS * (size / price) ** 2, price >= size * furthest_multiplier(zero.dtype)
+        )
+
+    path = _follow(zero, frozen, attempt)
+    return least(jnp.where(path.price > 0, path.price, 1), path.point)[0], path
+
+
+def tolled(lanes: Lanes, toll: Array) -> Lanes:
+    """Lanes in which each unit of normal force costs a toll, beside half its square over the weight."""
+    return lanes._replace(toll=toll)
 
 
 def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _Try]) -> Path:

@@ -51,6 +51,8 @@ class Lanes(NamedTuple):
     weights: Array
     force: Vec
     torque: Vec
+    toll: Array | None = None
+    """What a unit of normal force costs, in questions of how little is enough; None where it costs nothing."""
 
 
 class Frame(NamedTuple):

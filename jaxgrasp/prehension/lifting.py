@@ -5,7 +5,8 @@ import jax.numpy as jnp
 
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Pose, Posture
-from jaxgrasp.prehension.motion import rotation_by
+from jaxgrasp.model.paths import smooth_step
+from jaxgrasp.numerics.rotation import rotation_by
 
 
 def lift_and_turn(
@@ -25,16 +26,10 @@ def lift_and_turn(
         Postures of leading axis T, which start and stop smoothly.
     """
     way = (jnp.asarray(times) - times[0]) / (times[-1] - times[0]) * 4
-    lifted, turned, opened = (_smooth(way - begin) for begin in (1.0, 2.0, 3.0))
+    lifted, turned, opened = (smooth_step(way - begin) for begin in (1.0, 2.0, 3.0))
     rotation = jax.vmap(rotation_by)(turn * turned[:, None] * jnp.asarray(axis)) @ closed.wrist.rotation
     origin = closed.wrist.origin + lift * lifted[:, None] * jnp.array([0.0, 0.0, 1.0])
     angles = jnp.broadcast_to(closed.angles, (len(way), closed.angles.shape[0]))
     if release is not None:
         angles = angles + opened[:, None] * (release.angles - closed.angles)
     return Posture(Pose(origin, rotation), angles)
-
-
-def _smooth(way: jax.Array) -> jax.Array:
-    """From 0 to 1 without a jump in speed or acceleration."""
-    s = jnp.clip(way, 0, 1)
-    return s**3 * (10 - 15 * s + 6 * s**2)

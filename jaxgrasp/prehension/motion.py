@@ -13,6 +13,7 @@ from jax import Array
 from jaxgrasp.contact.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
+from jaxgrasp.numerics.rotation import cross_matrix, rotation_by
 from jaxgrasp.numerics.vec import Vec
 
 PAD = 2e-3
@@ -138,28 +139,9 @@ def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | 
     turn = rotation_by(motion.angular * dt)
     if guide is None:
         return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
-    screw = jnp.zeros((4, 4)).at[:3, :3].set(_cross_matrix(motion.angular))
+    screw = jnp.zeros((4, 4)).at[:3, :3].set(cross_matrix(motion.angular))
     way = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)[:3, 3]
     return Pose(placed.origin + way, turn @ placed.rotation)
-
-
-def rotation_by(vector: Array) -> Array:
-    """The rotation about a vector by its length [rad]."""
-    x, y, z = vector
-    cross = _cross_matrix(vector)
-    angle2 = x * x + y * y + z * z
-    angle = jnp.sqrt(angle2)
-    small = angle < 1e-6
-    safe = jnp.where(small, 1, angle)
-    sine = jnp.where(small, 1 - angle2 / 6, jnp.sin(safe) / safe)
-    cosine = jnp.where(small, 0.5 - angle2 / 24, (1 - jnp.cos(safe)) / safe**2)
-    return jnp.eye(3) + sine * cross + cosine * cross @ cross
-
-
-def _cross_matrix(vector: Array) -> Array:
-    """Times another vector it is their cross product."""
-    x, y, z = vector
-    return jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def rest_on(

@@ -14,8 +14,8 @@ from jaxgrasp.contact.shapes import Shape, check_shape
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.least_squares import least_squares
+from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.prehension.fingertips import APART, CLEARANCE, COUPLING, Misses, Task, misses, weighed
-from jaxgrasp.prehension.motion import rotation_by
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 PRESHAPES = {"MP": (25, 45, 65), "PIP": (25, 50), "thumb abduction": (30, 50)}

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from html import escape
 from itertools import cycle
 
-from jaxgrasp.batch.methods import METHODS
+from jaxgrasp.model.methods import METHODS
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.prehension.monitor import Hold, Touch
 

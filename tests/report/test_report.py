@@ -11,8 +11,8 @@ import pytest
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult, Times
-from jaxgrasp.batch.methods import METHODS
 from jaxgrasp.batch.summary import Summary, summarise
+from jaxgrasp.model.methods import METHODS
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import bundle
 from jaxgrasp.report.figures import verdict_bars

@@ -1,0 +1,169 @@
+"""With how little friction a grasp holds its load, if its normal forces may reach a total."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.force.least_squeeze import bounded_total, least_total
+from jaxgrasp.force.limit import work_along
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics.tiles import over_tiles
+
+WIDEST = 1e4
+"""Factors beyond this, or below its inverse, are not looked for."""
+STEPS = 60
+TILE = 32
+
+
+def least_friction(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    sharing: Sharing = "squeeze",
+    *,
+    total: Float[AnyArray, "*#batch"] | float | None = None,
+) -> Float[Array, "..."]:
+    """The least share of its friction with which a grasp holds its load by a total of normal forces.
+
+    Its inverse is the grasp's reserve: as many times smaller may every friction coefficient be. An optimum with an
+    active cone has no friction margin left, whatever reserve it has.
+
+    It is the inverse of [`jaxgrasp.least_squeeze`][], to about 1e-9 of itself, and differentiable once, by the total
+    too. Where less friction would not leave too little, but nothing that balances the wrench at all, it is found by
+    halving, to 1e-6, and its derivative is given as zero: it is not known.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        sharing: as for [`jaxgrasp.closed_form`][]; it matters only for contacts of weight zero.
+        total: of the normal forces ``(...)`` [N]; where not given, that of the squeezing forces, which the hand means
+            to exert.
+
+    Returns:
+        ``(...)``, a factor of every contact's coefficient. Zero where a ten-thousandth is enough, +inf where ten
+        thousand times as much is not; their derivatives are zero.
+
+    Raises:
+        ValueError: for a sharing that cannot be used, or shapes that do not fit.
+        NotImplementedError: when differentiated twice.
+    """
+    warn_of_lost_precision(grasp, wrench)
+    name, weights = read_sharing(sharing)
+    return _run(grasp, wrench, weights, total, sharing=name)
+
+
+@partial(jax.jit, static_argnames=("sharing",))
+def _run(grasp, wrench, weights, total, *, sharing: str) -> Array:
+    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    if total is None:
+        there = 1.0 if problem.present is None else problem.present > 0.5
+        total = jnp.sum(jnp.where(there, problem.squeeze, 0), 1)
+        return _share(problem, jnp.broadcast_to(total, (problem.size,))).reshape(batch)
+    total = jnp.broadcast_to(jnp.asarray(total, problem.wrench.dtype), batch).reshape(-1)
+    return _share(problem, total).reshape(batch)
+
+
+@jax.custom_jvp
+def _share(problem: Problem, total: Array) -> Array:
+    # One tile's search ends when its own problems are done.
+    return jnp.exp(over_tiles(lambda these: _search(*these), (problem, total), problem.size, TILE))
+
+
+@_share.defjvp
+def _share_moves(primals, tangents):
+    """At the share the least total is the one allowed, and stays it."""
+    problem, total = primals
+    share = _share(problem, total)
+    inside = jnp.isfinite(share) & (share > 0)
+    here = jnp.where(inside, jnp.log(jnp.where(inside, share, 1)), 0)
+
+    def excess(problem: Problem, total: Array) -> Array:
+        return _log_ratio(least_total(_scaled(problem, here)), total)
+
+    _, moved = jax.jvp(excess, primals, tangents)
+    seen = _look(problem, total, here)
+    slope = seen.slope
+    # Elsewhere what is allowed is not what bounds the share.
+    falls = inside & (slope < 0) & (jnp.abs(seen.excess) <= _narrow(total))
+    return share, jnp.where(falls, share * -moved / jnp.where(falls, slope, 1), 0)
+
+
+class _Look(NamedTuple):
+    """What is known at a share of the friction; shares are logarithms."""
+
+    excess: Array
+    """Logarithm of the least total over the one allowed; infinite where no forces exist."""
+    slope: Array
+    """Its derivative; 0 where it has none."""
+
+
+def _look(problem: Problem, total: Array, share: Array) -> _Look:
+    scaled = _scaled(problem, share)
+    needed, limit = bounded_total(scaled)
+    still = jax.tree.map(jnp.zeros_like, scaled)
+    growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
+    _, moved = jax.jvp(lambda p: -work_along(p, p.wrench, limit), (scaled,), (growing,))
+    finite = jnp.isfinite(needed) & (needed > 0)
+    slope = jnp.where(finite, moved / jnp.where(finite, needed, 1), 0)
+    return _Look(_log_ratio(needed, total), slope)
+
+
+def _scaled(problem: Problem, share: Array) -> Problem:
+    return eqx.tree_at(lambda p: p.friction, problem, problem.friction * jnp.exp(share)[:, None])
+
+
+def _log_ratio(needed: Array, total: Array) -> Array:
+    some = needed > 0
+    return jnp.where(some, jnp.log(jnp.where(some, needed, 1)), -jnp.inf) - jnp.log(total)
+
+
+class _Search(NamedTuple):
+    low: Array
+    high: Array
+    low_tried: Array
+    high_tried: Array
+    here: Array
+    done: Array
+
+
+def _search(problem: Problem, total: Array) -> Array:
+    """Where the excess falls to zero, or from infinity to below it: its logarithm."""
+    widest = jnp.full_like(total, jnp.log(WIDEST))
+    no = jnp.zeros_like(total, bool)
+    start = _Search(-widest, widest, no, no, jnp.zeros_like(total), no)
+
+    def step(carry):
+        count, state = carry
+        moved = _step(state, _look(problem, total, state.here))
+        return count + 1, jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, moved)
+
+    _, state = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].done), step, (jnp.int32(0), start))
+    narrow = _narrow(total)
+    always, never = state.high + widest <= narrow, widest - state.low <= narrow
+    return jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
+
+
+def _narrow(like: Array) -> float:
+    """Bounds that are as good as one."""
+    return float(jnp.finfo(like.dtype).eps) ** 0.4
+
+
+def _step(state: _Search, seen: _Look) -> _Search:
+    """Newton's, where forces exist; what leads out of the bounds is halved, once these have been tried."""
+    eps = float(jnp.finfo(state.here.dtype).eps)
+    enough = seen.excess <= 0
+    low, high = jnp.where(enough, state.low, state.here), jnp.where(enough, state.here, state.high)
+    low_tried, high_tried = state.low_tried | ~enough, state.high_tried | enough
+    falls = jnp.isfinite(seen.excess) & (seen.slope < 0)
+    newton = state.here - jnp.where(falls, seen.excess / jnp.where(falls, seen.slope, 1), 0)
+    led = jnp.clip(newton, low, high)
+    tried = ((led <= low) & low_tried) | ((led >= high) & high_tried)
+    met, arrived = high - low <= _narrow(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
+    there = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
+    return _Search(low, high, low_tried, high_tried, there, met | arrived)

@@ -1,0 +1,101 @@
+"""With how little normal force a grasp holds its load."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import elastic, shells
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.force.limit import Limit, bare, limit_of, work_along
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.tiles import over_tiles
+
+TILE = 32
+
+
+def least_squeeze(
+    grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze"
+) -> Float[Array, "..."]:
+    """The least total of normal forces with which forces inside the friction cones exert the wrench.
+
+    How the forces are shared, and how hard the contacts mean to squeeze, matters only for contacts of weight zero,
+    which hold their squeezing force; it counts.
+
+    Differentiable once, by everything but the sharing: the total moves with the work of the forces and of the wrench
+    along the twist that bounds it. Where several twists do, the derivative is that of one.
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        sharing: as for [`jaxgrasp.closed_form`][].
+
+    Returns:
+        ``(...)`` [N]; +inf, of derivative zero, where no forces exist or none were found.
+
+    Raises:
+        ValueError: for a sharing that cannot be used, or shapes that do not fit.
+        NotImplementedError: when differentiated twice.
+    """
+    warn_of_lost_precision(grasp, wrench)
+    name, weights = read_sharing(sharing)
+    return _run(grasp, wrench, weights, sharing=name)
+
+
+@partial(jax.jit, static_argnames=("sharing",))
+def _run(grasp, wrench, weights, *, sharing: str) -> Array:
+    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+    return least_total(problem).reshape(batch)
+
+
+@jax.custom_jvp
+def least_total(problem: Problem) -> Array:
+    """Of a flat batch."""
+    return bounded_total(problem)[0]
+
+
+@least_total.defjvp
+def _least_moves(primals, tangents):
+    """The envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
+    total, limit = bounded_total(*primals)
+
+    def lagrangian(problem: Problem) -> Array:
+        return _held(problem) - work_along(problem, problem.wrench, limit)
+
+    _, moved = jax.jvp(lagrangian, primals, tangents)
+    return total, jnp.where(jnp.isfinite(total), moved, 0)
+
+
+@jax.custom_jvp
+def bounded_total(problem: Problem) -> tuple[Array, Limit]:
+    """Likewise, ``(B,)``, with what bounds it; +inf where no forces exist or none were found."""
+    # That forces exist is known first: where none do, they only grow.
+    solved = shells.solver(True)(problem).verdict <= Verdict.OPTIMAL
+    return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE)
+
+
+@bounded_total.defjvp
+def _no_second_derivative(primals, tangents):
+    raise NotImplementedError("least_squeeze and least_friction have first derivatives only")
+
+
+def _held(problem: Problem) -> Array:
+    """What contacts that cannot move press with, ``(B,)``."""
+    there = problem.weights <= 0
+    if problem.present is not None:
+        there = there & (problem.present > 0.5)
+    return jnp.sum(jnp.where(there, problem.squeeze, 0), 1)
+
+
+def _least_of_tile(arguments: tuple[Problem, Array]) -> tuple[Array, Limit]:
+    problem, solved = arguments
+    there = bare(problem)
+    found = solved[None] & there.valid
+    least, path = elastic.least_push(there.lanes, ~found)
+    last, before = (elastic.tolled(there.lanes, price) for price in (path.price, path.price_before))
+    limit = limit_of(there, last, before, path, jnp.ones_like(path.price))
+    return jnp.where(found[0], (there.frame.load * least)[0] + _held(problem), jnp.inf), limit

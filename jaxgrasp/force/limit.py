@@ -1,0 +1,116 @@
+"""Where what contacts can exert comes to an end: problems without sharing, and how an answer there moves.
+
+What is in reach depends neither on the weights nor on the squeeze of contacts that can move. At its limit a twist
+bounds it, the ``normal``: no contact can work along it, and the answer moves as forces and wrench work along it.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import dual, elastic, sixes
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
+from jaxgrasp.force.sixes import Six
+from jaxgrasp.force.unknowns import unstretched
+from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.vec import Vec
+
+
+class Bare(NamedTuple):
+    """Lanes whose contacts can all move, with one weight, or carry nothing; and hold nothing."""
+
+    lanes: Lanes
+    frame: Frame
+    valid: Array
+
+
+class Limit(NamedTuple):
+    """What bounds an answer, batch-first in the user's units and axes."""
+
+    centre: Array
+    """``(B, 3)`` [m]: the normal is written about this point."""
+    normal: Array
+    """``(B, 6)``: a twist."""
+    press: Array
+    """``(B, n)`` [N]: normal forces at the limit."""
+    lean: Array
+    """``(B, n, 3)``: tangential forces at the limit, relative to the largest that friction allows."""
+
+
+class _Touch(NamedTuple):
+    """How the contacts touch the hyperplane that bounds what is in reach."""
+
+    normal: Six
+    press: Array
+    lean: Vec
+
+
+def bare(problem: Problem) -> Bare:
+    """A problem's lanes for questions of reach; what contacts of weight zero hold is taken off the load."""
+    lanes, valid = read(problem)
+    can_move = lanes.weights > 0
+    weights = can_move.astype(lanes.weights.dtype)
+    lanes = lanes._replace(weights=weights, squeeze=jnp.where(can_move, 0, lanes.squeeze))
+    lanes, frame = principal(lanes)
+    held = vec.scale(lanes.squeeze, lanes.normals)
+    load = dual.residual(lanes, held, unstretched(lanes.force.x))
+    return Bare(loaded(lanes, load), frame, valid & frame.sound)
+
+
+def loaded(lanes: Lanes, wrench: Six) -> Lanes:
+    """The lanes under another wrench, and nothing held."""
+    force, torque = sixes.parts(wrench)
+    return lanes._replace(squeeze=0 * lanes.squeeze, force=force, torque=torque)
+
+
+def limit_of(there: Bare, last: Lanes, before: Lanes, path: elastic.Path, size: Array) -> Limit:
+    """What a path of multipliers leads to, in the user's axes and units; ``size`` is that of a unit of its answer.
+
+    ``last`` and ``before`` are the lanes as they were at the path's last two prices. The touch is that at the last
+    price, less the error that falls with the price.
+    """
+    share = vec.safe_divide(path.price_before, path.price - path.price_before)
+    now, then = _touch(last, path.point, path.price), _touch(before, path.point_before, path.price_before)
+    normal = now.normal + share * (now.normal - then.normal)
+    press = now.press + share * (now.press - then.press)
+    lean = vec.add(now.lean, vec.scale(share, vec.sub(now.lean, then.lean)))
+    frame, one = there.frame, jnp.ones_like(size)
+    assert frame.axes is not None
+    linear, angular = sixes.parts(vec.safe_divide(normal, size))
+    linear = vec.rotate_back(frame.axes, linear)
+    angular = vec.rotate_back(frame.axes, vec.scale(1 / frame.length, angular))
+    return Limit(
+        centre=jnp.concatenate([c * one for c in frame.centre]).T,
+        normal=sixes.six(linear, angular).T,
+        press=(frame.load * press * one).T,
+        lean=jnp.stack([c * one for c in vec.rotate_back(frame.axes, lean)]).transpose(2, 1, 0),
+    )
+
+
+def _touch(lanes: Lanes, point: Six, price: Array) -> _Touch:
+    best = dual.best_forces(lanes, point, unstretched(price))
+    sides = best.sides
+    used = jnp.where(sides.inside, vec.safe_divide(sides.size, lanes.friction * sides.along), 1)
+    press = vec.dot(best.forces, lanes.normals)
+    return _Touch(vec.safe_divide(point, price), press, vec.scale(used, sides.tangent))
+
+
+def work_along(problem: Problem, wrench: Array, limit: Limit) -> Array:
+    """normal.(G f - wrench) of each problem ``(B,)``, the tangential forces turning with the cones.
+
+    It is zero at the limit; its derivative by the problem and the wrench ``(B, 6)`` is how the answer moves.
+    """
+    lanes, _ = read(problem)
+    centre, lean = (Vec(*jnp.moveaxis(a, -1, 0)) for a in (limit.centre, limit.lean))
+    centre, lean = Vec(*(c[None] for c in centre)), Vec(*(c.T for c in lean))
+    linear, angular = sixes.parts(limit.normal.T)
+    velocity = vec.add(linear, vec.cross(angular, vec.sub(lanes.arms, centre)))
+    along = vec.dot(velocity, lanes.normals)
+    across = vec.sub(velocity, vec.scale(along, lanes.normals))
+    can_move = lanes.weights > 0
+    press = jnp.where(can_move, limit.press.T, lanes.squeeze)
+    push = along + jnp.where(can_move, lanes.friction * vec.dot(lean, across), 0)
+    force, torque = sixes.parts(wrench.T)
+    asked = vec.dot(linear, force) + vec.dot(angular, vec.sub(torque, vec.cross(centre, force)))
+    return (jnp.sum(press * push, 0, keepdims=True) - asked)[0]

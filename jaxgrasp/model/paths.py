@@ -1,0 +1,74 @@
+"""Paths along which a hand leads an object: its pose over time, by the numbers that a person would vary.
+
+A path is anything that makes a pose of a time; it must have two derivatives, since what leads an object along it feels
+its inertia.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Pose
+from jaxgrasp.numerics.rotation import rotation_about, unit
+
+
+class Turn(eqx.Module):
+    """About an axis through the origin, at a steady speed, there and, where it reverses, back again.
+
+    At the instants where it reverses the speed jumps; the blow that this would take is left out.
+    """
+
+    axis: Float[AnyArray, "3"]
+    """Of any length."""
+    speed: Float[AnyArray, ""] | float
+    """[rad/s]"""
+    reversal: Float[AnyArray, ""] | float | None = None
+    """How long it goes one way before it goes the other [s]; ``None`` for ever on."""
+
+    def __call__(self, time: Float[AnyArray, ""] | float) -> Pose:
+        """The pose at a time [s]."""
+        along: ArrayLike = time
+        if self.reversal is not None:
+            way = jnp.mod(time, 2 * self.reversal)
+            along = jnp.minimum(way, 2 * self.reversal - way)
+        return Pose(jnp.zeros(3), rotation_about(self.axis, self.speed * along))
+
+
+class Lift(eqx.Module):
+    """Straight along a direction, from rest to rest, smoothly."""
+
+    direction: Float[AnyArray, "3"]
+    """Of any length."""
+    height: Float[AnyArray, ""] | float
+    """How far [m]."""
+    duration: Float[AnyArray, ""] | float
+    """[s]"""
+
+    def __call__(self, time: Float[AnyArray, ""] | float) -> Pose:
+        """The pose at a time [s]."""
+        way = self.height * smooth_step(jnp.asarray(time) / self.duration)
+        return Pose(way * unit(self.direction), jnp.eye(3))
+
+
+class Shake(eqx.Module):
+    """To and fro along a direction, as a sine."""
+
+    direction: Float[AnyArray, "3"]
+    """Of any length."""
+    amplitude: Float[AnyArray, ""] | float
+    """[m]"""
+    frequency: Float[AnyArray, ""] | float
+    """[Hz]"""
+
+    def __call__(self, time: Float[AnyArray, ""] | float) -> Pose:
+        """The pose at a time [s]."""
+        way = self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time))
+        return Pose(way * unit(self.direction), jnp.eye(3))
+
+
+def smooth_step(way: Array) -> Array:
+    """From 0 to 1 without a jump in speed or acceleration."""
+    s = jnp.clip(way, 0, 1)
+    return s**3 * (10 - 15 * s + 6 * s**2)

@@ -1,0 +1,47 @@
+"""What is asked of a grasp and its wrench, by which method: outputs of sensitivity trajectories."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from jax import Array
+
+from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
+from jaxgrasp.force.distribution import closed_form, constrained_optimum
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.methods import methods_named
+from jaxgrasp.model.solution import Solution
+
+QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
+    "forces": lambda grasp, solution: solution.forces,
+    "slip_angle": lambda grasp, solution: slip_angle(grasp, solution.forces),
+    "stability_margin": lambda grasp, solution: stability_margin(grasp, solution.forces),
+    "friction_margin": lambda grasp, solution: friction_margin(grasp, solution.forces),
+    "objective": lambda grasp, solution: solution.objective,
+}
+
+
+@dataclass(frozen=True)
+class Output:
+    """(grasp, wrench) -> one quantity by one method, for any leading axes; equal ones are compiled once.
+
+    Raises:
+        ValueError: for a quantity or a method that is none.
+    """
+
+    quantity: str
+    """``forces`` [N], ``slip_angle``, ``stability_margin`` or ``friction_margin`` [rad], or ``objective``."""
+    method: str = "B"
+    """A or B for the closed form, A-optimum or B-optimum for the constrained optimum by the same sharing."""
+
+    def __post_init__(self):
+        if self.quantity not in QUANTITIES:
+            raise ValueError(f"quantity {self.quantity!r} is unknown: expected one of {', '.join(QUANTITIES)}")
+        methods_named((self.method,))
+
+    def __call__(self, grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[str, Any]:
+        """The quantity, by its name."""
+        (method,) = methods_named((self.method,))
+        solve = constrained_optimum if method.constrained else closed_form
+        return {self.quantity: QUANTITIES[self.quantity](grasp, solve(grasp, wrench, method.sharing))}

@@ -1,0 +1,216 @@
+"""Sensitivity trajectories: outputs over time along a task, how parameters move them, and what if (section II-G.3)."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
+from itertools import chain
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.faults import entries as faults_in
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.task import Task
+from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
+from jaxgrasp.sensitivity.naming import (
+    Entry,
+    Labels,
+    as_arrays,
+    check_finite,
+    check_labels,
+    chosen,
+    entries_of,
+    row_of,
+    values_at,
+    with_values,
+)
+
+OutputOf = Callable[[Grasp, Array], Any]
+
+
+class VariedCurves(eqx.Module):
+    """Curves for several values of one parameter, as they are and as the nominal curve's derivatives foresee them."""
+
+    values: Float[Array, "V"]
+    curves: Float[Array, "V T M"]
+    predicted: Float[Array, "V T M"]
+    """Nominal curve and derivative times the change of the parameter."""
+
+    @property
+    def error(self) -> Float[Array, "V T M"]:
+        """Of the prediction, in the output's unit; zero where both are the same, infinite ones too."""
+        return jnp.where(self.predicted == self.curves, 0, self.predicted - self.curves)
+
+
+class SensitivityTrajectory(eqx.Module):
+    """Outputs along a task, and their derivatives by parameters."""
+
+    times: Float[Array, "T"]
+    """[s]"""
+    matrix: SensitivityMatrix
+    """Of leading axis T: ``nominal`` (T, M) are the nominal curves, ``derivatives`` (T, M, P) theirs."""
+    varied: dict[str, VariedCurves]
+    """By what was varied."""
+
+
+def sensitivity_trajectory(
+    task: Task,
+    times: Float[AnyArray, "T"] | Sequence[float],
+    output: OutputOf,
+    by: Iterable[str] | None = None,
+    *,
+    vary: Mapping[str, Sequence[float]] | None = None,
+    labels: Labels | None = None,
+) -> SensitivityTrajectory:
+    """Curves of an output along a task, their derivatives by the task's parameters, and varied curves.
+
+    One compiled call does all times, all parameters and all varied values; the derivatives are forward or reverse
+    ones, whichever are fewer at one time.
+
+    Args:
+        task: grasp and wrench over time.
+        times: ascending ``(T,)`` [s].
+        output: (grasp, wrench) -> an array or a tree of arrays, for the leading axis of the times: an
+            [`jaxgrasp.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. Let it be one
+            function for all calls, not made anew for each.
+        by: names of parameters, as for [`jaxgrasp.sensitivity_matrix`][]; all of the task's where not given.
+        vary: values to try, by the name of a parameter, such as ``{"contributions[1]": (0.5, 1.0, 2.0)}``; an array's
+            name stands for all of its entries at once.
+        labels: as for [`jaxgrasp.sensitivity_matrix`][].
+
+    Returns:
+        A SensitivityTrajectory.
+
+    Raises:
+        ValueError: for times that do not ascend, names that are unknown, parameters that are not finite, a task that
+            returns no grasp and wrench, and an output that lacks the axis of the times.
+    """
+    instants = _read_times(times)
+    task = as_arrays(task)
+    entries = entries_of(task.parameters, labels)
+    wanted = chosen(entries, by)
+    check_finite(task.parameters, entries)
+    outputs = _outputs(task, output, instants, labels)
+    check_labels(labels, (*entries, *outputs))
+    tried = tuple(chosen(entries, [name]) for name in vary or {})
+    values = tuple(_read_values(name, these) for name, these in (vary or {}).items())
+    together = tuple(dict.fromkeys((*wanted, *chain(*tried))))
+    forward = len(together) <= len(outputs)
+    here, nominal, derivatives, curves = _along(task, output, instants, together, forward, tried, values)
+    matrix = SensitivityMatrix(derivatives, nominal, here, outputs, together)
+    varied = [_varied(matrix, *one) for one in zip(tried, values, curves, strict=True)]
+    if together != wanted:
+        kept = slice(len(wanted))
+        matrix = SensitivityMatrix(derivatives[..., kept], nominal, here[kept], outputs, wanted)
+    return SensitivityTrajectory(instants, matrix, dict(zip(vary or {}, varied, strict=True)))
+
+
+def _varied(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array, curves: Array) -> VariedCurves:
+    columns = np.array([matrix.parameters.index(entry) for entry in entries])
+    moved = values[:, None] - matrix.values[columns]
+    rise = jnp.einsum("tmk,vk->vtm", matrix.derivatives[..., columns], moved)
+    return VariedCurves(values, curves, matrix.nominal + rise)
+
+
+@eqx.filter_jit
+def _along(
+    task: Task,
+    output: OutputOf,
+    times: Array,
+    wanted: Sequence[Entry],
+    forward: bool,
+    tried: Sequence[Sequence[Entry]],
+    values: Sequence[Array],
+) -> tuple[Array, Array, Array, list[Array]]:
+    """Parameters, nominal curves, their derivatives, and varied curves."""
+    differentiate = _forward if forward else _reverse
+    here = values_at(task.parameters, wanted)
+    nominal, derivatives = differentiate(task, output, times, wanted, here)
+
+    def at(entries: Sequence[Entry], value: Array) -> Array:
+        everywhere = jnp.broadcast_to(value, (len(entries),))
+        return _curves(task, output, times, with_values(task.parameters, entries, everywhere))
+
+    curves = [jax.vmap(partial(at, these))(each) for these, each in zip(tried, values, strict=True)]
+    return here, nominal, derivatives, curves
+
+
+def _curves(task: Task, output: OutputOf, times: Array, parameters: Any, axis: int | None = None) -> Array:
+    """``(T, M)``; the solvers get all times as one batch."""
+    return row_of(named_outputs(output, output(*jax.vmap(task.at, (axis, 0))(parameters, times))), 1)
+
+
+def _forward(task: Task, output: OutputOf, times: Array, wanted: Sequence[Entry], here: Array) -> tuple[Array, Array]:
+    def curves(values: Array) -> tuple[Array, Array]:
+        found = _curves(task, output, times, with_values(task.parameters, wanted, values))
+        return found, found
+
+    derivatives, nominal = jax.jacfwd(curves, has_aux=True)(here)
+    return nominal, derivatives
+
+
+def _reverse(task: Task, output: OutputOf, times: Array, wanted: Sequence[Entry], here: Array) -> tuple[Array, Array]:
+    """With parameters of its own for each time, one pull gives an output's gradients at all times."""
+    put = jax.vmap(lambda values: with_values(task.parameters, wanted, values))
+    each = jnp.broadcast_to(here, (times.size, here.size))
+    nominal, pull = jax.vjp(lambda values: _curves(task, output, times, put(values), 0), each)
+    rows = jax.vmap(lambda one: pull(jnp.broadcast_to(one, nominal.shape))[0])(jnp.eye(nominal.shape[1]))
+    return nominal, jnp.moveaxis(rows, 0, 1)
+
+
+def _read_times(times: AnyArray | Sequence[float]) -> Array:
+    array = np.asarray(times, float)
+    if array.ndim != 1 or not array.size:
+        raise ValueError(f"times has shape {array.shape}: expected (T,), one instant at least")
+    for fault in faults_in("times", array, ~np.isfinite(array), "a finite number of seconds"):
+        raise ValueError(str(fault))
+    for k in np.flatnonzero(np.diff(array) <= 0):
+        raise ValueError(f"times[{k + 1}] is {array[k + 1]:g}: expected more than times[{k}], {array[k]:g}")
+    return jnp.asarray(array)
+
+
+def _read_values(name: str, values: Sequence[float]) -> Array:
+    array = np.asarray(values, float)
+    if array.ndim != 1 or not array.size:
+        raise ValueError(f"values of {name} have shape {array.shape}: expected one number at least")
+    for fault in faults_in(f"values of {name}", array, ~np.isfinite(array), "a finite number"):
+        raise ValueError(str(fault))
+    return jnp.asarray(array)
+
+
+def _outputs(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:
+    """The outputs at one time, once task and output are known to return what they should."""
+    leaves, structure = jax.tree.flatten(task.parameters)
+    shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)
+    return entries_of(_shapes(task.at, output, structure, shapes, times.shape, times.dtype), labels)
+
+
+@lru_cache(256)
+def _shapes(at: Callable, output: OutputOf, structure: Any, shapes: tuple, instants: tuple[int], dtype: Any) -> Any:
+    """Of the outputs at one time; kept, since tracing task and output takes as long as running them."""
+    parameters = jax.tree.unflatten(structure, shapes)
+    _check_returned(jax.eval_shape(at, parameters, jax.ShapeDtypeStruct((), dtype)))
+    batch = jax.eval_shape(jax.vmap(at, (None, 0)), parameters, jax.ShapeDtypeStruct(instants, dtype))
+    found = named_outputs(output, jax.eval_shape(output, *batch))
+    for leaf in jax.tree.leaves(found):
+        if leaf.shape[:1] != instants:
+            raise ValueError(f"the output has shape {leaf.shape}: expected the axis of the {instants[0]} times first")
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), found)
+
+
+def _check_returned(made: Any) -> None:
+    """Raise ValueError unless a task returned a grasp and a wrench."""
+    if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Grasp)):
+        kinds = ", ".join(type(part).__name__ for part in made) if isinstance(made, tuple) else type(made).__name__
+        raise ValueError(f"the task returns ({kinds}): expected a Grasp and a wrench")
+    grasp, wrench = made
+    n = np.shape(grasp.friction)[-1:]
+    expected = {"points": (*n, 3), "normals": (*n, 3), "friction": n, "squeeze": n}
+    shapes = {f"grasp's {name}": (np.shape(getattr(grasp, name)), shape) for name, shape in expected.items()}
+    for name, (shape, wanted) in {**shapes, "wrench": (np.shape(wrench), (6,))}.items():
+        if shape != wanted:
+            raise ValueError(f"the task's {name} has shape {shape}: expected {wanted}")

@@ -1,0 +1,153 @@
+"""With how little a grasp holds its load: against a cone programme, by hand, and the laws of both questions."""
+
+import clarabel
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.sparse
+
+from benchmarks import problems as P
+from jaxgrasp import Grasp, grasp_matrix, least_friction, least_squeeze
+
+COUNT = 24
+PINCH = Grasp(
+    points=jnp.array([[1.0, 0, 0], [-1, 0, 0]]),
+    normals=jnp.array([[-1.0, 0, 0], [1, 0, 0]]),
+    friction=jnp.array([0.5, 0.5]),
+    squeeze=jnp.array([4.0, 4.0]),
+)
+LIFT = jnp.array([0.0, 0, 2, 0, 0, 0])
+
+
+def grasp_of(problem: P.Problems) -> Grasp:
+    return Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+
+
+def by_cone_programme(problem: P.Problems, i: int) -> float:
+    """Least total normal force by Clarabel; infinite where it says that there is none."""
+    normals, friction = problem.normals[i], problem.friction[i]
+    n = len(friction)
+    rows, right = [np.asarray(grasp_matrix(problem.points[i]))], [problem.wrench[i]]
+    for k in range(n):
+        cone = np.zeros((4, 3 * n))
+        cone[0, 3 * k : 3 * k + 3] = -friction[k] * normals[k]
+        cone[1:, 3 * k : 3 * k + 3] = np.outer(normals[k], normals[k]) - np.eye(3)
+        rows.append(cone)
+        right.append(np.zeros(4))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
+    cones = [clarabel.ZeroConeT(6)] + [clarabel.SecondOrderConeT(4)] * n
+    nothing, matrix = scipy.sparse.csc_matrix((3 * n, 3 * n)), scipy.sparse.csc_matrix(np.vstack(rows))
+    solver = clarabel.DefaultSolver(nothing, normals.ravel(), matrix, np.concatenate(right), cones, settings)
+    solution = solver.solve()
+    return np.inf if "Infeasible" in str(solution.status) else solution.obj_val
+
+
+@pytest.mark.parametrize("kind, n", [("ordinary", 3), ("low_friction", 5), ("infeasible", 5), ("ordinary", 10)])
+def test_the_least_squeeze_is_that_of_a_cone_programme(kind, n):
+    problem = P.problems(kind, n, COUNT, seed=4)
+    found = np.asarray(least_squeeze(grasp_of(problem), problem.wrench, "uniform"))
+    expected = np.array([by_cone_programme(problem, i) for i in range(COUNT)])
+    np.testing.assert_array_equal(np.isfinite(found), np.isfinite(expected))
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_pinch_by_hand():
+    np.testing.assert_allclose(least_squeeze(PINCH, LIFT), 2 / 0.5, rtol=1e-9)
+    np.testing.assert_allclose(least_friction(PINCH, LIFT), 2 / 8 / 0.5, rtol=1e-8)
+    np.testing.assert_allclose(least_friction(PINCH, LIFT, total=16.0), 2 / 16 / 0.5, rtol=1e-8)
+    by_friction = jax.grad(lambda mu: least_squeeze(Grasp(PINCH.points, PINCH.normals, mu, PINCH.squeeze), LIFT))
+    np.testing.assert_allclose(by_friction(PINCH.friction), [-4, -4], rtol=1e-6)
+    by_squeeze = jax.grad(lambda s: least_friction(Grasp(PINCH.points, PINCH.normals, PINCH.friction, s), LIFT))
+    np.testing.assert_allclose(by_squeeze(PINCH.squeeze), [-1 / 16, -1 / 16], rtol=1e-6)
+    np.testing.assert_allclose(jax.grad(lambda t: least_friction(PINCH, LIFT, total=t))(8.0), -1 / 16, rtol=1e-6)
+
+
+def test_what_asks_for_none_or_too_much():
+    tripod = Grasp([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]], [[0.0, 0, 1]] * 3, [0.5] * 3, [1.0] * 3)
+    weight = jnp.array([0.0, 0, 3, 0, 0, 0])
+    np.testing.assert_allclose(least_squeeze(tripod, weight), 3, rtol=1e-9)
+    assert least_friction(tripod, weight, total=3.01) == 0
+    assert least_friction(tripod, weight, total=2.99) == np.inf
+    assert least_squeeze(tripod, -weight) == np.inf and least_friction(tripod, -weight) == np.inf
+    assert least_squeeze(tripod, 0 * weight) == 0
+    assert not np.any(jax.grad(lambda w: least_squeeze(tripod, w))(-weight))
+    bad = Grasp(tripod.points, tripod.normals, jnp.array([0.5, jnp.nan, 0.5]), tripod.squeeze)
+    assert least_squeeze(bad, weight) == np.inf
+
+
+@pytest.mark.slow
+def test_what_cannot_move_keeps_its_squeeze():
+    """A contact of weight zero presses on, and that counts."""
+    held = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0, 0, -1]])
+    grasp = Grasp(held, -held, jnp.full(3, 0.5), jnp.array([4.0, 4.0, 1.5]))
+    np.testing.assert_allclose(least_squeeze(grasp, LIFT, jnp.array([1.0, 1.0, 0.0])), 1.5 + 0.5 / 0.5, rtol=1e-8)
+    np.testing.assert_allclose(least_squeeze(grasp, LIFT, "uniform"), 2, rtol=1e-8)
+
+
+@pytest.mark.slow
+def test_absent_contacts_change_nothing():
+    problem = P.problems("ordinary", 4, COUNT, seed=5)
+    contacts = (problem.points, problem.normals, problem.friction, problem.squeeze)
+    padded = [np.concatenate([x, np.full_like(x[:, :2], np.nan)], 1) for x in contacts]
+    present = np.concatenate([np.ones((COUNT, 4)), np.zeros((COUNT, 2))], 1)
+    for question in (least_squeeze, least_friction):
+        whole = question(grasp_of(problem), problem.wrench)
+        np.testing.assert_allclose(question(Grasp(*padded, present), problem.wrench), whole, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_least_friction_leaves_the_total_that_is_allowed():
+    """With that much friction the hand needs just its total; or with a little less it holds the load by no force."""
+    problem = P.problems("ordinary", 5, COUNT, seed=6)
+    grasp, total = grasp_of(problem), problem.squeeze.sum(1)
+    share = np.asarray(least_friction(grasp, problem.wrench))
+
+    def needed(factor):
+        friction = problem.friction * (share * factor)[:, None]
+        return np.asarray(least_squeeze(Grasp(grasp.points, grasp.normals, friction, grasp.squeeze), problem.wrench))
+
+    at, below = needed(1.0), needed(1 - 3e-6)
+    exact = np.abs(at / total - 1) < 1e-8
+    assert exact.mean() > 0.5
+    assert ((at <= total * (1 + 1e-8)) & (exact | np.isinf(below))).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("question", [least_squeeze, least_friction])
+def test_derivatives_forward_reverse_and_by_differences(question):
+    problem = P.problems("ordinary", 5, COUNT, seed=7)
+    inputs = (problem.points, problem.normals, problem.friction, problem.squeeze, problem.wrench)
+    rng = np.random.default_rng(8)
+    moved = tuple(0.1 * rng.normal(size=x.shape) * np.abs(x).mean() for x in inputs)
+    f = jax.jit(lambda x: question(Grasp(*x[:4]), x[4]))
+    value, tangent = jax.jvp(f, (inputs,), (moved,))
+    pull = rng.normal(size=COUNT)
+    gradient = jax.grad(lambda x: jnp.vdot(pull, f(x)))(inputs)
+    backward = sum(np.sum(g * m) for g, m in zip(gradient, moved, strict=True))
+    np.testing.assert_allclose(backward, np.sum(pull * tangent), rtol=1e-9)
+    errors = []
+    for h in (1e-3, 1e-4):
+        ahead = [
+            np.asarray(f(tuple(x + k * h * m for x, m in zip(inputs, moved, strict=True)))) for k in (1, -1, 2, -2)
+        ]
+        slope = (8 * (ahead[0] - ahead[1]) - (ahead[2] - ahead[3])) / (12 * h)
+        errors.append(np.abs(slope - tangent) / (np.abs(tangent) + 0.1 * np.abs(value)))
+    error = np.min(errors, 0)
+    if question is least_friction:
+        # Where less would be impossible rather than too little, no derivative is given.
+        scaled = Grasp(*inputs[:2], inputs[2] * np.asarray(value)[:, None], inputs[3])
+        exact = np.abs(np.asarray(least_squeeze(scaled, inputs[4])) / inputs[3].sum(1) - 1) < 1e-8
+        assert exact.mean() > 0.5 and not tangent[~exact].any()
+        error = error[exact]
+    # Some have a kink within the steps.
+    assert np.quantile(error, 0.9) < 1e-6
+
+
+@pytest.mark.parametrize("question", [least_squeeze, least_friction])
+def test_second_derivatives_are_refused(question):
+    with pytest.raises(NotImplementedError, match="first derivatives only"):
+        jax.hessian(lambda w: question(PINCH, w))(LIFT)

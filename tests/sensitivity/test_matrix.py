@@ -1,0 +1,203 @@
+"""Sensitivity matrices: the derivatives by hand, the ways to take them alike, and names that mean what they say."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Grasp, HeldCylinder, sensitivity_matrix, slip_angle, squeezing
+
+FINGERS = ("thumb", "index", "middle")
+RNG = np.random.default_rng(3)
+AZIMUTHS = np.array([3.0, 0.4, -0.6])
+OUTWARD = np.stack([np.cos(AZIMUTHS), np.sin(AZIMUTHS), np.zeros(3)], -1)
+VALUES = {
+    "points": 0.05 * OUTWARD + 0.01 * RNG.normal(size=(3, 3)),
+    "normals": -OUTWARD,
+    "friction": np.array([0.5, 0.6, 0.7]),
+    "contributions": np.array([2.0, 1.0, 0.8]),
+    "stiffness": 900.0,
+    "depths": np.array([2e-3, 3e-3, 2.5e-3]),
+    "wrench": np.array([0.3, -0.2, 1.0, 0.01, 0.02, -0.005]),
+}
+
+
+def forces_by(method: str):
+    solve = jaxgrasp.constrained_optimum if "optimum" in method else jaxgrasp.closed_form
+    sharing = "uniform" if method[0] == "A" else "squeeze"
+
+    def forces(p):
+        squeeze = squeezing(p["contributions"], p["stiffness"], p["depths"])
+        return solve(Grasp(p["points"], p["normals"], p["friction"], squeeze), p["wrench"], sharing).forces
+
+    return forces
+
+
+FORCES = {name: forces_by(name) for name in ("A", "B", "A-optimum", "B-optimum")}
+
+
+def slips(p):
+    grasp = Grasp(p["points"], p["normals"], p["friction"], squeezing(p["contributions"], p["stiffness"], p["depths"]))
+    return {"slip_angle": slip_angle(grasp, FORCES["B"](p)), "forces": FORCES["B"](p)}
+
+
+def by_hand(method: str, name: str) -> np.ndarray:
+    """Eqs. 11 and 15, differentiated on paper: f = s a + W G^T y, G f = w."""
+    p, eye = VALUES, np.eye(3)
+    squeeze = p["contributions"] * p["stiffness"] * p["depths"]
+    cross = lambda r: np.array([[0, -r[2], r[1]], [r[2], 0, -r[0]], [-r[1], r[0], 0]])  # noqa: E731
+    G = np.concatenate([np.concatenate([eye, cross(r)]) for r in p["points"]], 1)
+    k = np.repeat(squeeze if method == "B" else np.ones(3), 3)
+    inside = (squeeze[:, None] * p["normals"]).ravel()
+    y = np.linalg.solve(G * k @ G.T, p["wrench"] - G @ inside)
+
+    def moved(d_inside, dk, dG, dw):
+        change = dw - dG @ (inside + k * (G.T @ y)) - G @ (d_inside + dk * (G.T @ y) + k * (dG.T @ y))
+        return d_inside + dk * (G.T @ y) + k * (dG.T @ y) + k * (G.T @ np.linalg.solve(G * k @ G.T, change))
+
+    columns = []
+    for index in np.ndindex(np.shape(p[name])):
+        one = np.zeros(np.shape(p[name]))
+        one[index] = 1
+        ds, da, dG, dw = np.zeros(3), np.zeros((3, 3)), np.zeros((6, 9)), np.zeros(6)
+        if name in ("contributions", "stiffness", "depths"):
+            others = {"contributions", "stiffness", "depths"} - {name}
+            ds = one * np.prod([np.broadcast_to(p[other], 3) for other in sorted(others)], axis=0)
+        elif name == "normals":
+            da = one - np.sum(one * p["normals"], 1, keepdims=True) * p["normals"]
+        elif name == "points":
+            dG = np.concatenate([np.concatenate([0 * eye, cross(r)]) for r in one], 1)
+        elif name == "wrench":
+            dw = one
+        d_inside = (ds[:, None] * p["normals"] + squeeze[:, None] * da).ravel()
+        columns.append(moved(d_inside, np.repeat(ds, 3) if method == "B" else 0 * k, dG, dw))
+    return np.stack(columns, -1)
+
+
+@pytest.mark.parametrize("name", VALUES)
+@pytest.mark.parametrize("method", ["A", "B"])
+def test_closed_forms_by_hand(method, name):
+    found = sensitivity_matrix(FORCES[method], VALUES, [name])
+    np.testing.assert_allclose(found.nominal, FORCES[method](VALUES).ravel(), rtol=1e-12)
+    np.testing.assert_allclose(found.derivatives, by_hand(method, name), rtol=1e-9, atol=1e-9)
+    assert found.parameter_labels[0] == name + {0: "", 1: "[0]", 2: "[0, 0]"}[np.ndim(VALUES[name])]
+
+
+@pytest.mark.parametrize("method", FORCES)
+def test_forward_and_reverse_are_one(method):
+    either = [sensitivity_matrix(FORCES[method], VALUES, mode=mode) for mode in ("forward", "reverse", None)]
+    for one in either[1:]:
+        np.testing.assert_allclose(one.derivatives, either[0].derivatives, rtol=1e-9, atol=1e-9)
+    assert either[0].derivatives.shape == (9, 3 * 3 + 3 * 3 + 3 + 3 + 1 + 3 + 6)
+
+
+def test_any_tree_of_outputs_and_any_choice_of_parameters():
+    labels = {"contributions": FINGERS, "slip_angle": FINGERS, "forces": FINGERS}
+    found = sensitivity_matrix(slips, VALUES, ["contributions[index]", "stiffness", "points[0, 2]"], labels=labels)
+    assert found.parameter_labels == ("contributions[index]", "stiffness", "points[0, 2]")
+    assert found.output_labels[:1] + found.output_labels[-3:] == (
+        "forces[thumb, 0]",
+        *(f"slip_angle[{f}]" for f in FINGERS),
+    )
+    whole = sensitivity_matrix(slips, VALUES)
+    columns = [whole.parameter_labels.index(name) for name in ("contributions[1]", "stiffness", "points[0, 2]")]
+    np.testing.assert_allclose(found.derivatives, whole.derivatives[:, columns], rtol=1e-9, atol=1e-12)
+    assert [entry.unit for entry in found.parameters] == ["", "N/m", "m"]
+
+
+def test_names_come_out_of_modules_too():
+    cylinder = HeldCylinder(
+        0.05, 0.2, AZIMUTHS, np.zeros(3), 0.6, np.ones(3), 900.0, np.full(3, 2e-3), 0.4, np.zeros(3)
+    )
+
+    def reach(task):
+        return {"points": task["held"].grasp().points}
+
+    found = sensitivity_matrix(reach, {"held": cylinder, "other": 1.0}, ["radius", "held.azimuths"])
+    assert found.parameter_labels == ("radius", "azimuths[0]", "azimuths[1]", "azimuths[2]")
+    np.testing.assert_allclose(found.derivatives[:, 0].reshape(3, 3), OUTWARD, atol=1e-12)
+    everything = sensitivity_matrix(reach, {"held": cylinder, "other": 1.0}, ["held"])
+    assert "other" not in everything.parameter_labels and "mass" in everything.parameter_labels
+
+
+def test_elasticities_are_by_per_cent():
+    """Of a power law y = c x^p the elasticity is p everywhere."""
+    found = sensitivity_matrix(lambda p: {"y": 3 * p["x"] ** 2.5 / p["z"]}, {"x": 1.7, "z": -0.4})
+    np.testing.assert_allclose(found.relative(), [[2.5, -1]], rtol=1e-12)
+
+
+def test_elasticities_at_zero():
+    found = sensitivity_matrix(lambda p: jnp.stack([p["x"] - 1, p["y"], 0 * p["x"]]), {"x": 1.0, "y": 0.0})
+    np.testing.assert_array_equal(found.relative(), [[np.inf, 0], [0, 0], [0, 0]])
+
+
+def test_ranking_is_by_relative_influence():
+    f = lambda p: {"a": jnp.stack([p["x"] + 0.1 * p["y"][0], p["x"] + 2 * p["y"][1]])}  # noqa: E731
+    found = sensitivity_matrix(f, {"x": 1.0, "y": jnp.array([1.0, -0.5]), "idle": 4.0})
+    ranked = found.ranking()
+    assert [one.label for one in ranked] == ["x", "y[1]", "y[0]", "idle"]
+    size = np.sqrt((1.1**2 + 0.0**2) / 2)
+    np.testing.assert_allclose(
+        [one.size for one in ranked], [1 / size, np.sqrt(0.5) / size, 0.1 * np.sqrt(0.5) / size, 0]
+    )
+    together = found.ranking({"y[0]": 50.0}, together=True)
+    assert [one.label for one in together] == ["y", "x", "idle"]
+    np.testing.assert_allclose(together[0].size, np.sqrt(25 / 2 + 0.5) / size)
+
+
+def test_a_contact_without_force_moves_nothing():
+    values = VALUES | {"depths": np.array([2e-3, 0.0, 2.5e-3])}
+    found = sensitivity_matrix(slips, values, ["friction", "wrench", "contributions"])
+    assert np.isfinite(found.derivatives).all() and np.isneginf(found.nominal[-2])
+    assert not np.any(found.derivatives[-2]) and not np.isnan(found.relative()).any()
+    assert all(np.isfinite(one.size) for one in found.ranking())
+
+
+def test_columns_hold_every_pair():
+    found = sensitivity_matrix(slips, VALUES, ["friction", "stiffness"])
+    columns = found.columns()
+    assert {len(column) for column in columns.values()} == {12 * 4}
+    np.testing.assert_array_equal(columns["derivative"].reshape(12, 4), found.derivatives)
+    assert columns["unit"][3] == "N per N/m" and columns["parameter"][3] == "stiffness"
+
+
+@pytest.mark.parametrize(
+    "by, said",
+    [
+        (["fricton"], "there is no 'fricton': did you mean 'friction'?"),
+        (["depths[3]"], r"there is no 'depths\[3\]': did you mean 'depths\["),
+        (["zzz"], "there is no 'zzz': expected some of contributions, depths, friction"),
+        ([], "expected at least one name"),
+        ("friction", "expected a list of names"),
+    ],
+)
+def test_unknown_names_are_said(by, said):
+    with pytest.raises(ValueError, match=said):
+        sensitivity_matrix(FORCES["A"], VALUES, by)
+
+
+def test_other_bad_input_is_said():
+    with pytest.raises(ValueError, match=r"friction\[1\] is nan: expected a finite number"):
+        sensitivity_matrix(FORCES["A"], VALUES | {"friction": np.array([1, np.nan, 1])})
+    with pytest.raises(ValueError, match="friction has 3 entries on its first axis: expected as many labels, not 2"):
+        sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": ("a", "b")})
+    with pytest.raises(ValueError, match="labels are given for 'frictions', which there is not: did you mean"):
+        sensitivity_matrix(FORCES["A"], VALUES, labels={"frictions": FINGERS})
+    with pytest.raises(ValueError, match="no floating-point arrays"):
+        sensitivity_matrix(lambda p: jnp.argmax(p["friction"]), VALUES)
+    matrix = sensitivity_matrix(FORCES["A"], VALUES, ["friction"])
+    with pytest.raises(ValueError, match="there is no 'stiffness'"):
+        matrix.ranking({"stiffness": 1.0})
+
+
+def test_plain_numbers_are_no_other_program():
+    traces = []
+
+    def f(p):
+        traces.append(p)
+        return p["x"] * 2
+
+    for x in (1, 2.0, 3.5):
+        assert sensitivity_matrix(f, {"x": x, "flag": True}).derivatives == 2
+    # Once for the shapes of the outputs, once for the derivatives.
+    assert len(traces) == 2

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from jaxgrasp.prehension.scene import Obstacle, Scene
     from jaxgrasp.prehension.tick import Tick, observe
     from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix, sensitivity_matrix
-    from jaxgrasp.sensitivity.outputs import Output
+    from jaxgrasp.sensitivity.outputs import Output, friction_reserve
     from jaxgrasp.sensitivity.paper_task import cylinder_task
     from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, VariedCurves, sensitivity_trajectory
 
@@ -138,6 +138,7 @@ _HOME = {
     "evaluate": "batch.evaluation",
     "find_contacts": "contact.detection",
     "friction_margin": "force.angles",
+    "friction_reserve": "sensitivity.outputs",
     "from_mujoco": "interop.mujoco_contacts",
     "grasp_from_contacts": "contact.to_grasp",
     "grasp_matrix": "model.wrench",

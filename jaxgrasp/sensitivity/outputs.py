@@ -8,6 +8,7 @@ from jax import Array
 
 from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
+from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.methods import methods_named
@@ -20,6 +21,15 @@ QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
     "friction_margin": lambda grasp, solution: friction_margin(grasp, solution.forces),
     "objective": lambda grasp, solution: solution.objective,
 }
+
+
+def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[str, Array]:
+    """How many times less friction would do, with the normal forces that the hand means to exert in total.
+
+    What ranks an optimum, whose active contacts have no margin left however much they have in reserve: the inverse of
+    [`jaxgrasp.least_friction`][]. Below 1 the friction does not do; +inf where hardly any is needed.
+    """
+    return {"reserve": 1 / least_friction(grasp, wrench)}
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,109 @@
+"""``jaxgrasp sensitivity``: which parameters matter along a task, and how."""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.cli.arguments import Sensitivity
+from jaxgrasp.cli.checks import check_positive
+from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.model.methods import methods_named
+from jaxgrasp.sensitivity.matrix import SensitivityMatrix
+from jaxgrasp.sensitivity.naming import Labels
+from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task
+from jaxgrasp.sensitivity.study import Study, ranking, spells, study
+
+LABELS: Labels = dict.fromkeys(
+    ("azimuths", "contributions", "depths", "friction", "heights", "stiffness", "slip_angle"), FINGERS
+)
+SAID = 5
+"""Parameters of a ranking that are said; the file has them all."""
+
+
+def sensitivity_command(arguments: Sensitivity) -> int:
+    """Differentiate, write, and say what matters."""
+    check_positive(arguments, "seconds", "step")
+    if arguments.step > arguments.seconds:
+        raise ValueError(f"step is {arguments.step}: expected at most seconds, {arguments.seconds}")
+    methods = [method.name for method in methods_named(arguments.methods)]
+    set_up_jax("float64")
+    times = np.linspace(0, arguments.seconds, max(2, round(arguments.seconds / arguments.step) + 1))
+    found = study(cylinder_task(), times, methods, arguments.by, arguments.vary, arguments.values, LABELS)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    _write_table(arguments.out / "sensitivity.csv", _curves(found))
+    _write_table(arguments.out / "ranking.csv", _rankings(found))
+    print("\n".join(_said(found, arguments.finger)))
+    print(f"written: {arguments.out / 'sensitivity.csv'}, {arguments.out / 'ranking.csv'}")
+    if arguments.report:
+        from jaxgrasp.report.sensitivity_picture import write_sensitivity_picture
+
+        try:
+            path = arguments.out / "sensitivity.png"
+            write_sensitivity_picture(path, found, arguments.finger, arguments.vary)
+            print(f"figure:  {path}")
+        except ImportError as error:
+            print(f"no figure: {error}")
+    return 0
+
+
+def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    replace_file(path, lambda stream: stream.write(text.getvalue().encode()))
+
+
+def _curves(found: Study) -> Iterable[Sequence]:
+    """A row for each method, finger and instant."""
+    first = next(iter(found.slips.values())).matrix
+    units = [f"d slip_angle / d {one.label} [rad{f'/({one.unit})' if one.unit else ''}]" for one in first.parameters]
+    yield ["method", "finger", "time [s]", "slip_angle [rad]", *units]
+    for method, trajectory in found.slips.items():
+        matrix = trajectory.matrix
+        for k, finger in enumerate(FINGERS):
+            for t, time in enumerate(np.asarray(trajectory.times)):
+                row = np.asarray(matrix.derivatives)[t, k]
+                yield [method, finger, f"{time:.6g}", *(f"{value:.9g}" for value in (matrix.nominal[t, k], *row))]
+
+
+def _rankings(found: Study) -> Iterable[Sequence]:
+    yield ["of", "parameter", "unit", "value", "influence of 1% [%]"]
+    for name, matrix in _ranked(found).items():
+        values = {
+            entry.label: (entry.unit, value) for entry, value in zip(matrix.parameters, matrix.values, strict=True)
+        }
+        for one in ranking(matrix):
+            unit, value = values[one.label]
+            yield [name, one.label, unit, f"{value:.9g}", f"{one.size:.6g}"]
+
+
+def _ranked(found: Study) -> dict[str, SensitivityMatrix]:
+    slips = {f"slip angles, {method}": trajectory.matrix for method, trajectory in found.slips.items()}
+    return slips | {"reserve of friction": found.reserve.matrix}
+
+
+def _said(found: Study, finger: str) -> list[str]:
+    """What a person asks first."""
+    lines, k = [], FINGERS.index(finger)
+    for method, trajectory in found.slips.items():
+        times, slips = np.asarray(trajectory.times), np.degrees(trajectory.matrix.nominal)
+        pulled = ", ".join(f"{begin:.2f} to {end:.2f} s" for begin, end in spells(times, slips[:, k] > 90))
+        lines.append(
+            f"{method}: worst slip angle {slips.max():.1f} degrees; {finger} {slips[:, k].max():.1f} degrees"
+            + (f", pulled at from {pulled}" if pulled else "")
+        )
+    reserve = np.asarray(found.reserve.matrix.nominal)[:, 0]
+    worst = int(np.argmin(reserve))
+    lines.append(f"reserve of friction: {reserve[worst]:.2f} at the worst, at {found.reserve.times[worst]:.2f} s")
+    for name, matrix in _ranked(found).items():
+        ranked = [f"{one.label} {_size(one.size)}" for one in ranking(matrix)[:SAID]]
+        lines.append(f"{name}: 1% of a parameter moves them by, in %: {', '.join(ranked)}")
+    return lines
+
+
+def _size(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else "without bound"

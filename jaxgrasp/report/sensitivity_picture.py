@@ -1,0 +1,93 @@
+"""A picture of a sensitivity analysis: slip angles over time as in the paper's Fig. 5, and what has influence."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, method_title, number
+from jaxgrasp.sensitivity.matrix import SensitivityMatrix
+from jaxgrasp.sensitivity.study import Study, ranking
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MISSING = "the figure needs matplotlib: pip install 'jaxgrasp[report]'"
+DPI = 130
+SHOWN = 8
+"""Bars of a ranking."""
+DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (5, 1.5, 1, 1.5)))
+
+
+def write_sensitivity_picture(path: Path, found: Study, finger: str, vary: str) -> None:
+    """Write the picture, whole or not at all.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise ImportError(MISSING) from None
+    replace_file(path, partial(sensitivity_figure(found, finger, vary).savefig, format="png", dpi=DPI))
+
+
+def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
+    """A column for each method: one finger's slip angle for each value, under it the rankings, the reserve's too."""
+    from matplotlib.figure import Figure
+
+    columns = len(found.slips)
+    figure = Figure(figsize=(4.2 * columns + 0.8, 7.6))
+    grid = figure.add_gridspec(2, columns, left=0.075, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.42)
+    rankings = figure.add_gridspec(
+        2, columns + 1, left=0.11, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.75
+    )
+    for column, (method, trajectory) in enumerate(found.slips.items()):
+        axes = figure.add_subplot(grid[0, column])
+        _draw_slips(axes, method, trajectory, finger, vary)
+        axes.set_ylabel(f"slip angle of the {finger} [\N{DEGREE SIGN}]" if column == 0 else "")
+        below = figure.add_subplot(rankings[1, column])
+        _draw_ranking(below, trajectory.matrix, f"slip angles, {method_title(method)}", METHOD_COLOURS[method])
+    last = figure.add_subplot(rankings[1, columns])
+    _draw_ranking(last, found.reserve.matrix, "reserve of friction", INK)
+    figure.text(
+        0.012, 0.955, f"Slip angle of the {finger} along the task; what moves all fingers'", fontsize=12, color=INK
+    )
+    values = next(iter(found.slips.values())).varied[vary].values
+    for dash, value in zip(DASHES, values, strict=False):
+        last.plot([], [], color=INK, linestyle=dash, linewidth=1.7, label=f"{vary} = {number(float(value))}")
+    figure.legend(frameon=False, fontsize=9.5, loc="upper right", handlelength=2.8, ncols=len(values))
+    return figure
+
+
+def _draw_slips(axes: "Axes", method: str, trajectory: Any, finger: str, vary: str) -> None:
+    varied, times = trajectory.varied[vary], np.asarray(trajectory.times)
+    k = trajectory.matrix.output_labels.index(f"slip_angle[{finger}]")
+    axes.axhspan(90, 180, color="#CC79A7", alpha=0.13, linewidth=0)
+    place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "ha": "center", "fontsize": 9, "color": MUTED}
+    axes.text(0.5, 0.97, "pulls", **place)
+    for dash, curve in zip(DASHES, np.degrees(varied.curves[..., k]), strict=False):
+        shown = np.where(np.isfinite(curve), curve, np.nan)
+        axes.plot(times, shown, color=METHOD_COLOURS[method], linestyle=dash, linewidth=1.7)
+    axes.set_title(method_title(method), fontsize=11, color=METHOD_COLOURS[method], loc="left")
+    axes.set(xlim=(times[0], times[-1]), ylim=(0, 180), yticks=range(0, 181, 30), xlabel="time [s]")
+    _plain(axes)
+
+
+def _draw_ranking(axes: "Axes", matrix: SensitivityMatrix, title: str, colour: str) -> None:
+    ranked = [one for one in ranking(matrix) if np.isfinite(one.size)][:SHOWN][::-1]
+    axes.barh([one.label for one in ranked], [one.size for one in ranked], color=colour, height=0.62)
+    axes.set_title(title, fontsize=10, color=colour, loc="left")
+    axes.set_xlabel("influence of 1%, in %")
+    axes.tick_params(axis="y", length=0, labelsize=8.5)
+    axes.grid(axis="y", visible=False)
+    _plain(axes)
+
+
+def _plain(axes: "Axes") -> None:
+    axes.grid(axis="x", color=GRID, linewidth=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)

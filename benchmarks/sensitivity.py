@@ -1,0 +1,194 @@
+"""Sensitivity along the paper's task: time and error of derivatives, and how often method B is worse than A.
+
+    python -m benchmarks.sensitivity --out benchmarks/results
+
+Writes sensitivity.json and sensitivity.md. The derivatives' rival are central differences, batched into one compiled
+call; their error is judged by central differences of sixth order. The sweep draws placements, friction and
+contributions about those of the paper's task.
+"""
+
+import os
+
+# One thread, decided before JAX starts its pool.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxgrasp
+from benchmarks.machine import machine
+from benchmarks.page import sensitivity_tables
+from benchmarks.page.clock import interleaved
+from jaxgrasp import HeldCylinder, Output, Task, Verdict, carrying, cylinder_task, sensitivity_trajectory
+from jaxgrasp.sensitivity.naming import with_values
+
+NAME = "sensitivity"
+BY = ("contributions", "friction", "depths")
+METHODS = ("A", "B", "A-optimum", "B-optimum")
+SECONDS = 4.0
+STEP = 1e-6
+"""Of the rival's central differences, relative to the parameter."""
+SIXTH_ORDER = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+REFERENCE_STEPS = (1e-3, 2e-4)
+"""Of the differences of sixth order; of the two the closer counts, since a kink may lie within the longer."""
+
+
+class Plan(NamedTuple):
+    times: int = 1000
+    repeats: int = 9
+    settings: int = 1000
+    instants: int = 80
+
+
+QUICK = Plan(times=20, repeats=3, settings=10, instants=8)
+
+
+def derivatives(method: str, plan: Plan) -> dict:
+    """Milliseconds of the trajectory and of central differences, and the error of both."""
+    task, output = cylinder_task(), Output("slip_angle", method)
+    # Off the instants at which a finger comes to its cone, where a derivative has two sides.
+    times = np.linspace(0.0013, SECONDS - 0.0017, plan.times)
+    found = sensitivity_trajectory(task, times, output, BY)
+    curves = along(task, times, output, found.matrix.parameters)
+    here = found.matrix.values
+    by_differences = jax.jit(lambda x: (curves(x), central(curves, x, STEP * jnp.abs(x), {1: 0.5})))
+    calls = {
+        "ours": lambda: jax.block_until_ready(sensitivity_trajectory(task, times, output, BY).matrix.derivatives),
+        "central": lambda: jax.block_until_ready(by_differences(here)),
+        "curves": lambda: jax.block_until_ready(curves(here)),
+    }
+    spent = interleaved(calls, plan.repeats, 20.0)
+    references = [central(curves, here, h * jnp.abs(here), SIXTH_ORDER) for h in REFERENCE_STEPS]
+    loaded = np.isfinite(found.matrix.nominal)
+    return {
+        "method": method,
+        "times": plan.times,
+        "parameters": len(found.matrix.parameters),
+        "milliseconds": {name: 1e3 * seconds for name, seconds in spent.items()},
+        "error": error(found.matrix.derivatives, references, loaded),
+        "central_error": error(by_differences(here)[1], references, loaded),
+    }
+
+
+def along(task: Task, times: np.ndarray, output: Output, entries: Any) -> Callable[[jax.Array], jax.Array]:
+    """Slip angles ``(T, n)`` as a function of the parameters' values."""
+
+    @jax.jit
+    def curves(values: jax.Array) -> jax.Array:
+        moved = Task(with_values(task.parameters, entries, values), task.at)
+        return output(*jax.vmap(moved)(jnp.asarray(times)))["slip_angle"]
+
+    return curves
+
+
+def central(curves: Callable, here: jax.Array, steps: jax.Array, weights: dict[int, float]) -> jax.Array:
+    """Central differences ``(T, n, P)``, all parameters in one batch."""
+    ways = jax.vmap(curves)
+    sides = [c * (ways(here + m * jnp.diag(steps)) - ways(here - m * jnp.diag(steps))) for m, c in weights.items()]
+    return jnp.moveaxis(sum(sides[1:], sides[0]) / steps[:, None, None], 0, -1)
+
+
+def error(found: jax.Array, references: list[jax.Array], loaded: np.ndarray) -> dict[str, float]:
+    """Largest, and that of 99.9 %: distance from the closer reference, relative to 1 or the derivative."""
+    apart = np.min([np.abs(np.asarray(found - one)) for one in references], 0) / (
+        1 + np.abs(np.asarray(references[-1]))
+    )
+    apart = apart[loaded]
+    return {"largest": float(apart.max()), "of_all_but_a_thousandth": float(np.quantile(apart, 0.999))}
+
+
+def drawn(count: int, seed: int = 0) -> HeldCylinder:
+    """What is held, of leading axis ``count``, drawn about the paper's."""
+    rng = np.random.default_rng(seed)
+    held = cylinder_task().parameters.held
+    fingers = rng.uniform(0.5, 1.5, (count, 4))
+    fingers[:, 0] *= rng.uniform(0.02, 1, count)
+    thumb = fingers.sum(1, keepdims=True) * rng.uniform(0.8, 1.2, (count, 1))
+    values = {
+        "azimuths": held.azimuths + rng.normal(scale=0.2, size=(count, 5)),
+        "heights": held.heights + rng.normal(scale=0.005, size=(count, 5)),
+        "friction": np.repeat(rng.uniform(0.3, 0.9, (count, 1)), 5, 1),
+        "contributions": np.concatenate([thumb, fingers], 1),
+        "depths": np.repeat(rng.uniform(1.5e-3, 5e-3, (count, 1)), 5, 1),
+    }
+    same = jax.tree.map(lambda x: np.broadcast_to(x, (count, *np.shape(x))), held)
+    return HeldCylinder(**{**vars(same), **values})
+
+
+def sweep(plan: Plan) -> dict:
+    """Slip angles by A, by B and by B's optimum over a cycle of each drawn task."""
+    paper = cylinder_task().parameters
+    times = (jnp.arange(plan.instants) + 0.5) * SECONDS / plan.instants
+    each = jax.vmap(lambda held: jax.vmap(carrying(held, paper.path, paper.gravity))(times))
+    grasp, wrench = each(drawn(plan.settings))
+    slips, solutions = {}, {}
+    for method, solve, sharing in (
+        ("A", jaxgrasp.closed_form, "uniform"),
+        ("B", jaxgrasp.closed_form, "squeeze"),
+        ("B-optimum", jaxgrasp.constrained_optimum, "squeeze"),
+    ):
+        solutions[method] = jax.device_get(solve(grasp, wrench, sharing))
+        slips[method] = np.degrees(jaxgrasp.slip_angle(grasp, solutions[method].forces))
+    closed, optimum = solutions["B"], solutions["B-optimum"]
+    held = np.asarray(optimum.verdict) <= Verdict.OPTIMAL
+    push = np.linalg.norm(closed.forces, axis=-1).max(-1)
+    apart = np.linalg.norm(optimum.forces - closed.forces, axis=-1).max(-1) / push
+    active = np.asarray(optimum.verdict) == Verdict.OPTIMAL
+    price = (optimum.objective - closed.objective)[active] / optimum.objective[active]
+    index = {method: own[..., 1] for method, own in slips.items()}
+    worst = {method: own.max((1, 2)) for method, own in slips.items()}
+    return {
+        "settings": plan.settings,
+        "instants": plan.instants,
+        "worst_of_the_index": worse(index["B"].max(1), index["A"].max(1)),
+        "worst_of_all": worse(worst["B"], worst["A"]),
+        "index_at_an_instant": worse(index["B"].ravel(), index["A"].ravel()),
+        "largest_at_an_instant": worse(slips["B"].max(-1).ravel(), slips["A"].max(-1).ravel()),
+        "settings_in_which_it_pulls": {m: float((own > 90).mean()) for m, own in worst.items() if m != "B-optimum"},
+        "instants_outside_the_cones": {
+            m: float(np.mean(solutions[m].verdict == Verdict.OUTSIDE_CONES)) for m in ("A", "B")
+        },
+        "instants_that_forces_exist_for": float(held.mean()),
+        "instants_with_active_cones": float(active.mean()),
+        "distance_where_active": {q: float(np.quantile(apart[active], float(q))) for q in ("0.5", "0.9", "1.0")},
+        "price_where_active": {q: float(np.quantile(price, float(q))) for q in ("0.5", "0.9", "1.0")},
+    }
+
+
+def worse(b: np.ndarray, a: np.ndarray) -> dict[str, float]:
+    """How often B's slip angle is the larger, and by how much then [degrees]."""
+    more = (b - a)[b > a + 1e-9]
+    if not more.size:
+        return {"share": 0.0, "median": 0.0, "largest": 0.0}
+    return {"share": len(more) / len(a), "median": float(np.median(more)), "largest": float(more.max())}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
+    parser.add_argument("--quick", action="store_true", help="a few of everything: a test, not a measurement")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    plan = QUICK if options.quick else Plan()
+    report = {
+        "machine": machine(),
+        "plan": plan._asdict(),
+        "derivatives": [derivatives(method, plan) for method in METHODS],
+        "sweep": sweep(plan),
+    }
+    (options.out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
+    (options.out / f"{NAME}.md").write_text(sensitivity_tables.page(report))
+
+
+if __name__ == "__main__":
+    main()

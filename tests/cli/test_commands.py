@@ -84,6 +84,7 @@ def test_evaluate_writes_results_summary_and_report(grasps):
     assert "report.html" in answer.stdout and (grasps / "out" / "report.html").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_outward_normals_are_suspected_and_turned(grasps):
     with np.load("grasps.npz") as archive:
         columns = dict(archive)

@@ -65,6 +65,7 @@ def test_clamping_brings_angles_to_their_limits_and_leaves_the_rest():
     np.testing.assert_array_equal(np.asarray(tamed.angles)[keep], posture.angles[keep])
 
 
+@pytest.mark.slow
 def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone():
     posture = random_posture(HAND, 5)
     placed = Pose(posture.wrist.origin + 0.05 * posture.wrist.rotation[..., 0], posture.wrist.rotation)

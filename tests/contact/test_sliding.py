@@ -133,6 +133,7 @@ def test_jaws_of_no_size_are_refused(sizes, words):
         parallel_jaw(**sizes)
 
 
+@pytest.mark.slow
 def test_flat_pads_keep_a_box_from_turning():
     """One point of contact on each side could not."""
     placed = Pose(np.array([0.0, 0.0, 0.12]), np.eye(3))

@@ -166,6 +166,7 @@ def test_absent_contacts_change_nothing(padded):
     assert (other.verdict == bare.verdict).all()
 
 
+@pytest.mark.slow
 def test_nobody_there(padded):
     _, wide, present, _ = padded
     nobody = solve(wide, wide.squeeze, 0 * present)

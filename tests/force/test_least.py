@@ -45,7 +45,15 @@ def by_cone_programme(problem: P.Problems, i: int) -> float:
     return np.inf if "Infeasible" in str(solution.status) else solution.obj_val
 
 
-@pytest.mark.parametrize("kind, n", [("ordinary", 3), ("low_friction", 5), ("infeasible", 5), ("ordinary", 10)])
+@pytest.mark.parametrize(
+    "kind, n",
+    [
+        ("ordinary", 3),
+        ("infeasible", 3),
+        pytest.param("low_friction", 5, marks=pytest.mark.slow),
+        pytest.param("ordinary", 10, marks=pytest.mark.slow),
+    ],
+)
 def test_the_least_squeeze_is_that_of_a_cone_programme(kind, n):
     problem = P.problems(kind, n, COUNT, seed=4)
     found = np.asarray(least_squeeze(grasp_of(problem), problem.wrench, "uniform"))
@@ -66,6 +74,7 @@ def test_a_pinch_by_hand():
     np.testing.assert_allclose(jax.grad(lambda t: least_friction(PINCH, LIFT, total=t))(8.0), -1 / 16, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_asks_for_none_or_too_much():
     tripod = Grasp([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]], [[0.0, 0, 1]] * 3, [0.5] * 3, [1.0] * 3)
     weight = jnp.array([0.0, 0, 3, 0, 0, 0])

@@ -43,6 +43,7 @@ def between_bounds(problem: P.Problems, direction: np.ndarray, weights: np.ndarr
     return int(np.sum(upper[both] - lower[both] <= slack[both]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ordinary", "low_friction", "far_frame", "scales", "wide_squeeze"])
 def test_margin_lies_between_proven_bounds(kind):
     problem = P.problems(kind, N, COUNT, seed=1)
@@ -248,6 +249,7 @@ def test_derivatives_are_limits_of_differences(kind):
         np.testing.assert_allclose(reverse, tangent, rtol=1e-9, atol=1e-9 * np.abs(tangent).max())
 
 
+@pytest.mark.slow
 def test_derivatives_where_a_contact_holds():
     """A fixed contact's squeeze shifts the wrench: by the normal of what bounds the rest."""
     problem = P.problems("ordinary", N, COUNT, seed=17)

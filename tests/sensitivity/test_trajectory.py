@@ -79,6 +79,7 @@ def differences(curves, values, h: float) -> np.ndarray:
     return np.stack(columns, -1)
 
 
+@pytest.mark.slow
 def test_at_the_cones_surface_the_angle_is_the_cones():
     """There it moves with the friction alone, by 1 / (1 + mu^2); elsewhere not with its own friction alone."""
     found = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B-optimum"], ["friction"], labels=LABELS)
@@ -109,6 +110,7 @@ def _first_slip(method: str):
     return slip
 
 
+@pytest.mark.slow
 def test_varied_curves_and_their_prediction():
     here = float(cylinder_task().parameters.held.contributions[INDEX])
     values = (*INDEX_CONTRIBUTIONS, here, 1.01 * here, 1.005 * here)

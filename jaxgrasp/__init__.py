@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     )
     from jaxgrasp.force.dual_function import dual_value, multiplier_forces
     from jaxgrasp.force.lagrange import lagrange_forces
+    from jaxgrasp.force.least_factor import least_squeeze_factor
     from jaxgrasp.force.least_friction import least_friction
     from jaxgrasp.force.least_squeeze import least_squeeze
     from jaxgrasp.force.margin import wrench_margin
@@ -151,6 +152,7 @@ _HOME = {
     "lagrange_forces": "force.lagrange",
     "least_friction": "force.least_friction",
     "least_squeeze": "force.least_squeeze",
+    "least_squeeze_factor": "force.least_factor",
     "level_errors": "contact.filling",
     "link_contributions": "contact.to_grasp",
     "load_grasps": "batch.sources",

@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse
 
 from benchmarks import problems as P
-from jaxgrasp import Grasp, grasp_matrix, least_friction, least_squeeze
+from jaxgrasp import Grasp, Verdict, closed_form, grasp_matrix, least_friction, least_squeeze, least_squeeze_factor
 
 COUNT = 24
 PINCH = Grasp(
@@ -160,3 +160,31 @@ def test_derivatives_forward_reverse_and_by_differences(question):
 def test_second_derivatives_are_refused(question):
     with pytest.raises(NotImplementedError, match="first derivatives only"):
         jax.hessian(lambda w: question(PINCH, w))(LIFT)
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_the_least_factor_is_where_method_b_comes_to_hold(n):
+    problem = P.problems("ordinary", n, 400, seed=9)
+    factor = np.asarray(least_squeeze_factor(grasp_of(problem), problem.wrench))
+
+    def holds(factors):
+        squeeze = problem.squeeze * factors[:, None]
+        grasp = Grasp(problem.points, problem.normals, problem.friction, squeeze)
+        return np.asarray(closed_form(grasp, problem.wrench).verdict) == Verdict.CLOSED_FORM_OPTIMAL
+
+    there = np.isfinite(factor) & (factor > 0)
+    assert there.mean() > 0.1 and np.isinf(factor).mean() > 0.1
+    assert holds(np.where(there, factor, 1) * (1 + 1e-7))[there].all()
+    assert not holds(np.where(there, factor, 1) * (1 - 1e-7))[there].any()
+    for tried in np.geomspace(1e-3, 1e3, 25):
+        held = holds(np.full(len(factor), tried))
+        assert (factor[held] <= tried * (1 + 1e-9)).all()
+
+
+def test_the_least_factor_of_a_pinch_by_hand():
+    np.testing.assert_allclose(least_squeeze_factor(PINCH, LIFT), 1 / (0.5 * 4), rtol=1e-12)
+    by_friction = jax.grad(lambda mu: least_squeeze_factor(Grasp(PINCH.points, PINCH.normals, mu, PINCH.squeeze), LIFT))
+    np.testing.assert_allclose(np.sum(by_friction(PINCH.friction)), -1, rtol=1e-9)
+    assert least_squeeze_factor(PINCH, 0 * LIFT) == 0
+    weak = Grasp(PINCH.points, PINCH.normals, jnp.zeros(2), PINCH.squeeze)
+    assert least_squeeze_factor(weak, LIFT) == jnp.inf

@@ -12,13 +12,14 @@ import numpy as np
 
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Grip
-from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive
+from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
 from jaxgrasp.cli.machine import provenance, set_up_jax
 from jaxgrasp.contact.detection import Contacts
 from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.prehension.carry import Instant, carry, stacked
 from jaxgrasp.prehension.lifting import lift_and_turn
 from jaxgrasp.prehension.monitor import Hold
@@ -28,7 +29,6 @@ from jaxgrasp.prehension.precision_grip import precision_grip
 from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import History, history
 
-GRAVITY = (0.0, 0.0, -9.81)
 TABLE = -0.5
 """Height of the table's top below the wrist's start [m]."""
 
@@ -38,8 +38,7 @@ def grip_command(arguments: Grip) -> int:
     check_positive(arguments, "mass", "stiffness", "depth", "seconds", "step")
     check_not_negative(arguments, "friction")
     check_finite(arguments, "lift", "turn")
-    if arguments.step > arguments.seconds:
-        raise ValueError(f"step is {arguments.step}: expected at most seconds, {arguments.seconds}")
+    times = sampled_times(arguments.seconds, arguments.step)
     shape = _shape(arguments)
     check_shape(shape)
     set_up_jax("float64")
@@ -47,8 +46,6 @@ def grip_command(arguments: Grip) -> int:
     closed, placed, contacts = _closed(arguments, hand, shape)
     kind = GripType(int(grip_type(hand, closed, contacts)))
     print(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
-    count = max(2, round(arguments.seconds / arguments.step) + 1)
-    times = np.linspace(0, arguments.seconds, count)
     postures = lift_and_turn(
         closed,
         times,

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Sensitivity
-from jaxgrasp.cli.checks import check_positive
+from jaxgrasp.cli.checks import check_positive, sampled_times
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.model.methods import methods_named
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
@@ -28,11 +28,9 @@ SAID = 5
 def sensitivity_command(arguments: Sensitivity) -> int:
     """Differentiate, write, and say what matters."""
     check_positive(arguments, "seconds", "step")
-    if arguments.step > arguments.seconds:
-        raise ValueError(f"step is {arguments.step}: expected at most seconds, {arguments.seconds}")
+    times = sampled_times(arguments.seconds, arguments.step)
     methods = [method.name for method in methods_named(arguments.methods)]
     set_up_jax("float64")
-    times = np.linspace(0, arguments.seconds, max(2, round(arguments.seconds / arguments.step) + 1))
     found = study(cylinder_task(), times, methods, arguments.by, arguments.vary, arguments.values, LABELS)
     arguments.out.mkdir(parents=True, exist_ok=True)
     _write_table(arguments.out / "sensitivity.csv", _curves(found))

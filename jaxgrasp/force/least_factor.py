@@ -27,13 +27,13 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         ValueError: for shapes that do not fit.
     """
     split = split_forces(grasp, wrench)
-    friction = jnp.asarray(grasp.friction)
+    friction, normals = jnp.asarray(grasp.friction), jnp.asarray(grasp.normals)
     if grasp.present is not None:
-        friction = jnp.where(jnp.asarray(grasp.present) > 0.5, friction, 0)
-    normals = vec.from_axis(jnp.asarray(grasp.normals), -1)
-    normals = vec.scale(1 / vec.norm(normals), normals)
-    outer, outer_press = _parts(split.external, normals)
-    inner, inner_press = _parts(split.internal, normals)
+        there = jnp.asarray(grasp.present) > 0.5
+        friction, normals = jnp.where(there, friction, 0), jnp.where(there[..., None], normals, 0)
+    inward = vec.unit(vec.from_axis(normals, -1))
+    outer, outer_press = _parts(split.external, inward)
+    inner, inner_press = _parts(split.internal, inward)
     low, high = _interval(outer, outer_press, inner, inner_press, friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
     return jnp.where(least <= most, least, jnp.inf)

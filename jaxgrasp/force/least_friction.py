@@ -10,8 +10,8 @@ from jax import Array, lax
 
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Problem
-from jaxgrasp.force.least_squeeze import bounded_total, least_total
-from jaxgrasp.force.limit import work_along
+from jaxgrasp.force.least_squeeze import bounded_total, total_moves
+from jaxgrasp.force.limit import Limit
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.tiles import over_tiles
@@ -63,10 +63,10 @@ def _run(grasp, wrench, weights, total, *, sharing: str) -> Array:
     problem, _, batch = flatten(grasp, wrench, weights, sharing)
     if total is None:
         there = 1.0 if problem.present is None else problem.present > 0.5
-        total = jnp.sum(jnp.where(there, problem.squeeze, 0), 1)
-        return _share(problem, jnp.broadcast_to(total, (problem.size,))).reshape(batch)
-    total = jnp.broadcast_to(jnp.asarray(total, problem.wrench.dtype), batch).reshape(-1)
-    return _share(problem, total).reshape(batch)
+        totals = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
+    else:
+        totals = jnp.broadcast_to(jnp.asarray(total, problem.wrench.dtype), batch).reshape(-1)
+    return _share(problem, totals).reshape(batch)
 
 
 @jax.custom_jvp
@@ -78,20 +78,19 @@ def _share(problem: Problem, total: Array) -> Array:
 @_share.defjvp
 def _share_moves(primals, tangents):
     """At the share the least total is the one allowed, and stays it."""
-    problem, total = primals
+    (problem, total), (problem_moved, total_moved) = primals, tangents
     share = _share(problem, total)
     inside = jnp.isfinite(share) & (share > 0)
     here = jnp.where(inside, jnp.log(jnp.where(inside, share, 1)), 0)
-
-    def excess(problem: Problem, total: Array) -> Array:
-        return _log_ratio(least_total(_scaled(problem, here)), total)
-
-    _, moved = jax.jvp(excess, primals, tangents)
     seen = _look(problem, total, here)
-    slope = seen.slope
+    scaled, scaled_moved = jax.jvp(lambda problem: _scaled(problem, here), (problem,), (problem_moved,))
     # Elsewhere what is allowed is not what bounds the share.
-    falls = inside & (slope < 0) & (jnp.abs(seen.excess) <= _narrow(total))
-    return share, jnp.where(falls, share * -moved / jnp.where(falls, slope, 1), 0)
+    falls = inside & (seen.slope < 0) & (jnp.abs(seen.excess) <= _narrow(total))
+    needed = jnp.where(falls, seen.needed, 1)
+    rise = total_moves(scaled, scaled_moved, seen.needed, seen.limit) / needed - total_moved / jnp.where(
+        falls, total, 1
+    )
+    return share, jnp.where(falls, share * -rise / jnp.where(falls, seen.slope, 1), 0)
 
 
 class _Look(NamedTuple):
@@ -101,6 +100,10 @@ class _Look(NamedTuple):
     """Logarithm of the least total over the one allowed; infinite where no forces exist."""
     slope: Array
     """Its derivative; 0 where it has none."""
+    needed: Array
+    """The least total [N]."""
+    limit: Limit
+    """What bounds it."""
 
 
 def _look(problem: Problem, total: Array, share: Array) -> _Look:
@@ -108,10 +111,9 @@ def _look(problem: Problem, total: Array, share: Array) -> _Look:
     needed, limit = bounded_total(scaled)
     still = jax.tree.map(jnp.zeros_like, scaled)
     growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
-    _, moved = jax.jvp(lambda p: -work_along(p, p.wrench, limit), (scaled,), (growing,))
     finite = jnp.isfinite(needed) & (needed > 0)
-    slope = jnp.where(finite, moved / jnp.where(finite, needed, 1), 0)
-    return _Look(_log_ratio(needed, total), slope)
+    slope = jnp.where(finite, total_moves(scaled, growing, needed, limit) / jnp.where(finite, needed, 1), 0)
+    return _Look(_log_ratio(needed, total), slope, needed, limit)
 
 
 def _scaled(problem: Problem, share: Array) -> Problem:

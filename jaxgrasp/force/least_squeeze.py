@@ -61,13 +61,18 @@ def least_total(problem: Problem) -> Array:
 @least_total.defjvp
 def _least_moves(primals, tangents):
     """The envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
-    total, limit = bounded_total(*primals)
+    (problem,), (moved,) = primals, tangents
+    total, limit = bounded_total(problem)
+    return total, total_moves(problem, moved, total, limit)
+
+
+def total_moves(problem: Problem, moved: Problem, total: Array, limit: Limit) -> Array:
+    """How a total that is known moves with its problem; zero where it is infinite."""
 
     def lagrangian(problem: Problem) -> Array:
         return _held(problem) - work_along(problem, problem.wrench, limit)
 
-    _, moved = jax.jvp(lagrangian, primals, tangents)
-    return total, jnp.where(jnp.isfinite(total), moved, 0)
+    return jnp.where(jnp.isfinite(total), jax.jvp(lagrangian, (problem,), (moved,))[1], 0)
 
 
 @jax.custom_jvp

@@ -93,8 +93,8 @@ class SensitivityMatrix(eqx.Module):
         names = np.array([entry.name for entry in self.outputs])
         groups = [names == name for name in dict.fromkeys(names)]
         # What has no size, as the slip angle where there is no force, does not move either.
-        sizes = [_mean_square(np.where(np.isfinite(nominal), nominal, 0)[:, group]) for group in groups]
-        rows = [_mean_square(moves[:, group], axis=(0, 1)) / (size or 1) for group, size in zip(groups, sizes)]
+        sizes = [_root_mean_square(np.where(np.isfinite(nominal), nominal, 0)[:, group]) for group in groups]
+        rows = [_root_mean_square(moves[:, group], axis=(0, 1)) / (size or 1) for group, size in zip(groups, sizes)]
         return np.array(rows) / np.sqrt(len(groups))
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -172,8 +172,7 @@ def named_outputs(f: Callable, outputs: Any) -> Any:
     return outputs
 
 
-def _mean_square(values: np.ndarray, axis: tuple[int, ...] | None = None) -> np.ndarray | float:
-    """Its root."""
+def _root_mean_square(values: np.ndarray, axis: tuple[int, ...] | None = None) -> np.ndarray | float:
     return np.sqrt(np.mean(values**2, axis))
 
 

@@ -29,7 +29,6 @@ UNITS = {
     "inertia": "kg.m^2",
     "least_squeeze": "N",
     "length": "m",
-    "margin": "rad",
     "friction_margin": "rad",
     "stability_margin": "rad",
     "mass": "kg",

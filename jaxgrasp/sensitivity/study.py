@@ -13,8 +13,6 @@ from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, sensitivity_t
 
 RESERVE_INSTANTS = 64
 """At so many instants at most the reserve is looked at, which takes a thousand times as long as a slip angle."""
-
-
 WHOLE = {"azimuths": 1.0, "heights": 0.05}
 """What counts as the whole of a parameter whose own size means nothing, since its zero was chosen: 1 rad, 5 cm."""
 

@@ -97,7 +97,7 @@ def sensitivity_trajectory(
     outputs = _outputs(task, output, instants, labels)
     check_labels(labels, (*entries, *outputs))
     tried = tuple(chosen(entries, [name]) for name in vary or {})
-    values = tuple(_read_values(name, these) for name, these in (vary or {}).items())
+    values = tuple(jnp.asarray(_read_row(f"values of {name}", these)) for name, these in (vary or {}).items())
     together = tuple(dict.fromkeys((*wanted, *chain(*tried))))
     forward = len(together) <= len(outputs)
     here, nominal, derivatives, curves = _along(task, output, instants, together, forward, tried, values)
@@ -163,23 +163,19 @@ def _reverse(task: Task, output: OutputOf, times: Array, wanted: Sequence[Entry]
 
 
 def _read_times(times: AnyArray | Sequence[float]) -> Array:
-    array = np.asarray(times, float)
-    if array.ndim != 1 or not array.size:
-        raise ValueError(f"times has shape {array.shape}: expected (T,), one instant at least")
-    for fault in faults_in("times", array, ~np.isfinite(array), "a finite number of seconds"):
-        raise ValueError(str(fault))
+    array = _read_row("times", times, "a finite number of seconds")
     for k in np.flatnonzero(np.diff(array) <= 0):
         raise ValueError(f"times[{k + 1}] is {array[k + 1]:g}: expected more than times[{k}], {array[k]:g}")
     return jnp.asarray(array)
 
 
-def _read_values(name: str, values: Sequence[float]) -> Array:
-    array = np.asarray(values, float)
+def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a finite number") -> np.ndarray:
+    array = np.asarray(numbers, float)
     if array.ndim != 1 or not array.size:
-        raise ValueError(f"values of {name} have shape {array.shape}: expected one number at least")
-    for fault in faults_in(f"values of {name}", array, ~np.isfinite(array), "a finite number"):
+        raise ValueError(f"{name} has shape {array.shape}: expected (T,), one entry at least")
+    for fault in faults_in(name, array, ~np.isfinite(array), expected):
         raise ValueError(str(fault))
-    return jnp.asarray(array)
+    return array
 
 
 def _outputs(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:

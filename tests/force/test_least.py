@@ -103,7 +103,7 @@ def test_absent_contacts_change_nothing():
     contacts = (problem.points, problem.normals, problem.friction, problem.squeeze)
     padded = [np.concatenate([x, np.full_like(x[:, :2], np.nan)], 1) for x in contacts]
     present = np.concatenate([np.ones((COUNT, 4)), np.zeros((COUNT, 2))], 1)
-    for question in (least_squeeze, least_friction):
+    for question in (least_squeeze, least_friction, least_squeeze_factor):
         whole = question(grasp_of(problem), problem.wrench)
         np.testing.assert_allclose(question(Grasp(*padded, present), problem.wrench), whole, rtol=1e-7)
 

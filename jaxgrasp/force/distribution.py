@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -55,6 +56,7 @@ def constrained_optimum(
     *,
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
     safety: float | AnyArray = 1.0,
+    start: Float[AnyArray, "*#batch 6"] | None = None,
     solver: Any = None,
 ) -> Solution:
     """The closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13), solved exactly.
@@ -66,6 +68,9 @@ def constrained_optimum(
         free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
         safety: friction is divided by this, since an optimum on a cone's surface has no margin left: a number
             greater than 0, or one for each problem, an array of the leading axes.
+        start: the ``multiplier`` of a problem close by, such as the instant before in a loop that solves one after
+            the other: where cones are active, fewer steps lead from there. The answer does not depend on it. A
+            batch of instants is faster still, and needs none.
         solver: ``None`` for this package's own Newton method; or an optimistix root finder, least-squares
             solver or minimiser, which then climbs the dual in at most 256 steps, such as
             ``optimistix.Newton(rtol=1e-8, atol=1e-8)``. What it finds is OPTIMAL only where it stands our
@@ -77,13 +82,18 @@ def constrained_optimum(
         no forces exist the verdict is INFEASIBLE and the certificate proves it.
 
     Raises:
-        ValueError: for a sharing or a safety that cannot be used, or shapes that do not fit.
+        ValueError: for a sharing or a safety that cannot be used, shapes that do not fit, or a start beside free or
+            solver.
         TypeError: for a solver that is none of these, or whose settings are arrays.
     """
     if solver is not None:
         outside.check_solver(solver)
+    if start is not None and not (free is None and solver is None):
+        raise ValueError(
+            f"start is given beside {'free' if solver is None else 'solver'}, which takes none: leave it out"
+        )
     divisor = _read_safety(grasp, safety)
-    return _distribute(grasp, wrench, sharing, free, divisor, solve=shells.solver(True, solver))
+    return _distribute(grasp, wrench, sharing, free, divisor, start, solve=shells.solver(True, solver))
 
 
 def closed_form_and_optimum(
@@ -160,18 +170,21 @@ def _distribute(
     sharing: Sharing,
     free: AnyArray | None,
     safety: float | AnyArray | None = None,
+    start: AnyArray | None = None,
     *,
     solve: Callable[[Problem], Any],
 ) -> Any:
     warn_of_lost_precision(grasp, wrench, free)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, free, safety, sharing=name, solve=solve)
+    return _run(grasp, wrench, weights, free, safety, start, sharing=name, solve=solve)
 
 
 @partial(jax.jit, static_argnames=("sharing", "solve"))
-def _run(grasp, wrench, weights, free, safety, *, sharing: str, solve: Callable[[Problem], Any]) -> Any:
+def _run(grasp, wrench, weights, free, safety, start, *, sharing: str, solve: Callable[[Problem], Any]) -> Any:
     """Flatten the leading axes, solve, and restore them: a Solution, or several."""
     if safety is not None:
         grasp = _safer(grasp, safety)
-    problem, _, batch = flatten(grasp, wrench, weights, sharing, free=free)
+    beside = {} if start is None else {"start": start}
+    problem, twist, batch = flatten(grasp, wrench, weights, sharing, free=free, **beside)
+    problem = eqx.tree_at(lambda p: p.start, problem, twist, is_leaf=lambda x: x is None)
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solve(problem))

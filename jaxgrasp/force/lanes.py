@@ -35,6 +35,8 @@ class Problem(eqx.Module):
     wrench: Float[Array, "B 6"]
     free: Float[Array, "#B 6 k"] | None = None
     """Twists along which a guide lets the object move; None for an object that no guide holds."""
+    start: Float[Array, "B 6"] | None = None
+    """A multiplier to climb the dual from; None for the closed form's."""
 
     @property
     def size(self) -> int:

@@ -88,7 +88,7 @@ def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem,
     merged = jax.tree.map(merge, problem, batched)
     if shared:
         names = ("points", "normals", "friction", "squeeze", "present", "weights", "free")
-        merged = Problem(**{name: getattr(problem, name) for name in names}, wrench=merged.wrench)
+        merged = Problem(**{name: getattr(problem, name) for name in names}, wrench=merged.wrench, start=merged.start)
     return merged, size
 
 

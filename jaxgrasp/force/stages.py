@@ -64,7 +64,12 @@ def finish_closed(problem: Problem, answer: Answer) -> Answer:
 
 def finish_optimum(problem: Problem, answer: Answer) -> Answer:
     """The constrained optimum everywhere, from the first pass."""
-    answer = answer._replace(undecided=answer.undecided | (answer.verdict == Verdict.OUTSIDE_CONES))
+    outside = answer.verdict == Verdict.OUTSIDE_CONES
+    answer = answer._replace(undecided=answer.undecided | outside)
+    if problem.start is not None:
+        # One that is no number, as of a problem that had none, is none to begin from.
+        given = outside & jnp.all(jnp.isfinite(problem.start), 1)
+        answer = answer._replace(multiplier=jnp.where(given[:, None], problem.start, answer.multiplier))
 
     def newton(stage: Array, answer: Answer) -> Answer:
         tile = partial(_newton_tile, limit=jnp.asarray(STEPS)[stage])

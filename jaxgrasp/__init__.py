@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from jaxgrasp.prehension.precision_grip import precision_grip
     from jaxgrasp.prehension.scene import Obstacle, Scene
     from jaxgrasp.prehension.tick import Tick, observe
+    from jaxgrasp.sensitivity.design import Design, raise_worst
     from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix, sensitivity_matrix
     from jaxgrasp.sensitivity.outputs import Output, friction_reserve
     from jaxgrasp.sensitivity.paper_task import cylinder_task
@@ -73,6 +74,7 @@ _HOME = {
     "CYLINDRICAL_POWER_GRIP": "model.squeeze",
     "Capsule": "contact.shapes",
     "ContactSets": "batch.contact_sets",
+    "Design": "sensitivity.design",
     "Contacts": "contact.detection",
     "Contributions": "model.squeeze",
     "Cylinder": "contact.shapes",
@@ -167,6 +169,7 @@ _HOME = {
     "precision_grip": "prehension.precision_grip",
     "principal_frame": "contact.mesh",
     "pyramid_optimum": "force.pyramid",
+    "raise_worst": "sensitivity.design",
     "reachable_wrench": "force.reachable",
     "rigid_body": "contact.world",
     "save_grasps": "batch.sources",

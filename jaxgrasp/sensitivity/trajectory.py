@@ -89,12 +89,12 @@ def sensitivity_trajectory(
         ValueError: for times that do not ascend, names that are unknown, parameters that are not finite, a task that
             returns no grasp and wrench, and an output that lacks the axis of the times.
     """
-    instants = _read_times(times)
+    instants = read_times(times)
     task = as_arrays(task)
     entries = entries_of(task.parameters, labels)
     wanted = chosen(entries, by)
     check_finite(task.parameters, entries)
-    outputs = _outputs(task, output, instants, labels)
+    outputs = outputs_of(task, output, instants, labels)
     check_labels(labels, (*entries, *outputs))
     tried = tuple(chosen(entries, [name]) for name in vary or {})
     values = tuple(jnp.asarray(_read_row(f"values of {name}", these)) for name, these in (vary or {}).items())
@@ -162,7 +162,7 @@ def _reverse(task: Task, output: OutputOf, times: Array, wanted: Sequence[Entry]
     return nominal, jnp.moveaxis(rows, 0, 1)
 
 
-def _read_times(times: AnyArray | Sequence[float]) -> Array:
+def read_times(times: AnyArray | Sequence[float]) -> Array:
     array = _read_row("times", times, "a finite number of seconds")
     for k in np.flatnonzero(np.diff(array) <= 0):
         raise ValueError(f"times[{k + 1}] is {array[k + 1]:g}: expected more than times[{k}], {array[k]:g}")
@@ -178,7 +178,7 @@ def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a
     return array
 
 
-def _outputs(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:
+def outputs_of(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:
     """The outputs at one time, once task and output are known to return what they should."""
     leaves, structure = jax.tree.flatten(task.parameters)
     shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)

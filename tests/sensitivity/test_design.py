@@ -1,0 +1,169 @@
+"""The worst margin of a task is raised within bounds: known summits, an independent optimiser, bad input."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import jaxgrasp
+from jaxgrasp import Grasp, Output, Task, cylinder_task, friction_reserve, raise_worst
+
+TIMES = (np.arange(24) + 0.5) / 6
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+BY_B = Output("friction_margin", "B")
+ONE = Grasp(jnp.zeros((1, 3)), jnp.array([[0.0, 0.0, 1.0]]), jnp.ones(1), jnp.ones(1))
+
+
+def toy_at(parameters, time):
+    """A wrench that carries what the toy margins below are made of."""
+    place, lift = parameters["place"], parameters["lift"]
+    return ONE, jnp.stack([place[0], place[1], lift, time, 0 * time, 0 * time])
+
+
+def toy(place=(0.3, -0.2), lift=1.0) -> Task:
+    return Task({"place": jnp.array(place), "lift": lift}, toy_at)
+
+
+def nearest_ends(_, wrench):
+    """Of a point among targets that move with time from -1 to 3: largest worst at 1."""
+    return -((wrench[..., 0] - wrench[..., 3]) ** 2)
+
+
+def ridge(_, wrench):
+    return wrench[..., 0] ** 2 - wrench[..., 1] ** 2
+
+
+def no_limit(_, wrench):
+    bounded = -((wrench[..., 0] - 0.5) ** 2) * jnp.ones_like(wrench[..., 3])
+    return jnp.stack([bounded, jnp.full_like(bounded, jnp.inf)], -1)
+
+
+def recomputed(task: Task, times: np.ndarray, margin) -> np.ndarray:
+    return np.asarray(jax.tree.leaves(margin(*jax.vmap(task)(jnp.asarray(times))))[0])
+
+
+def test_a_known_summit():
+    found = raise_worst(toy(), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 2)})
+    assert found.moves.keys() == {"place[0]"}
+    np.testing.assert_allclose(found.values, 1, atol=1e-3)
+    np.testing.assert_allclose([found.worst_before, found.worst], [-(2.7**2), -4], rtol=1e-3)
+    np.testing.assert_array_equal(found.task.parameters["place"][1], -0.2)
+
+
+def test_it_leaves_a_ridge_for_the_bounds():
+    found = raise_worst(toy((0.0, 0.0)), [0.0, 1.0], ridge, {"place": (np.array([-3, -1]), np.array([3, 1]))})
+    assert found.worst_before == 0
+    assert found.worst == pytest.approx(9, rel=1e-2)
+    assert np.all(np.abs(found.values) <= [3, 1])
+
+
+def test_infinite_margins_limit_nothing():
+    found = raise_worst(toy(), [0.0, 1.0], no_limit, {"place[0]": (0, 2)})
+    np.testing.assert_allclose(found.values, 0.5, atol=1e-3)
+    assert np.isposinf(found.margins[:, 1]).all()
+
+
+def test_never_worse_than_the_start():
+    found = raise_worst(toy((1.0, 0.0)), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 4)})
+    assert found.worst >= found.worst_before == -4
+
+
+def test_sums_stay_and_nothing_else_moves():
+    within = {"place": (-5, np.array([5, 0.1]))}
+    found = raise_worst(toy((0.3, -0.2)), np.linspace(-1, 3, 9), nearest_ends, within, totals=["place"])
+    np.testing.assert_allclose(found.values.sum(), 0.1, atol=1e-12)
+    np.testing.assert_allclose(found.values[0], 1, atol=1e-3)
+    assert found.task.parameters["lift"] == 1.0
+
+
+@pytest.fixture(scope="module")
+def by_contributions():
+    """The paper's task by method B, its contributions free, their sum kept."""
+    within = {"contributions": (0.05, 4.0)}
+    return raise_worst(
+        cylinder_task(), TIMES, BY_B, within, totals=["contributions"], labels={"contributions": FINGERS}
+    )
+
+
+def test_contributions_of_the_papers_task(by_contributions):
+    found = by_contributions
+    assert found.worst > found.worst_before + 0.25
+    np.testing.assert_allclose(found.values.sum(), found.values_before.sum(), rtol=1e-12)
+    assert np.all((found.values > 0.05) & (found.values < 4))
+    np.testing.assert_allclose(recomputed(found.task, TIMES, BY_B), found.margins, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found.moves["contributions[index]"], (0.1, found.values[1]))
+    # Fingers side by side opposite a thumb share the load in proportion: what turns through all directions leans out
+    # of each cone's axis by the arcsine of weight over total squeeze, and no sharing can do much about that.
+    squeeze = 1000 * 2.5e-3 * float(found.values_before.sum())
+    assert found.worst == pytest.approx(np.arctan(0.5) - np.arcsin(10 / squeeze), abs=0.01)
+
+
+def test_an_independent_optimiser_climbs_no_higher(by_contributions):
+    """SLSQP on the epigraph: the largest t with every margin at least t, by exact derivatives too."""
+    task = cylinder_task()
+
+    @jax.jit
+    def margins(values):
+        held = jaxgrasp.HeldCylinder(**{**vars(task.parameters.held), "contributions": values})
+        carried = jaxgrasp.carrying(held, task.parameters.path, task.parameters.gravity)
+        return BY_B(*jax.vmap(carried)(jnp.asarray(TIMES)))["friction_margin"].ravel()
+
+    slopes = jax.jit(jax.jacfwd(margins))
+    start = np.asarray(by_contributions.values_before)
+    above = {
+        "type": "ineq",
+        "fun": lambda x: np.asarray(margins(x[:-1])) - x[-1],
+        "jac": lambda x: np.c_[np.asarray(slopes(x[:-1])), -np.ones(len(TIMES) * 5)],
+    }
+    kept = {"type": "eq", "fun": lambda x: x[:-1].sum() - start.sum(), "jac": lambda x: np.r_[np.ones(5), 0]}
+    best = -np.inf
+    for seed in range(4):
+        here = np.clip(start * np.random.default_rng(seed).uniform(0.5, 1.5, 5), 0.06, 3.9)
+        found = minimize(
+            lambda x: -x[-1],
+            np.r_[here, -1.0],
+            jac=lambda x: np.r_[np.zeros(5), -1],
+            bounds=[(0.05, 4.0)] * 5 + [(None, None)],
+            constraints=[above, kept],
+            method="SLSQP",
+            options={"maxiter": 200},
+        )
+        if abs(found.x[:-1].sum() - start.sum()) < 1e-6:
+            best = max(best, float(margins(found.x[:-1]).min()))
+    assert best > by_contributions.worst_before
+    assert by_contributions.worst > best - 2e-3
+
+
+@pytest.mark.slow
+def test_places_that_hold_what_the_papers_task_lets_slip():
+    """The paper's grasp, as completed here, cannot hold its load all the way round; one that reaches about can."""
+    azimuths = cylinder_task().parameters.held.azimuths
+    found = raise_worst(cylinder_task(), TIMES, friction_reserve, {"azimuths": (azimuths - 0.6, azimuths + 0.6)})
+    assert found.worst_before < 0.7
+    assert found.worst > 1.1
+    between = recomputed(found.task, TIMES + 0.08, friction_reserve)
+    assert between.min() > 1
+    optimum = jaxgrasp.constrained_optimum(*jax.vmap(found.task)(jnp.asarray(TIMES)))
+    assert np.all(optimum.verdict <= jaxgrasp.Verdict.OPTIMAL)
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"within": {"plaice": (0, 1)}}, "there is no 'plaice': did you mean 'place'?"),
+        ({"within": {}}, "no parameters are asked for"),
+        ({"within": {"place": (0, 1)}}, r"place\[1\] is -0.2: expected between its bounds 0 and 1"),
+        ({"within": {"place[0]": (1, 0)}}, r"place\[0\] is 0.3: expected between its bounds 1 and 0"),
+        ({"within": {"place[0]": (np.nan, 1)}}, r"place\[0\] is 0.3: expected between its bounds nan and 1"),
+        ({"within": {"place": (-1, 1), "place[1]": (-1, 1)}}, r"within has place\[1\] twice"),
+        ({"within": {"place": (np.zeros(3) - 1, 1)}}, "a bound of place has 3 entries: expected one, or 2"),
+        ({"totals": ["lift"]}, "totals has lift, which may not move"),
+        ({"steps": 0}, "steps is 0: expected a positive number"),
+        ({"times": [1.0, 0.0]}, r"times\[1\] is 0: expected more than times\[0\], 1"),
+    ],
+)
+def test_bad_input(unchecked, change, message):
+    good = {"task": toy(), "times": [0.0, 1.0], "margin": ridge, "within": {"place": (-1, 1)}}
+    with pytest.raises(ValueError, match=message):
+        raise_worst(**{**good, **change})

@@ -28,6 +28,16 @@ def page(report: dict) -> str:
                     ["method", "curves alone", "with derivatives", "central differences", "ratio", "error", "theirs"],
                     map(_derivatives, report["derivatives"]),
                 ),
+                "## Optima one after the other",
+                "The same task, one optimum at a time in a compiled loop; a cone is active at "
+                f"{100 * report['consecutive'][0]['active']:.0f} % of the instants. Microseconds an optimum, and "
+                "Newton steps where a cone is active, from the closed form and from the last instant's multiplier "
+                "(`constrained_optimum(..., start=)`); beside them all instants as one batch. Apart: the largest "
+                "difference of forces between the last two, relative to the largest force.",
+                table(
+                    ["step", "from the closed form", "from the last", "ratio", "Newton steps", "one batch", "apart"],
+                    map(_consecutive, report["consecutive"]),
+                ),
                 f"## {sweep['settings']:,} tasks drawn about the paper's",
                 "Places, friction and contributions vary. How often the slip angle by method B is the larger, and by "
                 "how many degrees then: median, and largest.",
@@ -44,6 +54,21 @@ def _derivatives(row: dict) -> list[str]:
     errors = [f"{e['of_all_but_a_thousandth']:.0e}, {e['largest']:.0e}" for e in (row["error"], row["central_error"])]
     times = [f"{spent[name]:.1f}" for name in ("curves", "ours", "central")]
     return [row["method"], *times, f"{spent['central'] / spent['ours']:.1f}", *errors]
+
+
+def _consecutive(row: dict) -> list[str]:
+    spent, steps = row["microseconds"], row["newton_steps"]
+    cold, warm = spent["from_the_closed_form"], spent["from_the_last"]
+    taken = f"{steps['from_the_closed_form']:.1f}, {steps['from_the_last']:.1f}"
+    return [
+        f"{1e3 * row['step']:g} ms",
+        f"{cold:.1f}",
+        f"{warm:.1f}",
+        f"{cold / warm:.2f}",
+        taken,
+        f"{spent['in_one_batch']:.1f}",
+        f"{row['apart']:.0e}",
+    ]
 
 
 def _compared(sweep: dict):

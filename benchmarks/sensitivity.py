@@ -5,7 +5,8 @@
 Writes sensitivity.json and sensitivity.md. The derivatives' rival are central differences, batched into one compiled
 call; their error is judged by central differences of sixth order. Optima one after the other, as in a loop that
 renders forces, start from the closed form or from the last multiplier. The sweep draws placements, friction and
-contributions about those of the paper's task: how often is method B worse than A?
+contributions about those of the paper's task: how often is method B worse than A? The designs raise the task's worst
+margin, by method B and by what friction there is in reserve.
 """
 
 import os
@@ -17,6 +18,7 @@ if hasattr(os, "sched_setaffinity"):
 
 import argparse
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +31,17 @@ import jaxgrasp
 from benchmarks.machine import machine
 from benchmarks.page import sensitivity_tables
 from benchmarks.page.clock import interleaved
-from jaxgrasp import HeldCylinder, Output, Task, Verdict, carrying, cylinder_task, sensitivity_trajectory
+from jaxgrasp import (
+    HeldCylinder,
+    Output,
+    Task,
+    Verdict,
+    carrying,
+    cylinder_task,
+    friction_reserve,
+    raise_worst,
+    sensitivity_trajectory,
+)
 from jaxgrasp.sensitivity.naming import with_values
 
 NAME = "sensitivity"
@@ -50,9 +62,11 @@ class Plan(NamedTuple):
     instants: int = 80
     steps: tuple[float, ...] = (1e-3, 1e-2)
     """Between consecutive optima [s]."""
+    designed: int = 40
+    """Instants that a design looks at."""
 
 
-QUICK = Plan(times=20, repeats=3, settings=10, instants=8, steps=(0.1,))
+QUICK = Plan(times=20, repeats=3, settings=10, instants=8, steps=(0.1,), designed=8)
 
 
 def derivatives(method: str, plan: Plan) -> dict:
@@ -139,6 +153,40 @@ def consecutive(step: float, plan: Plan) -> dict:
     }
 
 
+def designs(plan: Plan) -> list[dict]:
+    """The worst margin of the task before and after its design, at ten times as many instants as it looked at."""
+    task, by_b = cylinder_task(), Output("friction_margin", "B")
+    held = task.parameters.held
+    places = {
+        "azimuths": (held.azimuths - 0.6, held.azimuths + 0.6),
+        "heights": (held.heights - 0.008, held.heights + 0.008),
+    }
+    shares = {"contributions": (0.05, 4.0)}
+    looked, seen = ((np.arange(count) + 0.5) * SECONDS / count for count in (plan.designed, 10 * plan.designed))
+    rows = []
+    for margin, name, within in (
+        (by_b, "friction margin by B", shares),
+        (by_b, "friction margin by B", places),
+        (by_b, "friction margin by B", {**places, **shares}),
+        (friction_reserve, "reserve of friction", places),
+    ):
+        begun = time.perf_counter()
+        found = raise_worst(task, looked, margin, within, totals=[name for name in shares if name in within])
+        spent = time.perf_counter() - begun
+        worst = jax.jit(lambda task, margin=margin: jnp.min(jax.tree.leaves(margin(*jax.vmap(task)(seen)))[0]))
+        rows.append(
+            {
+                "margin": name,
+                "moved": list(within),
+                "before": float(worst(task)),
+                "after": float(worst(found.task)),
+                "seconds": spent,
+                "moves": found.moves,
+            }
+        )
+    return rows
+
+
 def drawn(count: int, seed: int = 0) -> HeldCylinder:
     """What is held, of leading axis ``count``, drawn about the paper's."""
     rng = np.random.default_rng(seed)
@@ -218,6 +266,7 @@ def main() -> None:
         "plan": plan._asdict(),
         "derivatives": [derivatives(method, plan) for method in METHODS],
         "consecutive": [consecutive(step, plan) for step in plan.steps],
+        "designs": designs(plan),
         "sweep": sweep(plan),
     }
     (options.out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")

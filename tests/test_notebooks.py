@@ -1,0 +1,70 @@
+"""The notebooks run from start to end, say nothing on the side, and what they say was learned is what they print."""
+
+import re
+from pathlib import Path
+
+import jax
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
+LEARNED = "## What was learned"
+
+
+def outputs_of(notebook) -> list:
+    return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+
+
+def printed(notebook) -> str:
+    return "".join(output.text for output in outputs_of(notebook) if output.output_type == "stream")
+
+
+def numbers_in(text: str) -> set[str]:
+    return {number.replace(",", "") for number in NUMBER.findall(text)}
+
+
+def check_outputs(notebook) -> None:
+    """Every cell ran, in order; figures are there; nothing failed, and nothing went to stderr."""
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    outputs = outputs_of(notebook)
+    assert {output.output_type for output in outputs} <= {"stream", "display_data", "execute_result"}
+    assert all(output.name == "stdout" for output in outputs if output.output_type == "stream")
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 2
+
+
+def check_learned(notebook) -> None:
+    """Every number of the last cell was printed above it, or stands in the code."""
+    last = notebook.cells[-1].source
+    assert last.startswith(LEARNED)
+    code = " ".join(cell.source for cell in notebook.cells if cell.cell_type == "code")
+    assert not numbers_in(last) - numbers_in(printed(notebook) + " " + code)
+
+
+def test_there_are_notebooks():
+    assert len(NOTEBOOKS) >= 5
+    numbers = [int(path.name.split("_")[0]) for path in NOTEBOOKS]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_as_committed(path):
+    notebook = nbformat.read(path, 4)
+    nbformat.validate(notebook)
+    check_outputs(notebook)
+    check_learned(notebook)
+    assert not re.search(r"/(home|root|tmp|Users|work)/", printed(notebook))
+    assert path.stat().st_size < 500_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_it_runs_and_still_says_so(path, monkeypatch):
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.read("jax_compilation_cache_dir"))
+    notebook = nbformat.read(path, 4)
+    client = NotebookClient(notebook, timeout=900, kernel_name="python3", resources={"metadata": {"path": path.parent}})
+    client.execute()
+    check_outputs(notebook)
+    check_learned(notebook)

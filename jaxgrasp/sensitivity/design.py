@@ -13,7 +13,18 @@ from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.task import Task
-from jaxgrasp.sensitivity.naming import Entry, Labels, as_arrays, chosen, entries_of, row_of, values_at, with_values
+from jaxgrasp.sensitivity.naming import (
+    Entry,
+    Labels,
+    as_arrays,
+    check_finite,
+    check_labels,
+    chosen,
+    entries_of,
+    row_of,
+    values_at,
+    with_values,
+)
 from jaxgrasp.sensitivity.trajectory import OutputOf, outputs_of, read_times
 
 SOFTNESS = (0.3, 0.1, 0.03, 0.01, 0.003)
@@ -88,20 +99,24 @@ def raise_worst(
         A Design.
 
     Raises:
-        ValueError: for names that are unknown or meant twice, a start that is not between its bounds, and as
+        ValueError: for names that are unknown or meant twice, a start that is not between its bounds or has a margin
+            that is no number, and as
             [`jaxgrasp.sensitivity_trajectory`][] does.
     """
     instants = read_times(times)
     task = as_arrays(task)
     entries = entries_of(task.parameters, labels)
-    outputs_of(task, margin, instants, labels)
+    check_finite(task.parameters, entries)
+    outputs = outputs_of(task, margin, instants, labels)
+    check_labels(labels, (*entries, *outputs))
     moving, low, high = _read_bounds(task, entries, within)
-    groups = tuple(_read_total(name, entries, moving) for name in totals)
+    groups = _read_totals(totals, entries, moving)
     if not steps > 0:
         raise ValueError(f"steps is {steps!r}: expected a positive number")
     here = values_at(task.parameters, moving)
     room = _Room(low, high, here, groups)
     before, spread = _look(task, margin, instants, moving, here)
+    _check_start(before, instants, outputs)
     points = [here]
     free = jnp.log((here - low) / (high - here)) + NUDGE * jax.random.normal(jax.random.key(0), here.shape, here.dtype)
     for softness in SOFTNESS:
@@ -162,8 +177,8 @@ def _climb(
 
     def sunk(free: Array, softness: Array) -> Array:
         margins = _margins(task, margin, times, moving, room.at(free))
-        # What has no limit weighs nothing; infinities would spoil the gradient.
-        felt = jnp.where(jnp.isfinite(margins), -margins / softness, -jnp.inf)
+        # What has no limit weighs nothing. What is no number, or infinitely bad, is refused by the line search.
+        felt = jnp.where(jnp.isposinf(margins), -jnp.inf, -margins / softness)
         return softness * jax.nn.logsumexp(felt)
 
     found: Any = optimistix.minimise(
@@ -197,6 +212,8 @@ def _read_bounds(
         for one in these:
             if one in rows:
                 raise ValueError(f"within has {one.label} twice, once by {name!r}: expected each parameter once")
+        if not (isinstance(bounds, tuple | list) and len(bounds) == 2):
+            raise ValueError(f"within has {bounds!r} for {name}: expected (the least, the largest)")
         low, high = (_broadcast(name, bound, len(these)) for bound in bounds)
         rows |= dict(zip(these, zip(low, high, strict=True), strict=True))
     moving = chosen(entries, list(within))
@@ -214,9 +231,25 @@ def _broadcast(name: str, bound: AnyArray | float | int, count: int) -> np.ndarr
     return np.broadcast_to(array, count)
 
 
-def _read_total(name: str, entries: Sequence[Entry], moving: Sequence[Entry]) -> tuple[int, ...]:
-    these = chosen(entries, [name])
-    for one in these:
-        if one not in moving:
-            raise ValueError(f"totals has {one.label}, which may not move: expected one that within names")
-    return tuple(moving.index(one) for one in these)
+def _read_totals(
+    totals: Sequence[str], entries: Sequence[Entry], moving: Sequence[Entry]
+) -> tuple[tuple[int, ...], ...]:
+    """The places of each total's entries among those that move, no entry in two of them."""
+    if isinstance(totals, str):
+        raise ValueError(f"totals is {totals!r}: expected a list of names")
+    groups: list[tuple[int, ...]] = []
+    for name in totals:
+        for one in chosen(entries, [name]):
+            if one not in moving:
+                raise ValueError(f"totals has {one.label}, which may not move: expected one that within names")
+            if any(moving.index(one) in group for group in groups):
+                raise ValueError(f"totals has {one.label} twice, once by {name!r}: expected each parameter once")
+        groups.append(tuple(moving.index(one) for one in chosen(entries, [name])))
+    return tuple(groups)
+
+
+def _check_start(margins: Array, times: Array, outputs: Sequence[Entry]) -> None:
+    """Raise ValueError where the task that is given has margins from which nothing can be climbed."""
+    lost = np.isnan(margins) | np.isneginf(margins)
+    for k, m in np.argwhere(lost):
+        raise ValueError(f"{outputs[m].label} is {margins[k, m]} at times[{k}], {times[k]:g} s: expected a number")

@@ -34,6 +34,17 @@ def ridge(_, wrench):
     return wrench[..., 0] ** 2 - wrench[..., 1] ** 2
 
 
+def lost_at_once(_, wrench):
+    lost = jnp.full_like(wrench[..., 0], -jnp.inf)
+    return jnp.stack([wrench[..., 0], lost], -1)
+
+
+def nowhere_beyond(_, wrench):
+    """Rises towards a cliff at 1, beyond which it is no number."""
+    rise = wrench[..., 0] + 0 * wrench[..., 3]
+    return jnp.where(rise < 1, rise, jnp.nan)
+
+
 def no_limit(_, wrench):
     bounded = -((wrench[..., 0] - 0.5) ** 2) * jnp.ones_like(wrench[..., 3])
     return jnp.stack([bounded, jnp.full_like(bounded, jnp.inf)], -1)
@@ -62,6 +73,11 @@ def test_infinite_margins_limit_nothing():
     found = raise_worst(toy(), [0.0, 1.0], no_limit, {"place[0]": (0, 2)})
     np.testing.assert_allclose(found.values, 0.5, atol=1e-3)
     assert np.isposinf(found.margins[:, 1]).all()
+
+
+def test_what_is_no_number_is_not_entered():
+    found = raise_worst(toy(), [0.0, 1.0], nowhere_beyond, {"place[0]": (-2, 2)})
+    assert 0.3 < found.worst < 1
 
 
 def test_never_worse_than_the_start():
@@ -158,7 +174,13 @@ def test_places_that_hold_what_the_papers_task_lets_slip():
         ({"within": {"place[0]": (np.nan, 1)}}, r"place\[0\] is 0.3: expected between its bounds nan and 1"),
         ({"within": {"place": (-1, 1), "place[1]": (-1, 1)}}, r"within has place\[1\] twice"),
         ({"within": {"place": (np.zeros(3) - 1, 1)}}, "a bound of place has 3 entries: expected one, or 2"),
+        ({"within": {"place": 1.0}}, r"within has 1.0 for place: expected \(the least, the largest\)"),
         ({"totals": ["lift"]}, "totals has lift, which may not move"),
+        ({"totals": "lift"}, "totals is 'lift': expected a list of names"),
+        ({"totals": ["place", "place[1]"]}, r"totals has place\[1\] twice"),
+        ({"task": toy(lift=np.nan)}, "lift is nan: expected a finite number"),
+        ({"labels": {"plaice": ("x", "y")}}, "plaice"),
+        ({"margin": lost_at_once}, r"lost_at_once\[1\] is -inf at times\[0\], 0 s: expected a number"),
         ({"steps": 0}, "steps is 0: expected a positive number"),
         ({"times": [1.0, 0.0]}, r"times\[1\] is 0: expected more than times\[0\], 1"),
     ],

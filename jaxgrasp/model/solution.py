@@ -34,8 +34,9 @@ class Verdict(IntEnum):
     )
     NOT_CONVERGED = (
         5,
-        "Neither an optimum nor a proof that there is none was found: look at the residual, and try float64 or rescale "
-        "an extreme friction or squeeze.",
+        "Neither an optimum nor a proof that there is none was found: the wrench may lie at the limit of what the "
+        "contacts can exert, where forces grow very large; else look at the residual, and try float64 or rescale an "
+        "extreme friction or squeeze.",
     )
     INVALID_DATA = 6, "The data hold NaN, infinite or negative entries or zero normals: run check_grasp on it."
 

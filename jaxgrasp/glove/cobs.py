@@ -1,0 +1,36 @@
+"""Consistent overhead byte stuffing: any bytes without a zero among them, so that a zero can end a frame.
+
+Cheshire and Baker, IEEE/ACM Transactions on Networking 7(2), 1999.
+"""
+
+LONGEST_RUN = 254
+"""Bytes without a zero that one code byte can stand before."""
+
+
+def stuff(data: bytes) -> bytes:
+    """The bytes without zeros, one longer for every 254 begun."""
+    out = bytearray()
+    for run in data.split(b"\0"):
+        while len(run) >= LONGEST_RUN:
+            out.append(LONGEST_RUN + 1)
+            out += run[:LONGEST_RUN]
+            run = run[LONGEST_RUN:]
+        out.append(len(run) + 1)
+        out += run
+    return bytes(out)
+
+
+def unstuff(data: bytes) -> bytes | None:
+    """The bytes that were stuffed; None where these are no stuffed bytes."""
+    out = bytearray()
+    place, size = 0, len(data)
+    while place < size:
+        code = data[place]
+        end = place + code
+        if code == 0 or end > size:
+            return None
+        out += data[place + 1 : end]
+        place = end
+        if code <= LONGEST_RUN and place < size:
+            out.append(0)
+    return None if b"\0" in data or not data else bytes(out)

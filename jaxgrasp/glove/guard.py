@@ -1,0 +1,168 @@
+"""The last step before the wire: whatever is asked for, what leaves is bounded, slow, and zero after any fault."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxgrasp.glove.model import GloveModel
+
+Projection = Literal["clip", "scale"]
+HUGE = 1e9
+
+
+class GuardState(IntEnum):
+    """What a guard lets through. The codes are stable in files."""
+
+    DISARMED = 0
+    """Nothing: it was never armed, or was disarmed."""
+    ARMED = 1
+    """What is asked for, within bounds."""
+    LATCHED = 2
+    """Nothing, after a fault, until it is armed again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Output:
+    """What leaves for one instant, and what it leaves out; arrays ``(channels,)``."""
+
+    state: GuardState
+    counts: np.ndarray
+    """Of the wire, 16 bits."""
+    torques: np.ndarray
+    """The same [N.m]."""
+    assisting: np.ndarray
+    """Asked for, but would flex the finger [N.m]; zero or more."""
+    beyond: np.ndarray
+    """Asked for beyond the limit, or given up to keep the direction [N.m]; zero or more."""
+    held_back: np.ndarray
+    """What the ramp, the scale and the largest rate leave out of what is allowed [N.m]: negative where a torque has
+    yet to fall."""
+
+    @property
+    def is_clipped(self) -> bool:
+        """Whether limit or sign cut anything: an experiment must be able to discard such a trial."""
+        return bool(np.any(self.beyond > 0) or np.any(self.assisting > 0))
+
+
+class Guard:
+    """Bounds torques for a glove: 0 <= torque <= limit, no faster than its rate, with a ramp after arming.
+
+    Anything that is not a finite number for each channel, a clock that runs backwards, a reading that is too old: all
+    become zero at once, and stay so until ``arm`` is called. ``step`` raises nothing.
+    """
+
+    def __init__(
+        self,
+        model: GloveModel,
+        *,
+        projection: Projection = "clip",
+        scale: float = 1.0,
+        ramp: float = 2.0,
+        oldest: float = 0.05,
+        longest: float = 0.02,
+    ):
+        """A guard that is not armed.
+
+        Args:
+            model: the glove.
+            projection: ``"clip"`` each channel at its limit; ``"scale"`` all together, so that their direction stays.
+            scale: of all torques, from 0 to 1: 0.05 for the first time with power on.
+            ramp: time from arming until the whole scale is reached [s].
+            oldest: age of a reading beyond which it says nothing [s].
+            longest: time that a step counts as at most [s], so that none can jump after a pause.
+
+        Raises:
+            ValueError: for another projection, or numbers that are not in their ranges.
+        """
+        if projection not in ("clip", "scale"):
+            raise ValueError(f"projection is {projection!r}: expected 'clip' or 'scale'")
+        if not 0 <= scale <= 1:
+            raise ValueError(f"scale is {scale}: expected 0 to 1")
+        for name, value in {"ramp": ramp, "oldest": oldest, "longest": longest}.items():
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} is {value}: expected a positive time [s]")
+        self.model = model
+        self.state = GuardState.DISARMED
+        self.cause = ""
+        """Why it is latched."""
+        self._projection, self._scale, self._ramp = projection, scale, ramp
+        self._oldest, self._longest = oldest, longest
+        self._limits, self._most = np.array(model.limits), np.array(model.most_counts)
+        self._level = np.zeros(len(model.joints))
+        self._armed_at = self._now = -np.inf
+
+    def arm(self, now: float) -> None:
+        """Let torques through from a time on [s], from zero by a ramp; whatever latched it is forgotten."""
+        if not np.isfinite(now):
+            raise ValueError(f"now is {now}: expected a finite time [s]")
+        self.state, self.cause = GuardState.ARMED, ""
+        self._level[:] = 0
+        self._armed_at = self._now = now
+
+    def disarm(self) -> None:
+        """Zero from the next step on; a latch stays one."""
+        if self.state == GuardState.ARMED:
+            self.state = GuardState.DISARMED
+        self._level[:] = 0
+
+    def trip(self, cause: str) -> None:
+        """Zero from the next step on, until armed again; the first cause is kept. What is not armed cannot trip."""
+        if self.state == GuardState.ARMED:
+            self.state, self.cause = GuardState.LATCHED, cause
+        self._level[:] = 0
+
+    def step(self, now: float, wanted: Any, measured_at: float) -> Output:
+        """What may leave at a time.
+
+        Args:
+            now: on a clock that never runs backwards [s].
+            wanted: torques by which to resist flexion ``(channels,)`` [N.m].
+            measured_at: when the angles were read that these torques answer [s], on the same clock.
+        """
+        asked = self._read(now, wanted, measured_at)
+        passed = min(now - self._now, self._longest) if self.state == GuardState.ARMED else 0.0
+        if self.state != GuardState.ARMED:
+            nothing = np.zeros(len(self._limits))
+            return Output(self.state, nothing.astype(np.int16), nothing, nothing, nothing, nothing)
+        self._now = now
+        resisting = np.maximum(asked, 0)
+        allowed = self._projected(resisting)
+        target = allowed * self._scale * min(1.0, (now - self._armed_at) / self._ramp)
+        most = self.model.rate * passed
+        self._level += np.clip(target - self._level, -most, most)
+        # Down, so that no count exceeds its level; and no rounding of the level may exceed the limit.
+        counts = np.clip(np.floor(self._level / self.model.quantum), 0, self._most).astype(np.int16)
+        torques = counts * self.model.quantum
+        return Output(self.state, counts, torques, resisting - asked, resisting - allowed, allowed - self._level)
+
+    def _read(self, now: float, wanted: Any, measured_at: float) -> np.ndarray:
+        """The torques that are asked for; it trips at what cannot be one."""
+        nothing = np.zeros(len(self._limits))
+        try:
+            given, now, measured_at = np.asarray(wanted), float(now), float(measured_at)
+        except (TypeError, ValueError, OverflowError):
+            given = np.asarray(None)
+        if given.dtype.kind not in "fiu":
+            self.trip("what was asked for is no array of numbers")
+            return nothing
+        asked = given.astype(float)
+        # A comparison with NaN is false: each condition says what must hold.
+        for holds, cause in (
+            (now >= self._now and np.isfinite(now), f"the clock ran backwards, or is none: {now} after {self._now}"),
+            (asked.shape == nothing.shape, f"torques have shape {asked.shape}: expected {nothing.shape}"),
+            (bool(np.all(np.isfinite(asked))), "a torque is not finite"),
+            (0 <= now - measured_at <= self._oldest, f"the angles were read {now - measured_at:.3g} s ago"),
+        ):
+            if not holds:
+                self.trip(cause)
+                return nothing
+        return asked
+
+    def _projected(self, resisting: np.ndarray) -> np.ndarray:
+        if self._projection == "clip":
+            return np.minimum(resisting, self._limits)
+        # No finite number may overflow on its way.
+        most = float(np.max(np.minimum(resisting, HUGE * self._limits) / self._limits))
+        return np.minimum(resisting / max(most, 1.0), self._limits)

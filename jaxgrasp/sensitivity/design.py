@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -148,6 +147,8 @@ class _Room(eqx.Module):
 
     def _shift(self, free: Array) -> Array:
         """What to add to all so that the sum is that of the start: it rises with the shift."""
+        import optimistix
+
         eps = float(jnp.finfo(free.dtype).eps)
         ends = {"lower": jnp.asarray(-FARTHEST, free.dtype), "upper": jnp.asarray(FARTHEST, free.dtype)}
         bisection: Any = optimistix.Bisection(rtol=eps, atol=4 * eps)  # type: ignore[call-arg]
@@ -174,6 +175,7 @@ def _climb(
     steps: int,
 ) -> tuple[Array, Array]:
     """From ``free`` to where the soft minimum is largest; there, the free variables and the parameters."""
+    import optimistix
 
     def sunk(free: Array, softness: Array) -> Array:
         margins = _margins(task, margin, times, moving, room.at(free))

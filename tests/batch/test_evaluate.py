@@ -40,7 +40,7 @@ def whole(sets):
     [
         ("A", "closed_form", "uniform"),
         ("B", "closed_form", "squeeze"),
-        ("A-optimum", "constrained_optimum", "uniform"),
+        pytest.param("A-optimum", "constrained_optimum", "uniform", marks=pytest.mark.slow),
         ("B-optimum", "constrained_optimum", "squeeze"),
     ],
 )

@@ -48,6 +48,7 @@ def run(scene, capsys):
     return call
 
 
+@pytest.mark.slow
 def test_jaws_close_on_the_box_of_an_hdf5_file(run):
     status, said = run("poses.h5")
     assert status == 0, said

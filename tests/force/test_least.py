@@ -162,7 +162,7 @@ def test_second_derivatives_are_refused(question):
         jax.hessian(lambda w: question(PINCH, w))(LIFT)
 
 
-@pytest.mark.parametrize("n", [3, 5])
+@pytest.mark.parametrize("n", [3, pytest.param(5, marks=pytest.mark.slow)])
 def test_the_least_factor_is_where_method_b_comes_to_hold(n):
     problem = P.problems("ordinary", n, 400, seed=9)
     factor = np.asarray(least_squeeze_factor(grasp_of(problem), problem.wrench))

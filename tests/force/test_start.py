@@ -44,6 +44,7 @@ def test_the_answer_does_not_depend_on_the_start(kind):
         assert np.all(np.abs(found.forces - plain.forces)[solved] <= 1e-5 * size[solved]), name
 
 
+@pytest.mark.slow
 def test_fewer_steps_lead_from_the_instant_before():
     times = jnp.arange(0.5, 1.0, 1e-3)
     grasp, wrench = jax.vmap(cylinder_task())(times)

@@ -102,6 +102,7 @@ def by_contributions():
     )
 
 
+@pytest.mark.slow
 def test_contributions_of_the_papers_task(by_contributions):
     found = by_contributions
     assert found.worst > found.worst_before + 0.25
@@ -115,6 +116,7 @@ def test_contributions_of_the_papers_task(by_contributions):
     assert found.worst == pytest.approx(np.arctan(0.5) - np.arcsin(10 / squeeze), abs=0.01)
 
 
+@pytest.mark.slow
 def test_an_independent_optimiser_climbs_no_higher(by_contributions):
     """SLSQP on the epigraph: the largest t with every margin at least t, by exact derivatives too."""
     task = cylinder_task()

@@ -38,6 +38,7 @@ def test_the_paper_s_task_loses_the_index_by_method_a_when_it_says_so():
     assert slip["B-optimum"].max() <= np.degrees(np.arctan(0.5)) + 1e-9
 
 
+@pytest.mark.slow
 def test_b_is_not_better_at_every_instant():
     """The paper says that its margin is always greater: the worst one is, but not every one."""
     times = np.linspace(0, 4, 801)

@@ -23,6 +23,7 @@ LABELS: Labels = dict.fromkeys(
 )
 SAID = 5
 """Parameters of a ranking that are said; the file has them all."""
+MOST_VALUES = 4
 
 
 def sensitivity_command(arguments: Sensitivity) -> int:
@@ -30,6 +31,8 @@ def sensitivity_command(arguments: Sensitivity) -> int:
     check_positive(arguments, "seconds", "step")
     times = sampled_times(arguments.seconds, arguments.step)
     methods = [method.name for method in methods_named(arguments.methods)]
+    if len(arguments.values) > MOST_VALUES:
+        raise ValueError(f"values are {len(arguments.values)}: expected at most {MOST_VALUES}, which a figure can show")
     set_up_jax("float64")
     found = study(cylinder_task(), times, methods, arguments.by, arguments.vary, arguments.values, LABELS)
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -3,11 +3,15 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force.distribution import split_forces
+from jaxgrasp.force.distribution import closed_form, split_forces
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
+
+NOISE = 64
+"""Roundings that are nothing."""
 
 
 def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> Float[Array, "..."]:
@@ -21,22 +25,30 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
 
     Returns:
-        ``(...)``, 0 or more; below 1 the hand squeezes harder than it needs. +inf where no factor will do.
+        ``(...)``, 0 or more; below 1 the hand squeezes harder than it needs. +inf where no factor will do:
+        where method B's forces balance nothing (out of range, no squeeze, bad data), too.
 
     Raises:
         ValueError: for shapes that do not fit.
     """
-    split = split_forces(grasp, wrench)
+    split, verdict = split_forces(grasp, wrench), closed_form(grasp, wrench).verdict
+    balances = (verdict == Verdict.CLOSED_FORM_OPTIMAL) | (verdict == Verdict.OUTSIDE_CONES)
     friction, normals = jnp.asarray(grasp.friction), jnp.asarray(grasp.normals)
     if grasp.present is not None:
         there = jnp.asarray(grasp.present) > 0.5
         friction, normals = jnp.where(there, friction, 0), jnp.where(there[..., None], normals, 0)
     inward = vec.unit(vec.from_axis(normals, -1))
-    outer, outer_press = _parts(split.external, inward)
-    inner, inner_press = _parts(split.internal, inward)
-    low, high = _interval(outer, outer_press, inner, inner_press, friction)
+    outer, inner = _without_noise(split.external, split.internal)
+    low, high = _interval(*_parts(outer, inward), *_parts(inner, inward), friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
-    return jnp.where(least <= most, least, jnp.inf)
+    return jnp.where(balances & (least <= most), least, jnp.inf)
+
+
+def _without_noise(outer: Array, inner: Array) -> tuple[Array, Array]:
+    """Forces whose parts are zero where they are the rounding of larger ones: their signs would say something."""
+    size = jnp.max(jnp.abs(jnp.stack([outer, inner])), (0, -2, -1))[..., None, None]
+    noise = NOISE * jnp.finfo(outer.dtype).eps * size
+    return jnp.where(jnp.abs(outer) > noise, outer, 0), jnp.where(jnp.abs(inner) > noise, inner, 0)
 
 
 def _parts(forces: Array, normals: Vec) -> tuple[Vec, Array]:
@@ -47,25 +59,33 @@ def _parts(forces: Array, normals: Vec) -> tuple[Vec, Array]:
 
 
 def _interval(outer: Vec, outer_press: Array, inner: Vec, inner_press: Array, friction: Array) -> tuple[Array, Array]:
-    """The factors x for which outer + x inner lies in its cone; from +inf to -inf where none does.
+    """The factors x for which outer + x inner lies in its cone; low above high where none does.
 
-    Across less than friction times along, squared, is a x^2 + 2 b x + c <= 0; the presses choose the nappe.
+    Across less than friction times along, squared, is a x^2 + 2 b x + c <= 0, a double cone; that outer_press + x
+    inner_press is not negative chooses the nappe.
     """
-    square = friction * friction
+    # Across a frictionless contact nothing is exactly zero.
+    square = jnp.maximum(friction, NOISE * jnp.finfo(outer_press.dtype).eps) ** 2
     a = vec.dot(inner, inner) - square * inner_press * inner_press
     b = vec.dot(outer, inner) - square * outer_press * inner_press
     c = vec.dot(outer, outer) - square * outer_press * outer_press
-    inf = jnp.full_like(a, jnp.inf)
     # Neither root loses its digits where the other is large.
     real = b * b - a * c >= 0
     lead = -b - jnp.where(b >= 0, 1, -1) * vec.safe_sqrt(jnp.where(real, b * b - a * c, 0))
     one, other = vec.safe_divide(lead, a), vec.safe_divide(c, lead)
     one = jnp.where(a == 0, other, one)
     first, last = jnp.minimum(one, other), jnp.maximum(one, other)
-    between = real & (outer_press + (first + last) / 2 * inner_press >= 0)
+    inf = jnp.full_like(a, jnp.inf)
     # Squeezing that leaves its own cone helps for a while at most; squeezing inside it helps in the end.
-    low = jnp.where(a > 0, jnp.where(between, first, inf), jnp.where(inner_press > 0, last, -inf))
-    high = jnp.where(a > 0, jnp.where(between, last, -inf), jnp.where(inner_press > 0, inf, first))
-    idle = (a == 0) & (b == 0)
-    inside = (c <= 0) & (outer_press >= 0)
-    return jnp.where(idle, jnp.where(inside, -inf, inf), low), jnp.where(idle, jnp.where(inside, inf, -inf), high)
+    within = [jnp.where(real, first, inf), jnp.where(real, last, -inf)]
+    beyond = [jnp.where(inner_press > 0, last, -inf), jnp.where(inner_press > 0, inf, first)]
+    along = [jnp.where(b < 0, last, -inf), jnp.where(b > 0, first, inf)]
+    idle = [jnp.where(c <= 0, -inf, inf), jnp.where(c <= 0, inf, -inf)]
+    low, high = (
+        jnp.where(a > 0, one, jnp.where(a < 0, two, jnp.where(b != 0, three, four)))
+        for one, two, three, four in zip(within, beyond, along, idle, strict=True)
+    )
+    edge = vec.safe_divide(-outer_press, inner_press)
+    never = (inner_press == 0) & (outer_press < 0)
+    from_edge = jnp.where(never, inf, jnp.where(inner_press > 0, edge, -inf))
+    return jnp.maximum(low, from_edge), jnp.minimum(high, jnp.where(inner_press < 0, edge, inf))

@@ -81,7 +81,9 @@ def _share_moves(primals, tangents):
     (problem, total), (problem_moved, total_moved) = primals, tangents
     share = _share(problem, total)
     inside = jnp.isfinite(share) & (share > 0)
-    here = jnp.where(inside, jnp.log(jnp.where(inside, share, 1)), 0)
+    # An infinite share times a derivative of zero would be no number, in one direction or the other.
+    finite = jnp.where(inside, share, 1)
+    here = jnp.log(finite)
     seen = _look(problem, total, here)
     scaled, scaled_moved = jax.jvp(lambda problem: _scaled(problem, here), (problem,), (problem_moved,))
     # Elsewhere what is allowed is not what bounds the share.
@@ -90,7 +92,7 @@ def _share_moves(primals, tangents):
     rise = total_moves(scaled, scaled_moved, seen.needed, seen.limit) / needed - total_moved / jnp.where(
         falls, total, 1
     )
-    return share, jnp.where(falls, share * -rise / jnp.where(falls, seen.slope, 1), 0)
+    return share, jnp.where(falls, finite * -rise / jnp.where(falls, seen.slope, 1), 0)
 
 
 class _Look(NamedTuple):
@@ -122,7 +124,8 @@ def _scaled(problem: Problem, share: Array) -> Problem:
 
 def _log_ratio(needed: Array, total: Array) -> Array:
     some = needed > 0
-    return jnp.where(some, jnp.log(jnp.where(some, needed, 1)), -jnp.inf) - jnp.log(total)
+    ratio = jnp.log(jnp.where(some, needed, 1)) - jnp.log(jnp.maximum(total, 0))
+    return jnp.where(some, ratio, -jnp.inf)
 
 
 class _Search(NamedTuple):

@@ -106,6 +106,8 @@ class HeldCylinder(HeldObject):
 
 
 def _grasp(held: Held | HeldCylinder, points: AnyArray, normals: AnyArray) -> Grasp:
+    if not jnp.issubdtype(points.dtype, jnp.floating):
+        points = points.astype(float)
     each = points.shape[:-1]
     squeeze = squeezing(held.contributions, held.stiffness, held.depths)
     friction = jnp.broadcast_to(jnp.asarray(held.friction, points.dtype), each)

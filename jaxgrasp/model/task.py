@@ -33,7 +33,8 @@ class Task(eqx.Module):
 
     def __call__(self, time: Float[AnyArray, ""] | float) -> tuple[Grasp, Float[Array, "6"]]:
         """The grasp and the wrench at a time [s]."""
-        return self.at(self.parameters, jnp.asarray(time))
+        now = jnp.asarray(time)
+        return self.at(self.parameters, now if jnp.issubdtype(now.dtype, jnp.floating) else now.astype(float))
 
 
 class Carried(eqx.Module):

@@ -1,6 +1,7 @@
 """A picture of a sensitivity analysis: slip angles over time as in the paper's Fig. 5, and what has influence."""
 
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +41,7 @@ def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
     from matplotlib.figure import Figure
 
     columns = len(found.slips)
-    figure = Figure(figsize=(4.2 * columns + 0.8, 7.6))
+    figure = Figure(figsize=(max(4.2 * columns + 0.8, 10), 7.6))
     grid = figure.add_gridspec(2, columns, left=0.075, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.42)
     rankings = figure.add_gridspec(
         2, columns + 1, left=0.11, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.75
@@ -57,7 +58,7 @@ def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
         0.012, 0.955, f"Slip angle of the {finger} along the task; what moves all fingers'", fontsize=12, color=INK
     )
     values = next(iter(found.slips.values())).varied[vary].values
-    for dash, value in zip(DASHES, values, strict=False):
+    for dash, value in zip(cycle(DASHES), values, strict=False):
         last.plot([], [], color=INK, linestyle=dash, linewidth=1.7, label=f"{vary} = {number(float(value))}")
     figure.legend(frameon=False, fontsize=9.5, loc="upper right", handlelength=2.8, ncols=len(values))
     return figure
@@ -69,7 +70,7 @@ def _draw_slips(axes: "Axes", method: str, trajectory: Any, finger: str, vary: s
     axes.axhspan(90, 180, color="#CC79A7", alpha=0.13, linewidth=0)
     place: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "ha": "center", "fontsize": 9, "color": MUTED}
     axes.text(0.5, 0.97, "pulls", **place)
-    for dash, curve in zip(DASHES, np.degrees(varied.curves[..., k]), strict=False):
+    for dash, curve in zip(cycle(DASHES), np.degrees(varied.curves[..., k]), strict=False):
         shown = np.where(np.isfinite(curve), curve, np.nan)
         axes.plot(times, shown, color=METHOD_COLOURS[method], linestyle=dash, linewidth=1.7)
     axes.set_title(method_title(method), fontsize=11, color=METHOD_COLOURS[method], loc="left")

@@ -16,7 +16,6 @@ from jaxgrasp.sensitivity.naming import (
     Entry,
     Labels,
     as_arrays,
-    check_finite,
     check_labels,
     chosen,
     entries_of,
@@ -27,11 +26,14 @@ from jaxgrasp.sensitivity.naming import (
 from jaxgrasp.sensitivity.trajectory import OutputOf, outputs_of, read_times
 
 SOFTNESS = (0.3, 0.1, 0.03, 0.01, 0.003)
-"""Of the smallest margin, in stages, relative to how much the margins differ at the start."""
+"""Of the smallest margin, in stages, relative to the scale of the margins."""
+LOW, LEAST = 0.25, 0.1
+"""The scale is how far this quantile of the margins lies above the smallest one, where all begin, and at least this
+part of the smallest one's size: what is far from being the worst, however large, says nothing about it."""
 NUDGE = 0.02
 """A grasp that is symmetric stands on a ridge, from which no gradient leads: the climb begins so far beside it."""
 FARTHEST = 60.0
-"""Shift of the unbounded variables beyond which every parameter is at its bound."""
+"""Unbounded variables beyond this stand for a parameter at its bound."""
 
 Bounds = tuple[AnyArray | float | int, AnyArray | float | int]
 
@@ -88,7 +90,8 @@ def raise_worst(
             times: ``Output("friction_margin", "B")`` for the closed form, [`jaxgrasp.friction_reserve`][] for
             whatever the grasp could do, or one of your own. +inf counts as no limit.
         within: what may move, by the names of parameters as for [`jaxgrasp.sensitivity_matrix`][], and the least and
-            the largest value of each: numbers, or one for each entry.
+            the largest value of each: numbers, or one for each entry. They are the climb's measure of how far is far:
+            let them be no wider than what is meant.
         totals: names of parameters, all of them in ``within``, the sum of whose entries stays as it is, such as
             ``"contributions"``: a hand that may not press harder.
         labels: as for [`jaxgrasp.sensitivity_matrix`][].
@@ -105,23 +108,24 @@ def raise_worst(
     instants = read_times(times)
     task = as_arrays(task)
     entries = entries_of(task.parameters, labels)
-    check_finite(task.parameters, entries)
     outputs = outputs_of(task, margin, instants, labels)
     check_labels(labels, (*entries, *outputs))
     moving, low, high = _read_bounds(task, entries, within)
     groups = _read_totals(totals, entries, moving)
-    if not steps > 0:
-        raise ValueError(f"steps is {steps!r}: expected a positive number")
+    if not (isinstance(steps, int) and steps >= 1):
+        raise ValueError(f"steps is {steps!r}: expected a whole number, 1 or more")
     here = values_at(task.parameters, moving)
     room = _Room(low, high, here, groups)
-    before, spread = _look(task, margin, instants, moving, here)
+    before = _look(task, margin, instants, moving, here)
     _check_start(before, instants, outputs)
     points = [here]
     free = jnp.log((here - low) / (high - here)) + NUDGE * jax.random.normal(jax.random.key(0), here.shape, here.dtype)
+    scale = _scale(np.asarray(before))
     for softness in SOFTNESS:
-        free, reached = _climb(task, margin, instants, moving, room, free, softness * spread, steps)
+        measures = jnp.asarray((scale, softness), here.dtype)
+        free, reached = _climb(task, margin, instants, moving, room, free, measures, steps)
         points.append(reached)
-    tried = [before, *(_look(task, margin, instants, moving, point)[0] for point in points[1:])]
+    tried = [before, *(_look(task, margin, instants, moving, point) for point in points[1:])]
     worst = [float(jnp.min(margins)) for margins in tried]
     best = max(range(len(worst)), key=lambda k: -math.inf if math.isnan(worst[k]) else worst[k])
     raised = Task(with_values(task.parameters, moving, points[best]), task.at)
@@ -150,7 +154,8 @@ class _Room(eqx.Module):
         import optimistix
 
         eps = float(jnp.finfo(free.dtype).eps)
-        ends = {"lower": jnp.asarray(-FARTHEST, free.dtype), "upper": jnp.asarray(FARTHEST, free.dtype)}
+        # So far all entries are at their one bounds, and so far at the other.
+        ends = {"lower": -FARTHEST - jnp.max(free), "upper": FARTHEST - jnp.min(free)}
         bisection: Any = optimistix.Bisection(rtol=eps, atol=4 * eps)  # type: ignore[call-arg]
         found: Any = optimistix.root_find(
             lambda shift, free: jnp.sum(self.at(free + shift)) - jnp.sum(self.start),
@@ -171,31 +176,38 @@ def _climb(
     moving: tuple[Entry, ...],
     room: _Room,
     free: Array,
-    softness: Array,
+    measures: Array,
     steps: int,
 ) -> tuple[Array, Array]:
     """From ``free`` to where the soft minimum is largest; there, the free variables and the parameters."""
     import optimistix
 
-    def sunk(free: Array, softness: Array) -> Array:
-        margins = _margins(task, margin, times, moving, room.at(free))
+    def sunk(free: Array, measures: Array) -> Array:
+        scale, softness = measures[0], measures[1]
+        margins = _margins(task, margin, times, moving, room.at(free)) / scale
         # What has no limit weighs nothing. What is no number, or infinitely bad, is refused by the line search.
         felt = jnp.where(jnp.isposinf(margins), -jnp.inf, -margins / softness)
         return softness * jax.nn.logsumexp(felt)
 
-    found: Any = optimistix.minimise(
-        sunk, optimistix.BFGS(rtol=1e-6, atol=1e-8), free, args=softness, max_steps=steps, throw=False
-    )
+    # Ridges are left slowly at first: no small step means that it has arrived.
+    bfgs: Any = optimistix.BFGS(rtol=1e-9, atol=1e-12)
+    found: Any = optimistix.minimise(sunk, bfgs, free, args=measures, max_steps=steps, throw=False)
     return found.value, room.at(found.value)
 
 
 @eqx.filter_jit
-def _look(task: Task, margin: OutputOf, times: Array, moving: tuple[Entry, ...], values: Array) -> tuple[Array, Array]:
-    """Margins at all times, and how much the finite ones differ."""
-    margins = _margins(task, margin, times, moving, values)
-    finite = jnp.isfinite(margins)
-    spread = jnp.std(jnp.where(finite, margins, 0), where=finite)
-    return margins, jnp.where(spread > 0, spread, 1)
+def _look(task: Task, margin: OutputOf, times: Array, moving: tuple[Entry, ...], values: Array) -> Array:
+    return _margins(task, margin, times, moving, values)
+
+
+def _scale(margins: np.ndarray) -> float:
+    """By how much margins differ that may become the worst, in their own unit."""
+    finite = margins[np.isfinite(margins)]
+    if not finite.size:
+        return 1.0
+    least = finite.min()
+    scale = max(np.quantile(finite, LOW) - least, LEAST * abs(least))
+    return float(scale if scale > 0 else finite.max() - least or 1.0)
 
 
 def _margins(task: Task, margin: OutputOf, times: Array, moving: tuple[Entry, ...], values: Array) -> Array:
@@ -214,15 +226,15 @@ def _read_bounds(
         for one in these:
             if one in rows:
                 raise ValueError(f"within has {one.label} twice, once by {name!r}: expected each parameter once")
-        if not (isinstance(bounds, tuple | list) and len(bounds) == 2):
+        if not hasattr(bounds, "__len__") or len(bounds) != 2:
             raise ValueError(f"within has {bounds!r} for {name}: expected (the least, the largest)")
         low, high = (_broadcast(name, bound, len(these)) for bound in bounds)
         rows |= dict(zip(these, zip(low, high, strict=True), strict=True))
     moving = chosen(entries, list(within))
     low, high = np.array([rows[one] for one in moving]).T
     for entry, least, value, most in zip(moving, low, np.asarray(values_at(task.parameters, moving)), high):
-        if not least < value < most:
-            raise ValueError(f"{entry.label} is {value:g}: expected between its bounds {least:g} and {most:g}")
+        if not (least < value < most and math.isfinite(most - least)):
+            raise ValueError(f"{entry.label} is {value:g}: expected between its finite bounds {least:g} and {most:g}")
     return moving, jnp.asarray(low), jnp.asarray(high)
 
 

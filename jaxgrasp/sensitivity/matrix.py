@@ -139,12 +139,15 @@ def sensitivity_matrix(
         A SensitivityMatrix.
 
     Raises:
-        ValueError: for a name that is unknown, with the one most like it, and labels that do not fit.
+        ValueError: for a name that is unknown, with the one most like it, parameters that are not finite, labels that
+            do not fit, and another mode.
     """
     parameters = as_arrays(parameters)
     entries = entries_of(parameters, labels)
     wanted = chosen(entries, by)
-    check_finite(parameters, entries)
+    if mode not in (None, "forward", "reverse"):
+        raise ValueError(f"mode is {mode!r}: expected 'forward', 'reverse' or None")
+    check_finite(parameters, wanted)
     outputs = entries_of(named_outputs(f, jax.eval_shape(f, parameters)), labels)
     check_labels(labels, (*entries, *outputs))
     if not outputs:
@@ -177,9 +180,11 @@ def _root_mean_square(values: np.ndarray, axis: tuple[int, ...] | None = None) -
 
 
 def _spreads(matrix: SensitivityMatrix, given: Mapping[str, float]) -> np.ndarray:
-    for name in given:
-        chosen(matrix.parameters, [name])
+    """By parameter; the spread of an entry goes before that of its array."""
     sizes = np.abs(np.asarray(matrix.values))
-    for k, entry in enumerate(matrix.parameters):
-        sizes[k] = next((given[name] for name in given if entry.is_called(name)), sizes[k])
+    meant = {name: chosen(matrix.parameters, [name]) for name in given}
+    for name in sorted(given, key=lambda name: -len(meant[name])):
+        if not (np.ndim(given[name]) == 0 and np.isfinite(given[name])):
+            raise ValueError(f"the spread of {name} is {given[name]!r}: expected a finite number")
+        sizes[[matrix.parameters.index(entry) for entry in meant[name]]] = given[name]
     return sizes

@@ -77,7 +77,7 @@ def entries_of(tree: Any, labels: Labels | None = None) -> tuple[Entry, ...]:
     """Every number of a tree's floating-point arrays, or of their shapes, in order.
 
     Raises:
-        ValueError: for too many or too few labels of an array.
+        ValueError: for too many or too few labels of an array, and for two numbers of one name.
     """
     found = jax.tree_util.tree_flatten_with_path(tree)[0]
     paths = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in found]
@@ -90,6 +90,11 @@ def entries_of(tree: Any, labels: Labels | None = None) -> tuple[Entry, ...]:
         for index in np.ndindex(leaf.shape):
             place = [first[index[0]], *map(str, index[1:])] if index else []
             entries.append(Entry(k, index, path, name, f"[{', '.join(place)}]" if index else ""))
+    known: set[str] = set()
+    for entry in entries:
+        if entry.label in known:
+            raise ValueError(f"two numbers are called {entry.label!r}: expected names and labels that differ")
+        known.add(entry.label)
     return tuple(entries)
 
 
@@ -105,7 +110,9 @@ def chosen(entries: Sequence[Entry], names: Iterable[str] | None) -> tuple[Entry
         raise ValueError(f"names of parameters are {names!r}: expected a list of names")
     found: dict[Entry, None] = {}
     for name in names:
-        these = [entry for entry in entries if entry.is_called(name)]
+        # A whole path means what is there, and not what ends alike elsewhere.
+        exact = [entry for entry in entries if name in (entry.path, entry.path + entry.place)]
+        these = exact or [entry for entry in entries if entry.is_called(name)]
         if not these:
             raise ValueError(f"there is no {name!r}{_nearest(name, entries)}")
         found.update(dict.fromkeys(these))
@@ -190,6 +197,8 @@ def _labels_of(name: str, path: str, shape: tuple[int, ...], labels: Labels) -> 
     given = next((labels[key] for key in labels if _ends_with(path, key)), None)
     if given is None:
         return [str(i) for i in range(shape[0])]
+    if not all(isinstance(label, str) for label in given):
+        raise ValueError(f"labels of {name} are {given!r}: expected texts")
     if len(given) != shape[0]:
         raise ValueError(f"{name} has {shape[0]} entries on its first axis: expected as many labels, not {len(given)}")
     return given

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
@@ -27,9 +28,12 @@ def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[
     """How many times less friction would do, with the normal forces that the hand means to exert in total.
 
     What ranks an optimum, whose active contacts have no margin left however much they have in reserve: the inverse of
-    [`jaxgrasp.least_friction`][]. Below 1 the friction does not do; +inf where hardly any is needed.
+    [`jaxgrasp.least_friction`][]. Below 1 the friction does not do; +inf where hardly any is needed, and 0 where no
+    friction would do, both with derivatives of zero.
     """
-    return {"reserve": 1 / least_friction(grasp, wrench)}
+    share = least_friction(grasp, wrench)
+    bounded = (share > 0) & jnp.isfinite(share)
+    return {"reserve": jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf))}
 
 
 @dataclass(frozen=True)

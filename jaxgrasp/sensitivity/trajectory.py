@@ -75,8 +75,9 @@ def sensitivity_trajectory(
         task: grasp and wrench over time.
         times: ascending ``(T,)`` [s].
         output: (grasp, wrench) -> an array or a tree of arrays, for the leading axis of the times: an
-            [`jaxgrasp.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. Let it be one
-            function for all calls, not made anew for each.
+            [`jaxgrasp.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. What it says
+            of an instant must depend on that instant alone, so no sums over time. Let it be one function for all
+            calls, not made anew for each.
         by: names of parameters, as for [`jaxgrasp.sensitivity_matrix`][]; all of the task's where not given.
         vary: values to try, by the name of a parameter, such as ``{"contributions[1]": (0.5, 1.0, 2.0)}``; an array's
             name stands for all of its entries at once.
@@ -93,7 +94,7 @@ def sensitivity_trajectory(
     task = as_arrays(task)
     entries = entries_of(task.parameters, labels)
     wanted = chosen(entries, by)
-    check_finite(task.parameters, entries)
+    check_finite(task.parameters, wanted)
     outputs = outputs_of(task, output, instants, labels)
     check_labels(labels, (*entries, *outputs))
     tried = tuple(chosen(entries, [name]) for name in vary or {})
@@ -172,7 +173,7 @@ def read_times(times: AnyArray | Sequence[float]) -> Array:
 def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a finite number") -> np.ndarray:
     array = np.asarray(numbers, float)
     if array.ndim != 1 or not array.size:
-        raise ValueError(f"{name} has shape {array.shape}: expected (T,), one entry at least")
+        raise ValueError(f"{name} has shape {array.shape}: expected one axis, and one entry at least")
     for fault in faults_in(name, array, ~np.isfinite(array), expected):
         raise ValueError(str(fault))
     return array
@@ -182,7 +183,13 @@ def outputs_of(task: Task, output: OutputOf, times: Array, labels: Labels | None
     """The outputs at one time, once task and output are known to return what they should."""
     leaves, structure = jax.tree.flatten(task.parameters)
     shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)
-    return entries_of(_shapes(task.at, output, structure, shapes, times.shape, times.dtype), labels)
+    asked = (task.at, output, structure, shapes, times.shape, times.dtype)
+    try:
+        hash(asked)
+    except TypeError:
+        # A Module that holds arrays is no key.
+        return entries_of(_shapes.__wrapped__(*asked), labels)
+    return entries_of(_shapes(*asked), labels)
 
 
 @lru_cache(256)

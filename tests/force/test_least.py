@@ -8,7 +8,16 @@ import pytest
 import scipy.sparse
 
 from benchmarks import problems as P
-from jaxgrasp import Grasp, Verdict, closed_form, grasp_matrix, least_friction, least_squeeze, least_squeeze_factor
+from jaxgrasp import (
+    Grasp,
+    Verdict,
+    closed_form,
+    friction_reserve,
+    grasp_matrix,
+    least_friction,
+    least_squeeze,
+    least_squeeze_factor,
+)
 
 COUNT = 24
 PINCH = Grasp(
@@ -188,3 +197,50 @@ def test_the_least_factor_of_a_pinch_by_hand():
     assert least_squeeze_factor(PINCH, 0 * LIFT) == 0
     weak = Grasp(PINCH.points, PINCH.normals, jnp.zeros(2), PINCH.squeeze)
     assert least_squeeze_factor(weak, LIFT) == jnp.inf
+
+
+def test_the_least_factor_without_friction():
+    """What presses alone holds too: a support that must not let go, and contacts of both kinds."""
+    along = jnp.array([1.0, 0, 0, 0, 0, 0])
+    still = Grasp(PINCH.points, PINCH.normals, jnp.zeros(2), jnp.ones(2))
+    np.testing.assert_allclose(least_squeeze_factor(still, along), 0.5, rtol=1e-12)
+    points = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    mixed = Grasp(points, -points, jnp.array([0, 0, 0.5, 0.5]), jnp.array([1.0, 1, 2, 2]))
+    # The load of 0.5 is shared as 1 to 2: those without friction keep pressing from x = 0.5 / 6 on, and of those with
+    # it 0.5 * 2 x must hold 0.5 / 3.
+    np.testing.assert_allclose(least_squeeze_factor(mixed, 0.5 * along), 1 / 6, rtol=1e-12)
+
+
+def test_no_factor_holds_where_nothing_balances():
+    points, normals, friction, squeeze = PINCH.points, PINCH.normals, PINCH.friction, PINCH.squeeze
+    for grasp, wrench in (
+        (Grasp(points, normals, friction, 0 * squeeze), LIFT),
+        (Grasp(points, normals, friction, squeeze, jnp.zeros(2)), LIFT),
+        (Grasp(points * jnp.nan, normals, friction, squeeze), LIFT),
+        (Grasp(points, normals, -friction, squeeze), LIFT),
+        (PINCH, jnp.array([0, 0, 1, 0.3, 0, 0])),
+    ):
+        assert least_squeeze_factor(grasp, wrench) == jnp.inf
+
+
+@pytest.mark.slow
+def test_where_shares_are_zero_or_infinite_nothing_moves():
+    def by_squeeze(question, squeeze, wrench):
+        return jax.value_and_grad(lambda s: question(Grasp(PINCH.points, PINCH.normals, PINCH.friction, s), wrench))(
+            squeeze
+        )
+
+    def reserve(grasp, wrench):
+        return friction_reserve(grasp, wrench)["reserve"]
+
+    weak, strong = jnp.full(2, 4e-6), jnp.full(2, 4.0)
+    for question, squeeze, wrench, expected in (
+        (least_friction, weak, LIFT, jnp.inf),
+        (reserve, weak, LIFT, 0),
+        (least_friction, strong, 0 * LIFT, 0),
+        (reserve, strong, 0 * LIFT, jnp.inf),
+    ):
+        value, slope = by_squeeze(question, squeeze, wrench)
+        assert value == expected and not np.any(slope)
+    np.testing.assert_allclose(by_squeeze(reserve, strong, LIFT)[1], [0.25, 0.25], rtol=1e-6)
+    assert least_friction(PINCH, 0 * LIFT, total=0.0) == 0

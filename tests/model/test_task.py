@@ -117,3 +117,22 @@ def test_a_task_of_ones_own_is_a_plain_function():
     body = held()
     task = Task({"mass": 2.0}, lambda p, time: (body.grasp(), p["mass"] * jnp.array([0.0, 0, time, 0, 0, 0])))
     np.testing.assert_allclose(task(3.0)[1], [0, 0, 6, 0, 0, 0])
+
+
+def test_whole_numbers_are_taken_as_numbers(unchecked):
+    turn = Turn(np.array([0.0, 0, 1]), 2.0)
+    held = Held(
+        np.array([[1, 0, 0], [-1, 0, 0]]),
+        np.array([[-1, 0, 0], [1, 0, 0]]),
+        0.5,
+        1.0,
+        1000.0,
+        2.5e-3,
+        1.0,
+        np.zeros(3),
+        np.eye(3),
+    )
+    grasp, wrench = carrying(held, turn)(1)
+    np.testing.assert_allclose(grasp.friction, [0.5, 0.5])
+    np.testing.assert_allclose(grasp.squeeze, [2.5, 2.5])
+    np.testing.assert_allclose(wrench, carrying(held, turn)(1.0)[1])

@@ -80,6 +80,27 @@ def test_what_is_no_number_is_not_entered():
     assert 0.3 < found.worst < 1
 
 
+@pytest.mark.parametrize("unit", [1e8, 1.0, 1e-6])
+def test_the_summit_does_not_depend_on_the_unit(unit):
+    """Nor on margins that are far from the worst, nor on a start at which all are alike."""
+
+    def rivals(_, wrench):
+        x, y = wrench[..., 0], wrench[..., 1]
+        return unit * jnp.stack([x, 1 - x - (y - 0.6) ** 2, 0.8 - (x - y) ** 2, 1e4 + 0 * x], -1)
+
+    found = raise_worst(toy((0.1, 0.3)), [0.0], rivals, {"place": (0, 1)})
+    np.testing.assert_allclose(found.worst, unit * 0.5, rtol=1e-3)
+    alike = raise_worst(toy((0.2, 0.1)), [0.0], lambda _, w: unit * w[..., :2] * jnp.array([1, 2]), {"place": (0, 1)})
+    np.testing.assert_allclose(alike.worst, unit, rtol=1e-3)
+
+
+def test_large_margins_keep_their_sums():
+    within = {"place": (-2, 2)}
+    found = raise_worst(toy(), [0.0], lambda _, w: 1e3 * (w[..., :1] - w[..., 1:2]), within, totals=["place"])
+    np.testing.assert_allclose(found.values.sum(), 0.1, atol=1e-12)
+    np.testing.assert_allclose(found.worst, 1e3 * (2 - -1.9), rtol=1e-3)
+
+
 def test_never_worse_than_the_start():
     found = raise_worst(toy((1.0, 0.0)), np.linspace(-1, 3, 9), nearest_ends, {"place[0]": (-2, 4)})
     assert found.worst >= found.worst_before == -4
@@ -171,19 +192,19 @@ def test_places_that_hold_what_the_papers_task_lets_slip():
     [
         ({"within": {"plaice": (0, 1)}}, "there is no 'plaice': did you mean 'place'?"),
         ({"within": {}}, "no parameters are asked for"),
-        ({"within": {"place": (0, 1)}}, r"place\[1\] is -0.2: expected between its bounds 0 and 1"),
-        ({"within": {"place[0]": (1, 0)}}, r"place\[0\] is 0.3: expected between its bounds 1 and 0"),
-        ({"within": {"place[0]": (np.nan, 1)}}, r"place\[0\] is 0.3: expected between its bounds nan and 1"),
+        ({"within": {"place": (0, 1)}}, r"place\[1\] is -0.2: expected between its finite bounds 0 and 1"),
+        ({"within": {"place[0]": (1, 0)}}, r"place\[0\] is 0.3: expected between its finite bounds 1 and 0"),
+        ({"within": {"place[0]": (np.nan, 1)}}, r"place\[0\] is 0.3: expected between its finite bounds nan and 1"),
         ({"within": {"place": (-1, 1), "place[1]": (-1, 1)}}, r"within has place\[1\] twice"),
         ({"within": {"place": (np.zeros(3) - 1, 1)}}, "a bound of place has 3 entries: expected one, or 2"),
         ({"within": {"place": 1.0}}, r"within has 1.0 for place: expected \(the least, the largest\)"),
         ({"totals": ["lift"]}, "totals has lift, which may not move"),
         ({"totals": "lift"}, "totals is 'lift': expected a list of names"),
         ({"totals": ["place", "place[1]"]}, r"totals has place\[1\] twice"),
-        ({"task": toy(lift=np.nan)}, "lift is nan: expected a finite number"),
+        ({"within": {"place": (-np.inf, 1)}}, r"place\[0\] is 0.3: expected between its finite bounds -inf and 1"),
         ({"labels": {"plaice": ("x", "y")}}, "plaice"),
         ({"margin": lost_at_once}, r"lost_at_once\[1\] is -inf at times\[0\], 0 s: expected a number"),
-        ({"steps": 0}, "steps is 0: expected a positive number"),
+        ({"steps": 0}, "steps is 0: expected a whole number, 1 or more"),
         ({"times": [1.0, 0.0]}, r"times\[1\] is 0: expected more than times\[0\], 1"),
     ],
 )

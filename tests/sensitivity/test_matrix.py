@@ -193,9 +193,42 @@ def test_other_bad_input_is_said():
         sensitivity_matrix(FORCES["A"], VALUES, labels={"frictions": FINGERS})
     with pytest.raises(ValueError, match="no floating-point arrays"):
         sensitivity_matrix(lambda p: jnp.argmax(p["friction"]), VALUES)
+    with pytest.raises(ValueError, match="two numbers are called 'friction\\[a\\]'"):
+        sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": ("a", "b", "a")})
+    with pytest.raises(ValueError, match="labels of friction are .*: expected texts"):
+        sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": (0, 1, 2)})
     matrix = sensitivity_matrix(FORCES["A"], VALUES, ["friction"])
     with pytest.raises(ValueError, match="there is no 'stiffness'"):
         matrix.ranking({"stiffness": 1.0})
+    with pytest.raises(ValueError, match="the spread of friction is nan: expected a finite number"):
+        matrix.ranking({"friction": np.nan})
+
+
+def test_another_mode_is_refused(unchecked):
+    with pytest.raises(ValueError, match="mode is 'backward': expected 'forward', 'reverse' or None"):
+        sensitivity_matrix(FORCES["A"], VALUES, mode="backward")
+
+
+def test_a_whole_path_means_what_is_there_alone():
+    def doubled(p):
+        return 2 * p["a"]["mass"] + 3 * p["b"]["a"]["mass"]
+
+    values = {"a": {"mass": 1.0}, "b": {"a": {"mass": 2.0}}}
+    assert len(sensitivity_matrix(doubled, values, ["a.mass"]).parameters) == 1
+    both = sensitivity_matrix(doubled, values)
+    np.testing.assert_allclose(sorted(one.size for one in both.ranking({"a.mass": 10.0})), [6 / 8, 20 / 8])
+
+
+def test_the_spread_of_an_entry_goes_before_its_arrays():
+    found = sensitivity_matrix(lambda p: p["x"].sum(), {"x": jnp.array([1.0, 1.0])})
+    for spreads in ({"x": 2.0, "x[0]": 0.0}, {"x[0]": 0.0, "x": 2.0}):
+        assert {one.label: one.size for one in found.ranking(spreads)} == {"x[0]": 0, "x[1]": 1}
+
+
+def test_what_is_not_asked_for_may_be_no_number():
+    values = VALUES | {"friction": np.array([1, np.nan, 1])}
+    found = sensitivity_matrix(lambda p: p["points"] * p["stiffness"], values, ["stiffness"])
+    assert np.isfinite(found.derivatives).all()
 
 
 def test_plain_numbers_are_no_other_program():

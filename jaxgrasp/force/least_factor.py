@@ -38,24 +38,22 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         there = jnp.asarray(grasp.present) > 0.5
         friction, normals = jnp.where(there, friction, 0), jnp.where(there[..., None], normals, 0)
     inward = vec.unit(vec.from_axis(normals, -1))
-    outer, inner = _without_noise(split.external, split.internal)
-    low, high = _interval(*_parts(outer, inward), *_parts(inner, inward), friction)
+    # What is the rounding of larger forces is nothing: its sign would say something, and without friction its size too.
+    size = jnp.max(jnp.abs(jnp.stack([split.external, split.internal])), (0, -2, -1))[..., None]
+    noise = NOISE * jnp.finfo(size.dtype).eps * size
+    outer, inner = _parts(split.external, inward, noise), _parts(split.internal, inward, noise)
+    low, high = _interval(*outer, *inner, friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
     return jnp.where(balances & (least <= most), least, jnp.inf)
 
 
-def _without_noise(outer: Array, inner: Array) -> tuple[Array, Array]:
-    """Forces whose parts are zero where they are the rounding of larger ones: their signs would say something."""
-    size = jnp.max(jnp.abs(jnp.stack([outer, inner])), (0, -2, -1))[..., None, None]
-    noise = NOISE * jnp.finfo(outer.dtype).eps * size
-    return jnp.where(jnp.abs(outer) > noise, outer, 0), jnp.where(jnp.abs(inner) > noise, inner, 0)
-
-
-def _parts(forces: Array, normals: Vec) -> tuple[Vec, Array]:
-    """Across and along the normals."""
+def _parts(forces: Array, normals: Vec, noise: Array) -> tuple[Vec, Array]:
+    """Across and along the normals; zero where that is noise."""
     force = vec.from_axis(forces, -1)
     along = vec.dot(force, normals)
-    return vec.sub(force, vec.scale(along, normals)), along
+    across = vec.sub(force, vec.scale(along, normals))
+    *kept, pressed = (jnp.where(jnp.abs(part) > noise, part, 0) for part in (*across, along))
+    return Vec(*kept), pressed
 
 
 def _interval(outer: Vec, outer_press: Array, inner: Vec, inner_press: Array, friction: Array) -> tuple[Array, Array]:
@@ -64,8 +62,7 @@ def _interval(outer: Vec, outer_press: Array, inner: Vec, inner_press: Array, fr
     Across less than friction times along, squared, is a x^2 + 2 b x + c <= 0, a double cone; that outer_press + x
     inner_press is not negative chooses the nappe.
     """
-    # Across a frictionless contact nothing is exactly zero.
-    square = jnp.maximum(friction, NOISE * jnp.finfo(outer_press.dtype).eps) ** 2
+    square = friction * friction
     a = vec.dot(inner, inner) - square * inner_press * inner_press
     b = vec.dot(outer, inner) - square * outer_press * inner_press
     c = vec.dot(outer, outer) - square * outer_press * outer_press

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.sparse
+from scipy.spatial.transform import Rotation
 
 from benchmarks import problems as P
 from jaxgrasp import (
@@ -199,12 +200,15 @@ def test_the_least_factor_of_a_pinch_by_hand():
     assert least_squeeze_factor(weak, LIFT) == jnp.inf
 
 
-def test_the_least_factor_without_friction():
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.4, -1.1, 0.7)])
+def test_the_least_factor_without_friction(turn):
     """What presses alone holds too: a support that must not let go, and contacts of both kinds."""
-    along = jnp.array([1.0, 0, 0, 0, 0, 0])
-    still = Grasp(PINCH.points, PINCH.normals, jnp.zeros(2), jnp.ones(2))
+    turned = jnp.asarray(Rotation.from_rotvec(turn).as_matrix())
+    along = jnp.concatenate([turned[:, 0], jnp.zeros(3)])
+    pinch = PINCH.points @ turned.T
+    still = Grasp(pinch, -pinch, jnp.zeros(2), jnp.ones(2))
     np.testing.assert_allclose(least_squeeze_factor(still, along), 0.5, rtol=1e-12)
-    points = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    points = jnp.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]) @ turned.T
     mixed = Grasp(points, -points, jnp.array([0, 0, 0.5, 0.5]), jnp.array([1.0, 1, 2, 2]))
     # The load of 0.5 is shared as 1 to 2: those without friction keep pressing from x = 0.5 / 6 on, and of those with
     # it 0.5 * 2 x must hold 0.5 / 3.

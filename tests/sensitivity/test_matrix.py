@@ -184,7 +184,7 @@ def test_unknown_names_are_said(by, said):
         sensitivity_matrix(FORCES["A"], VALUES, by)
 
 
-def test_other_bad_input_is_said():
+def test_other_bad_input_is_said(unchecked):
     with pytest.raises(ValueError, match=r"friction\[1\] is nan: expected a finite number"):
         sensitivity_matrix(FORCES["A"], VALUES | {"friction": np.array([1, np.nan, 1])})
     with pytest.raises(ValueError, match="friction has 3 entries on its first axis: expected as many labels, not 2"):

@@ -40,27 +40,33 @@ SEQUENCES, TICKS = 2**16, 2**32
 
 
 class Kind(IntEnum):
-    """What a frame's values are."""
+    """What a frame's values are; those that it does not use are zero."""
 
     HELLO = 1
-    """Host to device: the first value is the session's number, which the device answers with."""
+    """Host to device: session, a number the host draws. A device gives up all torque at it, and answers."""
     CAPABILITY = 2
-    """Device to host: session, channels, counts of the largest torque, watchdog [ms]."""
+    """Device to host: session, channels, watchdog [ms], torque of a count [1e-7 N.m], largest count, largest change
+    of a torque [counts/ms]."""
     COMMAND = 3
     """Host to device: torques [counts]."""
     ANGLES = 4
     """Device to host: encoders [counts]."""
     TENSIONS = 5
     """Device to host: strain gauges [counts]."""
+    ARM = 6
+    """Host to device: session. What alone lets torques through, and what alone ends a latch."""
+    STATUS = 7
+    """Device to host: session, state, cause; then four numbers of 32 bits, low half first: commands accepted,
+    missing, stale, frames refused; and the newest sequence number."""
 
 
 class Flag(IntFlag):
     """Flags of a frame."""
 
     ENABLE = 1
-    """Of a command: without it a device holds zero, whatever the values."""
+    """Of a command: without it a device disarms. Of what a device sends: it is armed."""
     LATCHED = 2
-    """Of what a device sends: it holds zero until it is enabled anew."""
+    """Of what a device sends: it holds zero after a fault, until it is armed anew."""
     SATURATED = 4
     """Of what a device sends: a gauge was at its end."""
 
@@ -170,20 +176,26 @@ class FrameReader:
 class Sequence:
     """Which frames are new: what is not after the newest is stale, and what a newer one skips is missing."""
 
-    def __init__(self, newest: int | None = None) -> None:
-        """Of a sender whose last known frame is ``newest``; None if nothing came yet, so that any is the first."""
+    def __init__(self, newest: int | None = None, window: int = SEQUENCES // 2 - 1) -> None:
+        """Of a sender whose last known frame is ``newest``; None if nothing came yet, so that any is the first.
+
+        Args:
+            newest: number of that frame.
+            window: how far after the newest a number may lie; what lies farther is stale.
+        """
         self.missing = 0
         """Frames that were sent and did not come, as far as the numbers tell."""
         self.stale = 0
         """Frames that came again, or late."""
-        self._newest = newest
+        self.newest = newest
+        self._window = window
 
     def is_new(self, number: int) -> bool:
-        """Whether a frame of this number is to be acted on; half of all numbers count as after the newest."""
-        ahead = 1 if self._newest is None else (number - self._newest) % SEQUENCES
-        if not 0 < ahead < SEQUENCES // 2:
+        """Whether a frame of this number is to be acted on."""
+        ahead = 1 if self.newest is None else (number - self.newest) % SEQUENCES
+        if not 0 < ahead <= self._window:
             self.stale += 1
             return False
         self.missing += ahead - 1
-        self._newest = number
+        self.newest = number
         return True

@@ -1,0 +1,167 @@
+"""What a device does with the native protocol, as its firmware must: the twin of ``firmware/glove_device.c``."""
+
+from enum import IntEnum
+
+from jaxgrasp.glove.frames import CHANNELS, NO_FLAGS, SEQUENCES, TICKS, Flag, Frame, FrameReader, Kind, Sequence
+
+WINDOW = 64
+"""How far after the newest a command's number may lie: the watchdog has latched long before so many are missing."""
+LONGEST_SILENCE = 1_000_000
+"""How far after the last frame's clock another's may lie [us]."""
+LONGEST_STEP = 20_000
+"""Time that a step counts as at most [us], so that no pause allows a jump."""
+
+
+class DeviceState(IntEnum):
+    """What a device holds. The codes travel in STATUS frames."""
+
+    IDLE = 0
+    """Zero: it was never armed, or was disarmed."""
+    ARMED = 1
+    """What it was last commanded, within its bounds."""
+    LATCHED = 2
+    """Zero after a fault, until it is armed again."""
+
+
+class Cause(IntEnum):
+    """Why a device gave up its torque."""
+
+    NONE = 0
+    WATCHDOG = 1
+    """No command came in time."""
+    GREETED = 2
+    """A host began anew."""
+    OWN = 3
+    """A fault of its own: a sensor, a motor, an emergency stop."""
+
+
+class Device:
+    """Commands in, counts of torque out, with a watchdog of its own; it raises nothing, whatever comes.
+
+    Times are its own clock [us], modulo 2^32, none before the last; it needs ``step`` about every millisecond.
+    """
+
+    def __init__(
+        self, *, channels: int = CHANNELS, most: int = 12_000, slew: int = 120, quantum: int = 100, watchdog: int = 40
+    ):
+        """A device that is idle.
+
+        Args:
+            channels: how many of the 14 it has.
+            most: largest count.
+            slew: largest change [counts/ms].
+            quantum: torque of a count [1e-7 N.m].
+            watchdog: time without a command after which it latches [ms].
+        """
+        self.state, self.cause = DeviceState.IDLE, Cause.NONE
+        self.counts = [0] * CHANNELS
+        """What it holds."""
+        self.accepted = 0
+        """Commands."""
+        self.session: int | None = None
+        """That of the host that greeted it last."""
+        self.reader = FrameReader()
+        self.order = Sequence()
+        self._channels, self._most, self._slew, self._quantum = channels, most, slew, quantum
+        self._watchdog = watchdog
+        self._wanted = [0] * CHANNELS
+        self._heard = self._stepped = self._peer_clock = 0
+        self._credit = 0
+        self._answers = False
+        self._sent = 0
+
+    def receive(self, now: int, data: bytes) -> None:
+        """Bytes from the line."""
+        for frame in self.reader.feed(data):
+            if frame.kind == Kind.HELLO:
+                self._greet(frame)
+            elif frame.kind in (Kind.ARM, Kind.COMMAND) and self.session is not None and self._is_new(frame):
+                self._obey(now, frame)
+
+    def step(self, now: int) -> list[int]:
+        """What it holds from now on [counts]."""
+        passed = min((now - self._stepped) % TICKS, LONGEST_STEP)
+        self._stepped = now
+        if self.state == DeviceState.ARMED and (now - self._heard) % TICKS > 1000 * self._watchdog:
+            self.trip(Cause.WATCHDOG)
+        if self.state != DeviceState.ARMED:
+            return self.counts
+        # Whole counts, and what is left of one is kept, so that no clock makes it faster or slower.
+        self._credit += self._slew * passed
+        step, self._credit = divmod(self._credit, 1000)
+        self.counts = [
+            held + max(-step, min(step, wanted - held)) for held, wanted in zip(self.counts, self._wanted, strict=True)
+        ]
+        return self.counts
+
+    def trip(self, cause: Cause) -> None:
+        """Zero at once, latched if it was armed."""
+        if self.state == DeviceState.ARMED:
+            self.state, self.cause = DeviceState.LATCHED, cause
+        self._drop()
+
+    def frame(self, now: int, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> Frame:
+        """A frame to send, numbered, with its state among the flags."""
+        if self.state == DeviceState.ARMED:
+            flags |= Flag.ENABLE
+        elif self.state == DeviceState.LATCHED:
+            flags |= Flag.LATCHED
+        self._sent = (self._sent + 1) % SEQUENCES
+        return Frame(kind, self._sent, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags)
+
+    def answer(self, now: int) -> Frame | None:
+        """Its CAPABILITY, once after each HELLO."""
+        if not self._answers or self.session is None:
+            return None
+        self._answers = False
+        capability = (self._channels, self._watchdog, self._quantum, self._most, self._slew)
+        return self.frame(now, Kind.CAPABILITY, (self.session, *capability))
+
+    def status(self, now: int) -> Frame:
+        """Its STATUS."""
+        refused = sum(self.reader.refused.values())
+        numbers = (self.accepted, self.order.missing, self.order.stale, refused)
+        halves = [half for number in numbers for half in (number % 2**16, number // 2**16 % 2**16)]
+        values = (self.session or 0, self.state, self.cause, *halves, self.order.newest or 0)
+        return self.frame(now, Kind.STATUS, tuple(_signed(value) for value in values))
+
+    def _greet(self, frame: Frame) -> None:
+        if self.state == DeviceState.ARMED:
+            self.trip(Cause.GREETED)
+        self.session, self._answers = frame.values[0], True
+        self.order = Sequence(frame.sequence, WINDOW)
+        self._peer_clock = frame.clock
+        self.accepted = 0
+
+    def _is_new(self, frame: Frame) -> bool:
+        """Newer than the last by number and by clock: what an older session left on the line is neither."""
+        if not 0 < (frame.clock - self._peer_clock) % TICKS <= LONGEST_SILENCE:
+            self.order.stale += 1
+            return False
+        if not self.order.is_new(frame.sequence):
+            return False
+        self._peer_clock = frame.clock
+        return True
+
+    def _obey(self, now: int, frame: Frame) -> None:
+        self.accepted += 1
+        if frame.kind == Kind.ARM:
+            if frame.values[0] == self.session:
+                self._drop()
+                self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, now
+            return
+        if Flag.ENABLE not in frame.flags:
+            if self.state == DeviceState.ARMED:
+                self.state = DeviceState.IDLE
+            self._drop()
+        elif self.state == DeviceState.ARMED:
+            self._heard = now
+            asked = (min(max(value, 0), self._most) for value in frame.values)
+            self._wanted = [value if k < self._channels else 0 for k, value in enumerate(asked)]
+
+    def _drop(self) -> None:
+        self.counts, self._wanted, self._credit = [0] * CHANNELS, [0] * CHANNELS, 0
+
+
+def _signed(value: int) -> int:
+    return value - SEQUENCES if value >= SEQUENCES // 2 else value

@@ -1,0 +1,196 @@
+#include "glove_device.h"
+
+#include <string.h>
+
+#define WINDOW 64u
+#define LONGEST_SILENCE 1000000u
+#define LONGEST_STEP 20000u
+#define BODY 36
+
+static uint32_t crc32(const uint8_t *data, size_t size) {
+    uint32_t crc = 0xFFFFFFFFu;
+    for (size_t i = 0; i < size; i++) {
+        crc ^= data[i];
+        for (int bit = 0; bit < 8; bit++) crc = (crc >> 1) ^ (0xEDB88320u & (0u - (crc & 1u)));
+    }
+    return ~crc;
+}
+
+static uint16_t get16(const uint8_t *at) { return (uint16_t)(at[0] | at[1] << 8); }
+static uint32_t get32(const uint8_t *at) { return get16(at) | (uint32_t)get16(at + 2) << 16; }
+static void put16(uint8_t *at, uint16_t value) { at[0] = (uint8_t)value; at[1] = (uint8_t)(value >> 8); }
+static void put32(uint8_t *at, uint32_t value) { put16(at, (uint16_t)value); put16(at + 2, (uint16_t)(value >> 16)); }
+
+/* A frame has 40 bytes, so that no run is as long as 254 and every code byte but the first stands for a zero. */
+static void stuff(const uint8_t data[GLOVE_FRAME], uint8_t line[GLOVE_LINE]) {
+    size_t code = 0;
+    for (size_t i = 0; i < GLOVE_FRAME; i++) {
+        line[i + 1] = data[i];
+        if (data[i] == 0) {
+            line[code] = (uint8_t)(i + 1 - code);
+            code = i + 1;
+        }
+    }
+    line[code] = (uint8_t)(GLOVE_LINE - 1 - code);
+    line[GLOVE_LINE - 1] = 0;
+}
+
+static bool unstuff(const uint8_t *line, size_t length, uint8_t data[GLOVE_FRAME]) {
+    if (length != GLOVE_LINE - 1) return false;
+    size_t code = 0;
+    while (code < length) {
+        size_t next = code + line[code];
+        if (next > length) return false;
+        if (code > 0) data[code - 1] = 0;
+        memcpy(data + code, line + code + 1, next - code - 1);
+        code = next;
+    }
+    return true;
+}
+
+static void drop(struct glove_device *device) {
+    memset(device->counts, 0, sizeof device->counts);
+    memset(device->wanted, 0, sizeof device->wanted);
+    device->credit = 0;
+}
+
+void glove_init(struct glove_device *device, struct glove_limits limits) {
+    memset(device, 0, sizeof *device);
+    device->limits = limits;
+}
+
+void glove_trip(struct glove_device *device, enum glove_cause cause) {
+    if (device->state == GLOVE_ARMED) {
+        device->state = GLOVE_LATCHED;
+        device->cause = cause;
+    }
+    drop(device);
+}
+
+static void greet(struct glove_device *device, const uint8_t *data) {
+    if (device->state == GLOVE_ARMED) glove_trip(device, GLOVE_GREETED);
+    device->newest = get16(data + 2);
+    device->peer_clock = get32(data + 4);
+    device->session = (int16_t)get16(data + 8);
+    device->accepted = device->missing = device->stale = 0;
+    device->greeted = device->answers = true;
+}
+
+/* Newer than the last by clock and by number: what an older session left on the line is neither. */
+static bool is_new(struct glove_device *device, const uint8_t *data) {
+    uint32_t later = get32(data + 4) - device->peer_clock;
+    uint16_t ahead = (uint16_t)(get16(data + 2) - device->newest);
+    if (later == 0 || later > LONGEST_SILENCE || ahead == 0 || ahead > WINDOW) {
+        device->stale++;
+        return false;
+    }
+    device->missing += ahead - 1u;
+    device->newest = get16(data + 2);
+    device->peer_clock = get32(data + 4);
+    return true;
+}
+
+static void obey(struct glove_device *device, uint32_t now, const uint8_t *data) {
+    device->accepted++;
+    if ((data[0] & 15) == GLOVE_ARM) {
+        if ((int16_t)get16(data + 8) != device->session) return;
+        drop(device);
+        device->state = GLOVE_ARMED;
+        device->cause = GLOVE_NO_CAUSE;
+        device->heard = now;
+    } else if (!(data[1] & GLOVE_ENABLE)) {
+        if (device->state == GLOVE_ARMED) device->state = GLOVE_IDLE;
+        drop(device);
+    } else if (device->state == GLOVE_ARMED) {
+        device->heard = now;
+        for (int k = 0; k < device->limits.channels; k++) {
+            int16_t value = (int16_t)get16(data + 8 + 2 * k);
+            device->wanted[k] = value < 0 ? 0 : value > device->limits.most ? device->limits.most : value;
+        }
+    }
+}
+
+static void handle(struct glove_device *device, uint32_t now) {
+    uint8_t data[GLOVE_FRAME];
+    uint8_t kind;
+    bool good = !device->overflown && unstuff(device->kept, device->length, data) &&
+                crc32(data, BODY) == get32(data + BODY) && data[0] >> 4 == GLOVE_VERSION;
+    kind = good ? data[0] & 15 : 0;
+    if (kind < GLOVE_HELLO || kind > GLOVE_STATUS) {
+        device->refused++;
+    } else if (kind == GLOVE_HELLO) {
+        greet(device, data);
+    } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted && is_new(device, data)) {
+        obey(device, now, data);
+    }
+}
+
+void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte) {
+    if (byte != 0) {
+        /* More than a frame is none, however it goes on: only a zero begins another. */
+        if (device->length == GLOVE_LINE) device->overflown = true;
+        else device->kept[device->length++] = byte;
+        return;
+    }
+    if (device->length > 0) handle(device, now);
+    device->length = 0;
+    device->overflown = false;
+}
+
+void glove_step(struct glove_device *device, uint32_t now) {
+    uint32_t passed = now - device->stepped;
+    int32_t step;
+    if (passed > LONGEST_STEP) passed = LONGEST_STEP;
+    device->stepped = now;
+    if (device->state == GLOVE_ARMED && now - device->heard > 1000u * device->limits.watchdog)
+        glove_trip(device, GLOVE_WATCHDOG);
+    if (device->state != GLOVE_ARMED) return;
+    /* Whole counts, and what is left of one is kept, so that no clock makes it faster or slower. */
+    device->credit += device->limits.slew * passed;
+    step = (int32_t)(device->credit / 1000u);
+    device->credit %= 1000u;
+    for (int k = 0; k < GLOVE_CHANNELS; k++) {
+        int32_t change = (int32_t)device->wanted[k] - device->counts[k];
+        change = change > step ? step : change < -step ? -step : change;
+        device->counts[k] = (int16_t)(device->counts[k] + change);
+    }
+}
+
+void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind,
+                 const int16_t values[GLOVE_CHANNELS], uint8_t flags, uint8_t line[GLOVE_LINE]) {
+    uint8_t data[GLOVE_FRAME];
+    if (device->state == GLOVE_ARMED) flags |= GLOVE_ENABLE;
+    if (device->state == GLOVE_LATCHED) flags |= GLOVE_LATCHED_FLAG;
+    data[0] = (uint8_t)(GLOVE_VERSION << 4 | kind);
+    data[1] = flags;
+    put16(data + 2, ++device->sent);
+    put32(data + 4, now);
+    for (int k = 0; k < GLOVE_CHANNELS; k++) put16(data + 8 + 2 * k, (uint16_t)values[k]);
+    put32(data + BODY, crc32(data, BODY));
+    stuff(data, line);
+}
+
+bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]) {
+    int16_t values[GLOVE_CHANNELS] = {0};
+    if (!device->answers) return false;
+    device->answers = false;
+    values[0] = device->session;
+    values[1] = device->limits.channels;
+    values[2] = (int16_t)device->limits.watchdog;
+    values[3] = (int16_t)device->limits.quantum;
+    values[4] = device->limits.most;
+    values[5] = (int16_t)device->limits.slew;
+    glove_frame(device, now, GLOVE_CAPABILITY, values, 0, line);
+    return true;
+}
+
+void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]) {
+    const uint32_t numbers[4] = {device->accepted, device->missing, device->stale, device->refused};
+    int16_t values[GLOVE_CHANNELS] = {device->session, (int16_t)device->state, (int16_t)device->cause};
+    for (int k = 0; k < 4; k++) {
+        values[3 + 2 * k] = (int16_t)(uint16_t)numbers[k];
+        values[4 + 2 * k] = (int16_t)(uint16_t)(numbers[k] >> 16);
+    }
+    values[11] = (int16_t)device->newest;
+    glove_frame(device, now, GLOVE_STATUS, values, 0, line);
+}

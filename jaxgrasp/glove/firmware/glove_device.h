@@ -1,0 +1,71 @@
+/* Reference of the native protocol for a microcontroller: C99, no allocation, no floating point.
+ * PROTOCOL.md beside it says what it does; device.py is its twin, and the tests hold both to the same answers.
+ *
+ * Call glove_receive for each byte that the line brings, glove_step about every millisecond, and drive the motors by
+ * `counts` after each step. Times are a free-running clock in microseconds that may wrap, and none is before the last
+ * one given: one that is counts as a wrap, and latches.
+ */
+#ifndef GLOVE_DEVICE_H
+#define GLOVE_DEVICE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define GLOVE_VERSION 1
+#define GLOVE_CHANNELS 14
+#define GLOVE_FRAME 40   /* bytes of a frame before stuffing */
+#define GLOVE_LINE 42    /* bytes of a frame on the line, the zero at its end among them */
+
+enum glove_kind {
+    GLOVE_HELLO = 1,
+    GLOVE_CAPABILITY = 2,
+    GLOVE_COMMAND = 3,
+    GLOVE_ANGLES = 4,
+    GLOVE_TENSIONS = 5,
+    GLOVE_ARM = 6,
+    GLOVE_STATUS = 7
+};
+enum glove_flag { GLOVE_ENABLE = 1, GLOVE_LATCHED_FLAG = 2, GLOVE_SATURATED = 4 };
+enum glove_state { GLOVE_IDLE = 0, GLOVE_ARMED = 1, GLOVE_LATCHED = 2 };
+enum glove_cause { GLOVE_NO_CAUSE = 0, GLOVE_WATCHDOG = 1, GLOVE_GREETED = 2, GLOVE_OWN = 3 };
+
+/* What the motors and the line allow: set before glove_init. */
+struct glove_limits {
+    uint8_t channels;
+    int16_t most;          /* largest count */
+    uint16_t slew;         /* largest change [counts/ms] */
+    uint16_t quantum;      /* torque of a count [1e-7 N.m] */
+    uint16_t watchdog;     /* time without a command after which it latches [ms] */
+};
+
+struct glove_device {
+    struct glove_limits limits;
+    enum glove_state state;
+    enum glove_cause cause;
+    int16_t counts[GLOVE_CHANNELS];   /* what the motors are to hold */
+    uint32_t accepted, missing, stale, refused;
+
+    /* The rest is its own. */
+    int16_t wanted[GLOVE_CHANNELS];
+    uint8_t kept[GLOVE_LINE];
+    size_t length;
+    bool overflown, greeted, answers;
+    int16_t session;
+    uint16_t newest, sent;
+    uint32_t peer_clock, heard, stepped, credit;
+};
+
+void glove_init(struct glove_device *device, struct glove_limits limits);
+void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte);
+void glove_step(struct glove_device *device, uint32_t now);
+void glove_trip(struct glove_device *device, enum glove_cause cause);
+
+/* A frame to send, numbered and with the device's state among its flags; `line` holds GLOVE_LINE bytes. */
+void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind,
+                 const int16_t values[GLOVE_CHANNELS], uint8_t flags, uint8_t line[GLOVE_LINE]);
+/* The answer to a HELLO, if one is due. */
+bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
+void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
+
+#endif

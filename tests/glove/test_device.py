@@ -1,0 +1,256 @@
+"""A device holds no torque without a host that is alive, none above its limit; its two programs do the same."""
+
+import ctypes
+import random
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import jaxgrasp.glove
+from jaxgrasp.glove.device import Cause, Device, DeviceState
+from jaxgrasp.glove.frames import CHANNELS, LINE_SIZE, TICKS, Flag, Frame, FrameReader, Kind, encode
+
+FIRMWARE = Path(jaxgrasp.glove.__file__).parent / "firmware"
+MS = 1000
+
+
+class Host:
+    """What a host sends, numbered and timed."""
+
+    def __init__(self, session: int = 7, number: int = 65_530):
+        self.session, self.number = session, number
+
+    def line(self, now: int, kind: Kind, values: tuple[int, ...] = (), flags: Flag = Flag.ENABLE) -> bytes:
+        self.number = (self.number + 1) % 2**16
+        return encode(Frame(kind, self.number, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags))
+
+    def opening(self, device: Device, now: int) -> None:
+        device.receive(now, self.line(now, Kind.HELLO, (self.session,)))
+        device.receive(now, self.line(now + 1, Kind.ARM, (self.session,)))
+
+    def command(self, device: Device, now: int, *values: int) -> None:
+        device.receive(now, self.line(now, Kind.COMMAND, values))
+
+
+def run(device: Device, start: int, end: int) -> list[list[int]]:
+    return [list(device.step(now)) for now in range(start, end, MS)]
+
+
+def test_it_answers_arms_and_goes_where_it_is_told_at_its_rate():
+    device, host = Device(), Host()
+    device.step(0)
+    device.receive(0, host.line(0, Kind.HELLO, (7,)))
+    answer = device.answer(0)
+    assert answer.kind == Kind.CAPABILITY and answer.values[:6] == (7, 14, 40, 100, 12_000, 120)
+    assert device.answer(0) is None
+    host.command(device, 1, 5000)
+    assert device.state == DeviceState.IDLE
+    device.receive(2, host.line(2, Kind.ARM, (7,)))
+    host.command(device, 3, 1000, -5, 32_000)
+    held = run(device, MS, 9 * MS)
+    assert held[0][:3] == [120, 0, 120] and held[7][0] == 960
+    assert run(device, 9 * MS, 12 * MS)[-1][:3] == [1000, 0, 1320]
+
+
+@pytest.mark.parametrize("start", [0, TICKS - 20 * MS])
+def test_the_watchdog_latches_in_its_time_whatever_the_clock(start):
+    device, host = Device(), Host()
+    device.step(start)
+    host.opening(device, start)
+    host.command(device, start + 2, 500)
+    held = [device.step((start + t) % TICKS)[0] for t in range(MS, 60 * MS, MS)]
+    assert held[:40] == [120, 240, 360, 480] + [500] * 36 and set(held[40:]) == {0}
+    assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.WATCHDOG)
+    host.command(device, start + 61 * MS, 500)
+    assert device.step(start + 62 * MS) == [0] * CHANNELS
+    device.receive(start + 63 * MS, host.line(start + 63 * MS, Kind.ARM, (8,)))
+    assert device.state == DeviceState.LATCHED, "another session's"
+    device.receive(start + 64 * MS, host.line(start + 64 * MS, Kind.ARM, (7,)))
+    assert device.state == DeviceState.ARMED
+
+
+def test_what_zeroes_at_once():
+    for end, state in (
+        (lambda device, host: device.trip(Cause.OWN), DeviceState.LATCHED),
+        (lambda device, host: device.receive(0, host.line(9 * MS, Kind.HELLO, (9,))), DeviceState.LATCHED),
+        (lambda device, host: device.receive(0, host.line(9 * MS, Kind.COMMAND, flags=Flag(0))), DeviceState.IDLE),
+    ):
+        device, host = Device(), Host()
+        host.opening(device, 0)
+        host.command(device, 2, 400)
+        assert run(device, 2, 8 * MS)[-1][0] == 400
+        end(device, host)
+        assert device.counts == [0] * CHANNELS and device.state == state
+        assert not any(map(any, run(device, 9 * MS, 20 * MS)))
+
+
+def test_stale_repeated_and_old_sessions_frames_are_ignored():
+    device, host = Device(), Host()
+    host.opening(device, 0)
+    lines = [host.line(10 * k, Kind.COMMAND, (k,)) for k in range(1, 6)]
+    for line in (lines[0], lines[2], lines[1], lines[2], lines[4]):
+        device.receive(0, line)
+    assert (device.accepted, device.order.missing, device.order.stale) == (4, 2, 2)
+    assert device._wanted[0] == 5
+    late = Host(number=host.number + 10)
+    late.command(device, 2_000_000, 9)
+    far = Host(number=host.number + 100)
+    far.command(device, 100, 9)
+    assert device._wanted[0] == 5 and device.order.stale == 4
+    counts = device.status(0).values
+    assert counts[:3] == (7, DeviceState.ARMED, Cause.NONE) and counts[3:9:2] == (4, 2, 4)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 30_000), st.binary(max_size=80) | st.integers(-(2**15), 2**15 - 1))))
+def test_bounds_hold_whatever_comes(events):
+    device, host = Device(), Host()
+    now = 0
+    device.step(now)
+    host.opening(device, now)
+    before, heard = 0, 0
+    for passed, event in events:
+        now += passed
+        if isinstance(event, bytes):
+            device.receive(now, event + b"\0")
+        else:
+            host.command(device, now, event)
+            heard = now if device.order.newest == host.number else heard
+        held = device.step(now)
+        assert all(0 <= count <= 12_000 for count in held)
+        assert held[0] - before <= 120 * min(passed, 20 * MS) / 1000 + 1
+        if device.state != DeviceState.ARMED or now - heard > 40 * MS:
+            assert held == [0] * CHANNELS
+        before = held[0]
+
+
+class Limits(ctypes.Structure):
+    _fields_ = (
+        ("channels", ctypes.c_uint8),
+        ("most", ctypes.c_int16),
+        ("slew", ctypes.c_uint16),
+        ("quantum", ctypes.c_uint16),
+        ("watchdog", ctypes.c_uint16),
+    )
+
+
+class Start(ctypes.Structure):
+    """The part of the C device that is read here."""
+
+    _fields_ = (
+        ("limits", Limits),
+        ("state", ctypes.c_int),
+        ("cause", ctypes.c_int),
+        ("counts", ctypes.c_int16 * CHANNELS),
+        *((name, ctypes.c_uint32) for name in ("accepted", "missing", "stale", "refused")),
+    )
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory):
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if not compiler:
+        pytest.skip("no C compiler")
+    library = tmp_path_factory.mktemp("firmware") / "glove.so"
+    warnings = ["-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
+    source = FIRMWARE / "glove_device.c"
+    subprocess.run([compiler, "-std=c99", *warnings, "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+    loaded = ctypes.CDLL(str(library))
+    loaded.glove_answer.restype = ctypes.c_bool
+    return loaded
+
+
+class Compiled:
+    """The C program, with the same calls."""
+
+    def __init__(self, library):
+        self.library = library
+        self.memory = (ctypes.c_uint8 * 4096)()
+        self.line = (ctypes.c_uint8 * LINE_SIZE)()
+        library.glove_init(self.memory, Limits(14, 12_000, 120, 100, 40))
+
+    def __getattr__(self, name):
+        return getattr(Start.from_buffer(self.memory), name)
+
+    def receive(self, now: int, data: bytes) -> None:
+        for byte in data:
+            self.library.glove_receive(self.memory, ctypes.c_uint32(now), byte)
+
+    def step(self, now: int) -> list[int]:
+        self.library.glove_step(self.memory, ctypes.c_uint32(now))
+        return list(self.counts)
+
+    def answer(self, now: int) -> bytes | None:
+        return bytes(self.line) if self.library.glove_answer(self.memory, ctypes.c_uint32(now), self.line) else None
+
+    def status(self, now: int) -> bytes:
+        self.library.glove_status(self.memory, ctypes.c_uint32(now), self.line)
+        return bytes(self.line)
+
+    def angles(self, now: int, values: tuple[int, ...]) -> bytes:
+        given = (ctypes.c_int16 * CHANNELS)(*values)
+        self.library.glove_frame(self.memory, ctypes.c_uint32(now), int(Kind.ANGLES), given, 0, self.line)
+        return bytes(self.line)
+
+
+def spoilt(line: bytes, rng: random.Random) -> bytes:
+    sent = bytearray(line)
+    place = rng.randrange(len(sent))
+    match rng.randrange(6):
+        case 0:
+            sent[place] ^= 1 << rng.randrange(8)
+        case 1:
+            del sent[place]
+        case 2:
+            sent[place:place] = rng.randbytes(rng.randrange(1, 60))
+        case 3:
+            sent *= 2
+        case 4:
+            sent = sent[:place]
+        case 5:
+            sent[:0] = rng.randbytes(600) + b"\0"
+    return bytes(sent)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_c_program_does_the_same(firmware, seed):
+    """Byte for byte and count for count, over random hosts, faults, pauses and clocks that wrap."""
+    rng = random.Random(seed)
+    ours, theirs, host = Device(), Compiled(firmware), Host(number=rng.randrange(2**16))
+    now = rng.randrange(TICKS)
+    for one in (ours, theirs):
+        one.step(now)
+    armed = 0
+    for _ in range(1500):
+        passed = rng.choice((300, MS, MS, MS, 5 * MS, rng.randrange(60 * MS)))
+        now = (now + passed) % TICKS
+        values = tuple(rng.randrange(-2000, 14_000) for _ in range(CHANNELS))
+        kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES), (20, 2, 1, 1))[0]
+        if kind in (Kind.HELLO, Kind.ARM):
+            values = (host.session if rng.random() < 0.9 else 3,)
+        line = host.line(now, kind, values, Flag(rng.choice((1, 1, 1, 0))))
+        if rng.random() < 0.2:
+            line = spoilt(line, rng)
+        for one in (ours, theirs):
+            one.receive(now, line)
+        assert ours.step(now) == theirs.step(now)
+        assert (ours.state, ours.cause) == (theirs.state, theirs.cause)
+        answer = ours.answer(now)
+        assert theirs.answer(now) == (answer and encode(answer))
+        assert encode(ours.status(now)) == theirs.status(now)
+        encoders = struct.unpack("<14h", rng.randbytes(28))
+        assert encode(ours.frame(now, Kind.ANGLES, encoders)) == theirs.angles(now, encoders)
+        armed += ours.state == DeviceState.ARMED
+    assert armed > 100 and ours.order.missing + ours.order.stale + sum(ours.reader.refused.values()) > 0
+
+
+def test_the_c_programs_frames_are_read_by_ours(firmware):
+    theirs = Compiled(firmware)
+    frames = FrameReader().feed(theirs.angles(5, tuple(range(-7, 7))) + theirs.status(6))
+    assert [frame.kind for frame in frames] == [Kind.ANGLES, Kind.STATUS]
+    assert frames[0].values == tuple(range(-7, 7)) and [frame.clock for frame in frames] == [5, 6]

@@ -15,7 +15,7 @@ Other columns are left alone. Nothing is ever unpickled.
 import os
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
@@ -23,6 +23,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_wrenches
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.files.replace import replace_file
 
 VERSION = 1
 LABELS = ("name", "source", "object", "hand")
@@ -250,16 +251,3 @@ def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
 def save_arrays(stream: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
     """An ``.npz`` archive of plain arrays."""
     np.savez(stream, allow_pickle=False, **arrays)
-
-
-def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write beside ``path`` and rename, so that a reader never meets half a file."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        with open(beside, "wb") as stream:
-            write(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)

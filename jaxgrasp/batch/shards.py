@@ -15,7 +15,8 @@ import numpy as np
 
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import replace_file, save_arrays
+from jaxgrasp.batch.npz_file import save_arrays
+from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
 VERSION = 3

@@ -9,7 +9,6 @@ from pathlib import Path
 from tqdm import tqdm
 
 from jaxgrasp.batch.hints import hints
-from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.batch.stream import Outcome, Plan, evaluate_stream
@@ -18,6 +17,7 @@ from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.arguments import Evaluate
 from jaxgrasp.cli.data import data_path, opened
 from jaxgrasp.cli.machine import provenance, set_up_jax
+from jaxgrasp.files.replace import replace_file
 
 
 def evaluate_command(arguments: Evaluate) -> int:

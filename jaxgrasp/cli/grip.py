@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
 from jaxgrasp.cli.machine import provenance, set_up_jax
@@ -18,6 +17,7 @@ from jaxgrasp.contact.detection import Contacts
 from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.prehension.carry import Instant, carry, stacked

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.cli.arguments import Sensitivity
 from jaxgrasp.cli.checks import check_positive, sampled_times
 from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.methods import methods_named
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels

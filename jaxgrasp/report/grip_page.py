@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.bundle import embedded, listed, page_html
 from jaxgrasp.report.figures import layout

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import History
 from jaxgrasp.report.instants_picture import instants_figure

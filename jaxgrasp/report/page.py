@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.batch.engine import Times
-from jaxgrasp.batch.npz_file import replace_file
 from jaxgrasp.batch.summary import Summary
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.report import sections
 from jaxgrasp.report.bundle import page_html
 from jaxgrasp.report.look import counted, text

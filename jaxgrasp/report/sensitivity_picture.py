@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxgrasp.batch.npz_file import replace_file
+from jaxgrasp.files.replace import replace_file
 from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, method_title, number
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
 from jaxgrasp.sensitivity.study import Study, ranking

@@ -1,0 +1,168 @@
+"""Calibration: the straight lines of encoders and gauges by least squares, from pairs that were recorded."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors
+
+FEWEST = 3
+"""Pairs of a channel: two make a line that nothing contradicts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """value = at_zero + counts x per_count for each channel, and how well it fits; arrays ``(channels,)``."""
+
+    at_zero: Float[np.ndarray, "channels"]
+    per_count: Float[np.ndarray, "channels"]
+    error_at_zero: Float[np.ndarray, "channels"]
+    """Standard error."""
+    error_per_count: Float[np.ndarray, "channels"]
+    """Standard error."""
+    residuals: Float[np.ndarray, "pairs channels"]
+    """Value less line; NaN for pairs left out."""
+
+    @property
+    def rms(self) -> Float[np.ndarray, "channels"]:
+        """Root of the mean square of the residuals."""
+        return np.sqrt(np.nanmean(self.residuals**2, axis=0))
+
+
+def fit_line(
+    counts: Int[np.ndarray, "pairs channels"],
+    values: Float[np.ndarray, "pairs channels"],
+    used: Bool[np.ndarray, "pairs channels"] | None = None,
+) -> Line:
+    """The straight line through pairs of each channel by least squares.
+
+    Args:
+        counts: of a sensor.
+        values: measured beside it, in the unit that is wanted; NaN where none was.
+        used: which pairs count; all that are finite, if None.
+
+    Raises:
+        ValueError: for arrays of different shapes, infinities, and channels of fewer than three pairs or of one count.
+    """
+    if counts.shape != values.shape or counts.ndim != 2:
+        raise ValueError(f"counts have shape {counts.shape}, values {values.shape}: expected one (pairs, channels)")
+    if np.any(np.isinf(values)):
+        i, k = np.argwhere(np.isinf(values))[0]
+        raise ValueError(f"values[{i}, {k}] is {values[i, k]}: expected a finite number, or NaN where none is known")
+    used = ~np.isnan(values) if used is None else used & ~np.isnan(values)
+    residuals = np.full(values.shape, np.nan)
+    found = []
+    for k, (x, y, use) in enumerate(zip(counts.T.astype(float), values.T, used.T)):
+        x, y = x[use], y[use]
+        if len(x) < FEWEST or np.ptp(x) == 0:
+            raise ValueError(
+                f"channel {k} has {len(x)} pairs of {len(np.unique(x))} different counts: expected {FEWEST} or more, "
+                "and at least 2 different"
+            )
+        middle = x.mean()
+        spread = np.sum((x - middle) ** 2)
+        slope = np.sum((x - middle) * y) / spread
+        at_zero = y.mean() - slope * middle
+        residuals[use, k] = y - at_zero - slope * x
+        deviation = np.sqrt(np.nansum(residuals[use, k] ** 2) / (len(x) - 2))
+        error_at_zero = deviation * np.sqrt(1 / len(x) + middle**2 / spread)
+        found.append((at_zero, slope, error_at_zero, deviation / np.sqrt(spread)))
+    at_zero, slopes, errors_at_zero, errors = np.array(found).T
+    return Line(at_zero, slopes, errors_at_zero, errors, residuals)
+
+
+def fit_encoders(
+    counts: Int[np.ndarray, "pairs channels"], angles: Float[np.ndarray, "pairs channels"]
+) -> tuple[Encoders, Line]:
+    """Encoders that read recorded angles [rad].
+
+    Raises:
+        ValueError: as ``fit_line``, and for channels whose angle does not depend on the counts.
+    """
+    line = fit_line(counts, angles)
+    _check_slope(line)
+    return Encoders(line.at_zero, line.per_count), line
+
+
+def fit_gauges(
+    counts: Int[np.ndarray, "pairs channels"],
+    tensions: Float[np.ndarray, "pairs channels"],
+    arm: Float[np.ndarray, "channels"],
+    full: float,
+) -> tuple[Gauges, Line]:
+    """Gauges that read recorded tensions [N]; those at ``full`` and beyond, where no gauge is linear, are left out.
+
+    Raises:
+        ValueError: as ``fit_line``, and for channels whose tension does not depend on the counts.
+    """
+    line = fit_line(counts, tensions, (tensions >= 0) & (tensions < full))
+    _check_slope(line)
+    return Gauges(-line.at_zero / line.per_count, line.per_count, arm, full), line
+
+
+def save_sensors(sensors: Sensors, path: Path) -> None:
+    """Write sensors as JSON; whole or not at all."""
+    encoders, gauges = sensors.encoders, sensors.gauges
+    content = {
+        "encoders": {"zero": encoders.zero.tolist(), "per_count": encoders.per_count.tolist()},
+        "gauges": {name: getattr(gauges, name).tolist() for name in ("zero", "per_count", "arm")}
+        | {"full": gauges.full},
+    }
+    replace_file(path, lambda stream: stream.write((json.dumps(content, indent=1) + "\n").encode()))
+
+
+def load_sensors(path: Path, channels: int) -> Sensors:
+    """Sensors that ``save_sensors`` wrote.
+
+    Raises:
+        ValueError: for a file that is none of these, or of another number of channels; the message names the key.
+        OSError: for a file that cannot be read.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no JSON: {error}") from None
+    numbers = {
+        (part, key): _read(content, part, key, channels, path)
+        for part, keys in (("encoders", ("zero", "per_count")), ("gauges", ("zero", "per_count", "arm")))
+        for key in keys
+    }
+    encoders = Encoders(numbers["encoders", "zero"], numbers["encoders", "per_count"])
+    arm, full = numbers["gauges", "arm"], _full(content, path)
+    gauges = Gauges(numbers["gauges", "zero"], numbers["gauges", "per_count"], arm, full)
+    for name, slopes in {
+        "encoders": encoders.per_count,
+        "gauges": gauges.per_count,
+        "arm of gauges": gauges.arm,
+    }.items():
+        if np.any(slopes == 0):
+            raise ValueError(f"{path}: {name} has a zero at channel {np.argmin(np.abs(slopes))}: expected none")
+    return Sensors(encoders, gauges)
+
+
+def _read(content: Any, part: str, key: str, channels: int, path: Path) -> np.ndarray:
+    try:
+        numbers = np.array(content[part][key], dtype=float)
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"{path} has no list of numbers {part}.{key}") from None
+    if numbers.shape != (channels,) or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{path}: {part}.{key} is {content[part][key]}: expected {channels} finite numbers")
+    return numbers
+
+
+def _full(content: Any, path: Path) -> float:
+    full = content["gauges"].get("full")
+    if isinstance(full, bool) or not isinstance(full, int | float) or not (np.isfinite(full) and full > 0):
+        raise ValueError(f"{path}: gauges.full is {full!r}: expected a positive tension [N]")
+    return float(full)
+
+
+def _check_slope(line: Line) -> None:
+    flat = np.abs(line.per_count) <= 1e-12 * np.nanmax(np.abs(line.residuals) + np.abs(line.at_zero), initial=1e-300)
+    if np.any(flat):
+        raise ValueError(f"channel {np.argmax(flat)} does not change with its counts: expected a slope other than 0")

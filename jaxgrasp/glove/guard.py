@@ -78,8 +78,6 @@ class Guard:
         """
         if projection not in ("clip", "scale"):
             raise ValueError(f"projection is {projection!r}: expected 'clip' or 'scale'")
-        if not 0 <= scale <= 1:
-            raise ValueError(f"scale is {scale}: expected 0 to 1")
         for name, value in {"ramp": ramp, "oldest": oldest, "longest": longest}.items():
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} is {value}: expected a positive time [s]")
@@ -87,11 +85,24 @@ class Guard:
         self.state = GuardState.DISARMED
         self.cause = ""
         """Why it is latched."""
-        self._projection, self._scale, self._ramp = projection, scale, ramp
+        self._projection, self._ramp = projection, ramp
         self._oldest, self._longest = oldest, longest
         self._limits, self._most = np.array(model.limits), np.array(model.most_counts)
         self._level = np.zeros(len(model.joints))
         self._armed_at = self._now = -np.inf
+        self.rescale(scale)
+
+    def rescale(self, scale: float) -> None:
+        """Another scale of all torques, 0 to 1, from the next arming on.
+
+        Raises:
+            ValueError: for another number, and while it is armed.
+        """
+        if not 0 <= scale <= 1:
+            raise ValueError(f"scale is {scale}: expected 0 to 1")
+        if self.state == GuardState.ARMED:
+            raise ValueError("the scale cannot change while the guard is armed: disarm it first")
+        self._scale = scale
 
     def arm(self, now: float) -> None:
         """Let torques through from a time on [s], from zero by a ramp; whatever latched it is forgotten."""

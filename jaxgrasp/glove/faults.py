@@ -1,0 +1,45 @@
+"""What a bad line does to bytes, at will and reproducibly."""
+
+import random
+
+
+class Spoiler:
+    """Spoils a share of what passes: bits that flip, bytes that are lost or come from nowhere, bursts, whole losses."""
+
+    def __init__(self, share: float, seed: int) -> None:
+        """A bad line.
+
+        Args:
+            share: of the pieces that pass, how many get one fault.
+            seed: of what happens to them.
+
+        Raises:
+            ValueError: for a share that is none.
+        """
+        if not 0 <= share <= 1:
+            raise ValueError(f"share is {share}: expected 0 to 1")
+        self.faults = 0
+        """How many pieces were spoilt."""
+        self._share, self._rng = share, random.Random(seed)
+
+    def spoil(self, piece: bytes) -> bytes:
+        """What comes out for what went in."""
+        rng = self._rng
+        if not piece or rng.random() >= self._share:
+            return piece
+        self.faults += 1
+        out, place = bytearray(piece), rng.randrange(len(piece))
+        match rng.randrange(6):
+            case 0:
+                out[place] ^= 1 << rng.randrange(8)
+            case 1:
+                del out[place]
+            case 2:
+                out[place:place] = rng.randbytes(rng.randrange(1, 20))
+            case 3:
+                out[place : place + 8] = rng.randbytes(min(8, len(out) - place))
+            case 4:
+                out[:0] = rng.randbytes(rng.randrange(1, 60))
+            case _:
+                out.clear()
+        return bytes(out)

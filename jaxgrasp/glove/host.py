@@ -1,0 +1,317 @@
+"""The host's side of the native protocol: greet, arm, command, read; and zero whenever something is wrong."""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.glove.device import Cause, DeviceState
+from jaxgrasp.glove.frames import (
+    CHANNELS,
+    LINE_SIZE,
+    NO_FLAGS,
+    SEQUENCES,
+    TICKS,
+    Flag,
+    Frame,
+    FrameReader,
+    Kind,
+    Sequence,
+    encode,
+)
+from jaxgrasp.glove.guard import Guard, GuardState, Output
+from jaxgrasp.glove.line import Line, LineError, Pace
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.peer_clock import PeerClock
+from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.glove.tension import TensionWatch
+
+REOPEN = 0.25
+"""Time between attempts to open a port [s]."""
+REPEAT = 0.05
+"""Time between attempts to greet and to arm [s]."""
+ARMING = 0.5
+"""How long a device may take to say that it is armed [s]."""
+NO_SESSIONS = 2**15
+
+
+class LinkState(IntEnum):
+    """How far a host has come with its device."""
+
+    CLOSED = 0
+    """No port."""
+    GREETING = 1
+    """A port, and no answer that fits."""
+    LINKED = 2
+    """A device that answers."""
+    ARMING = 3
+    """A person asked for torque, and the device has not yet said yes."""
+    ARMED = 4
+    """Torque may flow."""
+
+
+@dataclass
+class Reading:
+    """What a glove's sensors said last; arrays ``(channels,)``, NaN before they spoke."""
+
+    angles: np.ndarray
+    """Joints [rad]."""
+    torques: np.ndarray
+    """That the cables exert [N.m]."""
+    saturated: np.ndarray
+    """Whose gauges are at their end."""
+    angles_at: float = -np.inf
+    """When the angles were read, on the host's clock [s]."""
+    torques_at: float = -np.inf
+    """When the tensions were [s]."""
+
+
+@dataclass
+class Counts:
+    """What a host has seen and done since it began."""
+
+    commands: int = 0
+    """Sent."""
+    held_back: int = 0
+    """Not sent, since the line was busy."""
+    cut: int = 0
+    """Of which the line took only a part."""
+    links: int = 0
+    """Handshakes that succeeded."""
+    missing: int = 0
+    """The device's frames that did not come, of sessions before this one; see ``GloveHost.order`` for this one's."""
+    status: dict[str, int] = field(default_factory=dict)
+    """The device's own numbers of this session, from its last STATUS."""
+
+
+class GloveHost:
+    """One glove on one line, driven by calls to ``poll`` and ``send`` at the caller's rate; neither waits.
+
+    Nothing is armed but by ``arm``. A line that goes away is opened and greeted again, and stays without torque.
+    """
+
+    def __init__(
+        self,
+        model: GloveModel,
+        sensors: Sensors,
+        open_line: Callable[[], Line],
+        guard: Guard,
+        *,
+        baud: int = 115_200,
+        watch: TensionWatch | None = None,
+    ):
+        """A host that has not opened its line yet.
+
+        Args:
+            model: the glove.
+            sensors: its calibration.
+            open_line: opens the port; called again after each loss.
+            guard: bounds what is sent; its state is the host's.
+            baud: of the line, by which frames are spaced.
+            watch: compares measured with commanded torques; the usual tolerances if None.
+        """
+        self.model, self.guard = model, guard
+        self.state = LinkState.CLOSED
+        self.trouble = "not opened yet"
+        """Why there is no link."""
+        self.counts = Counts()
+        self.reader = FrameReader()
+        self.order = Sequence()
+        nothing = np.full(len(model.joints), np.nan)
+        self.reading = Reading(nothing, nothing.copy(), np.zeros(len(model.joints), bool))
+        self._sensors, self._open = sensors, open_line
+        self._watch = TensionWatch(len(model.joints)) if watch is None else watch
+        self._pace = Pace(baud, LINE_SIZE)
+        self._line: Line | None = None
+        self._number = random.randrange(SEQUENCES)
+        self._session = 0
+        self._clock = PeerClock(self._pace.frame_time)
+        self._next = self._asked_at = -np.inf
+        self._has_asked = False
+        self._flags = NO_FLAGS
+        self._was_cut = False
+
+    def arm(self, now: float) -> None:
+        """Ask the device for torque; ``state`` is ARMED once it agrees. What latched before is forgotten.
+
+        Raises:
+            ValueError: without a link, or without fresh angles.
+        """
+        if self.state < LinkState.LINKED:
+            raise ValueError(f"the glove cannot be armed: {self.trouble}")
+        if not now - self.reading.angles_at <= ARMING:
+            raise ValueError("the glove cannot be armed: its encoders say nothing")
+        self.state, self._asked_at, self._next, self._has_asked = LinkState.ARMING, now, now, False
+        self.guard.disarm()
+        self._watch.forget()
+
+    def disarm(self) -> None:
+        """No torque from the next command on."""
+        self.guard.disarm()
+        self.state = min(self.state, LinkState.LINKED)
+
+    def poll(self, now: float) -> Reading:
+        """Take what came; open and greet where that is due."""
+        try:
+            self._connect(now)
+            if self._line is not None:
+                for frame in self.reader.feed(self._line.read()):
+                    self._take(now, frame)
+        except LineError as error:
+            self._lose(now, str(error))
+        if self.state == LinkState.ARMING and now - self._asked_at > ARMING:
+            self.state = LinkState.LINKED
+            self.guard.trip("the device did not say that it is armed")
+        return self.reading
+
+    def send(self, now: float, wanted: Any, measured_at: float) -> Output:
+        """Send a command; what the guard made of it.
+
+        Args:
+            now: as for ``poll``.
+            wanted: torques by which to resist flexion [N.m].
+            measured_at: when the angles were read that these torques answer [s].
+        """
+        output = self.guard.step(now, wanted, measured_at)
+        if self.guard.state != GuardState.ARMED and self.state == LinkState.ARMED:
+            self.state = LinkState.LINKED
+        if self.state == LinkState.ARMING and (self._has_asked or Flag.ENABLE not in self._flags):
+            if now >= self._next and self._send(now, Kind.ARM, (self._session,)):
+                self._next, self._has_asked = now + REPEAT, True
+        elif self.state >= LinkState.LINKED:
+            # One that is still armed from before is disarmed first, or it would seem to have agreed already.
+            self._command(now, output)
+        return output
+
+    def close(self, now: float) -> None:
+        """A command of zero, if the line takes it, and no line."""
+        self.disarm()
+        if self._line is None:
+            return
+        try:
+            # Not by the pace: a second one for a first that comes right after half a frame.
+            for _ in range(2):
+                self._line.write(b"\0" + self._encoded(now, Kind.COMMAND, (), NO_FLAGS))
+        except LineError as error:
+            self.trouble = str(error)
+        self._line.close()
+        self._line, self.state = None, LinkState.CLOSED
+
+    def _command(self, now: float, output: Output) -> None:
+        armed = self.state == LinkState.ARMED
+        values = tuple(int(count) for count in output.counts)
+        if self._send(now, Kind.COMMAND, values, Flag.ENABLE if armed else NO_FLAGS):
+            self.counts.commands += 1
+            if armed:
+                self._watch.commanded(now, output.torques)
+
+    def _connect(self, now: float) -> None:
+        if self.state > LinkState.GREETING or now < self._next:
+            return
+        if self._line is None:
+            self._next = now + REOPEN
+            self._line = self._open()
+            self.state, self.trouble = LinkState.GREETING, "the device does not answer"
+        self._next = now + REPEAT
+        self._session = random.randrange(NO_SESSIONS)
+        self._send(now, Kind.HELLO, (self._session,))
+
+    def _lose(self, now: float, trouble: str) -> None:
+        self.guard.trip(trouble)
+        self.trouble = trouble
+        if self._line is not None:
+            self._line.close()
+        self._line, self.state, self._next = None, LinkState.CLOSED, now + REOPEN
+
+    def _send(self, now: float, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> bool:
+        """Whether the line took a frame; what it is too busy for is not kept."""
+        if self._line is None:
+            return False
+        try:
+            if not (self._pace.is_free(now) and self._line.is_free()):
+                self.counts.held_back += 1
+                return False
+            # After part of a frame, a zero ends it, or the next one would be lost with it.
+            data = b"\0" * self._was_cut + self._encoded(now, kind, values, flags)
+            self._was_cut = not self._line.write(data)
+        except LineError as error:
+            self._lose(now, str(error))
+            return False
+        self.counts.cut += self._was_cut
+        self._pace.sent(now)
+        return not self._was_cut
+
+    def _encoded(self, now: float, kind: Kind, values: tuple[int, ...], flags: Flag) -> bytes:
+        self._number = (self._number + 1) % SEQUENCES
+        padded = values + (0,) * (CHANNELS - len(values))
+        return encode(Frame(kind, self._number, int(now * 1e6) % TICKS, padded, flags))
+
+    def _take(self, now: float, frame: Frame) -> None:
+        if frame.kind == Kind.CAPABILITY:
+            self._greeted(frame)
+        elif self.state >= LinkState.LINKED and self.order.is_new(frame.sequence):
+            self._hear(now, frame)
+
+    def _greeted(self, frame: Frame) -> None:
+        """A device that answers, if it is the one that the model describes."""
+        session, channels, watchdog, quantum = frame.values[:4]
+        if self.state != LinkState.GREETING or session != self._session:
+            return
+        expected = round(self.model.quantum * 1e7)
+        if quantum != expected:
+            self.trouble = f"the device's count is {quantum}e-7 N.m: expected {expected}e-7, {self.model.name}'s"
+        elif channels < len(self.model.joints):
+            self.trouble = f"the device has {channels} channels: expected {len(self.model.joints)}, {self.model.name}'s"
+        elif watchdog <= 0:
+            self.trouble = "the device has no watchdog"
+        else:
+            self.state, self.trouble = LinkState.LINKED, ""
+            self.counts.links += 1
+            self.counts.missing += self.order.missing
+            self.order = Sequence(frame.sequence)
+            self._clock = PeerClock(self._pace.frame_time)
+
+    def _hear(self, now: float, frame: Frame) -> None:
+        sent_at = self._clock.sent_at(frame.clock, now)
+        self._flags = frame.flags
+        counts = np.array(frame.values[: len(self.model.joints)])
+        if frame.kind == Kind.ANGLES:
+            self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
+        elif frame.kind == Kind.TENSIONS:
+            self.reading.torques, self.reading.saturated = self._sensors.gauges.torques(counts)
+            self.reading.torques_at = sent_at
+            if self.state == LinkState.ARMED:
+                self._check_tension(sent_at)
+        elif frame.kind == Kind.STATUS:
+            self.counts.status = read_status(frame.values)
+        self._follow(now)
+
+    def _follow(self, now: float) -> None:
+        """The device's own state decides whether torque may flow."""
+        enabled = Flag.ENABLE in self._flags
+        if self.state == LinkState.ARMING and enabled and self._has_asked:
+            self.state = LinkState.ARMED
+            self.guard.arm(now)
+        elif self.state == LinkState.ARMED and not enabled:
+            self.guard.trip("the device latched" if Flag.LATCHED in self._flags else "the device is not armed")
+            self.state = LinkState.LINKED
+
+    def _check_tension(self, at: float) -> None:
+        fault = self._watch.fault(at, self.reading.torques, self.reading.saturated)
+        if fault:
+            self.guard.trip(fault)
+
+
+def read_status(values: tuple[int, ...]) -> dict[str, int]:
+    """A STATUS frame's numbers by their names; state and cause by their codes."""
+    halves = [value % 2**16 for value in values[3:11]]
+    wide = [low + 2**16 * high for low, high in zip(halves[::2], halves[1::2], strict=True)]
+    numbers = dict(zip(("accepted", "missing", "stale", "refused"), wide, strict=True))
+    known = {
+        "state": values[1] if values[1] in DeviceState._value2member_map_ else -1,
+        "cause": values[2] if values[2] in Cause._value2member_map_ else -1,
+    }
+    return known | numbers | {"newest": values[11] % 2**16}

@@ -1,0 +1,63 @@
+"""A pseudo-terminal that is as slow as a serial line, for programs that open it as a port."""
+
+import contextlib
+import fcntl
+import os
+import struct
+import termios
+import tty
+from pathlib import Path
+
+from jaxgrasp.glove.slow_line import Terminal, Throttle
+
+
+class PseudoTerminal(Terminal):
+    """A pseudo-terminal under a name of our own, that can be unplugged and come back."""
+
+    def __init__(self, link: Path, baud: int) -> None:
+        self.link = link
+        self.most_waiting = 0
+        """Bytes that were on their way to the device at most."""
+        self._coming, self._going, self._baud = Throttle(baud), Throttle(baud), baud
+        self._out = bytearray()
+        self._ends: tuple[int, int] | None = None
+
+    def plug(self) -> None:
+        ours, theirs = os.openpty()
+        tty.setraw(theirs)
+        os.set_blocking(ours, False)
+        self._ends = ours, theirs
+        beside = self.link.with_name(f".{self.link.name}.{os.getpid()}")
+        beside.symlink_to(os.ttyname(theirs))
+        os.replace(beside, self.link)
+
+    def unplug(self) -> None:
+        if self._ends is not None:
+            self.link.unlink(missing_ok=True)
+            for end in self._ends:
+                os.close(end)
+            self._ends = None
+            self._out.clear()
+
+    def read(self, now: float) -> bytes:
+        """What the line has carried to the device by now."""
+        if self._ends is None:
+            return b""
+        waiting = struct.unpack("i", fcntl.ioctl(self._ends[0], termios.FIONREAD, b"\0" * 4))[0]
+        through = self._coming.pass_on(now, waiting)
+        self.most_waiting = max(self.most_waiting, waiting - through)
+        return os.read(self._ends[0], through) if through else b""
+
+    def is_free(self) -> bool:
+        return self._ends is not None and not self._out
+
+    def queue(self, data: bytes) -> None:
+        self._out += data
+
+    def write(self, now: float) -> None:
+        """Let out what the line has carried from the device by now; a host that does not read loses it."""
+        through = self._going.pass_on(now, len(self._out))
+        if through and self._ends is not None:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._ends[0], self._out[:through])
+            del self._out[:through]

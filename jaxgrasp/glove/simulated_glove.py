@@ -1,0 +1,113 @@
+"""A glove on a hand that are not there: a device of the native protocol, its cables, and fingers that bend."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.glove.cable import Cable
+from jaxgrasp.glove.device import Device
+from jaxgrasp.glove.frames import Flag, Frame, Kind
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.sensors import Sensors
+
+STEP = 5e-4
+"""Longest step of the fingers' motion [s]."""
+STATUS_EVERY = 25
+"""Frames between two STATUS: ten a second at a frame every 4 ms."""
+
+
+@dataclass(frozen=True)
+class Fingers:
+    """How a person moves each joint: to a target angle, as a spring and a damper would."""
+
+    stiffness: float = 1.0
+    """[N.m/rad]"""
+    damping: float = 0.01
+    """[N.m.s/rad]"""
+    inertia: float = 5e-5
+    """[kg.m^2]"""
+
+
+class SimulatedGlove:
+    """A glove with a person in it, driven by calls to ``step``; times are seconds of the world."""
+
+    def __init__(
+        self, model: GloveModel, sensors: Sensors, *, fingers: Fingers | None = None, cable: Cable | None = None
+    ):
+        """A glove on an open hand, idle.
+
+        Args:
+            model: the glove.
+            sensors: what it has, exactly.
+            fingers: of the person in it.
+            cable: friction of the cables; none if None.
+        """
+        self.device = Device(
+            channels=len(model.joints),
+            most=max(model.most_counts),
+            slew=round(model.rate / model.quantum / 1000),
+            quantum=round(model.quantum * 1e7),
+        )
+        count = len(model.joints)
+        self.angles, self.speeds = np.zeros(count), np.zeros(count)
+        self.tensions = np.zeros(count)
+        """At the fingers [N]."""
+        self.are_encoders_stuck = False
+        """Whether ANGLES repeat what they said last: a fault."""
+        self.slack: int | None = None
+        """A channel whose cable has come off: a fault."""
+        self._model, self._sensors, self._cable = model, sensors, cable
+        self._fingers = fingers or Fingers()
+        self._from = self._to = np.zeros(count)
+        self._begins, self._lasts = 0.0, 1e-9
+        self._turn = 0
+        self._stuck = sensors.encoders.counts(self.angles)
+
+    def bend(self, now: float, targets: Float[np.ndarray, "channels"], lasts: float) -> None:
+        """The person begins to move to other angles [rad], for a time [s]."""
+        self._from, self._to, self._begins, self._lasts = self.targets(now), targets, now, max(lasts, 1e-9)
+
+    def targets(self, now: float) -> Float[np.ndarray, "channels"]:
+        """Where the person wants the joints to be [rad]; without a jerk at either end."""
+        share = np.clip((now - self._begins) / self._lasts, 0, 1)
+        return self._from + (self._to - self._from) * share**3 * (10 - 15 * share + 6 * share**2)
+
+    def step(self, now: float, passed: float, clock: int) -> None:
+        """Go on by a time [s], the device by its own clock [us]."""
+        counts = np.array(self.device.step(clock)[: len(self.angles)])
+        motor = counts * self._model.quantum / self._sensors.gauges.arm
+        steps = max(1, int(np.ceil(min(passed, 0.1) / STEP)))
+        for _ in range(steps):
+            self._move(self.targets(now), motor, min(passed, 0.1) / steps)
+
+    def _move(self, targets: np.ndarray, motor: np.ndarray, passed: float) -> None:
+        arm, hand = self._sensors.gauges.arm, self._fingers
+        self.tensions = motor if self._cable is None else self._cable.pull(motor, self.speeds * arm, passed)
+        if self.slack is not None:
+            self.tensions = np.where(np.arange(len(motor)) == self.slack, 0.0, self.tensions)
+        pull = hand.stiffness * (targets - self.angles) - self.tensions * arm
+        # The damper at the end of the step, so that it can only slow down.
+        self.speeds = (self.speeds + passed * pull / hand.inertia) / (1 + passed * hand.damping / hand.inertia)
+        self.angles = self.angles + passed * self.speeds
+
+    def next_frame(self, clock: int) -> Frame:
+        """What the device sends next: answers first, then two ANGLES for each TENSIONS, and STATUS at times."""
+        answer = self.device.answer(clock)
+        if answer is not None:
+            return answer
+        self._turn = (self._turn + 1) % (3 * STATUS_EVERY)
+        if self._turn % STATUS_EVERY == 0:
+            return self.device.status(clock)
+        if self._turn % 3 == 0:
+            counts = self._sensors.gauges.counts(self.tensions)
+            saturated = self._sensors.gauges.tensions(counts)[1].any()
+            return self.device.frame(clock, Kind.TENSIONS, _plain(counts), Flag.SATURATED if saturated else Flag(0))
+        if not self.are_encoders_stuck:
+            self._stuck = self._sensors.encoders.counts(self.angles)
+        return self.device.frame(clock, Kind.ANGLES, _plain(self._stuck))
+
+
+def _plain(counts: Sequence[int] | np.ndarray) -> tuple[int, ...]:
+    return tuple(int(count) for count in counts)

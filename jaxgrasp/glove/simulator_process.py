@@ -1,0 +1,53 @@
+"""A simulated glove behind a pseudo-terminal, as a process of its own: ``python -m jaxgrasp.glove.simulator_process``.
+
+It reads orders as lines of JSON from its standard input, and says what happens as lines of JSON; ``Simulator`` in
+``simulator.py`` runs one. Only systems with pseudo-terminals can (Linux, macOS).
+"""
+
+import json
+import os
+import select
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.glove.pseudo_terminal import PseudoTerminal
+from jaxgrasp.glove.simulation import Simulation
+
+PERIOD = 0.001
+"""Of its loop [s]."""
+
+
+def say(what: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Run until the standard input ends."""
+    options = json.loads(sys.argv[1])
+    terminal = PseudoTerminal(Path(options["port"]), options.get("baud", 115_200))
+    simulation = Simulation(options, terminal, time.monotonic(), say)
+    terminal.plug()
+    say({"port": options["port"], "at": time.monotonic()})
+    orders, next_turn = b"", time.monotonic()
+    try:
+        while True:
+            if select.select([0], [], [], max(0.0, next_turn - time.monotonic()))[0]:
+                came = os.read(0, 65536)
+                if not came:
+                    return
+                *lines, orders = (orders + came).split(b"\n")
+                for line in lines:
+                    simulation.obey(json.loads(line), time.monotonic())
+            now = time.monotonic()
+            if now >= next_turn:
+                simulation.turn(now)
+                next_turn = max(next_turn + PERIOD, now)
+    finally:
+        simulation.close()
+
+
+if __name__ == "__main__":
+    main()

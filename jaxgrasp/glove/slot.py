@@ -1,0 +1,67 @@
+"""A slot for the latest value, in memory that processes share: never a queue, never half a value."""
+
+import mmap
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+_HEAD = struct.Struct("<QI")
+TRIES = 20
+
+
+class Slot:
+    """Some numbers that one process writes and others read, in a file that both map.
+
+    A value is whole or not seen: it travels with its number and a check sum, whatever the order in which a processor
+    lets another see what it writes.
+    """
+
+    def __init__(self, path: Path, size: int, *, create: bool = False) -> None:
+        """A slot for ``size`` numbers.
+
+        Args:
+            path: the file, on the same machine for all.
+            size: how many numbers.
+            create: make the file, empty; the others need it to be there.
+
+        Raises:
+            OSError: without the file, or the right to it.
+            ValueError: for a file of another size.
+        """
+        length = _HEAD.size + 8 * size
+        if create:
+            path.write_bytes(b"\0" * length)
+        with open(path, "r+b") as file:
+            self._memory = mmap.mmap(file.fileno(), 0)
+        if len(self._memory) != length:
+            raise ValueError(f"{path} has {len(self._memory)} bytes: expected {length}")
+        self._size, self._number = size, _HEAD.unpack_from(self._memory)[0]
+        self._seen: tuple[int, np.ndarray] | None = None
+
+    def write(self, values: Float[np.ndarray, "size"]) -> None:
+        """A value that takes the place of the last."""
+        self._number += 1
+        raw = values.tobytes()
+        # The number is no part of what could be right by chance: an old one fails with new numbers.
+        check = zlib.crc32(raw, self._number % 2**32)
+        self._memory[_HEAD.size :] = raw
+        self._memory[: _HEAD.size] = _HEAD.pack(self._number, check)
+
+    def read(self) -> Float[np.ndarray, "size"] | None:
+        """The latest whole value; None before the first."""
+        for _ in range(TRIES):
+            number, check = _HEAD.unpack_from(self._memory)
+            if number == 0 or (self._seen is not None and number == self._seen[0]):
+                break
+            raw = self._memory[_HEAD.size :]
+            if zlib.crc32(raw, number % 2**32) == check:
+                self._seen = number, np.frombuffer(raw, np.float64)
+                break
+        return None if self._seen is None else self._seen[1]
+
+    def close(self) -> None:
+        """Let go of the memory."""
+        self._memory.close()

@@ -1,0 +1,150 @@
+"""Host and device together: torque only while both are well, on a line that is as slow and as bad as it may be."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from jaxgrasp.glove.guard import Guard, GuardState
+from jaxgrasp.glove.host import GloveHost, LinkState
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.sensors import nominal_sensors
+from tests.glove.virtual import MODEL, World
+
+
+def test_it_greets_arms_and_renders_a_spring():
+    world = World().armed()
+    held = np.array(world.device.counts) * MODEL.quantum
+    angles = world.simulation.glove.angles
+    np.testing.assert_allclose(held, 0.25 * (angles - 0.2), atol=2e-3)
+    np.testing.assert_allclose(world.host.reading.angles, angles, atol=1e-3)
+    np.testing.assert_allclose(world.host.reading.torques, held, atol=2e-4)
+    assert 0 < world.now - world.host.reading.angles_at < 0.02
+    assert world.line.far.most_waiting <= 2 * 42
+    # Beside those on their way, and the ARM that was accepted too.
+    assert abs(world.host.counts.commands - world.device.accepted) <= 3 and world.device.order.missing == 0
+
+
+def test_nothing_flows_unless_it_is_armed():
+    world = World()
+    world.bend(0.9)
+    world.run(1.5)
+    assert world.host.state == LinkState.LINKED and not any(counts.any() for _, counts in world.history)
+
+
+@pytest.mark.parametrize("when", np.linspace(0, 0.02, 7))
+def test_a_host_that_dies_leaves_no_torque(when):
+    world = World().armed()
+    world.run(when)
+    world.is_host_alive = False
+    died = world.now
+    world.run(0.5)
+    assert 0 < world.zero_after(died) <= 0.050
+    assert world.device.cause.name == "WATCHDOG"
+
+
+def test_faults_zero_both_sides_in_time_and_stay_until_armed():
+    for order, cause in (
+        ({"cut": 0.3}, ""),
+        ({"fault": 1}, "the device latched"),
+        ({"stuck": True}, None),
+        ({"unplug": 0.3}, "the line is unplugged"),
+        ({"slack": 3}, "channel 3 pulls"),
+    ):
+        world = World().armed()
+        world.simulation.obey(order, world.now)
+        since = world.now
+        world.run(1.2)
+        if cause is None:
+            # Encoders that repeat themselves are no stale ones: a resting hand does the same.
+            assert world.host.guard.state == GuardState.ARMED
+            continue
+        assert world.zero_after(since) <= (0.3 if "slack" in order else 0.055), order
+        assert world.host.guard.state == GuardState.LATCHED and cause in world.host.guard.cause
+        assert world.host.state == LinkState.LINKED, "it found its device again"
+        assert not np.any(world.device.counts)
+        world.simulation.obey({"slack": None}, world.now)
+        world.host.arm(world.now)
+        world.run(0.6)
+        assert min(world.device.counts) > 3000
+
+
+def test_encoders_that_fall_silent_latch():
+    world = World().armed()
+    world.simulation.glove.next_frame = lambda clock: world.device.status(clock)
+    since = world.now
+    world.run(0.4)
+    assert world.zero_after(since) <= 0.08 and "read" in world.host.guard.cause
+
+
+@pytest.mark.parametrize("wanted", [np.nan, np.inf, -np.inf])
+def test_a_bug_upstream_latches(wanted):
+    world = World().armed()
+    world.stiffness, since = wanted, world.now
+    world.run(0.2)
+    assert world.zero_after(since) <= 0.02 and "not finite" in world.host.guard.cause
+
+
+def test_leaving_sends_zero():
+    world = World().armed()
+    world.host.close(world.now)
+    world.is_host_alive, since = False, world.now
+    world.run(0.3)
+    assert world.zero_after(since) <= 0.012 and world.device.state.name == "IDLE"
+
+
+def test_it_comes_back_within_two_seconds_of_its_port():
+    world = World().armed()
+    world.simulation.obey({"unplug": 3.0}, world.now)
+    back = world.now + 3.0
+    while world.host.state != LinkState.LINKED or world.now < back:
+        world.run(0.01)
+        assert world.now < back + 2
+    assert world.host.counts.links == 2 and world.host.guard.state == GuardState.LATCHED
+
+
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.floats(0, 0.4), st.integers(0, 10**6), st.sampled_from([57_600, 115_200, 921_600]))
+def test_a_bad_line_breaks_no_law(share, seed, baud):
+    """Bounds and rate at the device; and it is either armed with a living host, or zero."""
+    world = World(baud=baud)
+    world.bend(0.9)
+    world.run(0.3)
+    world.simulation.obey({"spoil": share, "seed": seed}, world.now)
+    for _ in range(8):
+        if world.host.state == LinkState.LINKED and world.now - world.host.reading.angles_at < 0.1:
+            world.host.arm(world.now)
+        world.run(0.25)
+    before = np.zeros(14)
+    for _, counts in world.history:
+        assert np.all((counts >= 0) & (counts <= 12_000))
+        assert np.all(counts - before <= 121)
+        before = counts
+    world.is_host_alive, since = False, world.now
+    world.run(0.3)
+    assert world.zero_after(since) <= 0.055 + 42 * 10 / baud
+
+
+@pytest.mark.parametrize(
+    "change, trouble",
+    [
+        ({"quantum": 2e-5}, "the device's count is 100e-7 N.m: expected 200e-7"),
+        ({"joints": ("a",), "limits": (0.12,)}, ""),
+    ],
+)
+def test_a_device_that_is_another_glove(change, trouble):
+    model = GloveModel(**{"name": "other", "joints": MODEL.joints, "limits": MODEL.limits, **change})
+    world = World()
+    world.host = GloveHost(model, nominal_sensors(model), lambda: world.line, Guard(model))
+    world.run(0.5)
+    assert world.host.trouble == trouble or world.host.trouble.startswith(trouble)
+    assert (world.host.state == LinkState.LINKED) == (not trouble)
+
+
+def test_arming_needs_a_link_and_angles():
+    world = World()
+    with pytest.raises(ValueError, match="cannot be armed: not opened yet"):
+        world.host.arm(world.now)
+    world.run(0.5)
+    with pytest.raises(ValueError, match="encoders say nothing"):
+        world.host.arm(world.now + 1)

@@ -1,0 +1,64 @@
+"""A host and a simulated glove in virtual time: no clock, no thread, the same every time."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.glove.guard import Guard, GuardState
+from jaxgrasp.glove.host import GloveHost, LinkState
+from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.glove.sensors import nominal_sensors
+from jaxgrasp.glove.simulation import Simulation
+from jaxgrasp.glove.slow_line import MemoryLine
+
+MODEL = lrp_hand_master()
+SENSORS = nominal_sensors(MODEL)
+TICK, MILLISECOND = 0.005, 0.001
+
+
+class World:
+    """Time, a glove and its host, which asks for the torques of a spring from 0.2 rad on."""
+
+    def __init__(self, baud: int = 115_200, **options: Any):
+        self.line = MemoryLine(baud)
+        self.events: list[dict[str, Any]] = []
+        self.now = 100.0
+        options = {"clock": 2**32 - 3_000_000, **options}
+        self.simulation = Simulation(options, self.line.far, self.now, self.events.append)
+        self.host = GloveHost(MODEL, SENSORS, lambda: self.line, Guard(MODEL, ramp=0.2), baud=baud)
+        self.stiffness = 0.25
+        self.is_host_alive = True
+        self.history: list[tuple[float, np.ndarray]] = []
+        self._next_tick = self.now
+
+    @property
+    def device(self):
+        return self.simulation.glove.device
+
+    def run(self, seconds: float) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.now += MILLISECOND
+            self.simulation.turn(self.now)
+            self.history.append((self.now, np.array(self.device.counts)))
+            if self.is_host_alive and self.now >= self._next_tick:
+                self._next_tick = self.now + TICK
+                reading = self.host.poll(self.now)
+                self.host.send(self.now, self.stiffness * (reading.angles - 0.2), reading.angles_at)
+
+    def armed(self, angle: float = 0.6) -> "World":
+        """Arm it and wait for torque."""
+        self.bend(angle)
+        self.run(0.5)
+        self.host.arm(self.now)
+        self.run(0.6)
+        assert self.host.state == LinkState.ARMED and self.host.guard.state == GuardState.ARMED
+        assert min(self.device.counts) > 3000
+        return self
+
+    def bend(self, angle: float, lasts: float = 0.3) -> None:
+        self.simulation.obey({"bend": [angle] * 14, "lasts": lasts}, self.now)
+
+    def zero_after(self, since: float) -> float:
+        """Seconds until the device held nothing, for good."""
+        return max([t for t, counts in self.history if t >= since and counts.any()], default=since) - since

@@ -1,20 +1,13 @@
 """Runs a simulated glove as a process, and tells it what is to happen to it."""
 
-import json
 import os
-import subprocess
-import sys
 import tempfile
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-PATIENCE = 10.0
-"""How long a simulator may take to start or to answer [s]."""
+from jaxgrasp.glove.child import Child
 
 
 class Simulator:
@@ -35,16 +28,10 @@ class Simulator:
             raise OSError("the simulated glove needs pseudo-terminals, which this system has not: Linux and macOS do")
         self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-glove-")
         self.port = str(options.setdefault("port", str(Path(self._folder.name) / "glove")))
-        self.events: list[dict[str, Any]] = []
-        """What it said of itself: a torque that fell to zero, when and why."""
-        self._said: list[dict[str, Any]] = []
-        self._news = threading.Condition()
-        command = [sys.executable, "-m", "jaxgrasp.glove.simulator_process", json.dumps(options)]
-        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._reader = threading.Thread(target=self._listen, daemon=True)
-        self._reader.start()
+        self._child = Child("jaxgrasp.glove.simulator_process", options)
+        self.process = self._child.process
         try:
-            self._wait(lambda: len(self._said) > 0)
+            self._child.wait_for(lambda told: "port" in told)
         except OSError:
             self.close()
             raise
@@ -60,29 +47,17 @@ class Simulator:
         Raises:
             OSError: if it has ended, or does not answer.
         """
-        assert self.process.stdin is not None
-        before = len(self._said)
-        self.process.stdin.write(json.dumps(what) + "\n")
-        self.process.stdin.flush()
-        self._wait(lambda: len(self._said) > before)
-        return self._said[before]["report"]
+        before = len(self._child.said)
+        self._child.order(what)
+        return self._child.wait_for(lambda told: "done" in told, before)["report"]
 
     def zeros(self, since: float) -> list[dict[str, Any]]:
-        """The times at which its torque fell to zero, from a moment on."""
-        return [event for event in list(self.events) if event["at"] >= since]
+        """The times at which its torque fell to zero, from a moment on, each with its cause."""
+        return [told for told in list(self._child.said) if told.get("event") == "zero" and told["at"] >= since]
 
     def close(self) -> None:
         """End it, and its port."""
-        if self.process.stdin is not None and not self.process.stdin.closed:
-            self.process.stdin.close()
-        try:
-            self.process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        self._reader.join()
-        if self.process.stdout is not None:
-            self.process.stdout.close()
+        self._child.close()
         self._folder.cleanup()
 
     def __enter__(self) -> "Simulator":
@@ -90,24 +65,6 @@ class Simulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _listen(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            said = json.loads(line)
-            with self._news:
-                (self.events if "event" in said else self._said).append(said)
-                self._news.notify_all()
-
-    def _wait(self, holds: Callable[[], bool]) -> None:
-        end = time.monotonic() + PATIENCE
-        with self._news:
-            while not holds():
-                self._news.wait(0.1)
-                if self.process.poll() is not None and not self._reader.is_alive() and not holds():
-                    raise OSError(f"the simulated glove ended with {self.process.returncode}")
-                if time.monotonic() > end:
-                    raise OSError(f"the simulated glove did not answer in {PATIENCE:.0f} s")
 
 
 def read_record(path: Path, channels: int = 14) -> dict[str, np.ndarray]:

@@ -1,0 +1,91 @@
+"""A Python program beside this one that takes orders and tells what happens, as lines of JSON."""
+
+import contextlib
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+PATIENCE = 15.0
+"""How long a program may take to start, to answer or to end [s]."""
+
+
+class Child:
+    """A program of its own: spawned, never forked; the end of its input tells it to go."""
+
+    def __init__(self, module: str, options: dict[str, Any]) -> None:
+        """A program that has just started.
+
+        Args:
+            module: run as ``python -m``.
+            options: its only argument, as JSON.
+        """
+        self.said: list[dict[str, Any]] = []
+        """All that it told."""
+        self._news = threading.Condition()
+        command = [sys.executable, "-m", module, json.dumps(options)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._name = module.rpartition(".")[2]
+        self._reader = threading.Thread(target=self._listen, daemon=True)
+        self._reader.start()
+
+    def order(self, what: dict[str, Any]) -> None:
+        """Tell it something.
+
+        Raises:
+            OSError: if it has ended.
+        """
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(what) + "\n")
+        self.process.stdin.flush()
+
+    def wait_for(
+        self, is_it: Callable[[dict[str, Any]], bool], begin: int = 0, patience: float = PATIENCE
+    ) -> dict[str, Any]:
+        """The first thing that it told, from the ``begin``-th on, that is what is waited for.
+
+        Raises:
+            OSError: if it ends without, or takes too long.
+        """
+        end = time.monotonic() + patience
+        with self._news:
+            while True:
+                found = next((one for one in self.said[begin:] if is_it(one)), None)
+                if found is not None:
+                    return found
+                begin = len(self.said)
+                if not self._reader.is_alive():
+                    raise OSError(f"{self._name} ended with {self.process.wait(PATIENCE)}")
+                if time.monotonic() > end:
+                    raise OSError(f"{self._name} did not answer in {patience:.0f} s")
+                self._news.wait(0.1)
+
+    def close(self) -> int:
+        """Let it go, and its exit status; one that does not go is killed."""
+        assert self.process.stdin is not None and self.process.stdout is not None
+        # What was still to be told finds nobody, if it has ended already.
+        with contextlib.suppress(OSError):
+            self.process.stdin.close()
+        try:
+            self.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self._reader.join()
+        self.process.stdout.close()
+        return self.process.returncode
+
+    def _listen(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            try:
+                told = json.loads(line)
+            except ValueError:
+                # The last line of one that was killed may be half a line.
+                continue
+            with self._news:
+                self.said.append(told)
+                self._news.notify_all()

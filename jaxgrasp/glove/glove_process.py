@@ -1,0 +1,85 @@
+"""The computing side's handle on the process that owns the glove's line."""
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.glove.child import Child
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.peers import make_slots
+
+
+class GloveProcess:
+    """A glove driven by a process of its own: laws in, states out, both the latest; a context manager that ends it."""
+
+    def __init__(self, port: str, channels: int, **options: Any) -> None:
+        """A process that opens a port, and is not armed.
+
+        Args:
+            port: of the glove.
+            channels: of its model.
+            options: ``baud``, ``model`` and ``calibration`` (files), ``rate`` [Hz], ``scale`` (of all torques, 0.05
+                if left out), ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s].
+        """
+        self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-loop-")
+        self._channels = channels
+        self._law, self._state = make_slots(Path(self._folder.name), channels)
+        options = {"port": port, "slots": self._folder.name, **options}
+        self.child = Child("jaxgrasp.glove.io_process", options)
+        self.summary: dict[str, Any] = {}
+        """What it counted, once it has ended."""
+
+    def write(self, law: TorqueLaw) -> None:
+        """The law to follow from now on."""
+        self._law.write(law.vector())
+
+    def state(self) -> GloveState | None:
+        """What the glove does; None before it was first said."""
+        vector = self._state.read()
+        return None if vector is None else GloveState.of(vector, self._channels)
+
+    def arm(self) -> None:
+        """Let torques flow; ``state`` says when they do.
+
+        Raises:
+            ValueError: if it refuses; the message says why.
+            OSError: if it has ended.
+        """
+        self._order({"arm": True})
+
+    def disarm(self) -> None:
+        """No torque."""
+        self._order({"disarm": True})
+
+    def rescale(self, scale: float) -> None:
+        """Another scale of all torques, while it is not armed.
+
+        Raises:
+            ValueError: if it refuses.
+        """
+        self._order({"scale": scale})
+
+    def events(self) -> list[dict[str, Any]]:
+        """How link and guard changed, each with its time ``at``."""
+        return [told["event"] | {"at": told["at"]} for told in list(self.child.said) if "event" in told]
+
+    def close(self) -> None:
+        """End it; it sends a zero first."""
+        self.child.close()
+        self.summary = next((told["summary"] for told in self.child.said if "summary" in told), {})
+        self._law.close()
+        self._state.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> "GloveProcess":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _order(self, what: dict[str, Any]) -> None:
+        before = len(self.child.said)
+        self.child.order(what)
+        answer = self.child.wait_for(lambda told: "done" in told or "refused" in told, before)
+        if "refused" in answer:
+            raise ValueError(answer["refused"])

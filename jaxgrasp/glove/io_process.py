@@ -1,0 +1,149 @@
+"""The process that owns the glove's line: ``python -m jaxgrasp.glove.io_process``; it never imports JAX.
+
+Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``scale``) as lines of JSON on its standard
+input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero behind,
+and the device's own watchdog does not depend on that.
+"""
+
+import json
+import queue
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.glove.calibrate import load_sensors
+from jaxgrasp.glove.exchange import TorqueLaw
+from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.host import GloveHost
+from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.glove.peers import LinkPeer, NoPeer, Peer, SlotPeer
+from jaxgrasp.glove.rendering import OLDEST_LAW, Rendering
+from jaxgrasp.glove.sensors import nominal_sensors
+from jaxgrasp.glove.tension import TensionControl
+from jaxgrasp.glove.tick_times import TickTimes
+
+FIRST_SCALE = 0.05
+"""Of all torques, unless it is told otherwise: the first time that power is on."""
+
+
+def main() -> None:
+    """Run until the standard input ends or a signal comes."""
+    options = json.loads(sys.argv[1])
+    for name in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(name, _leave)
+    orders: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(orders,), daemon=True).start()
+    rendering = build(options)
+    times = TickTimes(1.0 / options.get("rate", 200.0))
+    try:
+        run(rendering, times, orders)
+    finally:
+        rendering.host.close(time.monotonic())
+        rendering.peer.close()
+        _say({"summary": times.summary() | report(rendering.host)})
+
+
+def build(options: dict[str, Any]) -> Rendering:
+    """The loop that options describe."""
+    model = load_glove(Path(options["model"])) if options.get("model") else lrp_hand_master()
+    path = options.get("calibration")
+    sensors = load_sensors(Path(path), len(model.joints)) if path else nominal_sensors(model)
+    bounds = {name: options[name] for name in ("projection", "ramp") if name in options}
+    guard = Guard(model, scale=options.get("scale", FIRST_SCALE), **bounds)
+    port, baud = options["port"], options.get("baud", 115_200)
+    host = GloveHost(model, sensors, lambda: SerialLine(port, baud), guard, baud=baud)
+    control = TensionControl(len(model.joints)) if options.get("control") else None
+    oldest = options.get("oldest", OLDEST_LAW)
+    return Rendering(host, _peer(options, model, oldest), oldest=oldest, control=control)
+
+
+def run(rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str | None]") -> None:
+    """Turn at a steady rate, and say what changes."""
+    said: tuple[str, ...] = ()
+    due = time.monotonic()
+    while True:
+        while not orders.empty():
+            order = orders.get()
+            if order is None:
+                return
+            _obey(rendering, json.loads(order))
+        begun = time.monotonic()
+        rendering.turn(begun)
+        host = rendering.host
+        changed = (host.state.name, host.guard.state.name, host.trouble, host.guard.cause)
+        if changed != said:
+            said = changed
+            _say({"event": dict(zip(("link", "guard", "trouble", "cause"), changed, strict=True)), "at": begun})
+        over = time.monotonic()
+        times.add(begun - due, over - begun)
+        # A turn that was missed is not made up for: its answer would be as late as it is.
+        due = max(due + times.period, over)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def report(host: GloveHost) -> dict[str, Any]:
+    """What a host has counted."""
+    refused = {why.name: count for why, count in host.reader.refused.items()}
+    counts = {"commands": host.counts.commands, "held_back": host.counts.held_back, "cut": host.counts.cut}
+    heard = {"heard": host.reader.accepted, "missing": host.counts.missing + host.order.missing, "refused": refused}
+    return counts | heard | {"links": host.counts.links, "device": host.counts.status}
+
+
+def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
+    channels = len(model.joints)
+    if options.get("slots"):
+        return SlotPeer(Path(options["slots"]), channels)
+    if options.get("listen"):
+        host, port = options["listen"]
+        key = bytes.fromhex(options.get("key", ""))
+        transport = options.get("transport", "udp")
+        size = TorqueLaw.size(channels)
+        link = Link(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)
+        _say({"listens": link.port})
+        return LinkPeer(link, channels)
+    return NoPeer()
+
+
+def _obey(rendering: Rendering, order: dict[str, Any]) -> None:
+    now = time.monotonic()
+    try:
+        match order:
+            case {"arm": _}:
+                rendering.arm(now)
+            case {"disarm": _}:
+                rendering.host.disarm()
+            case {"scale": scale}:
+                rendering.host.guard.rescale(scale)
+            case {"report": _}:
+                _say({"report": report(rendering.host)})
+                return
+            case _:
+                raise ValueError(f"order {order} is none of arm, disarm, scale, report")
+    except ValueError as error:
+        _say({"refused": str(error), "at": now})
+    else:
+        _say({"done": order, "at": now})
+
+
+def _listen(orders: "queue.SimpleQueue[str | None]") -> None:
+    for line in sys.stdin:
+        orders.put(line)
+    orders.put(None)
+
+
+def _say(what: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def _leave(*_: object) -> None:
+    raise SystemExit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""Messages between two computers: the latest numbers, how old they are, and nothing acted on that is too old.
+
+A message, little-endian: session (uint32), number (uint32), sent (float64, sender's clock [s]), echo (float64, the
+newest ``sent`` that the sender knows of the other side; NaN before any), held (float64, how long it has had that [s]),
+the numbers (float32 each), and an eight-byte BLAKE2b of all before, keyed if both sides have a key.
+"""
+
+import hashlib
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+_HEAD = struct.Struct("<IIddd")
+CHECK = 8
+NUMBERS = 2**32
+MOST_NUMBERS = 340
+"""Of a message, so that one fits in a datagram of the usual 1,500 bytes."""
+WINDOW = 4.0
+"""For how long the shortest exchange sets the clocks [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """What the other side said."""
+
+    session: int
+    number: int
+    sent: float
+    echo: float
+    held: float
+    values: Float[np.ndarray, "size"]
+
+
+def encode(message: Message, key: bytes) -> bytes:
+    """Its bytes."""
+    head = _HEAD.pack(message.session, message.number, message.sent, message.echo, message.held)
+    body = head + message.values.astype("<f4").tobytes()
+    return body + _check(body, key)
+
+
+def decode(data: bytes, size: int, key: bytes) -> Message | None:
+    """The message of bytes; None where they are none of so many numbers."""
+    if len(data) != _HEAD.size + 4 * size + CHECK or _check(data[:-CHECK], key) != data[-CHECK:]:
+        return None
+    session, number, sent, echo, held = _HEAD.unpack_from(data)
+    if not math.isfinite(sent):
+        return None
+    values = np.frombuffer(data, "<f4", size, _HEAD.size).astype(float)
+    return Message(session, number, sent, echo, held, values)
+
+
+def _check(body: bytes, key: bytes) -> bytes:
+    return hashlib.blake2b(body, digest_size=CHECK, key=key).digest()
+
+
+class Exchange:
+    """One side's bookkeeping: numbers what it sends, orders what it hears, and knows the other's clock.
+
+    The offset of the clocks is that of the exchange with the shortest way there and back in the last seconds; half
+    that way is the most by which an age may be wrong.
+    """
+
+    def __init__(self, session: int, size_in: int, key: bytes = b"") -> None:
+        """A side that has heard nothing.
+
+        Args:
+            session: a number drawn anew each time.
+            size_in: how many numbers the other side's messages hold.
+            key: that both sides share; without one, anyone on the network can speak.
+        """
+        self.refused = self.stale = self.missing = self.accepted = 0
+        self.latest: Message | None = None
+        self._session, self._size, self._key = session, size_in, key
+        self._number = 0
+        self._arrived = -math.inf
+        self._ways: list[tuple[float, float, float]] = []
+
+    def outgoing(self, now: float, values: Float[np.ndarray, "size"]) -> bytes:
+        """Bytes of the next message."""
+        self._number = (self._number + 1) % NUMBERS
+        echo, held = (math.nan, 0.0) if self.latest is None else (self.latest.sent, now - self._arrived)
+        return encode(Message(self._session, self._number, now, echo, held, values), self._key)
+
+    def incoming(self, now: float, data: bytes) -> Message | None:
+        """The message, if it is newer than all before."""
+        message = decode(data, self._size, self._key)
+        if message is None:
+            self.refused += 1
+            return None
+        last = self.latest
+        if last is not None and last.session == message.session:
+            ahead = (message.number - last.number) % NUMBERS
+            if not 0 < ahead < NUMBERS // 2:
+                self.stale += 1
+                return None
+            self.missing += ahead - 1
+        else:
+            # Another program on the other side: another clock.
+            self._ways.clear()
+        self.accepted += 1
+        self.latest, self._arrived = message, now
+        way = now - message.echo - message.held
+        if way >= 0:
+            self._ways = [one for one in self._ways if one[0] >= now - WINDOW and one[1] < way]
+            self._ways.append((now, way, message.sent - (now - way / 2)))
+        return message
+
+    @property
+    def way(self) -> float:
+        """Shortest time there and back of the last seconds [s]; infinite before any."""
+        return min((way for _, way, _ in self._ways), default=math.inf)
+
+    @property
+    def offset(self) -> float:
+        """The other's clock less ours [s]; NaN before any answer has come back."""
+        return min(self._ways, key=lambda one: one[1])[2] if self._ways else math.nan
+
+    def age(self, now: float) -> float:
+        """How old the latest message is at most [s]; infinite while that cannot be told."""
+        if self.latest is None or not self._ways:
+            return math.inf
+        return now - (self.latest.sent - self.offset) + self.way / 2

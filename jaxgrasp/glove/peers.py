@@ -1,0 +1,90 @@
+"""Where the torques' law comes from and the glove's state goes: a process beside, or a computer elsewhere."""
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.slot import Slot
+
+LAW, STATE = "law", "state"
+"""Files of the slots in the folder that two processes share."""
+AHEAD = 0.005
+"""By how much a law may seem to come from the future [s]."""
+
+
+class Peer(ABC):
+    """The computing side, as the I/O side sees it."""
+
+    @abstractmethod
+    def law(self, now: float) -> TorqueLaw | None:
+        """The latest law, its ``computed_at`` on our clock; None before any."""
+
+    @abstractmethod
+    def publish(self, now: float, state: GloveState) -> None:
+        """Tell it what the glove does."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class SlotPeer(Peer):
+    """A process on this machine, by slots in shared memory; its clock is ours."""
+
+    def __init__(self, folder: Path, channels: int) -> None:
+        """Slots that ``make_slots`` made."""
+        self._channels = channels
+        self._law = Slot(folder / LAW, TorqueLaw.size(channels))
+        self._state = Slot(folder / STATE, GloveState.size(channels))
+
+    def law(self, now: float) -> TorqueLaw | None:
+        vector = self._law.read()
+        return None if vector is None else TorqueLaw.of(vector, self._channels)
+
+    def publish(self, now: float, state: GloveState) -> None:
+        self._state.write(state.vector())
+
+    def close(self) -> None:
+        self._law.close()
+        self._state.close()
+
+
+class LinkPeer(Peer):
+    """A computer elsewhere, by a link whose messages are never older than it allows."""
+
+    def __init__(self, link: Link, channels: int) -> None:
+        """A link whose incoming messages are laws."""
+        self._link, self._channels = link, channels
+
+    def law(self, now: float) -> TorqueLaw | None:
+        message = self._link.receive(now)
+        if message is None:
+            return None
+        law = TorqueLaw.of(message.values, self._channels)
+        return TorqueLaw(now - self._link.exchange.age(now), law.is_valid, law.angles, law.torques, law.derivative)
+
+    def publish(self, now: float, state: GloveState) -> None:
+        self._link.send(now, state.vector())
+
+    def close(self) -> None:
+        self._link.close()
+
+
+class NoPeer(Peer):
+    """Nobody computes: sensors alone are read."""
+
+    def law(self, now: float) -> TorqueLaw | None:
+        return None
+
+    def publish(self, now: float, state: GloveState) -> None:
+        return
+
+    def close(self) -> None:
+        return
+
+
+def make_slots(folder: Path, channels: int) -> tuple[Slot, Slot]:
+    """Empty slots for laws and for states, in a folder."""
+    law = Slot(folder / LAW, TorqueLaw.size(channels), create=True)
+    return law, Slot(folder / STATE, GloveState.size(channels), create=True)

@@ -1,0 +1,87 @@
+"""One turn of the I/O side: sensors in, the law at fresh angles, torques out; nothing old is acted on."""
+
+import numpy as np
+
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.guard import GuardState, Output
+from jaxgrasp.glove.host import GloveHost, LinkState, Reading
+from jaxgrasp.glove.peers import AHEAD, Peer
+from jaxgrasp.glove.tension import TensionControl
+
+OLDEST_LAW = 0.03
+"""Age beyond which a law is not acted on [s]: with a turn and two frames, a dead engine's torque is gone in 45 ms."""
+REACH = 0.2
+"""How far from a law's angles its derivative is followed [rad]."""
+
+
+class Rendering:
+    """The I/O side of the loop, driven by calls to ``turn`` at the line's own rate."""
+
+    def __init__(
+        self, host: GloveHost, peer: Peer, *, oldest: float = OLDEST_LAW, control: TensionControl | None = None
+    ) -> None:
+        """A loop that has not turned.
+
+        Args:
+            host: of the glove.
+            peer: who computes.
+            oldest: age beyond which its law is not acted on [s].
+            control: of the torques by the measured tensions; none if None.
+        """
+        self.host, self.peer = host, peer
+        self._oldest, self._control = oldest, control
+        self._before = np.nan
+
+    def turn(self, now: float) -> Output:
+        """Read, compute, send."""
+        host = self.host
+        reading = host.poll(now)
+        wanted = self._wanted(now, reading)
+        control = self._control if self._may_control(now, reading) else None
+        asked = wanted if control is None else control.ask(wanted, reading.torques)
+        output = host.send(now, asked, reading.angles_at)
+        if control is not None:
+            control.left(output.torques, wanted, reading.torques, max(now - self._before, 0.0))
+        self._before = now
+        self.peer.publish(now, self._state(now, reading, output))
+        return output
+
+    def arm(self, now: float) -> None:
+        """Let torques flow, if there is a law to follow.
+
+        Raises:
+            ValueError: without one, or as the host says.
+        """
+        trouble = self._trouble(now, self.peer.law(now))
+        if trouble:
+            raise ValueError(f"the glove cannot be armed: {trouble}")
+        if self._control is not None:
+            self._control.forget()
+        self.host.arm(now)
+
+    def _wanted(self, now: float, reading: Reading) -> np.ndarray:
+        law = self.peer.law(now)
+        trouble = self._trouble(now, law)
+        if trouble:
+            self.host.guard.trip(trouble)
+        if law is None or trouble:
+            return np.zeros(len(self.host.model.joints))
+        return law.at(reading.angles, REACH)
+
+    def _trouble(self, now: float, law: TorqueLaw | None) -> str:
+        if law is None:
+            return "nobody says which torques"
+        if not law.is_valid:
+            return "who computes the torques says that they are not valid"
+        age = now - law.computed_at
+        return "" if -AHEAD <= age <= self._oldest else f"the torques' law is {age:.3f} s old"
+
+    def _may_control(self, now: float, reading: Reading) -> bool:
+        is_armed = self.host.guard.state == GuardState.ARMED and self.host.state == LinkState.ARMED
+        return is_armed and now - reading.torques_at <= self._oldest
+
+    def _state(self, now: float, reading: Reading, output: Output) -> GloveState:
+        clipped = float(np.max(output.beyond + output.assisting))
+        host = self.host
+        head = (now, int(host.state), int(host.guard.state), clipped, reading.angles_at)
+        return GloveState(*head, reading.angles, output.torques, reading.torques)

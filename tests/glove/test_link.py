@@ -1,0 +1,125 @@
+"""Two hosts: the latest wins, ages are told to within the way, and nothing too old is acted on."""
+
+import random
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.messages import Exchange
+
+SIZE = 5
+
+
+class Network:
+    """Two sides with clocks of their own, and ways between them that take their time."""
+
+    def __init__(self, offset: float, seed: int, loss: float = 0.0, slowest: float = 0.02):
+        self.here, self.there = Exchange(1, SIZE), Exchange(2, SIZE)
+        self.offset, self.loss, self.slowest = offset, loss, slowest
+        self.rng = random.Random(seed)
+        self.now = 50.0
+        self.ways: list[tuple[float, Exchange, bytes]] = []
+
+    def clock(self, side: Exchange) -> float:
+        return self.now + (self.offset if side is self.there else 0.0)
+
+    def step(self, values: np.ndarray) -> None:
+        self.now += 0.005
+        for sender, receiver in ((self.here, self.there), (self.there, self.here)):
+            data = sender.outgoing(self.clock(sender), values)
+            if self.rng.random() >= self.loss:
+                self.ways.append((self.now + self.rng.uniform(0.0005, self.slowest), receiver, data))
+        arrived = [one for one in self.ways if one[0] <= self.now]
+        self.ways = [one for one in self.ways if one[0] > self.now]
+        for _, receiver, data in arrived:
+            receiver.incoming(self.clock(receiver), data)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-1e5, 1e5), st.integers(0, 999), st.floats(0, 0.5))
+def test_ages_and_offsets_are_right_to_within_the_way(offset, seed, loss):
+    network = Network(offset, seed, loss)
+    assert network.here.age(network.now) == np.inf
+    for k in range(200):
+        network.step(np.full(SIZE, float(k)))
+    for side, other in ((network.here, offset), (network.there, -offset)):
+        assert abs(side.offset - other) <= side.way / 2 + 1e-6
+        true = network.clock(side) - (side.latest.sent - other)
+        assert true - 1e-6 <= side.age(network.clock(side)) <= true + side.way + 1e-6
+        assert side.latest.values[0] >= 190 - 100 * loss
+        assert side.accepted + side.stale + side.missing >= 199 - 40
+
+
+def test_nothing_is_acted_on_before_the_clocks_are_known():
+    network = Network(3.0, 0)
+    data = network.here.outgoing(0.0, np.zeros(SIZE))
+    assert network.there.incoming(3.0, data) is not None and network.there.age(3.0) == np.inf
+
+
+def test_late_doubled_and_foreign_messages_are_not_acted_on():
+    one, other, keyed = Exchange(1, SIZE), Exchange(2, SIZE), Exchange(3, SIZE, b"key")
+    messages = [one.outgoing(float(k), np.full(SIZE, float(k))) for k in range(4)]
+    taken = [other.incoming(9.0, messages[k]) is not None for k in (0, 2, 1, 2, 3)]
+    assert taken == [True, True, False, False, True]
+    assert (other.accepted, other.stale, other.missing, other.refused) == (3, 2, 1, 0)
+    for spoilt in (messages[3][:-1], messages[3] + b"x", b"", bytes([messages[3][0] ^ 1]) + messages[3][1:]):
+        assert other.incoming(9.0, spoilt) is None
+    assert keyed.incoming(9.0, messages[3]) is None
+    assert other.refused == 4 and keyed.refused == 1
+    # The other program starts anew, with a clock of its own.
+    assert other.incoming(9.0, Exchange(7, SIZE).outgoing(-100.0, np.zeros(SIZE))) is not None
+    assert other.age(9.0) == np.inf
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_are_survived(data):
+    assert Exchange(1, SIZE).incoming(0.0, data) is None
+
+
+@pytest.mark.parametrize("transport", ["udp", "tcp"])
+def test_sockets(transport):
+    server = Link("127.0.0.1", 0, SIZE, listens=True, transport=transport, oldest=0.5)
+    client = Link("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
+
+    def talk(until, seconds: float = 10.0) -> None:
+        start = time.monotonic()
+        while not until():
+            assert time.monotonic() - start < seconds
+            for link, value in ((server, 1.0), (client, 2.0)):
+                link.send(time.monotonic(), np.full(SIZE, value))
+            time.sleep(0.002)
+
+    heard = lambda link: link.receive(time.monotonic())  # noqa: E731
+    # Both must listen, or neither learns how long a way takes.
+    both = lambda: None not in [heard(link) for link in (server, client)]  # noqa: E731
+    talk(both)
+    assert heard(server).values.tolist() == [2.0] * SIZE and heard(client).values.tolist() == [1.0] * SIZE
+    assert abs(server.exchange.offset) <= server.exchange.way
+    client.close()
+    time.sleep(0.6)
+    assert heard(server) is None, "what it heard is too old"
+    client = Link("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
+    talk(both)
+    server.close()
+    server = Link("127.0.0.1", client.port, SIZE, listens=True, transport=transport, oldest=0.5)
+    talk(both)
+    server.close()
+    client.close()
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"transport": "pigeon"}, "expected 'udp' or 'tcp'"),
+        ({"size_in": 4000}, "size_in is 4000"),
+        ({"oldest": 0.0}, "oldest is 0.0: expected a positive time"),
+    ],
+)
+def test_bad_settings(unchecked, change, message):
+    with pytest.raises(ValueError, match=message):
+        Link(**{"host": "127.0.0.1", "port": 0, "size_in": SIZE, "listens": True, **change})

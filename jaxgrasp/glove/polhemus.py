@@ -1,0 +1,213 @@
+"""Polhemus trackers: bytes to poses of the wrist; Isotrak II binary, Fastrak ASCII and binary.
+
+Formats as VRPN reads them (``vrpn_Tracker_Isotrak.C``, ``vrpn_Tracker_Fastrak.C``), with the output list "position,
+quaternion" (``O2,11`` and ``O1,2,11``). A decoder takes bytes however they are cut, keeps fewer than 512 of them, and
+raises nothing; what it refuses it counts, and tries again one byte on.
+"""
+
+import math
+import struct
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+INCH = 0.0254
+CENTIMETRE = 0.01
+LARGEST_ISOTRAK = 1.6632
+"""Position of the largest number in binary [m]."""
+FARTHEST = 5.0
+"""Position beyond which no magnetic tracker reads [m]."""
+OFF_UNIT = 0.05
+"""By how much the length of a read quaternion may miss 1, for rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerSample:
+    """Where one receiver is, in the frame of its transmitter."""
+
+    station: int
+    """1 to 4."""
+    position: Float[np.ndarray, "3"]
+    """[m]"""
+    quaternion: Float[np.ndarray, "4"]
+    """Of the receiver's axes, of length 1, real part first."""
+    flag: str
+    """What the tracker adds: a space where all is well, an error's letter, or a stylus's button."""
+
+
+class Decoder(ABC):
+    """Bytes to samples; each format says where a record begins, how long it is, and what it says."""
+
+    size: int
+    """Bytes of a record."""
+
+    def __init__(self) -> None:
+        """A decoder that has seen nothing."""
+        self.accepted = 0
+        self.refused = 0
+        """Times that what began like a record was none."""
+        self.kept = bytearray()
+
+    def feed(self, data: bytes) -> list[TrackerSample]:
+        """The samples that these bytes complete."""
+        found: list[TrackerSample] = []
+        for start in range(0, len(data), 256):
+            self.kept += data[start : start + 256]
+            found += self._drain()
+        return found
+
+    def _drain(self) -> list[TrackerSample]:
+        found = []
+        while True:
+            begin = next((k for k, byte in enumerate(self.kept) if self.begins(byte)), len(self.kept))
+            del self.kept[:begin]
+            if len(self.kept) < self.size:
+                return found
+            sample = self.read(bytes(self.kept[: self.size]))
+            self.refused += sample is None
+            self.accepted += sample is not None
+            # A false start costs one byte, or a record that began within it would be lost too.
+            del self.kept[: 1 if sample is None else self.size]
+            if sample is not None:
+                found.append(sample)
+
+    @abstractmethod
+    def begins(self, byte: int) -> bool:
+        """Whether a record may begin with a byte."""
+
+    @abstractmethod
+    def read(self, record: bytes) -> TrackerSample | None:
+        """What bytes of a record's length say; None where they are none."""
+
+
+class IsotrakBinary(Decoder):
+    """Isotrak II, binary: 20 bytes of which only the first has its high bit set; the others' come in every eighth."""
+
+    size = 20
+
+    def begins(self, byte: int) -> bool:
+        return byte >= 128
+
+    def read(self, record: bytes) -> TrackerSample | None:
+        if any(byte >= 128 for byte in record[1:]):
+            return None
+        plain = bytearray()
+        for group in (record[:8], record[8:16], record[16:]):
+            plain += bytes(byte & 127 | (group[-1] >> k & 1) << 7 for k, byte in enumerate(group[:-1]))
+        if plain[0] != ord("0"):
+            return None
+        numbers = np.array(struct.unpack("<7h", plain[3:])) / 32767
+        return _sample(plain[1], plain[2], LARGEST_ISOTRAK * numbers[:3], numbers[3:])
+
+
+class FastrakAscii(Decoder):
+    """Fastrak and Isotrak, ASCII: a header of three characters, seven fields of seven, and an end of line.
+
+    Fields are read by their columns, since numbers of seven characters leave no space between them.
+    """
+
+    size = 3 + 7 * 7 + 2
+
+    def __init__(self, unit: float = CENTIMETRE) -> None:
+        """A decoder.
+
+        Args:
+            unit: of positions [m]: centimetres after ``u``, inches after ``U``.
+        """
+        super().__init__()
+        self._unit = unit
+
+    def begins(self, byte: int) -> bool:
+        return byte == ord("0")
+
+    def read(self, record: bytes) -> TrackerSample | None:
+        if record[-2:] != b"\r\n":
+            return None
+        try:
+            numbers = np.array([float(record[k : k + 7]) for k in range(3, 52, 7)])
+        except ValueError:
+            return None
+        return _sample(record[1], record[2], self._unit * numbers[:3], numbers[3:])
+
+
+class FastrakBinary(Decoder):
+    """Fastrak, binary: a header of three characters, seven float32 little-endian, and what was asked to end it."""
+
+    def __init__(self, unit: float = CENTIMETRE, end: bytes = b" ") -> None:
+        """A decoder.
+
+        Args:
+            unit: of positions [m]: centimetres after ``u``, inches after ``U``.
+            end: of a record: a space for the output list ``2,11,0``, an end of line for ``2,11,1``.
+        """
+        super().__init__()
+        self._unit, self._end = unit, end
+        self.size = 3 + 28 + len(end)
+
+    def begins(self, byte: int) -> bool:
+        return byte == ord("0")
+
+    def read(self, record: bytes) -> TrackerSample | None:
+        if not record.endswith(self._end):
+            return None
+        numbers = np.array(struct.unpack_from("<7f", record, 3))
+        return _sample(record[1], record[2], self._unit * numbers[:3], numbers[3:])
+
+
+def _sample(station: int, flag: int, position: np.ndarray, quaternion: np.ndarray) -> TrackerSample | None:
+    """A sample, if it can be one: no format has a check sum, so what it says must make sense."""
+    if not (ord("1") <= station <= ord("4") and 32 <= flag < 127):
+        return None
+    # Not by hypot: a number that overflows when squared is refused all the same, and warns of nothing.
+    if not (np.all(np.isfinite(position)) and np.all(np.abs(position) <= FARTHEST)):
+        return None
+    if not (np.all(np.isfinite(quaternion)) and np.all(np.abs(quaternion) <= 2)):
+        return None
+    length = math.sqrt(float(quaternion @ quaternion))
+    if abs(length - 1) > OFF_UNIT:
+        return None
+    return TrackerSample(station - ord("0"), position, quaternion / length, chr(flag))
+
+
+class JumpFilter:
+    """Refuses samples that no hand can make, until enough of them agree that it is there after all."""
+
+    def __init__(self, *, speed: float = 5.0, turning: float = 50.0, enough: int = 5) -> None:
+        """A filter that has seen nothing.
+
+        Args:
+            speed: largest of a hand [m/s].
+            turning: largest of a hand [rad/s].
+            enough: how many refused samples in a row, each near the one before, make a new place.
+        """
+        self.refused = 0
+        self._speed, self._turning, self._enough = speed, turning, enough
+        self._last: tuple[float, TrackerSample] | None = None
+        self._others: list[tuple[float, TrackerSample]] = []
+
+    def passes(self, now: float, sample: TrackerSample) -> bool:
+        """Whether a sample is to be believed, that came at a time [s]."""
+        if self._last is None or self._is_near(self._last, now, sample):
+            self._accept(now, sample)
+            return True
+        if self._others and not self._is_near(self._others[-1], now, sample):
+            self._others.clear()
+        self._others.append((now, sample))
+        if len(self._others) >= self._enough:
+            self._accept(now, sample)
+            return True
+        self.refused += 1
+        return False
+
+    def _accept(self, now: float, sample: TrackerSample) -> None:
+        self._last = now, sample
+        self._others.clear()
+
+    def _is_near(self, last: tuple[float, TrackerSample], now: float, sample: TrackerSample) -> bool:
+        # A sample of its own time at least, however many come at once.
+        passed, before = max(now - last[0], 1e-3), last[1]
+        cosine = min(abs(float(sample.quaternion @ before.quaternion)), 1.0)
+        moved = float(np.linalg.norm(sample.position - before.position))
+        return moved <= self._speed * passed and 2 * math.acos(cosine) <= self._turning * passed

@@ -59,7 +59,7 @@ class Decoder(ABC):
         return found
 
     def _drain(self) -> list[TrackerSample]:
-        found = []
+        found: list[TrackerSample] = []
         while True:
             begin = next((k for k, byte in enumerate(self.kept) if self.begins(byte)), len(self.kept))
             del self.kept[:begin]

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from jaxgrasp.cli.glove_arguments import Glove
+
 MethodName = Literal["A", "B", "A-optimum", "B-optimum"]
 
 
@@ -197,6 +199,7 @@ class Sensitivity:
 Command = (
     Annotated[Contacts, tyro.conf.subcommand("contacts")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[Sensitivity, tyro.conf.subcommand("sensitivity")]

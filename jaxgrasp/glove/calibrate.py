@@ -1,6 +1,7 @@
 """Calibration: the straight lines of encoders and gauges by least squares, from pairs that were recorded."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors
+from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
 
 FEWEST = 3
 """Pairs of a channel: two make a line that nothing contradicts."""
@@ -143,6 +145,18 @@ def load_sensors(path: Path, channels: int) -> Sensors:
         if np.any(slopes == 0):
             raise ValueError(f"{path}: {name} has a zero at channel {np.argmin(np.abs(slopes))}: expected none")
     return Sensors(encoders, gauges)
+
+
+def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
+    """A glove and its sensors from the files ``model`` and ``calibration``; the paper's, uncalibrated, without them.
+
+    Raises:
+        ValueError: for a file that holds neither.
+        OSError: for a file that cannot be read.
+    """
+    model = load_glove(Path(options["model"])) if options.get("model") else lrp_hand_master()
+    path = options.get("calibration")
+    return model, load_sensors(Path(path), len(model.joints)) if path else nominal_sensors(model)
 
 
 def _read(content: Any, part: str, key: str, channels: int, path: Path) -> np.ndarray:

@@ -35,7 +35,9 @@ REPEAT = 0.05
 """Time between attempts to greet and to arm [s]."""
 ARMING = 0.5
 """How long a device may take to say that it is armed [s]."""
-NO_SESSIONS = 2**15
+SILENCE = 0.25
+"""How long a device may say nothing before it is greeted again [s]."""
+SESSIONS = 2**15
 
 
 class LinkState(IntEnum):
@@ -48,7 +50,7 @@ class LinkState(IntEnum):
     LINKED = 2
     """A device that answers."""
     ARMING = 3
-    """A person asked for torque, and the device has not yet said yes."""
+    """A person asked for torque: a new session begins, and the device has not yet said yes."""
     ARMED = 4
     """Torque may flow."""
 
@@ -129,8 +131,8 @@ class GloveHost:
         self._number = random.randrange(SEQUENCES)
         self._session = 0
         self._clock = PeerClock(self._pace.frame_time)
-        self._next = self._asked_at = -np.inf
-        self._has_asked = False
+        self._next = self._asked_at = self._heard_at = -np.inf
+        self._is_greeted = False
         self._flags = NO_FLAGS
         self._was_cut = False
 
@@ -144,7 +146,7 @@ class GloveHost:
             raise ValueError(f"the glove cannot be armed: {self.trouble}")
         if not now - self.reading.angles_at <= ARMING:
             raise ValueError("the glove cannot be armed: its encoders say nothing")
-        self.state, self._asked_at, self._next, self._has_asked = LinkState.ARMING, now, now, False
+        self.state, self._asked_at, self._next, self._is_greeted = LinkState.ARMING, now, now, False
         self.guard.disarm()
         self._watch.forget()
 
@@ -162,9 +164,7 @@ class GloveHost:
                     self._take(now, frame)
         except LineError as error:
             self._lose(now, str(error))
-        if self.state == LinkState.ARMING and now - self._asked_at > ARMING:
-            self.state = LinkState.LINKED
-            self.guard.trip("the device did not say that it is armed")
+        self._lose_patience(now)
         return self.reading
 
     def send(self, now: float, wanted: Any, measured_at: float) -> Output:
@@ -178,11 +178,9 @@ class GloveHost:
         output = self.guard.step(now, wanted, measured_at)
         if self.guard.state != GuardState.ARMED and self.state == LinkState.ARMED:
             self.state = LinkState.LINKED
-        if self.state == LinkState.ARMING and (self._has_asked or Flag.ENABLE not in self._flags):
-            if now >= self._next and self._send(now, Kind.ARM, (self._session,)):
-                self._next, self._has_asked = now + REPEAT, True
+        if self.state == LinkState.ARMING:
+            self._ask(now)
         elif self.state >= LinkState.LINKED:
-            # One that is still armed from before is disarmed first, or it would seem to have agreed already.
             self._command(now, output)
         return output
 
@@ -200,6 +198,31 @@ class GloveHost:
         self._line.close()
         self._line, self.state = None, LinkState.CLOSED
 
+    def _ask(self, now: float) -> None:
+        """For torque, in a new session: however many frames were lost before, the device counts anew."""
+        if now < self._next:
+            return
+        self._next = now + REPEAT
+        if self._is_greeted:
+            self._send(now, Kind.ARM, (self._session,))
+        else:
+            self._greet(now)
+
+    def _greet(self, now: float) -> None:
+        self._session = random.randrange(SESSIONS)
+        self._send(now, Kind.HELLO, (self._session,))
+
+    def _lose_patience(self, now: float) -> None:
+        """With a device that says nothing, or does not agree."""
+        if self.state >= LinkState.LINKED and now - self._heard_at > SILENCE:
+            trouble = "the device fell silent"
+        elif self.state == LinkState.ARMING and now - self._asked_at > ARMING:
+            trouble = "the device did not say that it is armed"
+        else:
+            return
+        self.guard.trip(trouble)
+        self.state, self.trouble, self._next = LinkState.GREETING, trouble, now
+
     def _command(self, now: float, output: Output) -> None:
         armed = self.state == LinkState.ARMED
         values = tuple(int(count) for count in output.counts)
@@ -216,8 +239,7 @@ class GloveHost:
             self._line = self._open()
             self.state, self.trouble = LinkState.GREETING, "the device does not answer"
         self._next = now + REPEAT
-        self._session = random.randrange(NO_SESSIONS)
-        self._send(now, Kind.HELLO, (self._session,))
+        self._greet(now)
 
     def _lose(self, now: float, trouble: str) -> None:
         self.guard.trip(trouble)
@@ -251,14 +273,14 @@ class GloveHost:
 
     def _take(self, now: float, frame: Frame) -> None:
         if frame.kind == Kind.CAPABILITY:
-            self._greeted(frame)
+            self._greeted(now, frame)
         elif self.state >= LinkState.LINKED and self.order.is_new(frame.sequence):
             self._hear(now, frame)
 
-    def _greeted(self, frame: Frame) -> None:
+    def _greeted(self, now: float, frame: Frame) -> None:
         """A device that answers, if it is the one that the model describes."""
         session, channels, watchdog, quantum = frame.values[:4]
-        if self.state != LinkState.GREETING or session != self._session:
+        if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
             return
         expected = round(self.model.quantum * 1e7)
         if quantum != expected:
@@ -268,14 +290,19 @@ class GloveHost:
         elif watchdog <= 0:
             self.trouble = "the device has no watchdog"
         else:
-            self.state, self.trouble = LinkState.LINKED, ""
-            self.counts.links += 1
+            if self.state == LinkState.GREETING:
+                self.state = LinkState.LINKED
+                self.counts.links += 1
+            # Whatever the device said before, it has no torque now; an answer to ARM can only come after this.
+            self.trouble, self._is_greeted, self._flags = "", True, NO_FLAGS
+            self._heard_at = self._next = now
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
             self._clock = PeerClock(self._pace.frame_time)
 
     def _hear(self, now: float, frame: Frame) -> None:
         sent_at = self._clock.sent_at(frame.clock, now)
+        self._heard_at = now
         self._flags = frame.flags
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
@@ -292,7 +319,7 @@ class GloveHost:
     def _follow(self, now: float) -> None:
         """The device's own state decides whether torque may flow."""
         enabled = Flag.ENABLE in self._flags
-        if self.state == LinkState.ARMING and enabled and self._has_asked:
+        if self.state == LinkState.ARMING and enabled and self._is_greeted:
             self.state = LinkState.ARMED
             self.guard.arm(now)
         elif self.state == LinkState.ARMED and not enabled:

@@ -14,16 +14,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.glove.calibrate import load_sensors
+from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.exchange import TorqueLaw
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.link import Link
-from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.peers import LinkPeer, NoPeer, Peer, SlotPeer
 from jaxgrasp.glove.rendering import OLDEST_LAW, Rendering
-from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.tension import TensionControl
 from jaxgrasp.glove.tick_times import TickTimes
 
@@ -50,9 +49,7 @@ def main() -> None:
 
 def build(options: dict[str, Any]) -> Rendering:
     """The loop that options describe."""
-    model = load_glove(Path(options["model"])) if options.get("model") else lrp_hand_master()
-    path = options.get("calibration")
-    sensors = load_sensors(Path(path), len(model.joints)) if path else nominal_sensors(model)
+    model, sensors = load_model(options)
     bounds = {name: options[name] for name in ("projection", "ramp") if name in options}
     guard = Guard(model, scale=options.get("scale", FIRST_SCALE), **bounds)
     port, baud = options["port"], options.get("baud", 115_200)

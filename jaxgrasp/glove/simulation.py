@@ -2,18 +2,16 @@
 
 import random
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxgrasp.glove.cable import Cable
-from jaxgrasp.glove.calibrate import load_sensors
 from jaxgrasp.glove.device import Cause
 from jaxgrasp.glove.faults import Spoiler
 from jaxgrasp.glove.frames import LINE_SIZE, TICKS, encode
-from jaxgrasp.glove.model import load_glove, lrp_hand_master
-from jaxgrasp.glove.sensors import nominal_sensors
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated_glove import SimulatedGlove
 from jaxgrasp.glove.slow_line import Terminal
 
@@ -24,11 +22,16 @@ FRAME_EVERY = 0.004
 class Simulation:
     """The loop's state: the glove, its line, its faults, and its record."""
 
-    def __init__(self, options: dict[str, Any], terminal: Terminal, now: float, say: Callable[[dict[str, Any]], None]):
-        model = load_glove(Path(options["model"])) if options.get("model") else lrp_hand_master()
+    def __init__(
+        self,
+        options: dict[str, Any],
+        terminal: Terminal,
+        now: float,
+        say: Callable[[dict[str, Any]], None],
+        model: GloveModel,
+        sensors: Sensors,
+    ):
         channels = len(model.joints)
-        path = options.get("calibration")
-        sensors = load_sensors(Path(path), channels) if path else nominal_sensors(model)
         cable = Cable(channels) if options.get("friction") else None
         self.glove = SimulatedGlove(model, sensors, cable=cable)
         self.spoiler: Spoiler | None = None

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.pseudo_terminal import PseudoTerminal
 from jaxgrasp.glove.simulation import Simulation
 
@@ -28,7 +29,7 @@ def main() -> None:
     """Run until the standard input ends."""
     options = json.loads(sys.argv[1])
     terminal = PseudoTerminal(Path(options["port"]), options.get("baud", 115_200))
-    simulation = Simulation(options, terminal, time.monotonic(), say)
+    simulation = Simulation(options, terminal, time.monotonic(), say, *load_model(options))
     terminal.plug()
     say({"port": options["port"], "at": time.monotonic()})
     orders, next_turn = b"", time.monotonic()

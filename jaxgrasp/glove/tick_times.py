@@ -1,5 +1,7 @@
 """How punctual a loop is: lateness as a histogram, overruns, the worst."""
 
+from typing import Any
+
 import numpy as np
 
 EDGES = np.array([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]) * 1e-3
@@ -32,7 +34,7 @@ class TickTimes:
         self.overruns += late + busy > self.period
         self.worst = max(self.worst, late)
 
-    def summary(self) -> dict[str, object]:
+    def summary(self) -> dict[str, Any]:
         """For a report; times in milliseconds."""
         return {
             "period": 1e3 * self.period,
@@ -43,3 +45,14 @@ class TickTimes:
             "late": self.late.tolist(),
             "busy": self.busy.tolist(),
         }
+
+    @staticmethod
+    def text(summary: dict[str, Any]) -> str:
+        """A summary as a person reads it."""
+        late = np.array(summary["late"])
+        edges = [f"<{edge:g}" for edge in summary["edges"]] + [f">{summary['edges'][-1]:g}"]
+        shares = [
+            f"{edge} ms {share:.1%}" for edge, share in zip(edges, late / max(late.sum(), 1), strict=True) if share
+        ]
+        overruns = summary["overruns"] / max(summary["turns"], 1)
+        return f"{summary['turns']} turns, {overruns:.1%} overruns, late by {', '.join(shares)}"

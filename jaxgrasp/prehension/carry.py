@@ -58,7 +58,9 @@ def stacked(record: list[Instant]) -> Instant:
     return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
 
 
-class _State(NamedTuple):
+class Carried(NamedTuple):
+    """Where an object is on its way."""
+
     placed: Pose
     motion: Motion
     """That brought it there."""
@@ -97,24 +99,54 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
         raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
     frames = pose_hand(scene.hand, postures)
     count = frames.axes.shape[0]
-    start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
-    still = Motion(jnp.zeros(3), jnp.zeros(3))
-    state = _State(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
+    carried = set_down(scene, placed)
     instants = []
     for k in range(count):
         posture, now = (jax.tree.map(lambda x, k=k: x[k], tree) for tree in (postures, frames))
         later = jax.tree.map(lambda x, k=k: x[min(k + 1, count - 1)], frames)
-        tick, led = _tick(scene, dt, state, posture, now, later, law=law)
-        hold = Hold(int(tick.assessment.hold))
-        missed = _missed(scene, tick, state.placed, hold)
-        instants.append(Instant(state.placed, tick, hold, bool(state.stands), missed))
-        state = _go_on(scene, dt, state, led, missed, tick.assessment.hold)
+        instant, carried = advance(scene, dt, carried, posture, now, later, law=law)
+        instants.append(instant)
     return instants
+
+
+def set_down(scene: Scene, placed: Pose) -> Carried:
+    """An object at rest, before anything happens to it."""
+    start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
+    still = Motion(jnp.zeros(3), jnp.zeros(3))
+    return Carried(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
+
+
+def advance(
+    scene: Scene, dt: float, carried: Carried, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
+) -> tuple[Instant, Carried]:
+    """An instant of ``carry``, and where the object is at the next; for hands whose future nobody knows.
+
+    Args:
+        scene: as for ``carry``; it is not checked again.
+        dt: time to the next instant [s].
+        carried: where the object is.
+        posture: of the hand now.
+        now: the hand's frames in that posture.
+        later: those of the next instant.
+        law: as for ``carry``.
+    """
+    tick, led = _tick(scene, dt, carried, posture, now, later, law=law)
+    hold = Hold(int(tick.assessment.hold))
+    missed = _missed(scene, tick, carried.placed, hold)
+    instant = Instant(carried.placed, tick, hold, bool(carried.stands), missed)
+    return instant, _go_on(scene, dt, carried, led, missed, tick.assessment.hold)
 
 
 @partial(jax.jit, static_argnames="law")
 def _tick(
-    scene: Scene, dt: float | AnyArray, state: _State, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
+    scene: Scene,
+    dt: float | AnyArray,
+    state: Carried,
+    posture: Posture,
+    now: HandFrames,
+    later: HandFrames,
+    *,
+    law: Law,
 ) -> tuple[Tick, Motion]:
     """An instant, and the motion that the object's contacts ask of it: its own, where nothing touches."""
     contacts, grasp = touched(scene, posture, state.placed)
@@ -149,7 +181,7 @@ def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
 
 
 @jax.jit
-def _go_on(scene: Scene, dt: float | AnyArray, state: _State, led: Motion, missed: Array, hold: Array) -> _State:
+def _go_on(scene: Scene, dt: float | AnyArray, state: Carried, led: Motion, missed: Array, hold: Array) -> Carried:
     """The object's next pose and motion: as it was led, less what was missed; or as it falls."""
     placed, lost = state.placed, hold == Hold.LOST
     lag = mobility(scene.body, placed, scene.guide) @ missed * dt
@@ -165,7 +197,7 @@ def _go_on(scene: Scene, dt: float | AnyArray, state: _State, led: Motion, misse
     there = moved(placed, motion, dt, scene.guide)
     held = None if scene.guide is None else placed
     there, motion, stands = rest_on(scene.table, scene.body.shape, there, motion, held)
-    return _State(there, motion, stands | blocked, placed)
+    return Carried(there, motion, stands | blocked, placed)
 
 
 def _either(condition: Array, one: Motion, other: Motion) -> Motion:

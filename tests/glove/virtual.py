@@ -24,7 +24,7 @@ class World:
         self.events: list[dict[str, Any]] = []
         self.now = 100.0
         options = {"clock": 2**32 - 3_000_000, **options}
-        self.simulation = Simulation(options, self.line.far, self.now, self.events.append)
+        self.simulation = Simulation(options, self.line.far, self.now, self.events.append, MODEL, SENSORS)
         self.host = GloveHost(MODEL, SENSORS, lambda: self.line, Guard(MODEL, ramp=0.2), baud=baud)
         self.stiffness = 0.25
         self.is_host_alive = True

@@ -1,0 +1,101 @@
+"""``jaxgrasp glove simulate``, ``monitor`` and ``ports``; none needs JAX."""
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive
+from jaxgrasp.cli.glove_arguments import GloveFiles, Monitor, Simulate
+from jaxgrasp.glove.calibrate import load_model
+from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.host import GloveHost, LinkState
+from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.simulator import Simulator
+
+SHOWN_EVERY = 0.1
+"""Between two lines of the monitor [s]."""
+TURN = 0.005
+HALF_PERIOD = 2.0
+"""Of a simulated person's to and fro [s]."""
+
+
+def files(arguments: GloveFiles) -> dict[str, Any]:
+    """The options that say which glove, checked."""
+    check_positive(arguments, "baud")
+    named = {"model": arguments.model, "calibration": arguments.calibration}
+    options = {name: str(path.resolve()) for name, path in named.items() if path is not None}
+    load_model(options)
+    return options | {"baud": arguments.baud}
+
+
+def simulate_command(arguments: Simulate) -> int:
+    """Run until the time is over, or a key is pressed that interrupts."""
+    check_finite(arguments, "bend")
+    check_not_negative(arguments, "spoil")
+    check_positive(arguments, "seconds")
+    options = files(arguments)
+    if arguments.port.exists() or arguments.port.is_symlink():
+        raise ValueError(f"port is {arguments.port}: expected a name that is not there yet")
+    end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
+    channels = len(load_model(options)[0].joints)
+    with Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options) as simulator:
+        print(f"a simulated glove waits at {arguments.port}", flush=True)
+        if arguments.spoil:
+            simulator.order(spoil=arguments.spoil, seed=0)
+        goes_there = True
+        while time.monotonic() < end:
+            if arguments.bend:
+                angle = math.radians(arguments.bend) if goes_there else 0.0
+                simulator.order(bend=[angle] * channels, lasts=HALF_PERIOD)
+                goes_there = not goes_there
+            time.sleep(max(0.0, min(HALF_PERIOD, end - time.monotonic())))
+    return 0
+
+
+def monitor_command(arguments: Monitor) -> int:
+    """Show angles, torques and ages, one line each."""
+    check_positive(arguments, "seconds")
+    options = files(arguments)
+    model, sensors = load_model(options)
+    host = GloveHost(
+        model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
+    )
+    begun = next_shown = time.monotonic()
+    end = math.inf if arguments.seconds is None else begun + arguments.seconds
+    try:
+        while (now := time.monotonic()) < end:
+            host.poll(now)
+            host.send(now, np.zeros(len(model.joints)), now)
+            if now >= next_shown:
+                next_shown = now + SHOWN_EVERY
+                print(shown(host, now - begun, now), flush=True)
+            time.sleep(TURN)
+    finally:
+        host.close(time.monotonic())
+    return 0
+
+
+def shown(host: GloveHost, elapsed: float, now: float) -> str:
+    """A line of what a glove says."""
+    if host.state < LinkState.LINKED:
+        return f"{elapsed:7.1f} s  {host.trouble}"
+    reading = host.reading
+    angles = " ".join(f"{angle:4.0f}" for angle in np.degrees(reading.angles))
+    torques = " ".join(f"{1e3 * torque:4.0f}" for torque in reading.torques)
+    age = 1e3 * (now - reading.angles_at)
+    end = "  a gauge is at its end" if reading.saturated.any() else ""
+    return f"{elapsed:7.1f} s  [\N{DEGREE SIGN}] {angles}   [mN\N{MIDDLE DOT}m] {torques}   {age:.0f} ms old{end}"
+
+
+def ports_command() -> int:
+    """A line for each port."""
+    from serial.tools.list_ports import comports
+
+    found = sorted(comports())
+    for port in found:
+        print(f"{port.device}  {port.description}")
+    if not found:
+        print("no serial port was found")
+    return 0

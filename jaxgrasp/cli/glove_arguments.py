@@ -1,0 +1,142 @@
+"""The commands of ``jaxgrasp glove`` and their arguments."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class GloveFiles:
+    """Which glove."""
+
+    model: Path | None = None
+    """A TOML file of the glove; the paper's LRP Hand Master where not given."""
+    calibration: Path | None = None
+    """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
+    baud: int = 115_200
+    """Of the line."""
+
+
+@dataclass(frozen=True)
+class Simulate(GloveFiles):
+    """Run a simulated glove behind a pseudo-terminal as slow as a serial line, until interrupted (Linux, macOS)."""
+
+    port: Path = Path("jaxgrasp-glove")
+    """Name that its port gets, a link to the pseudo-terminal."""
+    friction: bool = False
+    """Let the cables stick and slip."""
+    spoil: float = 0.0
+    """Share of what passes that gets a fault."""
+    bend: float = 0.0
+    """Flexion of all joints that its person goes to and fro from zero, once in four seconds [degrees]."""
+    seconds: float | None = None
+    """How long; until interrupted where not given."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.glove import simulate_command
+
+        return simulate_command(self)
+
+
+@dataclass(frozen=True)
+class Monitor(GloveFiles):
+    """Show what a glove's sensors say, ten times a second; it is never armed."""
+
+    port: str = "jaxgrasp-glove"
+    """Of the glove."""
+    seconds: float | None = None
+    """How long; until interrupted where not given."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.glove import monitor_command
+
+        return monitor_command(self)
+
+
+@dataclass(frozen=True)
+class Run(GloveFiles):
+    """Let a hand in a glove feel a cylinder that it grasps and lifts.
+
+    Without a port, all of it happens in virtual time, on a simulated glove whose cable is cut: glove.csv and glove.png
+    show it. With one, it happens now; orders are typed: `arm` (at 5 % of the torque), `full` (all of it), `disarm`,
+    `quit`.
+    """
+
+    port: str | None = None
+    """Of the glove."""
+    seconds: float | None = None
+    """How long it goes on with a port; until `quit` where not given."""
+    rate: float = 100.0
+    """Of contacts and forces [Hz]; the line is answered 200 times a second in between."""
+    control: bool = False
+    """Control torques by the measured tensions."""
+    projection: Literal["clip", "scale"] = "clip"
+    """Clip each torque at its limit, or scale all together and keep their direction."""
+    tracker: str | None = None
+    """Port of a Polhemus tracker that moves the wrist."""
+    tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary"] = "isotrak-binary"
+    """What it speaks."""
+    tracker_baud: int = 115_200
+    """Of its line."""
+    listen: str | None = None
+    """Be the glove's host for an engine elsewhere: HOST:PORT to be called at (UDP)."""
+    connect: str | None = None
+    """Be the engine for a glove elsewhere: its host's HOST:PORT."""
+    key: str = ""
+    """Shared by both of them, in hexadecimal; without one, anyone on the network can speak."""
+    out: Path = Path("jaxgrasp-glove-run")
+    """Folder for what happened, without a port."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.glove_run import run_command
+
+        return run_command(self)
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Fit encoders and strain gauges to recorded pairs by least squares; write the calibration, and a plot of it."""
+
+    pairs: tyro.conf.Positional[Path]
+    """CSV with the columns sensor (encoder or gauge), channel (its joint), counts, and value [rad or N]."""
+    model: Path | None = None
+    """A TOML file of the glove; the paper's LRP Hand Master where not given."""
+    out: Path = Path("calibration.json")
+    """The calibration."""
+    plot: bool = True
+    """Draw it beside, as PNG (needs the extra `report`)."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.glove_calibrate import calibrate_command
+
+        return calibrate_command(self)
+
+
+@dataclass(frozen=True)
+class Ports:
+    """List the serial ports of this machine."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.glove import ports_command
+
+        return ports_command()
+
+
+@dataclass(frozen=True)
+class Glove:
+    """Drive a force-feedback glove, or a simulated one."""
+
+    command: tyro.conf.OmitSubcommandPrefixes[
+        tyro.conf.OmitArgPrefixes[
+            Annotated[Simulate, tyro.conf.subcommand("simulate")]
+            | Annotated[Monitor, tyro.conf.subcommand("monitor")]
+            | Annotated[Run, tyro.conf.subcommand("run")]
+            | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+            | Annotated[Ports, tyro.conf.subcommand("ports")]
+        ]
+    ]
+
+    def run(self) -> int:
+        return self.command.run()

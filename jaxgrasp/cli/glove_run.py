@@ -1,0 +1,240 @@
+"""``jaxgrasp glove run``: the virtual hand in a glove, in virtual time or now, on one computer or on two."""
+
+import csv
+import io
+import sys
+import threading
+import time
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.cli.checks import check_positive
+from jaxgrasp.cli.glove import files
+from jaxgrasp.cli.glove_arguments import Run
+from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.glove.calibrate import load_model
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.glove_process import GloveProcess
+from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.tick_times import TickTimes
+from jaxgrasp.glove.tracker import Tracker
+from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
+from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
+from jaxgrasp.model.hand import Pose
+
+FULL = 1.0
+FIRST = 0.05
+OLDEST_POSE = 0.1
+"""Age beyond which a tracker's pose is not acted on [s]."""
+
+
+def run_command(arguments: Run) -> int:
+    """Play the story, or render what a glove touches now."""
+    check_positive(arguments, "seconds", "rate", "tracker_baud")
+    options = files(arguments)
+    model, _ = load_model(options)
+    if arguments.listen and arguments.port is None:
+        raise ValueError("listen needs the port of the glove")
+    if arguments.connect and arguments.port is not None:
+        raise ValueError("port and connect were both given: the glove is here, or elsewhere")
+    if arguments.port is None and arguments.connect is None:
+        set_up_jax("float64")
+        return _play(arguments, model)
+    if arguments.listen:
+        return _serve(arguments, model, options)
+    set_up_jax("float64")
+    return _render(arguments, model, options)
+
+
+def _play(arguments: Run, model: GloveModel) -> int:
+    story = grasp_and_lift(model)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    table = arguments.out / "glove.csv"
+    replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
+    print(_said(story))
+    print(f"written: {table}")
+    from jaxgrasp.report.glove_picture import write_glove_picture
+
+    picture = arguments.out / "glove.png"
+    curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
+    write_glove_picture(picture, model.joints, *curves)
+    print(f"written: {picture}")
+    return 0
+
+
+def _rows(story: Story, model: GloveModel) -> str:
+    """A row each five milliseconds: torques at the glove, angles, and the object's height."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    torques, angles = ([f"{name} {joint}" for joint in model.joints] for name in ("torque [N.m]", "angle [rad]"))
+    writer.writerow(["time [s]", *torques, *angles, "height [m]"])
+    heights = np.interp(story.times, story.ticks, story.heights)
+    for k in range(0, len(story.times), 5):
+        numbers = (*story.torques[k], *story.angles[k], heights[k])
+        writer.writerow([f"{story.times[k]:.3f}", *(f"{number:.6g}" for number in numbers)])
+    return text.getvalue()
+
+
+def _said(story: Story) -> str:
+    cut, again = story.marks["cable cut"], story.marks["armed again"]
+    before, after = story.times < cut, (story.times >= cut) & (story.times < again)
+    held = story.times[after & np.any(story.torques > 0, axis=1)]
+    gone = 1e3 * (held[-1] - cut) if len(held) else 0.0
+    return (
+        f"most torque {story.torques[before].max():.3f} N.m, lifted {100 * story.heights.max():.1f} cm; after the cut "
+        f"no torque from {gone:.0f} ms on; armed again, {story.torques[-1].max():.3f} N.m"
+    )
+
+
+def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
+    """Own the glove's line for an engine that calls."""
+    host, port = _address("listen", arguments.listen or "")
+    extra = {"listen": (host, port), "key": arguments.key, "scale": FIRST, "projection": arguments.projection}
+    with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
+        print(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit", flush=True)
+        orders = Orders(glove)
+        end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
+        while not orders.is_over and (end is None or time.monotonic() < end) and glove.child.process.poll() is None:
+            time.sleep(0.05)
+    return 0
+
+
+def _render(arguments: Run, model: GloveModel, options: dict) -> int:
+    """Compute contacts and forces, for a glove here or elsewhere."""
+    scene, closed, placed = cylinder_scene()
+    haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
+    print("compiling", flush=True)
+    warm_up(haptics, pose_at(jnp.zeros(3)))
+    tracker = _tracker(arguments)
+    wrist = Wrist(tracker)
+    end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
+    try:
+        if arguments.connect is not None:
+            times = _as_engine(arguments, haptics, wrist, end)
+        else:
+            extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
+            with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
+                print("ready; orders: arm, full, disarm, quit", flush=True)
+                orders = Orders(glove)
+                goes_on = lambda now: not orders.is_over and (end is None or now < end)  # noqa: E731
+                times = run_loop(haptics, glove.state, glove.write, wrist, arguments.rate, goes_on)
+            line = TickTimes.text(glove.summary) if glove.summary else "lost"
+            print(f"the line: {line}")
+    finally:
+        if tracker is not None:
+            tracker.close()
+    print(f"the engine: {TickTimes.text(times.summary())}")
+    return 0
+
+
+def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None) -> TickTimes:
+    host, port = _address("connect", arguments.connect or "")
+    channels = len(haptics.model.joints)
+    link = Link(host, port, GloveState.size(channels), key=_key(arguments.key))
+    print(f"calls {host}:{port}; the glove is armed there", flush=True)
+
+    def state() -> GloveState | None:
+        message = link.receive(time.monotonic())
+        return None if message is None else GloveState.of(message.values, channels)
+
+    def write(law: TorqueLaw) -> None:
+        link.send(time.monotonic(), law.vector())
+
+    def goes_on(now: float) -> bool:
+        if link.exchange.latest is None:
+            # Someone must speak first.
+            link.send(now, np.zeros(TorqueLaw.size(channels)))
+        return end is None or now < end
+
+    try:
+        return run_loop(haptics, state, write, wrist, arguments.rate, goes_on)
+    finally:
+        link.close()
+
+
+class Orders:
+    """What a person types, told to the glove as it comes: nothing waits for it."""
+
+    def __init__(self, glove: GloveProcess) -> None:
+        self.is_over = False
+        self._glove, self._scale = glove, 0.0
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            order = line.strip().lower()
+            if order == "quit":
+                break
+            if order:
+                print(self._obey(order), flush=True)
+        self.is_over = True
+
+    def _obey(self, order: str) -> str:
+        try:
+            if order == "disarm":
+                self._glove.disarm()
+                return "no torque"
+            if order in ("arm", "full"):
+                return self._arm(FIRST if order == "arm" else FULL)
+        except (ValueError, OSError) as error:
+            return str(error)
+        return f"{order!r} is no order: expected arm, full, disarm or quit"
+
+    def _arm(self, scale: float) -> str:
+        if scale == FULL and self._scale == 0.0:
+            return "the first time power is on, it is a twentieth: arm, feel it, and then say full"
+        self._glove.disarm()
+        self._glove.rescale(scale)
+        self._glove.arm()
+        self._scale = scale
+        return f"armed, {scale:.0%} of the torque"
+
+
+class Wrist:
+    """Where the wrist is: at the origin, or moved from there as a tracker moves from its first sample."""
+
+    def __init__(self, tracker: Tracker | None) -> None:
+        self._tracker = tracker
+        self._first: np.ndarray | None = None
+
+    def __call__(self, now: float) -> Pose | None:
+        """The pose at a time [s]; None while the tracker says nothing."""
+        if self._tracker is None:
+            return pose_at(jnp.zeros(3))
+        sample = self._tracker.poll(now)
+        if sample is None or now - self._tracker.sampled_at > OLDEST_POSE:
+            return None
+        if self._first is None:
+            self._first = sample.position
+        return pose_at(sample.position - self._first, _rotation(sample.quaternion))
+
+
+def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    """The matrix of a unit quaternion, real part first."""
+    w, v = quaternion[0], quaternion[1:]
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def _tracker(arguments: Run) -> Tracker | None:
+    if arguments.tracker is None:
+        return None
+    return Tracker(SerialLine(arguments.tracker, arguments.tracker_baud), arguments.tracker_protocol)
+
+
+def _address(name: str, text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
+        raise ValueError(f"{name} is {text!r}: expected HOST:PORT")
+    return host, int(port)
+
+
+def _key(text: str) -> bytes:
+    try:
+        return bytes.fromhex(text)
+    except ValueError:
+        raise ValueError("key is no hexadecimal number") from None

@@ -1,0 +1,79 @@
+"""A glove, its line and its host in virtual time: no clock, no process, the same every time."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.host import GloveHost
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.peers import Peer
+from jaxgrasp.glove.rendering import Rendering
+from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.glove.simulation import Simulation
+from jaxgrasp.glove.slow_line import MemoryLine
+
+MILLISECOND = 0.001
+TURN = 0.005
+"""Between two turns of the I/O side [s]."""
+
+
+class HeldPeer(Peer):
+    """A computing side in the same program: what it last said, what it was last told."""
+
+    def __init__(self) -> None:
+        """One that has said nothing."""
+        self.said: TorqueLaw | None = None
+        self.state: GloveState | None = None
+
+    def law(self, now: float) -> TorqueLaw | None:
+        return self.said
+
+    def publish(self, now: float, state: GloveState) -> None:
+        self.state = state
+
+    def close(self) -> None:
+        self.said = None
+
+
+class VirtualGlove:
+    """The whole glove's side in virtual time, with a record of every millisecond at the device."""
+
+    def __init__(
+        self, model: GloveModel, sensors: Sensors, *, scale: float = 1.0, baud: int = 115_200, friction: bool = False
+    ) -> None:
+        """A glove that has just been switched on, at time 0.
+
+        Args:
+            model: the glove.
+            sensors: its calibration, exact.
+            scale: of all torques.
+            baud: of its line.
+            friction: of the cables.
+        """
+        self.now = 0.0
+        self.line = MemoryLine(baud)
+        self.events: list[dict[str, Any]] = []
+        self.simulation = Simulation({"friction": friction}, self.line.far, 0.0, self.events.append, model, sensors)
+        self.peer = HeldPeer()
+        host = GloveHost(model, sensors, lambda: self.line, Guard(model, scale=scale), baud=baud)
+        self.rendering = Rendering(host, self.peer)
+        self.record: list[tuple[float, np.ndarray, np.ndarray]] = []
+        """Time [s], counts of torque at the device, angles [rad]."""
+        self._next_turn = 0.0
+
+    def order(self, **what: Any) -> None:
+        """Something happens to it: see ``Simulation.obey``."""
+        self.simulation.obey(what, self.now)
+
+    def run(self, until: float) -> None:
+        """Let time go on."""
+        while self.now < until - MILLISECOND / 2:
+            self.now += MILLISECOND
+            self.simulation.turn(self.now)
+            glove = self.simulation.glove
+            self.record.append((self.now, np.array(glove.device.counts), glove.angles.copy()))
+            if self.now >= self._next_turn:
+                self._next_turn += TURN
+                self.rendering.turn(self.now)

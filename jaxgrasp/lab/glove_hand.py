@@ -1,0 +1,79 @@
+"""A virtual hand that a glove moves: its flexions come from the glove, the rest stays as it is."""
+
+import difflib
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.contact.kinematics import pose_hand
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.prehension.scene import Scene
+from jaxgrasp.prehension.tick import observe
+
+
+class GloveHand(eqx.Module):
+    """Which joints of a hand are the glove's channels, and where the others are."""
+
+    places: tuple[int, ...] = eqx.field(static=True)
+    """Of the channels' joints among the hand's."""
+    others: Float[AnyArray, "J"]
+    """Angles of all joints [rad], of which the glove's are replaced."""
+
+    def posture(self, flexions: Float[AnyArray, "channels"], wrist: Pose) -> Posture:
+        """The hand as the glove reads it."""
+        return Posture(wrist, jnp.asarray(self.others).at[np.array(self.places)].set(flexions))
+
+
+def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> GloveHand:
+    """A hand in a glove.
+
+    Args:
+        hand: with the glove's joints among its own.
+        model: of the glove.
+        others: angles of all its joints [rad]; those that the glove does not read stay there.
+
+    Raises:
+        ValueError: for a hand without one of the glove's joints, or angles that are not one for each joint.
+    """
+    if np.shape(others) != (len(hand.joints),):
+        raise ValueError(f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle a joint")
+    for joint in model.joints:
+        if joint not in hand.joints:
+            like = difflib.get_close_matches(joint, hand.joints, 1, 0.5)
+            meant = f": did you mean {like[0]!r}?" if like else ""
+            raise ValueError(f"the hand has no joint {joint!r}, which {model.name} pulls on{meant}")
+    return GloveHand(tuple(hand.joints.index(joint) for joint in model.joints), others)
+
+
+@jax.jit
+def frames_of(hand: Hand, posture: Posture) -> HandFrames:
+    """The hand's frames, compiled once for all ticks."""
+    return pose_hand(hand, posture)
+
+
+@jax.jit
+def resistance(
+    scene: Scene, worn: GloveHand, flexions: Float[AnyArray, "channels"], wrist: Pose, placed: Pose
+) -> Float[Array, "channels"]:
+    """Torques by which the glove is to resist flexion [N.m]: what the contact forces ask of the joints, less."""
+    torques = observe(scene, worn.posture(flexions, wrist), placed).torques
+    return -torques[np.array(worn.places)]
+
+
+@jax.jit
+def resistance_and_slope(
+    scene: Scene, worn: GloveHand, flexions: Float[AnyArray, "channels"], wrist: Pose, placed: Pose
+) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
+    """The same, and its exact derivative by the flexions [N.m/rad], for whoever answers between two ticks."""
+
+    def both(angles: Array) -> tuple[Array, Array]:
+        torques = resistance(scene, worn, angles, wrist, placed)
+        return torques, torques
+
+    slope, torques = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
+    return torques, slope

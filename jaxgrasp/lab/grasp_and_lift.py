@@ -1,0 +1,108 @@
+"""The whole system in virtual time: a hand closes on a cylinder and lifts it, its cable is cut, it is armed again."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.contact.grip_type import contributions_of, grip_type
+from jaxgrasp.contact.human_hand import human_hand, open_angles
+from jaxgrasp.contact.shapes import Cylinder
+from jaxgrasp.glove.model import GloveModel, lrp_hand_master
+from jaxgrasp.glove.sensors import nominal_sensors
+from jaxgrasp.glove.virtual_glove import VirtualGlove
+from jaxgrasp.lab.haptic_loop import Haptics, pose_at
+from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.hand import Pose, Posture
+from jaxgrasp.model.task import GRAVITY
+from jaxgrasp.prehension.motion import Body
+from jaxgrasp.prehension.power_grip import power_grip
+from jaxgrasp.prehension.scene import Scene
+
+COMPUTE = 0.01
+"""Between two ticks of the computing side [s]."""
+CLOSE, LIFT, CUT, REARM, END = 0.6, 2.2, 4.0, 5.0, 7.2
+"""When the hand begins to close, when it begins to lift, when the line is cut, when it is armed again, the end [s]."""
+CLOSING, LIFTING, SILENCE = 1.2, 1.2, 0.4
+"""How long closing, lifting and the cut last [s]."""
+HEIGHT = 0.1
+"""How far the wrist is lifted [m]."""
+PRESS = 0.06
+"""How much farther than the grip the person bends the joints, who gives way to the glove [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Story:
+    """What happened, each millisecond at the glove and each hundredth of a second at the object."""
+
+    times: Float[np.ndarray, "T"]
+    """[s]"""
+    torques: Float[np.ndarray, "T channels"]
+    """At the glove [N.m]."""
+    angles: Float[np.ndarray, "T channels"]
+    """Of the joints [rad]."""
+    ticks: Float[np.ndarray, "K"]
+    """Times of the computing side [s]."""
+    wanted: Float[np.ndarray, "K channels"]
+    """What it computed [N.m]."""
+    heights: Float[np.ndarray, "K"]
+    """Of the object above where it stood [m]."""
+    marks: dict[str, float]
+    """What happened when [s]."""
+
+
+def cylinder_scene() -> tuple[Scene, Posture, Pose]:
+    """A hand that holds a cylinder of 3 cm radius and 0.15 kg, which stands on a table: all numbers are ours."""
+    hand = human_hand()
+    shape = Cylinder(0.03, 0.12)
+    closed, placed, contacts = power_grip(hand, shape, 1e-3)
+    origin = jnp.asarray(placed.origin)
+    scene = Scene(
+        hand=hand,
+        body=Body(shape, 0.15),
+        table=pose_at(origin - jnp.array([0.0, 0.0, 0.03])),
+        friction=0.6,
+        stiffness=400.0,
+        contributions=contributions_of(hand, grip_type(hand, closed, contacts)),
+        gravity=jnp.array(GRAVITY),
+    )
+    return scene, closed, Pose(origin, jnp.asarray(placed.rotation))
+
+
+def grasp_and_lift(model: GloveModel | None = None) -> Story:
+    """Play it: close, lift, cut, arm again; the first call compiles, some 40 s."""
+    model = lrp_hand_master() if model is None else model
+    scene, closed, placed = cylinder_scene()
+    haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
+    glove = VirtualGlove(model, nominal_sensors(model))
+    places = [scene.hand.joints.index(joint) for joint in model.joints]
+    glove.order(bend=np.asarray(open_angles(scene.hand))[places].tolist(), lasts=0.0)
+    script = [
+        (CLOSE, lambda: glove.order(bend=(np.asarray(closed.angles)[places] + PRESS).tolist(), lasts=CLOSING)),
+        (CLOSE, lambda: glove.rendering.arm(glove.now)),
+        (CUT, lambda: glove.order(cut=SILENCE)),
+        (REARM, lambda: glove.rendering.arm(glove.now)),
+    ]
+    ticks: list[float] = []
+    wanted, heights = [], []
+    while glove.now < END:
+        glove.run(glove.now + COMPUTE)
+        state = glove.peer.state
+        if state is not None and np.all(np.isfinite(state.angles)):
+            rise = HEIGHT * _smooth((glove.now - LIFT) / LIFTING)
+            law = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
+            glove.peer.said = law
+            ticks.append(glove.now)
+            wanted.append(law.torques)
+            heights.append(float(haptics.placed.origin[2] - placed.origin[2]))
+        while script and glove.now >= script[0][0]:
+            script.pop(0)[1]()
+    times, counts, angles = (np.array(part) for part in zip(*glove.record, strict=True))
+    torques = counts[:, : len(model.joints)] * model.quantum
+    marks = {"closes": CLOSE, "lifts": LIFT, "cable cut": CUT, "armed again": REARM}
+    return Story(times, torques, angles, np.array(ticks), np.array(wanted), np.array(heights), marks)
+
+
+def _smooth(share: float) -> float:
+    share = min(max(share, 0.0), 1.0)
+    return share**3 * (10 - 15 * share + 6 * share**2)

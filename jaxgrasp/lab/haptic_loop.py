@@ -1,0 +1,115 @@
+"""The computing side of the haptic loop: angles to contacts, forces and torques, and where the object goes."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.tick_times import TickTimes
+from jaxgrasp.lab.glove_hand import frames_of, glove_hand, resistance_and_slope
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.prehension.carry import Instant, advance, set_down
+from jaxgrasp.prehension.monitor import Law
+from jaxgrasp.prehension.scene import Scene, check_scene
+
+LONGEST = 0.05
+"""Time that a tick counts as at most [s], so that a pause does not throw the object."""
+
+
+@dataclass
+class Haptics:
+    """A hand in a glove and an object, driven by ``tick``; a tick compiles at its first call, some 40 s."""
+
+    scene: Scene
+    model: GloveModel
+    others: Float[AnyArray, "J"]
+    """Angles of all joints [rad]; those that the glove does not read stay there."""
+    placed: Pose
+    """Where the object stands at first."""
+    law: Law = "closed-form"
+    instant: Instant | None = field(default=None, init=False)
+    """Of the last tick but one: contacts, forces, hold."""
+
+    def __post_init__(self) -> None:
+        check_scene(self.scene)
+        self._worn = glove_hand(self.scene.hand, self.model, self.others)
+        self._carried = set_down(self.scene, self.placed)
+        self._before: tuple[float, Posture, HandFrames] | None = None
+
+    def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
+        """What the glove is to do, from what it reads.
+
+        Args:
+            now: time [s].
+            angles: of the glove's joints [rad].
+            wrist: of the hand, in the world.
+
+        Returns:
+            A law that is valid if all its numbers are finite.
+        """
+        posture = self._worn.posture(angles, wrist)
+        frames = frames_of(self.scene.hand, posture)
+        if self._before is not None and now > self._before[0]:
+            passed = min(now - self._before[0], LONGEST)
+            self.instant, self._carried = advance(
+                self.scene, passed, self._carried, self._before[1], self._before[2], frames, law=self.law
+            )
+            self.placed = self._carried.placed
+        self._before = now, posture, frames
+        found = resistance_and_slope(self.scene, self._worn, angles, wrist, self.placed)
+        torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
+        valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
+        return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
+
+
+def warm_up(haptics: Haptics, wrist: Pose) -> None:
+    """Compile what ticks need, before anything is armed; the object stays where it is."""
+    spare = Haptics(haptics.scene, haptics.model, haptics.others, haptics.placed, haptics.law)
+    angles = np.asarray(haptics.others, float)[list(spare._worn.places)]
+    for k in range(2):
+        spare.tick(0.01 * k, angles, wrist)
+
+
+def run_loop(
+    haptics: Haptics,
+    state: Callable[[], GloveState | None],
+    write: Callable[[TorqueLaw], None],
+    wrist: Callable[[float], Pose | None],
+    rate: float,
+    goes_on: Callable[[float], bool],
+) -> TickTimes:
+    """Tick at a steady rate for as long as it goes on; how punctual it was.
+
+    Args:
+        haptics: warmed up.
+        state: what the glove does.
+        write: takes the law to follow.
+        wrist: the hand's pose at a time [s]; None while nobody knows it, so that no law is written.
+        rate: of the ticks [Hz].
+        goes_on: called after each tick with the time; False ends it.
+    """
+    times = TickTimes(1.0 / rate)
+    due = time.monotonic()
+    while True:
+        begun = time.monotonic()
+        read = state()
+        pose = wrist(begun)
+        if read is not None and pose is not None and np.all(np.isfinite(read.angles)):
+            write(haptics.tick(begun, read.angles, pose))
+        over = time.monotonic()
+        times.add(begun - due, over - begun)
+        if not goes_on(over):
+            return times
+        due = max(due + times.period, over)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def pose_at(origin: Float[AnyArray, "3"], rotation: Float[AnyArray, "3 3"] | None = None) -> Pose:
+    """A pose of arrays, which compiles like all others."""
+    return Pose(jnp.asarray(origin, float), jnp.eye(3) if rotation is None else jnp.asarray(rotation))

@@ -1,0 +1,109 @@
+"""A picture of a glove over time: torques, a finger's angle, the object's height, and what happened when."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.report.look import GRID, INK, MUTED
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+MISSING = "the figure needs matplotlib: pip install 'jaxgrasp[report]'"
+DPI = 130
+FINGERS = {"thumb": "#0072B2", "index": "#D55E00", "middle": "#009E73", "ring": "#CC79A7", "little": "#B08A00"}
+"""Okabe and Ito's colours, which the colour-blind tell apart; the yellow is darker, to be read on white."""
+
+
+def write_glove_picture(
+    path: Path,
+    joints: tuple[str, ...],
+    times: np.ndarray,
+    torques: np.ndarray,
+    angles: np.ndarray,
+    object_times: np.ndarray,
+    heights: np.ndarray,
+    marks: dict[str, float],
+) -> None:
+    """Write the picture, whole or not at all.
+
+    Args:
+        path: of the PNG file.
+        joints: of the channels.
+        times: of torques and angles [s].
+        torques: at the glove ``(T, channels)`` [N.m].
+        angles: of the joints ``(T, channels)`` [rad].
+        object_times: of the heights [s].
+        heights: of the object [m].
+        marks: what happened, and when [s].
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise ImportError(MISSING) from None
+    figure = Figure(figsize=(10, 7.2))
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2))
+    figure.subplots_adjust(left=0.085, right=0.86, top=0.9, bottom=0.075, hspace=0.14)
+    _draw_fingers(top, joints, times, torques)
+    top.set_ylabel("torque at the glove, sum of\neach finger's joints [N\N{MIDDLE DOT}m]")
+    _draw_fingers(middle, joints, times, np.degrees(angles))
+    middle.set_ylabel("flexion, sum of each\nfinger's joints [\N{DEGREE SIGN}]")
+    bottom.plot(object_times, 100 * heights, color=INK, lw=1.8)
+    bottom.set_ylabel("object's height [cm]")
+    bottom.set_xlabel("time [s]")
+    for axes in (top, middle, bottom):
+        _dress(axes, times, marks)
+    for name, at in marks.items():
+        top.annotate(
+            name,
+            (at, 1),
+            xycoords=("data", "axes fraction"),
+            xytext=(0, 4),
+            textcoords="offset points",
+            ha="left",
+            fontsize=9,
+            color=INK,
+        )
+    figure.text(0.012, 0.955, "A hand in a glove: it grasps, lifts, loses its cable, and is armed again", fontsize=12)
+    replace_file(path, partial(figure.savefig, format="png", dpi=DPI))
+
+
+def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, values: np.ndarray) -> None:
+    """A line for each finger, named at its end, names apart from each other."""
+    ends = {}
+    for finger, colour in FINGERS.items():
+        places = [k for k, joint in enumerate(joints) if joint.startswith(finger)]
+        if places:
+            curve = values[:, places].sum(1)
+            axes.plot(times, curve, color=colour, lw=1.6)
+            ends[finger] = curve[-1]
+    low, high = axes.get_ylim()
+    gap, before = 0.085 * (high - low), -np.inf
+    for finger, end in sorted(ends.items(), key=lambda item: item[1]):
+        before = max(end, before + gap)
+        axes.annotate(
+            finger,
+            (times[-1], before),
+            xytext=(6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+            color=FINGERS[finger],
+        )
+
+
+def _dress(axes: "Axes", times: np.ndarray, marks: dict[str, float]) -> None:
+    axes.set_xlim(times[0], times[-1])
+    axes.grid(color=GRID, lw=0.6)
+    axes.tick_params(colors=MUTED, labelcolor=INK)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for at in marks.values():
+        axes.axvline(at, color=MUTED, lw=0.8, ls=(0, (4, 3)))

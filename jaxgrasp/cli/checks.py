@@ -26,7 +26,7 @@ def check_not_negative(arguments: object, *names: str) -> None:
             raise ValueError(f"{name} is {value}: expected a finite number, 0 or more")
 
 
-def _given(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float]]:
+def _given(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float | int]]:
     return [(name, value) for name in names if (value := getattr(arguments, name)) is not None]
 
 

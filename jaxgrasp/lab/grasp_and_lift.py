@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.contact.grip_type import contributions_of, grip_type
+from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Cylinder
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
@@ -51,19 +51,23 @@ class Story:
     """What happened when [s]."""
 
 
-def cylinder_scene() -> tuple[Scene, Posture, Pose]:
-    """A hand that holds a cylinder of 3 cm radius and 0.15 kg, which stands on a table: all numbers are ours."""
+def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
+    """A hand that holds a cylinder of 0.15 kg, which stands on a table: all numbers are ours.
+
+    Args:
+        radius: of the cylinder [m].
+    """
     hand = human_hand()
-    shape = Cylinder(0.03, 0.12)
+    shape = Cylinder(radius, 0.12)
     closed, placed, contacts = power_grip(hand, shape, 1e-3)
     origin = jnp.asarray(placed.origin)
     scene = Scene(
         hand=hand,
         body=Body(shape, 0.15),
-        table=pose_at(origin - jnp.array([0.0, 0.0, 0.03])),
+        table=pose_at(origin - jnp.array([0.0, 0.0, radius])),
         friction=0.6,
         stiffness=400.0,
-        contributions=contributions_of(hand, grip_type(hand, closed, contacts)),
+        contributions=contributions_of(hand, GripType(int(grip_type(hand, closed, contacts)))),
         gravity=jnp.array(GRAVITY),
     )
     return scene, closed, Pose(origin, jnp.asarray(placed.rotation))

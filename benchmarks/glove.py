@@ -1,0 +1,370 @@
+"""The glove's promises, put to the test: bad lines, hosts that die, long runs, and what a tick takes.
+
+    python -m benchmarks.glove --out benchmarks/results
+
+Writes glove.json and glove.md; each section can be made again alone (``--sections``). Torques are those that the
+simulated device holds, by its own clock, behind a pseudo-terminal that is as slow as the line it stands for. The long
+run takes half an hour and wants a quiet machine; the rest takes some minutes.
+"""
+
+import argparse
+import ctypes
+import json
+import os
+import random
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.machine import machine
+from benchmarks.page import glove_tables
+from jaxgrasp.glove.child import Child
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.faults import Spoiler
+from jaxgrasp.glove.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
+from jaxgrasp.glove.glove_process import GloveProcess
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.lucidgloves import read_line
+from jaxgrasp.glove.messages import Exchange
+from jaxgrasp.glove.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
+from jaxgrasp.glove.simulator import Simulator, read_record
+
+NAME = "glove"
+SPRING = 0.25
+AFTER = 0.3
+"""How long a fault is watched [s]."""
+
+
+class Plan(NamedTuple):
+    frames: int = 1_000_000
+    spoilt: float = 0.2
+    random_bytes: int = 1_000_000
+    trials: int = 20
+    minutes: float = 30.0
+    ticks: int = 2000
+
+
+QUICK = Plan(frames=20_000, random_bytes=20_000, trials=1, minutes=0.2, ticks=20)
+
+
+def frames(plan: Plan) -> dict:
+    """Frames over a bad line: none wrong accepted, none lost beside the faults, and the numbers add up."""
+    rng, spoiler = random.Random(1), Spoiler(plan.spoilt, 2)
+    reader, order = FrameReader(), Sequence(2**16 - 1)
+    sent: dict[int, Frame] = {}
+    wrong, accepted, last = 0, 0, -1
+    line = bytearray()
+    begun = time.perf_counter()
+    for k in range(plan.frames):
+        values = tuple(rng.randrange(-(2**15), 2**15) for _ in range(CHANNELS))
+        frame = Frame(Kind.COMMAND, k % 2**16, 5000 * k % 2**32, values, Flag.ENABLE)
+        sent[frame.sequence] = frame
+        line += spoiler.spoil(encode(frame))
+        if len(line) > 4096 or k == plan.frames - 1:
+            for found in reader.feed(bytes(line)):
+                if order.is_new(found.sequence):
+                    accepted += 1
+                    wrong += sent.get(found.sequence) != found
+                    last = found.sequence
+            line.clear()
+    after = (plan.frames - 1 - last) % 2**16
+    return {
+        "sent": plan.frames,
+        "faults": spoiler.faults,
+        "wrong": wrong,
+        "accepted": accepted,
+        "missing": order.missing + after,
+        "stale": order.stale,
+        "refused": {why.name: count for why, count in reader.refused.items()},
+        "adds_up": accepted + order.missing + after == plan.frames,
+        "lost_of_good": plan.frames - accepted - spoiler.faults,
+        "seconds": time.perf_counter() - begun,
+    }
+
+
+def rubbish(plan: Plan) -> list[dict]:
+    """Random bytes into every decoder: none raises, none keeps more than 512 of them."""
+    exchange = Exchange(1, 50)
+    readers: dict[str, tuple[Callable[[bytes], Any], Callable[[], int]]] = {}
+    native = FrameReader()
+    readers["native frames"] = native.feed, lambda: len(native._kept)
+    for kind in (IsotrakBinary, FastrakAscii, FastrakBinary):
+        decoder = kind()
+        readers[kind.__name__] = decoder.feed, lambda decoder=decoder: len(decoder.kept)
+    readers["LucidGloves lines"] = lambda data: read_line(data, 4095), lambda: 0
+    readers["link messages"] = lambda data: exchange.incoming(0.0, data), lambda: 0
+    rows = []
+    for name, (feed, kept) in readers.items():
+        rng, most, given = random.Random(3), 0, 0
+        while given < plan.random_bytes:
+            piece = rng.randbytes(rng.randrange(1, 2000))
+            given += len(piece)
+            feed(piece)
+            most = max(most, kept())
+        rows.append({"decoder": name, "bytes": given, "most_kept": most})
+    return rows
+
+
+class Engine:
+    """A spring, computed a hundred times a second in a thread."""
+
+    def __init__(self, state: Callable[[], GloveState | None], write: Callable[[TorqueLaw], None]) -> None:
+        self.state, self.write = state, write
+        self.is_over = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        while not self.is_over:
+            state = self.state()
+            if state is not None and np.all(np.isfinite(state.angles)):
+                angles = state.angles
+                torques = np.maximum(SPRING * (angles - 0.2), 0)
+                self.write(TorqueLaw(time.monotonic(), True, angles, torques, SPRING * np.diag(angles > 0.2)))
+            time.sleep(0.01)
+
+    def stop(self) -> None:
+        self.is_over = True
+        self._thread.join()
+
+
+def armed(state: Callable[[], GloveState | None], arm: Callable[[], None]) -> None:
+    """Arm and wait for torque; a machine that is busy may need another try."""
+    for _ in range(50):
+        end = time.monotonic() + 3
+        while time.monotonic() < end:
+            now = state()
+            if now is not None and now.link == LinkState.LINKED:
+                break
+            time.sleep(0.01)
+        time.sleep(0.1)
+        try:
+            arm()
+        except (ValueError, OSError):
+            continue
+        while time.monotonic() < end + 2:
+            now = state()
+            if now is not None and now.guard == GuardState.ARMED and np.min(now.torques) > 0.02:
+                return
+            time.sleep(0.01)
+    raise RuntimeError("the glove never held torque")
+
+
+def zero_times(plan: Plan) -> list[dict]:
+    """How long the device still holds torque after each way to fail [ms]."""
+    ways = {
+        "I/O process stopped (SIGSTOP)": lambda s, g: g.child.process.send_signal(signal.SIGSTOP),
+        "I/O process killed (SIGKILL)": lambda s, g: g.child.process.kill(),
+        "I/O process ended (SIGTERM)": lambda s, g: g.child.process.terminate(),
+        "port closed (cable unplugged)": lambda s, g: s.order(unplug=AFTER),
+        "line cut, port still open": lambda s, g: s.order(cut=AFTER),
+        "engine's interpreter stalled (a C call holds the lock)": lambda s, g: stall(AFTER),
+    }
+    rows = [one_way(name, fail, plan) for name, fail in ways.items()]
+    return [*rows, network_cut(plan)]
+
+
+def stall(seconds: float) -> None:
+    """Hold the interpreter's lock, as a long call of a library in C would."""
+    ctypes.PyDLL(None).usleep(ctypes.c_uint(int(1e6 * seconds)))
+
+
+def one_way(name: str, fail: Callable[[Simulator, GloveProcess], Any], plan: Plan) -> dict:
+    spent = []
+    for _ in range(plan.trials):
+        with tempfile.TemporaryDirectory() as folder, Simulator(**recorded(folder)) as simulator:
+            simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
+            with GloveProcess(simulator.port, CHANNELS, scale=1.0, ramp=0.2) as glove:
+                engine = Engine(glove.state, glove.write)
+                armed(glove.state, glove.arm)
+                since = time.monotonic()
+                fail(simulator, glove)
+                time.sleep(max(0.0, since + AFTER - time.monotonic()))
+                spent.append(held_after(folder, since))
+                engine.stop()
+                glove.child.process.kill()
+    return {"way": name, "milliseconds": spent}
+
+
+def network_cut(plan: Plan) -> dict:
+    """Two hosts, of which the engine's falls silent: its link is cut."""
+    spent = []
+    for _ in range(plan.trials):
+        with tempfile.TemporaryDirectory() as folder, Simulator(**recorded(folder)) as simulator:
+            simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
+            options = {"port": simulator.port, "listen": ["127.0.0.1", 0], "scale": 1.0, "ramp": 0.2}
+            host = Child("jaxgrasp.glove.io_process", options)
+            port = host.wait_for(lambda told: "listens" in told)["listens"]
+            link = Link("127.0.0.1", port, GloveState.size(CHANNELS))
+            link.send(time.monotonic(), np.zeros(TorqueLaw.size(CHANNELS)))
+
+            def state(link: Link = link) -> GloveState | None:
+                message = link.receive(time.monotonic())
+                return None if message is None else GloveState.of(message.values, CHANNELS)
+
+            def write(law: TorqueLaw, link: Link = link) -> None:
+                link.send(time.monotonic(), law.vector())
+
+            engine = Engine(state, write)
+            armed(partial(engine_state, link), partial(host.order, {"arm": True}))
+            since = time.monotonic()
+            link.close()
+            time.sleep(AFTER)
+            spent.append(held_after(folder, since))
+            engine.stop()
+            host.process.kill()
+            host.close()
+    return {"way": "network link cut", "milliseconds": spent}
+
+
+def engine_state(link: Link) -> GloveState | None:
+    """What the engine's thread heard last."""
+    message = link.exchange.latest
+    return None if message is None else GloveState.of(message.values, CHANNELS)
+
+
+def recorded(folder: str) -> dict[str, Any]:
+    return {"record": str(Path(folder) / "record"), "record_every": 0.001}
+
+
+def held_after(folder: str, since: float) -> float:
+    record = read_record(Path(folder) / "record")
+    held = record["time"][record["counts"].any(axis=1)]
+    return 1e3 * max(0.0, float(held[-1]) - since)
+
+
+def relinks(plan: Plan) -> dict:
+    """How long after its port is back a glove is linked again [ms]; latched, until it is armed."""
+    spent, latched = [], True
+    with Simulator() as simulator, GloveProcess(simulator.port, CHANNELS, scale=1.0, ramp=0.2) as glove:
+        simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
+        engine = Engine(glove.state, glove.write)
+        for _ in range(plan.trials):
+            armed(glove.state, glove.arm)
+            before = len(glove.events())
+            simulator.order(unplug=0.5)
+            back = time.monotonic() + 0.5
+            time.sleep(2.5)
+            linked = [one for one in glove.events()[before:] if one["link"] == "LINKED"]
+            spent.append(1e3 * (linked[-1]["at"] - back) if linked else float("inf"))
+            now = glove.state()
+            latched &= now is not None and now.guard == GuardState.LATCHED and not now.torques.any()
+        engine.stop()
+    return {"milliseconds": spent, "latched": bool(latched)}
+
+
+def long_run(plan: Plan) -> dict:
+    """Two hundred times a second for long: memory, frames, punctuality."""
+    with Simulator() as simulator, GloveProcess(simulator.port, CHANNELS, scale=1.0, ramp=0.2) as glove:
+        engine = Engine(glove.state, glove.write)
+        simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
+        armed(glove.state, glove.arm)
+        time.sleep(2.0)
+        begin = {name: memory(one) for name, one in (("host", glove.child.process.pid), ("this", os.getpid()))}
+        begun, arming = time.monotonic(), 1
+        end = begun + 60 * plan.minutes
+        goes_there = False
+        while time.monotonic() < end:
+            simulator.order(bend=[0.6 if goes_there else 0.3] * CHANNELS, lasts=1.0)
+            goes_there = not goes_there
+            time.sleep(1.0)
+            now = glove.state()
+            if now is not None and now.guard != GuardState.ARMED:
+                arming += 1
+                armed(glove.state, glove.arm)
+        grown = {"host": memory(glove.child.process.pid) - begin["host"], "this": memory(os.getpid()) - begin["this"]}
+        glove.disarm()
+        engine.stop()
+        time.sleep(0.1)
+        before = len(glove.child.said)
+        glove.child.order({"report": True})
+        report = glove.child.wait_for(lambda told: "report" in told, before)["report"]
+        device = simulator.order(report=1)
+    refused = sum(device["refused"].values())
+    return {
+        "minutes": plan.minutes,
+        "grown_megabytes": {name: size / 2**20 for name, size in grown.items()},
+        "armings": arming,
+        "summary": glove.summary,
+        "device": {name: device[name] for name in ("accepted", "missing", "stale")} | {"refused": refused},
+        "device_frames": {"heard": report["heard"], "missing": report["missing"]},
+        "most_in_flight": device["waiting"],
+    }
+
+
+def memory(process: int) -> int:
+    """Bytes that a process holds (Linux)."""
+    pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGESIZE")
+
+
+def ticks(plan: Plan) -> dict:
+    """Milliseconds from angles to torques through contacts and forces, alone and with the derivative."""
+    import jax
+    import jax.numpy as jnp
+
+    from jaxgrasp.glove.model import lrp_hand_master
+    from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_and_slope
+    from jaxgrasp.lab.grasp_and_lift import cylinder_scene
+    from jaxgrasp.prehension.tick import observe
+
+    jax.config.update("jax_enable_x64", True)
+    scene, closed, placed = cylinder_scene(radius=0.045)
+    model = lrp_hand_master()
+    worn = glove_hand(scene.hand, model, np.asarray(closed.angles))
+    angles = jnp.asarray(closed.angles)[np.array(worn.places)]
+    contacts = int(np.sum(jax.device_get(observe(scene, closed, placed).grasp.present)))
+    calls = {"torques": resistance, "with_derivative": resistance_and_slope}
+    spent: dict[str, list[float]] = {name: [] for name in calls}
+    for k in range(plan.ticks + 1):
+        for name, call in calls.items():
+            begun = time.perf_counter()
+            jax.device_get(call(scene, worn, angles + 1e-4 * k / plan.ticks, closed.wrist, placed))
+            spent[name].append(1e3 * (time.perf_counter() - begun))
+    return {
+        "contacts": contacts,
+        "line": 1e3 * 10 * LINE_SIZE / 115_200,
+        "milliseconds": {
+            name: {"median": float(np.median(one[1:])), "p99": float(np.quantile(one[1:], 0.99))}
+            for name, one in spent.items()
+        },
+    }
+
+
+SECTIONS: dict[str, Callable[[Plan], Any]] = {
+    "frames": frames,
+    "rubbish": rubbish,
+    "zero_times": zero_times,
+    "relinks": relinks,
+    "ticks": ticks,
+    "long_run": long_run,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
+    parser.add_argument("--quick", action="store_true", help="a few of everything: a test, not a measurement")
+    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="made again; all")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    plan, path = QUICK if options.quick else Plan(), options.out / f"{NAME}.json"
+    report = json.loads(path.read_text()) if path.exists() else {}
+    report |= {"machine": machine(), "plan": plan._asdict()}
+    for name in options.sections:
+        report[name] = SECTIONS[name](plan)
+    path.write_text(json.dumps(report, indent=1) + "\n")
+    (options.out / f"{NAME}.md").write_text(glove_tables.page(report))
+
+
+if __name__ == "__main__":
+    main()

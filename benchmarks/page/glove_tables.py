@@ -1,0 +1,100 @@
+"""The glove's page in Markdown, from the report that the JSON holds too."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks.page.tables import table
+
+
+def page(report: dict) -> str:
+    facts = report["machine"]
+    parts = [
+        "# The glove's promises",
+        f"Made by `python -m benchmarks.glove`. {facts['processor']}, {facts['system']}, Python {facts['python']}. "
+        "The line is a pseudo-terminal that lets bytes through at 115,200 baud.",
+    ]
+    sections: dict[str, Callable[[Any], str]] = {
+        "frames": _frames,
+        "rubbish": _rubbish,
+        "zero_times": _zero_times,
+        "relinks": _relinks,
+        "ticks": _ticks,
+        "long_run": _long_run,
+    }
+    parts += [write(report[name]) for name, write in sections.items() if name in report]
+    return "\n\n".join(parts) + "\n"
+
+
+def _frames(found: dict) -> str:
+    refused = ", ".join(f"{count:,} {why.lower()}" for why, count in found["refused"].items() if count)
+    sums = "adds up" if found["adds_up"] else "DOES NOT ADD UP"
+    return (
+        "## A bad line\n\n"
+        f"{found['sent']:,} frames, {found['faults']:,} of them spoilt (a bit, a lost byte, bytes from nowhere, a "
+        f"burst, a prefix, the whole frame): {found['wrong']} wrong ones accepted; accepted {found['accepted']:,} + "
+        f"missing {found['missing']:,} = sent, which {sums}. Good frames lost beside the spoilt: "
+        f"{max(found['lost_of_good'], 0):,}, at most one a fault. Refused, by why: {refused}."
+    )
+
+
+def _rubbish(rows: list[dict]) -> str:
+    return "## Random bytes\n\nNo decoder raised.\n\n" + table(
+        ["decoder", "bytes", "most kept"],
+        [[row["decoder"], f"{row['bytes']:,}", row["most_kept"]] for row in rows],
+    )
+
+
+def _zero_times(rows: list[dict]) -> str:
+    text = (
+        "## Torque after a failure\n\n"
+        "Milliseconds for which the simulated device still held torque, by its own clock, under the native protocol at "
+        "115,200 baud. Asked: 55.\n\n"
+    )
+    lines = [
+        [
+            row["way"],
+            len(row["milliseconds"]),
+            f"{np.median(row['milliseconds']):.0f}",
+            f"{max(row['milliseconds']):.0f}",
+        ]
+        for row in rows
+    ]
+    return text + table(["failure", "trials", "median", "largest"], lines)
+
+
+def _relinks(found: dict) -> str:
+    spent = found["milliseconds"]
+    state = "latched until armed" if found["latched"] else "NOT LATCHED"
+    return (
+        f"## Back on line\n\nLinked again {np.median(spent):.0f} ms after the port came back (median of {len(spent)}; "
+        f"largest {max(spent):.0f}), {state}. Asked: 2,000."
+    )
+
+
+def _ticks(found: dict) -> str:
+    lines = [
+        [name.replace("_", " "), f"{one['median']:.2f}", f"{one['p99']:.2f}"]
+        for name, one in found["milliseconds"].items()
+    ]
+    return (
+        f"## A tick\n\nFrom 14 joint angles through {found['contacts']} contacts and their forces to 14 torques, in "
+        f"one process, milliseconds. The line takes {found['line']:.2f} for a frame.\n\n"
+        + table(["what", "median", "99 %"], lines)
+    )
+
+
+def _long_run(found: dict) -> str:
+    summary, device = found["summary"], found["device"]
+    grown = found["grown_megabytes"]
+    turns = summary["turns"]
+    lost = found["device_frames"]["missing"]
+    return (
+        f"## {found['minutes']:g} minutes at 200 Hz\n\n"
+        f"{turns:,} turns, {summary['overruns']:,} of them overrun ({100 * summary['overruns'] / turns:.2f} %), the "
+        f"latest {summary['worst']:.1f} ms late. Memory grew by {grown['host']:.2f} MB (I/O process). Armed "
+        f"{found['armings']} times. In the last session the device accepted {device['accepted']:,}, missed "
+        f"{device['missing']:,}, found {device['stale']:,} stale, refused {device['refused']:,}; of its own frames "
+        f"{lost:,} did not come. At most {found['most_in_flight']:.1f} frames on their way to it."
+    )

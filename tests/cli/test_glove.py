@@ -1,0 +1,113 @@
+"""``jaxgrasp glove``: what a person types at a glove's bench, on a simulated one."""
+
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from jaxgrasp.cli.main import main
+from jaxgrasp.glove.calibrate import load_sensors
+from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.glove.sensors import Encoders
+
+COMMAND = [sys.executable, "-m", "jaxgrasp.cli.main", "glove"]
+POSIX = pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
+JOINTS = lrp_hand_master().joints
+
+
+def pairs(path, sensor: str = "encoder", **change) -> None:
+    encoders, rng = Encoders(np.linspace(-0.1, 0.1, 14), np.full(14, 4e-4)), np.random.default_rng(0)
+    lines = ["sensor,channel,counts,value"]
+    for angles in rng.uniform(0, 1.5, (6, 14)):
+        for joint, counts, angle in zip(JOINTS, encoders.counts(angles), angles):
+            row = {"sensor": sensor, "channel": joint, "counts": str(counts), "value": f"{angle:.5f}", **change}
+            lines.append(",".join(row.values()))
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_calibrate(folder, capsys):
+    pairs(folder / "pairs.csv")
+    assert main(["glove", "calibrate", "pairs.csv"]) == 0
+    said = capsys.readouterr().out
+    assert "encoders: residuals" in said and "no pairs of a gauge: its nominal calibration stays" in said
+    found = load_sensors(folder / "calibration.json", 14)
+    np.testing.assert_allclose(found.encoders.zero, np.linspace(-0.1, 0.1, 14), atol=1e-3)
+    assert (folder / "calibration.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"sensor": "thermometer"}, "line 2: sensor is 'thermometer': expected encoder or gauge"),
+        ({"channel": "thumb"}, "line 2: channel is 'thumb': expected one of thumb MP"),
+        ({"counts": "x"}, "line 2: counts 'x'"),
+        ({"value": "nan"}, "line 2: value is nan: expected a finite number"),
+        ({"value": "1"}, "channel 0 does not change"),
+    ],
+)
+def test_bad_pairs(folder, capsys, change, message):
+    pairs(folder / "pairs.csv", **change)
+    assert main(["glove", "calibrate", "pairs.csv"]) == 1
+    assert message in capsys.readouterr().err and not (folder / "calibration.json").exists()
+
+
+def test_bad_arguments(folder, capsys):
+    (folder / "there").write_text("")
+    for arguments, message in (
+        (["simulate", "--port", "there"], "port is there: expected a name that is not there yet"),
+        (["simulate", "--baud", "0"], "baud is 0"),
+        (["monitor", "--model", "no.toml"], "no.toml"),
+        (["run", "--listen", "x:1"], "listen needs the port"),
+        (["run", "--port", "p", "--listen", "x"], "listen is 'x': expected HOST:PORT"),
+        (["run", "--port", "p", "--connect", "x:1"], "port and connect were both given"),
+    ):
+        assert main(["glove", *arguments]) == 1
+        assert message in capsys.readouterr().err, arguments
+
+
+def test_ports(capsys):
+    assert main(["glove", "ports"]) == 0 and capsys.readouterr().out
+
+
+@POSIX
+def test_simulate_and_monitor(folder):
+    with subprocess.Popen([*COMMAND, "simulate", "--bend", "40", "--seconds", "6"], stdout=subprocess.PIPE) as glove:
+        assert b"waits at jaxgrasp-glove" in glove.stdout.readline()
+        done = subprocess.run([*COMMAND, "monitor", "--seconds", "2"], capture_output=True, text=True, check=True)
+        glove.terminate()
+    lines = done.stdout.splitlines()
+    assert len(lines) > 10 and "ms old" in lines[-1]
+
+
+@POSIX
+@pytest.mark.slow
+def test_run_now(folder):
+    """A hand that opens and closes for a minute; a person who arms it, a twentieth first."""
+    with subprocess.Popen([*COMMAND, "simulate", "--bend", "60", "--seconds", "200"], stdout=subprocess.PIPE) as glove:
+        glove.stdout.readline()
+        run = subprocess.Popen(
+            [*COMMAND, "run", "--port", "jaxgrasp-glove"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert run.stdout.readline() == "compiling\n"
+        assert "ready" in run.stdout.readline()
+
+        def answer(order: str) -> str:
+            run.stdin.write(order + "\n")
+            run.stdin.flush()
+            return run.stdout.readline()
+
+        time.sleep(1)
+        assert "the first time power is on, it is a twentieth" in answer("full")
+        assert "is no order" in answer("hello")
+        for order in ("arm", "full"):
+            # Right after it begins, or on a busy machine, there may be no fresh law.
+            tries = [answer(order) for _ in range(5) if not time.sleep(0.5)]
+            assert any("of the torque" in one for one in tries), tries
+        assert answer("disarm") == "no torque\n"
+        rest = run.communicate("quit\n")[0]
+        glove.terminate()
+    assert "the line: " in rest and "the engine: " in rest and "overruns" in rest
+    assert run.returncode == 0

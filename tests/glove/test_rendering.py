@@ -1,0 +1,201 @@
+"""The I/O side between two computers or processes: laws followed while they are fresh, zero as soon as they are not."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxgrasp.glove.cable import Cable
+from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.glove.peers import LinkPeer, SlotPeer, make_slots
+from jaxgrasp.glove.sensors import nominal_sensors
+from jaxgrasp.glove.slot import Slot
+from jaxgrasp.glove.tension import TensionControl, TensionWatch
+from jaxgrasp.glove.tick_times import EDGES, TickTimes
+from jaxgrasp.glove.virtual_glove import VirtualGlove
+
+MODEL = lrp_hand_master()
+SPRING = 0.25
+
+
+def law(now: float, angles: np.ndarray, valid: bool = True) -> TorqueLaw:
+    return TorqueLaw(now, valid, angles, np.maximum(SPRING * (angles - 0.2), 0), SPRING * np.diag(angles > 0.2))
+
+
+def rendered(seconds: float, *, every: float = 0.01, friction: bool = False, control: TensionControl | None = None):
+    """A glove that renders a spring, computed every so often."""
+    glove = VirtualGlove(MODEL, nominal_sensors(MODEL), friction=friction)
+    glove.rendering._control = control
+    glove.order(bend=[0.6] * 14, lasts=0.3)
+    go(glove, 0.5, every)
+    glove.rendering.arm(glove.now)
+    go(glove, 0.5 + seconds, every)
+    return glove
+
+
+def go(glove: VirtualGlove, until: float, every: float = 0.01, valid: bool = True) -> None:
+    while glove.now < until:
+        glove.run(glove.now + every)
+        if glove.peer.state is not None and np.all(np.isfinite(glove.peer.state.angles)):
+            glove.peer.said = law(glove.now, glove.peer.state.angles, valid)
+
+
+def held(glove: VirtualGlove) -> np.ndarray:
+    return np.array(glove.simulation.glove.device.counts) * MODEL.quantum
+
+
+def test_it_follows_a_law_and_fresh_angles_between_two():
+    glove = rendered(3.0, every=0.02)
+    angles = glove.simulation.glove.angles
+    np.testing.assert_allclose(held(glove), SPRING * (angles - 0.2), atol=1e-3)
+    glove.order(bend=[0.75] * 14, lasts=0.1)
+    old = glove.peer.said
+    glove.run(glove.now + 0.028)
+    assert np.min(glove.simulation.glove.angles - old.angles) > 0.005, "they bend while the engine says nothing"
+    assert np.min(held(glove) - old.torques) > 1e-4
+
+
+@pytest.mark.parametrize("end", ["silence", "invalid", "nothing", "future"])
+def test_a_law_that_may_not_be_acted_on_zeroes_and_latches(end):
+    glove = rendered(1.0)
+    assert held(glove).min() > 0.02
+    since = glove.now
+    if end == "nothing":
+        glove.peer.said = None
+    elif end == "future":
+        glove.peer.said = law(glove.now + 1.0, glove.peer.state.angles)
+    elif end == "invalid":
+        go(glove, since + 0.05, valid=False)
+    glove.run(since + 0.3)
+    zero = next(t for t, counts, _ in glove.record if t > since and not counts.any())
+    assert zero - since <= 0.055
+    assert glove.rendering.host.guard.state == GuardState.LATCHED and not held(glove).any()
+    with pytest.raises(ValueError, match="the glove cannot be armed"):
+        glove.rendering.arm(glove.now)
+    go(glove, glove.now + 0.3)
+    assert not held(glove).any(), "never by itself"
+    glove.rendering.arm(glove.now)
+    go(glove, glove.now + 0.5)
+    assert held(glove).min() > 0.005
+
+
+def test_control_by_tension_overcomes_the_cables_friction():
+    """Without it the capstan's share is missing or too much; with it the finger feels what was wanted, and no more."""
+    off, on = (rendered(4.0, friction=True, control=one) for one in (None, TensionControl(14)))
+    errors = []
+    for glove in (off, on):
+        felt = glove.simulation.glove.tensions * nominal_sensors(MODEL).gauges.arm
+        wanted = SPRING * (glove.simulation.glove.angles - 0.2)
+        errors.append(np.abs(felt / wanted - 1).max())
+        assert glove.rendering.host.guard.state == GuardState.ARMED
+    assert errors[0] > 0.03 and errors[1] < 0.25 * errors[0]
+
+
+def test_control_does_not_wind_up():
+    """A slack cable asks for ever more; what the guard does not let through does not add up."""
+    control = TensionControl(1, integral=5.0)
+    wanted, measured = np.array([0.1]), np.array([0.0])
+    for _ in range(2000):
+        asked = control.ask(wanted, measured)
+        control.left(np.minimum(asked, 0.12), wanted, measured, 0.005)
+    assert asked[0] < 0.3
+    for _ in range(60):
+        asked = control.ask(wanted, np.array([0.12]))
+        control.left(np.clip(asked, 0, 0.12), wanted, np.array([0.12]), 0.005)
+    assert asked[0] < 0.11
+
+
+def test_capstan():
+    """In steady motion tension grows by exp(mu wrap) where a finger pulls the cable out, and falls on its way back."""
+    for speed in (0.05, -0.05):
+        cable = Cable(2, wrap=2.0, sliding=0.1, resting=0.3)
+        for _ in range(100):
+            found = cable.pull(np.array([1.0, 3.0]), np.full(2, speed), 0.001)
+        np.testing.assert_allclose(found, np.array([1.0, 3.0]) * np.exp(0.2 * np.sign(speed)), rtol=1e-6)
+    np.testing.assert_array_equal(Cable(2).pull(np.zeros(2), np.ones(2), 1.0), 0)
+
+
+def test_a_watch_forgives_delay_and_friction_but_not_for_long():
+    watch = TensionWatch(1)
+    for k in range(40):
+        watch.commanded(0.005 * k, np.array([0.1 if k >= 20 else 0.0]))
+        late = np.array([0.1 if k >= 30 else 0.0])
+        assert watch.fault(0.005 * k, late * 1.3, np.array([False])) == ""
+    broken = [watch.fault(0.2 + 0.01 * k, np.zeros(1), np.array([False])) for k in range(13)]
+    assert broken[:10] == [""] * 10 and "channel 0 pulls 0.000 N.m: commanded 0.100" in broken[12]
+    watch.forget()
+    watch.commanded(1.0, np.array([0.12]))
+    assert watch.fault(2.0, np.array([0.05]), np.array([True])) == ""
+    for k in range(20):
+        found = watch.fault(2.0 + 0.01 * k, np.array([np.nan]), np.array([False]))
+    assert "nan" in found
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(1, 50), st.data())
+def test_slots_hold_the_latest_whole_value(tmp_path_factory, size, data):
+    path = tmp_path_factory.mktemp("slot") / "s"
+    writer = Slot(path, size, create=True)
+    reader = Slot(path, size)
+    assert reader.read() is None
+    for value in data.draw(st.lists(st.floats(allow_nan=False), min_size=1, max_size=5)):
+        writer.write(np.full(size, value))
+        np.testing.assert_array_equal(reader.read(), value)
+    last = reader.read()
+    # Half a value is not seen, the one before is.
+    writer._memory[15:16] = bytes([writer._memory[15] ^ 1])
+    writer._memory[0:1] = bytes([writer._memory[0] ^ 3])
+    np.testing.assert_array_equal(reader.read(), last)
+    with pytest.raises(ValueError, match="bytes: expected"):
+        Slot(path, size + 1)
+    writer.close()
+    reader.close()
+
+
+def test_peers_by_slots_and_by_a_link(folder):
+    angles, now = np.linspace(0.1, 1.4, 14), 5.0
+    given_law = law(now, angles)
+    state = GloveState(now, int(LinkState.ARMED), int(GuardState.ARMED), 0.5, 4.99, angles, angles / 10, angles / 11)
+    laws, states = make_slots(folder, 14)
+    peer = SlotPeer(folder, 14)
+    assert peer.law(now) is None
+    laws.write(given_law.vector())
+    peer.publish(now, state)
+    for name, value in vars(given_law).items():
+        np.testing.assert_array_equal(getattr(peer.law(now), name), value)
+    for name, value in vars(GloveState.of(states.read(), 14)).items():
+        np.testing.assert_array_equal(value, getattr(state, name))
+    peer.close()
+    engine = Link("127.0.0.1", 0, GloveState.size(14), listens=True, oldest=1.0)
+    there = LinkPeer(Link("127.0.0.1", engine.port, TorqueLaw.size(14), oldest=1.0), 14)
+    for k in range(300):
+        there.publish(0.001 * k, state)
+        # The engine's clock is another.
+        heard = engine.receive(77.0 + 0.001 * k)
+        engine.send(77.0 + 0.001 * k, given_law.vector())
+        found = there.law(0.001 * k)
+    assert heard is not None and found is not None and found.is_valid
+    np.testing.assert_allclose(found.torques, given_law.torques, rtol=1e-6)
+    assert 0.299 - found.computed_at < 0.05
+    there.close()
+    engine.close()
+
+
+def test_a_law_with_a_bad_number_is_not_valid():
+    vector = law(1.0, np.ones(14)).vector()
+    vector[100] = np.nan
+    assert not TorqueLaw.of(vector, 14).is_valid
+
+
+def test_tick_times():
+    times = TickTimes(0.01)
+    for late, busy in ((0.0, 0.001), (0.003, 0.001), (0.2, 0.0), (0.0, 0.02)):
+        times.add(late, busy)
+    found = times.summary()
+    assert (found["turns"], found["overruns"], found["worst"]) == (4, 2, 200.0)
+    assert sum(found["late"]) == sum(found["busy"]) == 4 and len(found["late"]) == len(EDGES) + 1
+    assert "4 turns, 50.0% overruns" in TickTimes.text(found) and ">100 ms 25.0%" in TickTimes.text(found)

@@ -35,6 +35,7 @@ from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.link import Link
 from jaxgrasp.glove.lucidgloves import read_line
 from jaxgrasp.glove.messages import Exchange
+from jaxgrasp.glove.peers import EngineLink
 from jaxgrasp.glove.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.simulator import Simulator, read_record
 
@@ -129,7 +130,7 @@ class Engine:
             if state is not None and np.all(np.isfinite(state.angles)):
                 angles = state.angles
                 torques = np.maximum(SPRING * (angles - 0.2), 0)
-                self.write(TorqueLaw(time.monotonic(), True, angles, torques, SPRING * np.diag(angles > 0.2)))
+                self.write(TorqueLaw(time.perf_counter(), True, angles, torques, SPRING * np.diag(angles > 0.2)))
             time.sleep(0.01)
 
     def stop(self) -> None:
@@ -140,8 +141,8 @@ class Engine:
 def armed(state: Callable[[], GloveState | None], arm: Callable[[], None]) -> None:
     """Arm and wait for torque; a machine that is busy may need another try."""
     for _ in range(50):
-        end = time.monotonic() + 3
-        while time.monotonic() < end:
+        end = time.perf_counter() + 3
+        while time.perf_counter() < end:
             now = state()
             if now is not None and now.link == LinkState.LINKED:
                 break
@@ -151,7 +152,7 @@ def armed(state: Callable[[], GloveState | None], arm: Callable[[], None]) -> No
             arm()
         except (ValueError, OSError):
             continue
-        while time.monotonic() < end + 2:
+        while time.perf_counter() < end + 2:
             now = state()
             if now is not None and now.guard == GuardState.ARMED and np.min(now.torques) > 0.02:
                 return
@@ -186,9 +187,9 @@ def one_way(name: str, fail: Callable[[Simulator, GloveProcess], Any], plan: Pla
             with GloveProcess(simulator.port, CHANNELS, scale=1.0, ramp=0.2) as glove:
                 engine = Engine(glove.state, glove.write)
                 armed(glove.state, glove.arm)
-                since = time.monotonic()
+                since = time.perf_counter()
                 fail(simulator, glove)
-                time.sleep(max(0.0, since + AFTER - time.monotonic()))
+                time.sleep(max(0.0, since + AFTER - time.perf_counter()))
                 spent.append(held_after(folder, since))
                 engine.stop()
                 glove.child.process.kill()
@@ -204,20 +205,12 @@ def network_cut(plan: Plan) -> dict:
             options = {"port": simulator.port, "listen": ["127.0.0.1", 0], "scale": 1.0, "ramp": 0.2}
             host = Child("jaxgrasp.glove.io_process", options)
             port = host.wait_for(lambda told: "listens" in told)["listens"]
-            link = Link("127.0.0.1", port, GloveState.size(CHANNELS))
-            link.send(time.monotonic(), np.zeros(TorqueLaw.size(CHANNELS)))
-
-            def state(link: Link = link) -> GloveState | None:
-                message = link.receive(time.monotonic())
-                return None if message is None else GloveState.of(message.values, CHANNELS)
-
-            def write(law: TorqueLaw, link: Link = link) -> None:
-                link.send(time.monotonic(), law.vector())
-
-            engine = Engine(state, write)
-            armed(partial(engine_state, link), partial(host.order, {"arm": True}))
-            since = time.monotonic()
-            link.close()
+            far = EngineLink(Link("127.0.0.1", port, GloveState.size(CHANNELS)), CHANNELS)
+            heard: dict[str, GloveState | None] = {}
+            engine = Engine(partial(listen, far, heard), partial(speak, far))
+            armed(partial(heard.get, "state"), partial(host.order, {"arm": True}))
+            since = time.perf_counter()
+            far.close()
             time.sleep(AFTER)
             spent.append(held_after(folder, since))
             engine.stop()
@@ -226,10 +219,14 @@ def network_cut(plan: Plan) -> dict:
     return {"way": "network link cut", "milliseconds": spent}
 
 
-def engine_state(link: Link) -> GloveState | None:
-    """What the engine's thread heard last."""
-    message = link.exchange.latest
-    return None if message is None else GloveState.of(message.values, CHANNELS)
+def listen(far: EngineLink, heard: dict[str, GloveState | None]) -> GloveState | None:
+    """What the glove does, for the engine and for whoever waits for it."""
+    heard["state"] = far.state(time.perf_counter())
+    return heard["state"]
+
+
+def speak(far: EngineLink, law: TorqueLaw) -> None:
+    far.write(time.perf_counter(), law)
 
 
 def recorded(folder: str) -> dict[str, Any]:
@@ -252,7 +249,7 @@ def relinks(plan: Plan) -> dict:
             armed(glove.state, glove.arm)
             before = len(glove.events())
             simulator.order(unplug=0.5)
-            back = time.monotonic() + 0.5
+            back = time.perf_counter() + 0.5
             time.sleep(2.5)
             linked = [one for one in glove.events()[before:] if one["link"] == "LINKED"]
             spent.append(1e3 * (linked[-1]["at"] - back) if linked else float("inf"))
@@ -270,10 +267,10 @@ def long_run(plan: Plan) -> dict:
         armed(glove.state, glove.arm)
         time.sleep(2.0)
         begin = {name: memory(one) for name, one in (("host", glove.child.process.pid), ("this", os.getpid()))}
-        begun, arming = time.monotonic(), 1
+        begun, arming = time.perf_counter(), 1
         end = begun + 60 * plan.minutes
         goes_there = False
-        while time.monotonic() < end:
+        while time.perf_counter() < end:
             simulator.order(bend=[0.6 if goes_there else 0.3] * CHANNELS, lasts=1.0)
             goes_there = not goes_there
             time.sleep(1.0)

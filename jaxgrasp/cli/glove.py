@@ -38,19 +38,19 @@ def simulate_command(arguments: Simulate) -> int:
     options = files(arguments)
     if arguments.port.exists() or arguments.port.is_symlink():
         raise ValueError(f"port is {arguments.port}: expected a name that is not there yet")
-    end = math.inf if arguments.seconds is None else time.monotonic() + arguments.seconds
+    end = math.inf if arguments.seconds is None else time.perf_counter() + arguments.seconds
     channels = len(load_model(options)[0].joints)
     with Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options) as simulator:
         print(f"a simulated glove waits at {arguments.port}", flush=True)
         if arguments.spoil:
             simulator.order(spoil=arguments.spoil, seed=0)
         goes_there = True
-        while time.monotonic() < end:
+        while time.perf_counter() < end:
             if arguments.bend:
                 angle = math.radians(arguments.bend) if goes_there else 0.0
                 simulator.order(bend=[angle] * channels, lasts=HALF_PERIOD)
                 goes_there = not goes_there
-            time.sleep(max(0.0, min(HALF_PERIOD, end - time.monotonic())))
+            time.sleep(max(0.0, min(HALF_PERIOD, end - time.perf_counter())))
     return 0
 
 
@@ -62,10 +62,10 @@ def monitor_command(arguments: Monitor) -> int:
     host = GloveHost(
         model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
     )
-    begun = next_shown = time.monotonic()
+    begun = next_shown = time.perf_counter()
     end = math.inf if arguments.seconds is None else begun + arguments.seconds
     try:
-        while (now := time.monotonic()) < end:
+        while (now := time.perf_counter()) < end:
             host.poll(now)
             host.send(now, np.zeros(len(model.joints)), now)
             if now >= next_shown:
@@ -73,7 +73,7 @@ def monitor_command(arguments: Monitor) -> int:
                 print(shown(host, now - begun, now), flush=True)
             time.sleep(TURN)
     finally:
-        host.close(time.monotonic())
+        host.close(time.perf_counter())
     return 0
 
 

@@ -15,11 +15,12 @@ from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.calibrate import load_model
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.exchange import GloveState
 from jaxgrasp.glove.glove_process import GloveProcess
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.link import Link
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.peers import EngineLink
 from jaxgrasp.glove.tick_times import TickTimes
 from jaxgrasp.glove.tracker import Tracker
 from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
@@ -97,9 +98,11 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
         print(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit", flush=True)
         orders = Orders(glove)
-        end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
-        while not orders.is_over and (end is None or time.monotonic() < end) and glove.child.process.poll() is None:
+        end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
+        while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
             time.sleep(0.05)
+        if not glove.is_alive():
+            raise OSError("the process that owned the glove's line has ended")
     return 0
 
 
@@ -111,7 +114,7 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
     warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)
     wrist = Wrist(tracker)
-    end = None if arguments.seconds is None else time.monotonic() + arguments.seconds
+    end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     try:
         if arguments.connect is not None:
             times = _as_engine(arguments, haptics, wrist, end)
@@ -120,10 +123,11 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 print("ready; orders: arm, full, disarm, quit", flush=True)
                 orders = Orders(glove)
-                goes_on = lambda now: not orders.is_over and (end is None or now < end)  # noqa: E731
+                goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
                 times = run_loop(haptics, glove.state, glove.write, wrist, arguments.rate, goes_on)
-            line = TickTimes.text(glove.summary) if glove.summary else "lost"
-            print(f"the line: {line}")
+            if not glove.summary:
+                raise OSError("the process that owned the glove's line has ended")
+            print(f"the line: {TickTimes.text(glove.summary)}")
     finally:
         if tracker is not None:
             tracker.close()
@@ -134,26 +138,19 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
 def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None) -> TickTimes:
     host, port = _address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
-    link = Link(host, port, GloveState.size(channels), key=_key(arguments.key))
+    engine = EngineLink(Link(host, port, GloveState.size(channels), key=_key(arguments.key)), channels)
     print(f"calls {host}:{port}; the glove is armed there", flush=True)
-
-    def state() -> GloveState | None:
-        message = link.receive(time.monotonic())
-        return None if message is None else GloveState.of(message.values, channels)
-
-    def write(law: TorqueLaw) -> None:
-        link.send(time.monotonic(), law.vector())
-
-    def goes_on(now: float) -> bool:
-        if link.exchange.latest is None:
-            # Someone must speak first.
-            link.send(now, np.zeros(TorqueLaw.size(channels)))
-        return end is None or now < end
-
     try:
-        return run_loop(haptics, state, write, wrist, arguments.rate, goes_on)
+        return run_loop(
+            haptics,
+            lambda: engine.state(time.perf_counter()),
+            lambda law: engine.write(time.perf_counter(), law),
+            wrist,
+            arguments.rate,
+            lambda now: end is None or now < end,
+        )
     finally:
-        link.close()
+        engine.close()
 
 
 class Orders:

@@ -13,6 +13,8 @@ from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
 
+HUGE = 1e9
+"""Beyond any number of a calibration."""
 FEWEST = 3
 """Pairs of a channel: two make a line that nothing contradicts."""
 
@@ -127,7 +129,7 @@ def load_sensors(path: Path, channels: int) -> Sensors:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no JSON: {error}") from None
     numbers = {
         (part, key): _read(content, part, key, channels, path)
@@ -137,6 +139,8 @@ def load_sensors(path: Path, channels: int) -> Sensors:
     encoders = Encoders(numbers["encoders", "zero"], numbers["encoders", "per_count"])
     arm, full = numbers["gauges", "arm"], _full(content, path)
     gauges = Gauges(numbers["gauges", "zero"], numbers["gauges", "per_count"], arm, full)
+    if np.any(arm < 0):
+        raise ValueError(f"{path}: arm of gauges is negative at channel {np.argmax(arm < 0)}: expected a lever [m]")
     for name, slopes in {
         "encoders": encoders.per_count,
         "gauges": gauges.per_count,
@@ -161,19 +165,26 @@ def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
 
 def _read(content: Any, part: str, key: str, channels: int, path: Path) -> np.ndarray:
     try:
-        numbers = np.array(content[part][key], dtype=float)
-    except (KeyError, TypeError, ValueError):
+        given = content[part][key]
+    except (KeyError, TypeError):
         raise ValueError(f"{path} has no list of numbers {part}.{key}") from None
-    if numbers.shape != (channels,) or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{path}: {part}.{key} is {content[part][key]}: expected {channels} finite numbers")
-    return numbers
+    if not isinstance(given, list) or not all(map(_is_number, given)):
+        raise ValueError(f"{path} has no list of numbers {part}.{key}")
+    if len(given) != channels:
+        raise ValueError(f"{path}: {part}.{key} has {len(given)} numbers: expected {channels}")
+    return np.array(given, dtype=float)
 
 
 def _full(content: Any, path: Path) -> float:
     full = content["gauges"].get("full")
-    if isinstance(full, bool) or not isinstance(full, int | float) or not (np.isfinite(full) and full > 0):
-        raise ValueError(f"{path}: gauges.full is {full!r}: expected a positive tension [N]")
+    if not (_is_number(full) and full > 1e-6):
+        raise ValueError(f"{path}: gauges.full is {str(full)[:40]}: expected a positive tension [N]")
     return float(full)
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value of a file is one that any sensor could have."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < HUGE
 
 
 def _check_slope(line: Line) -> None:

@@ -50,7 +50,7 @@ class Child:
         Raises:
             OSError: if it ends without, or takes too long.
         """
-        end = time.monotonic() + patience
+        end = time.perf_counter() + patience
         with self._news:
             while True:
                 found = next((one for one in self.said[begin:] if is_it(one)), None)
@@ -59,7 +59,7 @@ class Child:
                 begin = len(self.said)
                 if not self._reader.is_alive():
                     raise OSError(f"{self._name} ended with {self.process.wait(PATIENCE)}")
-                if time.monotonic() > end:
+                if time.perf_counter() > end:
                     raise OSError(f"{self._name} did not answer in {patience:.0f} s")
                 self._news.wait(0.1)
 

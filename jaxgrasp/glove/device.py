@@ -85,6 +85,7 @@ class Device:
         if self.state == DeviceState.ARMED and (now - self._heard) % TICKS > 1000 * self._watchdog:
             self.trip(Cause.WATCHDOG)
         if self.state != DeviceState.ARMED:
+            self._drop()
             return self.counts
         # Whole counts, and what is left of one is kept, so that no clock makes it faster or slower.
         self._credit += self._slew * passed
@@ -95,8 +96,8 @@ class Device:
         return self.counts
 
     def trip(self, cause: Cause) -> None:
-        """Zero at once, latched if it was armed."""
-        if self.state == DeviceState.ARMED:
+        """Zero at once, and latched: if it was armed, or for a fault of its own, called for as long as that lasts."""
+        if self.state == DeviceState.ARMED or cause == Cause.OWN:
             self.state, self.cause = DeviceState.LATCHED, cause
         self._drop()
 

@@ -1,5 +1,6 @@
 """What the two sides of the loop tell each other: a law of torque by angle, and the glove's state."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,10 @@ class TorqueLaw:
     def at(self, angles: Float[np.ndarray, "channels"], reach: float) -> Float[np.ndarray, "channels"]:
         """Torques at other angles [N.m]; beyond a reach [rad] on either side, as at its end."""
         return self.torques + self.derivative @ np.clip(angles - self.angles, -reach, reach)
+
+    def since(self, now: float) -> "TorqueLaw":
+        """The same with its age for a time, as it goes to another clock; and back, from when its age was zero."""
+        return TorqueLaw(now - self.computed_at, self.is_valid, self.angles, self.torques, self.derivative)
 
     @staticmethod
     def size(channels: int) -> int:
@@ -68,6 +73,11 @@ class GloveState:
     measured: Float[np.ndarray, "channels"]
     """By the cables' tension [N.m]."""
 
+    def since(self, now: float) -> "GloveState":
+        """The same with ages for times, as it goes to another clock, or comes from one."""
+        rest = (self.link, self.guard, self.clipped, now - self.angles_at)
+        return GloveState(now - self.at, *rest, self.angles, self.torques, self.measured)
+
     @staticmethod
     def size(channels: int) -> int:
         """Numbers of its vector."""
@@ -79,8 +89,10 @@ class GloveState:
         return np.concatenate([head, self.angles, self.torques, self.measured])
 
     @staticmethod
-    def of(vector: Float[np.ndarray, "size"], channels: int) -> "GloveState":
-        """The state that a vector is of."""
+    def of(vector: Float[np.ndarray, "size"], channels: int) -> "GloveState | None":
+        """The state that a vector is of; None where it is of none."""
         at, link, guard, clipped, angles_at = vector[:5].tolist()
+        if link not in (0, 1, 2, 3, 4) or guard not in (0, 1, 2) or not math.isfinite(at):
+            return None
         angles, torques, measured = np.split(vector[5:], [channels, 2 * channels])
         return GloveState(at, int(link), int(guard), clipped, angles_at, angles, torques, measured)

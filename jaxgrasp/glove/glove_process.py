@@ -19,15 +19,28 @@ class GloveProcess:
             port: of the glove.
             channels: of its model.
             options: ``baud``, ``model`` and ``calibration`` (files), ``rate`` [Hz], ``scale`` (of all torques, 0.05
-                if left out), ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s].
+                if left out), ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s];
+                ``listen`` (host and port) for an engine elsewhere in place of ``write`` and ``state``, with
+                ``transport`` and ``key``.
+
+        Raises:
+            OSError: if it does not come to listen.
         """
         self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-loop-")
         self._channels = channels
         self._law, self._state = make_slots(Path(self._folder.name), channels)
-        options = {"port": port, "slots": self._folder.name, **options}
+        options = {"port": port, **options}
+        if "listen" not in options:
+            options["slots"] = self._folder.name
         self.child = Child("jaxgrasp.glove.io_process", options)
         self.summary: dict[str, Any] = {}
         """What it counted, once it has ended."""
+        if "listen" in options:
+            try:
+                self.child.wait_for(lambda told: "listens" in told)
+            except OSError:
+                self.close()
+                raise
 
     def write(self, law: TorqueLaw) -> None:
         """The law to follow from now on."""
@@ -58,6 +71,10 @@ class GloveProcess:
             ValueError: if it refuses.
         """
         self._order({"scale": scale})
+
+    def is_alive(self) -> bool:
+        """Whether it still runs."""
+        return self.child.process.poll() is None
 
     def events(self) -> list[dict[str, Any]]:
         """How link and guard changed, each with its time ``at``."""

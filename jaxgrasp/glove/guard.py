@@ -79,7 +79,7 @@ class Guard:
         if projection not in ("clip", "scale"):
             raise ValueError(f"projection is {projection!r}: expected 'clip' or 'scale'")
         for name, value in {"ramp": ramp, "oldest": oldest, "longest": longest}.items():
-            if not (np.isfinite(value) and value > 0):
+            if not (isinstance(value, int | float) and np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} is {value}: expected a positive time [s]")
         self.model = model
         self.state = GuardState.DISARMED
@@ -98,7 +98,7 @@ class Guard:
         Raises:
             ValueError: for another number, and while it is armed.
         """
-        if not 0 <= scale <= 1:
+        if not (isinstance(scale, int | float) and 0 <= scale <= 1):
             raise ValueError(f"scale is {scale}: expected 0 to 1")
         if self.state == GuardState.ARMED:
             raise ValueError("the scale cannot change while the guard is armed: disarm it first")

@@ -32,12 +32,18 @@ from jaxgrasp.glove.tension import TensionWatch
 REOPEN = 0.25
 """Time between attempts to open a port [s]."""
 REPEAT = 0.05
-"""Time between attempts to greet and to arm [s]."""
+"""Time between attempts to greet and to arm [s], on a fast line."""
 ARMING = 0.5
 """How long a device may take to say that it is armed [s]."""
+OLDEST_TENSION = 0.15
+"""Age of the tensions beyond which nobody knows what the cables do [s]."""
+LONGEST_WATCHDOG = 50
+"""Of a device that may be armed [ms]."""
 SILENCE = 0.25
 """How long a device may say nothing before it is greeted again [s]."""
 SESSIONS = 2**15
+SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
+"""What only a device says: a line that echoes brings the host's own frames back."""
 
 
 class LinkState(IntEnum):
@@ -127,8 +133,11 @@ class GloveHost:
         self._sensors, self._open = sensors, open_line
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
         self._pace = Pace(baud, LINE_SIZE)
+        # There and back, each after a frame that is already on its way.
+        self._repeat = max(REPEAT, 5 * self._pace.frame_time)
+        self._patience = max(ARMING, 4 * self._repeat)
         self._line: Line | None = None
-        self._number = random.randrange(SEQUENCES)
+        self._number, self._ticks = random.randrange(SEQUENCES), 0
         self._session = 0
         self._clock = PeerClock(self._pace.frame_time)
         self._next = self._asked_at = self._heard_at = -np.inf
@@ -146,7 +155,10 @@ class GloveHost:
             raise ValueError(f"the glove cannot be armed: {self.trouble}")
         if not now - self.reading.angles_at <= ARMING:
             raise ValueError("the glove cannot be armed: its encoders say nothing")
+        if not now - self.reading.torques_at <= ARMING:
+            raise ValueError("the glove cannot be armed: its strain gauges say nothing")
         self.state, self._asked_at, self._next, self._is_greeted = LinkState.ARMING, now, now, False
+        self._session = random.randrange(SESSIONS)
         self.guard.disarm()
         self._watch.forget()
 
@@ -164,6 +176,8 @@ class GloveHost:
                     self._take(now, frame)
         except LineError as error:
             self._lose(now, str(error))
+        if self.state == LinkState.ARMED and now - self.reading.torques_at > OLDEST_TENSION:
+            self.guard.trip("the strain gauges fell silent")
         self._lose_patience(now)
         return self.reading
 
@@ -202,26 +216,26 @@ class GloveHost:
         """For torque, in a new session: however many frames were lost before, the device counts anew."""
         if now < self._next:
             return
-        self._next = now + REPEAT
+        self._next = now + self._repeat
         if self._is_greeted:
             self._send(now, Kind.ARM, (self._session,))
         else:
             self._greet(now)
 
     def _greet(self, now: float) -> None:
-        self._session = random.randrange(SESSIONS)
         self._send(now, Kind.HELLO, (self._session,))
 
     def _lose_patience(self, now: float) -> None:
         """With a device that says nothing, or does not agree."""
         if self.state >= LinkState.LINKED and now - self._heard_at > SILENCE:
             trouble = "the device fell silent"
-        elif self.state == LinkState.ARMING and now - self._asked_at > ARMING:
+        elif self.state == LinkState.ARMING and now - self._asked_at > self._patience:
             trouble = "the device did not say that it is armed"
         else:
             return
         self.guard.trip(trouble)
         self.state, self.trouble, self._next = LinkState.GREETING, trouble, now
+        self._session = random.randrange(SESSIONS)
 
     def _command(self, now: float, output: Output) -> None:
         armed = self.state == LinkState.ARMED
@@ -238,7 +252,8 @@ class GloveHost:
             self._next = now + REOPEN
             self._line = self._open()
             self.state, self.trouble = LinkState.GREETING, "the device does not answer"
-        self._next = now + REPEAT
+            self._session = random.randrange(SESSIONS)
+        self._next = now + self._repeat
         self._greet(now)
 
     def _lose(self, now: float, trouble: str) -> None:
@@ -268,18 +283,20 @@ class GloveHost:
 
     def _encoded(self, now: float, kind: Kind, values: tuple[int, ...], flags: Flag) -> bytes:
         self._number = (self._number + 1) % SEQUENCES
+        # Two frames of one instant would be one and the same to a device.
+        self._ticks = max(int(now * 1e6), self._ticks + 1)
         padded = values + (0,) * (CHANNELS - len(values))
-        return encode(Frame(kind, self._number, int(now * 1e6) % TICKS, padded, flags))
+        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags))
 
     def _take(self, now: float, frame: Frame) -> None:
         if frame.kind == Kind.CAPABILITY:
             self._greeted(now, frame)
-        elif self.state >= LinkState.LINKED and self.order.is_new(frame.sequence):
+        elif self.state >= LinkState.LINKED and frame.kind in SPOKEN and self.order.is_new(frame.sequence):
             self._hear(now, frame)
 
     def _greeted(self, now: float, frame: Frame) -> None:
         """A device that answers, if it is the one that the model describes."""
-        session, channels, watchdog, quantum = frame.values[:4]
+        session, channels, watchdog, quantum, most, slew = frame.values[:6]
         if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
             return
         expected = round(self.model.quantum * 1e7)
@@ -287,8 +304,12 @@ class GloveHost:
             self.trouble = f"the device's count is {quantum}e-7 N.m: expected {expected}e-7, {self.model.name}'s"
         elif channels < len(self.model.joints):
             self.trouble = f"the device has {channels} channels: expected {len(self.model.joints)}, {self.model.name}'s"
-        elif watchdog <= 0:
-            self.trouble = "the device has no watchdog"
+        elif not 0 < watchdog <= LONGEST_WATCHDOG:
+            self.trouble = f"the device's watchdog is {watchdog} ms: expected 1 to {LONGEST_WATCHDOG}"
+        elif not 0 < most <= max(self.model.most_counts):
+            self.trouble = f"the device goes to {most} counts: expected {max(self.model.most_counts)} at most"
+        elif not 0 < slew <= round(self.model.rate / self.model.quantum / 1000):
+            self.trouble = f"the device changes by {slew} counts/ms: expected {self.model.rate:g} N.m/s at most"
         else:
             if self.state == LinkState.GREETING:
                 self.state = LinkState.LINKED

@@ -26,6 +26,12 @@ from jaxgrasp.glove.rendering import OLDEST_LAW, Rendering
 from jaxgrasp.glove.tension import TensionControl
 from jaxgrasp.glove.tick_times import TickTimes
 
+OPTIONS = {
+    *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
+    *("slots", "listen", "transport", "key"),
+}
+ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+"""Signals that end it: asked, interrupted, its terminal closed."""
 FIRST_SCALE = 0.05
 """Of all torques, unless it is told otherwise: the first time that power is on."""
 
@@ -33,7 +39,7 @@ FIRST_SCALE = 0.05
 def main() -> None:
     """Run until the standard input ends or a signal comes."""
     options = json.loads(sys.argv[1])
-    for name in (signal.SIGTERM, signal.SIGINT):
+    for name in ENDS:
         signal.signal(name, _leave)
     orders: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders,), daemon=True).start()
@@ -42,13 +48,29 @@ def main() -> None:
     try:
         run(rendering, times, orders)
     finally:
-        rendering.host.close(time.monotonic())
+        # Whoever ends it twice must not keep it from its last zero.
+        for name in ENDS:
+            signal.signal(name, signal.SIG_IGN)
+        rendering.host.close(time.perf_counter())
         rendering.peer.close()
         _say({"summary": times.summary() | report(rendering.host)})
 
 
 def build(options: dict[str, Any]) -> Rendering:
-    """The loop that options describe."""
+    """The loop that options describe.
+
+    Raises:
+        ValueError: for options that are unknown or out of range.
+    """
+    for name in options:
+        if name not in OPTIONS:
+            raise ValueError(f"option {name!r} is none of {', '.join(sorted(OPTIONS))}")
+    for name in ("baud", "rate"):
+        value = options.get(name, 1)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
+            raise ValueError(f"{name} is {value!r}: expected a positive number")
+    if options.get("control", False) not in (True, False):
+        raise ValueError(f"control is {options['control']!r}: expected true or false")
     model, sensors = load_model(options)
     bounds = {name: options[name] for name in ("projection", "ramp") if name in options}
     guard = Guard(model, scale=options.get("scale", FIRST_SCALE), **bounds)
@@ -62,25 +84,25 @@ def build(options: dict[str, Any]) -> Rendering:
 def run(rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str | None]") -> None:
     """Turn at a steady rate, and say what changes."""
     said: tuple[str, ...] = ()
-    due = time.monotonic()
+    due = time.perf_counter()
     while True:
         while not orders.empty():
             order = orders.get()
             if order is None:
                 return
             _obey(rendering, json.loads(order))
-        begun = time.monotonic()
+        begun = time.perf_counter()
         rendering.turn(begun)
         host = rendering.host
         changed = (host.state.name, host.guard.state.name, host.trouble, host.guard.cause)
         if changed != said:
             said = changed
             _say({"event": dict(zip(("link", "guard", "trouble", "cause"), changed, strict=True)), "at": begun})
-        over = time.monotonic()
+        over = time.perf_counter()
         times.add(begun - due, over - begun)
         # A turn that was missed is not made up for: its answer would be as late as it is.
         due = max(due + times.period, over)
-        time.sleep(max(0.0, due - time.monotonic()))
+        time.sleep(max(0.0, due - time.perf_counter()))
 
 
 def report(host: GloveHost) -> dict[str, Any]:
@@ -93,8 +115,6 @@ def report(host: GloveHost) -> dict[str, Any]:
 
 def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
     channels = len(model.joints)
-    if options.get("slots"):
-        return SlotPeer(Path(options["slots"]), channels)
     if options.get("listen"):
         host, port = options["listen"]
         key = bytes.fromhex(options.get("key", ""))
@@ -103,11 +123,11 @@ def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
         link = Link(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)
         _say({"listens": link.port})
         return LinkPeer(link, channels)
-    return NoPeer()
+    return SlotPeer(Path(options["slots"]), channels) if options.get("slots") else NoPeer()
 
 
 def _obey(rendering: Rendering, order: dict[str, Any]) -> None:
-    now = time.monotonic()
+    now = time.perf_counter()
     try:
         match order:
             case {"arm": _}:
@@ -121,7 +141,7 @@ def _obey(rendering: Rendering, order: dict[str, Any]) -> None:
                 return
             case _:
                 raise ValueError(f"order {order} is none of arm, disarm, scale, report")
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         _say({"refused": str(error), "at": now})
     else:
         _say({"done": order, "at": now})

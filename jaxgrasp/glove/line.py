@@ -1,13 +1,24 @@
 """The serial line: bytes that come and go without ever waiting for them."""
 
+import contextlib
+import os
 from abc import ABC, abstractmethod
+from typing import Any
 
 import serial
 
 from jaxgrasp.glove.frames import LINE_SIZE
 
-WRITE_TIMEOUT = 0.002
-"""How long a full line may hold a write [s]. Without any, pyserial tries for ever."""
+WRITE_TIMEOUT = 0 if os.name == "nt" else 0.002
+"""How long a full line may hold a write [s]. Without any, pyserial tries for ever, but on Windows, where it then leaves
+the bytes to the system."""
+_GONE: tuple[Any, ...] = (OSError, TypeError, ValueError, OverflowError)
+"""What pyserial raises for ports that are gone; a TypeError where another thread closed one, whose number is None."""
+with contextlib.suppress(ImportError):
+    import termios
+
+    # It lets this one through, which is no OSError.
+    _GONE += (termios.error,)
 
 
 class LineError(OSError):
@@ -15,7 +26,7 @@ class LineError(OSError):
 
 
 class Line(ABC):
-    """What carries bytes; every call returns at once."""
+    """What carries bytes; no call waits longer than two milliseconds."""
 
     @abstractmethod
     def read(self) -> bytes:
@@ -58,20 +69,19 @@ class SerialLine(Line):
         self.port = port
         try:
             self._serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True)
-        except (OSError, ValueError) as error:
+        except _GONE as error:
             raise LineError(f"port {port} cannot be opened: {error}") from None
 
     def read(self) -> bytes:
         try:
             return self._serial.read(4096)
-        except (OSError, TypeError) as error:
-            # pyserial knows a port that another thread closed by its file number, None: a TypeError.
+        except _GONE as error:
             raise LineError(f"port {self.port} is gone: {error}") from None
 
     def is_free(self) -> bool:
         try:
             return self._serial.out_waiting <= LINE_SIZE
-        except (OSError, TypeError) as error:
+        except _GONE as error:
             raise LineError(f"port {self.port} is gone: {error}") from None
 
     def write(self, data: bytes) -> bool:
@@ -79,14 +89,12 @@ class SerialLine(Line):
             return self._serial.write(data) == len(data)
         except serial.SerialTimeoutException:
             return False
-        except (OSError, TypeError) as error:
+        except _GONE as error:
             raise LineError(f"port {self.port} is gone: {error}") from None
 
     def close(self) -> None:
-        try:
+        with contextlib.suppress(*_GONE):
             self._serial.close()
-        except OSError:
-            return
 
 
 class Pace:

@@ -4,7 +4,7 @@ import contextlib
 import random
 import socket
 from abc import ABC, abstractmethod
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,13 +17,16 @@ RECONNECT = 0.25
 """Time between attempts to connect [s]."""
 LARGEST = 4096
 """Bytes of a message that are kept at most before its end."""
+MOST = 64
+"""Pieces that are taken at a time, so that nobody who sends without end keeps the loop from its work."""
 
 
 class Link:
     """One end of a link, driven by calls that never wait.
 
-    One side listens, the other connects; either may come, go and come back. What is sent is never queued: a message
-    that the network cannot take is dropped, since the next is newer.
+    One side listens, the other connects; either may come, go and come back. Nothing is queued here: a message that the
+    network cannot take is dropped, since the next is newer. (What TCP has taken, it keeps until it arrives; what it
+    brings late is too old, and not acted on.)
     """
 
     def __init__(
@@ -56,6 +59,10 @@ class Link:
             raise ValueError(f"transport is {transport!r}: expected 'udp' or 'tcp'")
         if not 1 <= size_in <= MOST_NUMBERS:
             raise ValueError(f"size_in is {size_in}: expected 1 to {MOST_NUMBERS} numbers")
+        if not 0 <= port < 65536:
+            raise ValueError(f"port is {port}: expected 0 to 65535")
+        if len(key) > 64:
+            raise ValueError(f"key has {len(key)} bytes: expected 64 at most")
         if not (np.isfinite(oldest) and oldest > 0):
             raise ValueError(f"oldest is {oldest}: expected a positive time [s]")
         self.exchange = Exchange(random.randrange(NUMBERS), size_in, key)
@@ -75,8 +82,9 @@ class Link:
     def receive(self, now: float) -> Message | None:
         """The latest message, if it is not too old to act on; call it often."""
         with contextlib.suppress(OSError):
-            for data in self._carrier.receive(now):
-                self.exchange.incoming(now, data)
+            for data, sender in self._carrier.receive(now):
+                if self.exchange.incoming(now, data) is not None:
+                    self._carrier.answer(sender)
         return self.exchange.latest if self.exchange.age(now) <= self._oldest else None
 
     def close(self) -> None:
@@ -93,7 +101,11 @@ class _Carrier(ABC):
     def send(self, now: float, data: bytes) -> None: ...
 
     @abstractmethod
-    def receive(self, now: float) -> list[bytes]: ...
+    def receive(self, now: float) -> list[tuple[bytes, Any]]:
+        """What came, each with its sender; however much comes, a call takes only so much."""
+
+    def answer(self, sender: Any) -> None:  # noqa: B027
+        """Whoever sent what was understood is who is spoken to."""
 
     @abstractmethod
     def close(self) -> None: ...
@@ -113,19 +125,21 @@ class _Datagrams(_Carrier):
         if self._peer is not None:
             self._socket.sendto(data, self._peer)
 
-    def receive(self, now: float) -> list[bytes]:
+    def receive(self, now: float) -> list[tuple[bytes, Any]]:
         found = []
         # A refusal of what was sent comes as an error of one call; what has come is still there.
-        for _ in range(1000):
+        for _ in range(MOST):
             try:
                 data, sender = self._socket.recvfrom(LARGEST)
             except BlockingIOError:
                 break
             except ConnectionError:
                 continue
-            found.append(data)
-            self._peer = sender
+            found.append((data, sender))
         return found
+
+    def answer(self, sender: Any) -> None:
+        self._peer = sender
 
     def close(self) -> None:
         self._socket.close()
@@ -147,7 +161,7 @@ class _Stream(_Carrier):
 
     def send(self, now: float, data: bytes) -> None:
         self._connect(now)
-        if self._socket is None:
+        if self._socket is None or not self._is_ready:
             return
         try:
             # The rest of a message goes first, or the other side would take two halves for one.
@@ -161,12 +175,14 @@ class _Stream(_Carrier):
         except OSError:
             self._drop()
 
-    def receive(self, now: float) -> list[bytes]:
+    def receive(self, now: float) -> list[tuple[bytes, Any]]:
         self._connect(now)
-        found = []
-        while self._socket is not None:
+        found: list[tuple[bytes, Any]] = []
+        for _ in range(MOST):
+            if self._socket is None or not self._is_ready:
+                break
             try:
-                data = self._socket.recv(65536)
+                data = self._socket.recv(LARGEST)
             except BlockingIOError:
                 break
             except OSError:
@@ -177,7 +193,7 @@ class _Stream(_Carrier):
             *lines, rest = (bytes(self._kept) + data).split(b"\0")
             # More than a message without an end is none.
             self._kept = bytearray(rest[-LARGEST:])
-            found += [message for message in map(unstuff, lines) if message is not None]
+            found += [(message, None) for message in map(unstuff, lines) if message is not None]
         return found
 
     def _connect(self, now: float) -> None:

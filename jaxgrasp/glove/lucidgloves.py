@@ -137,7 +137,7 @@ class LucidHost:
         """Lines that said nothing."""
         self._line, self._full_scale, self._give = line, full_scale, give
         self._kept = b""
-        self._owed = False
+        self._owed = self._holds = self._was_cut = False
 
     def arm(self, now: float, accepted: str) -> None:
         """Let limits through.
@@ -175,7 +175,10 @@ class LucidHost:
         return self.reading
 
     def send(self, now: float, wanted: Float[np.ndarray, "5"]) -> tuple[int, int, int, int, int]:
-        """Answer the glove if it waits for that; the limits that hold from now on.
+        """Answer the glove if it waits for that; the limits that are to hold from now on.
+
+        Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
+        answer may have been lost, and then the glove holds them and waits.
 
         Args:
             now: time [s].
@@ -188,10 +191,13 @@ class LucidHost:
         limits = (0, 0, 0, 0, 0)
         if output.state == GuardState.ARMED and self.reading is not None:
             limits = limits_for(output.torques / np.array(self.guard.model.limits), self.reading.curls, self._give)
-        if self._owed:
-            self._owed = False
-            answer = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", limits, strict=True))
-            self._line.write(answer.encode() + b"\n")
+        if self._owed or (self._holds and not any(limits)):
+            text = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", limits, strict=True))
+            # After what may be half an answer, an end of line makes it a bad one, and the next a good one.
+            begin = b"" if self._owed and not self._was_cut else b"\n"
+            self._was_cut = not self._line.write(begin + text.encode() + b"\n")
+            if self._owed and not self._was_cut:
+                self._holds, self._owed = any(limits), False
         return limits
 
     def close(self) -> None:
@@ -199,7 +205,7 @@ class LucidHost:
         self.guard.disarm()
         try:
             for _ in range(SEVERAL):
-                self._line.write(FREE)
+                self._line.write(b"\n" + FREE)
         except LineError as error:
             _log.error("the glove could not be freed: %s; take its power away", error)
         self._line.close()

@@ -18,6 +18,8 @@ CHECK = 8
 NUMBERS = 2**32
 MOST_NUMBERS = 340
 """Of a message, so that one fits in a datagram of the usual 1,500 bytes."""
+TAKEN = 0.25
+"""How long a side that falls silent still keeps another from taking its place [s]."""
 WINDOW = 4.0
 """For how long the shortest exchange sets the clocks [s]."""
 
@@ -97,6 +99,10 @@ class Exchange:
                 self.stale += 1
                 return None
             self.missing += ahead - 1
+        elif last is not None and now - self._arrived < TAKEN:
+            # Two that speak at once would take turns.
+            self.stale += 1
+            return None
         else:
             # Another program on the other side: another clock.
             self._ways.clear()

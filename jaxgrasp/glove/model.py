@@ -52,6 +52,10 @@ class GloveModel:
             raise ValueError(f"limits are {len(self.limits)}: expected one for each of {len(self.joints)} joints")
         for name in ("rate", "quantum"):
             _check_positive(name, getattr(self, name))
+        if not (1 <= round(self.quantum * 1e7) <= MOST_COUNTS and abs(self.quantum * 1e7 % 1 - 0.5) > 0.5 - 1e-6):
+            raise ValueError(
+                f"quantum is {self.quantum:g}: expected 1 to {MOST_COUNTS} times 1e-7 N.m, as frames have it"
+            )
         for k, limit in enumerate(self.limits):
             _check_positive(f"limits[{k}]", limit)
             if not self.quantum <= limit <= MOST_COUNTS * self.quantum:
@@ -124,12 +128,12 @@ def _read(key: str, value: Any, given: dict[str, Any]) -> Any:
     if key == "limits" and isinstance(value, list):
         return tuple(_number(f"limits[{k}]", one) for k, one in enumerate(value))
     number = _number(key, value)
-    return (number,) * len(given["joints"]) if key == "limits" else number
+    return (number,) * len(_read("joints", given["joints"], given)) if key == "limits" else number
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name} is {value!r}: expected a number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e300:
+        raise ValueError(f"{name} is {str(value)[:40]}: expected a number")
     return float(value)
 
 

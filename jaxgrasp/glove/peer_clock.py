@@ -2,8 +2,8 @@
 
 from jaxgrasp.glove.frames import TICKS
 
-DRIFT = 2e-4
-"""By how much two quartz clocks may run apart, with room [1]."""
+DRIFT = 6e-3
+"""By how much two clocks may run apart, with room: half a per cent, as ceramic resonators do [1]."""
 
 
 class PeerClock:

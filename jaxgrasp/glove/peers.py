@@ -1,7 +1,10 @@
 """Where the torques' law comes from and the glove's state goes: a process beside, or a computer elsewhere."""
 
+import math
 from abc import ABC, abstractmethod
 from pathlib import Path
+
+import numpy as np
 
 from jaxgrasp.glove.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.link import Link
@@ -9,6 +12,8 @@ from jaxgrasp.glove.slot import Slot
 
 LAW, STATE = "law", "state"
 """Files of the slots in the folder that two processes share."""
+CALL = 0.05
+"""Time between two calls of a glove that says nothing [s]."""
 AHEAD = 0.005
 """By how much a law may seem to come from the future [s]."""
 
@@ -61,13 +66,43 @@ class LinkPeer(Peer):
         message = self._link.receive(now)
         if message is None:
             return None
-        law = TorqueLaw.of(message.values, self._channels)
-        return TorqueLaw(now - self._link.exchange.age(now), law.is_valid, law.angles, law.torques, law.derivative)
+        # The age that it had already when it was sent counts too: an engine that hangs may go on sending.
+        return TorqueLaw.of(message.values, self._channels).since(now - self._link.exchange.age(now))
 
     def publish(self, now: float, state: GloveState) -> None:
-        self._link.send(now, state.vector())
+        self._link.send(now, state.since(now).vector())
 
     def close(self) -> None:
+        self._link.close()
+
+
+class EngineLink:
+    """The engine's side of a link to a glove elsewhere: ``state`` and ``write`` as a GloveProcess has them."""
+
+    def __init__(self, link: Link, channels: int) -> None:
+        """A link whose incoming messages are states."""
+        self._link, self._channels = link, channels
+        self._called_at = -math.inf
+
+    def state(self, now: float) -> GloveState | None:
+        """What the glove does; None while nothing fresh is known, and then it is called again."""
+        message = self._link.receive(now)
+        if message is None:
+            if now - self._called_at > CALL:
+                self._called_at = now
+                nothing = np.zeros(self._channels)
+                law = TorqueLaw(now, False, nothing, nothing, np.zeros((self._channels, self._channels)))
+                self.write(now, law)
+            return None
+        state = GloveState.of(message.values, self._channels)
+        return None if state is None else state.since(now - self._link.exchange.age(now))
+
+    def write(self, now: float, law: TorqueLaw) -> None:
+        """The law to follow from now on."""
+        self._link.send(now, law.since(now).vector())
+
+    def close(self) -> None:
+        """Let go of it."""
         self._link.close()
 
 

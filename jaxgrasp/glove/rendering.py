@@ -10,6 +10,8 @@ from jaxgrasp.glove.tension import TensionControl
 
 OLDEST_LAW = 0.03
 """Age beyond which a law is not acted on [s]: with a turn and two frames, a dead engine's torque is gone in 45 ms."""
+LONGEST = 0.05
+"""Most that this age may be set to [s]."""
 REACH = 0.2
 """How far from a law's angles its derivative is followed [rad]."""
 
@@ -27,7 +29,12 @@ class Rendering:
             peer: who computes.
             oldest: age beyond which its law is not acted on [s].
             control: of the torques by the measured tensions; none if None.
+
+        Raises:
+            ValueError: for an age that is not positive, or too long to be safe.
         """
+        if not (isinstance(oldest, int | float) and 0 < oldest <= LONGEST):
+            raise ValueError(f"oldest is {oldest!r}: expected more than 0 and at most {LONGEST} s")
         self.host, self.peer = host, peer
         self._oldest, self._control = oldest, control
         self._before = np.nan

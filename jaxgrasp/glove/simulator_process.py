@@ -29,20 +29,20 @@ def main() -> None:
     """Run until the standard input ends."""
     options = json.loads(sys.argv[1])
     terminal = PseudoTerminal(Path(options["port"]), options.get("baud", 115_200))
-    simulation = Simulation(options, terminal, time.monotonic(), say, *load_model(options))
+    simulation = Simulation(options, terminal, time.perf_counter(), say, *load_model(options))
     terminal.plug()
-    say({"port": options["port"], "at": time.monotonic()})
-    orders, next_turn = b"", time.monotonic()
+    say({"port": options["port"], "at": time.perf_counter()})
+    orders, next_turn = b"", time.perf_counter()
     try:
         while True:
-            if select.select([0], [], [], max(0.0, next_turn - time.monotonic()))[0]:
+            if select.select([0], [], [], max(0.0, next_turn - time.perf_counter()))[0]:
                 came = os.read(0, 65536)
                 if not came:
                     return
                 *lines, orders = (orders + came).split(b"\n")
                 for line in lines:
-                    simulation.obey(json.loads(line), time.monotonic())
-            now = time.monotonic()
+                    simulation.obey(json.loads(line), time.perf_counter())
+            now = time.perf_counter()
             if now >= next_turn:
                 simulation.turn(now)
                 next_turn = max(next_turn + PERIOD, now)

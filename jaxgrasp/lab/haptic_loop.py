@@ -95,19 +95,19 @@ def run_loop(
         goes_on: called after each tick with the time; False ends it.
     """
     times = TickTimes(1.0 / rate)
-    due = time.monotonic()
+    due = time.perf_counter()
     while True:
-        begun = time.monotonic()
+        begun = time.perf_counter()
         read = state()
         pose = wrist(begun)
         if read is not None and pose is not None and np.all(np.isfinite(read.angles)):
             write(haptics.tick(begun, read.angles, pose))
-        over = time.monotonic()
+        over = time.perf_counter()
         times.add(begun - due, over - begun)
         if not goes_on(over):
             return times
         due = max(due + times.period, over)
-        time.sleep(max(0.0, due - time.monotonic()))
+        time.sleep(max(0.0, due - time.perf_counter()))
 
 
 def pose_at(origin: Float[AnyArray, "3"], rotation: Float[AnyArray, "3 3"] | None = None) -> Pose:

@@ -77,6 +77,7 @@ def test_the_watchdog_latches_in_its_time_whatever_the_clock(start):
 def test_what_zeroes_at_once():
     for end, state in (
         (lambda device, host: device.trip(Cause.OWN), DeviceState.LATCHED),
+        (lambda device, host: device.trip(Cause.WATCHDOG), DeviceState.LATCHED),
         (lambda device, host: device.receive(0, host.line(9 * MS, Kind.HELLO, (9,))), DeviceState.LATCHED),
         (lambda device, host: device.receive(0, host.line(9 * MS, Kind.COMMAND, flags=Flag(0))), DeviceState.IDLE),
     ):
@@ -87,6 +88,16 @@ def test_what_zeroes_at_once():
         end(device, host)
         assert device.counts == [0] * CHANNELS and device.state == state
         assert not any(map(any, run(device, 9 * MS, 20 * MS)))
+
+
+def test_a_fault_of_its_own_latches_whatever_its_state():
+    device = Device()
+    device.trip(Cause.WATCHDOG)
+    assert device.state == DeviceState.IDLE
+    device.trip(Cause.OWN)
+    assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.OWN)
+    device.counts = [5] * CHANNELS
+    assert device.step(0) == [0] * CHANNELS, "whatever was written meanwhile"
 
 
 def test_stale_repeated_and_old_sessions_frames_are_ignored():

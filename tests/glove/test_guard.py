@@ -136,6 +136,8 @@ def test_disarming_is_no_fault():
         ({"scale": np.nan}, "scale is nan"),
         ({"ramp": 0.0}, "ramp is 0.0: expected a positive time"),
         ({"oldest": np.inf}, "oldest is inf"),
+        ({"scale": "a"}, "scale is a"),
+        ({"ramp": None}, "ramp is None"),
     ],
 )
 def test_bad_settings(unchecked, options, message):

@@ -5,6 +5,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from jaxgrasp.glove.device import Cause, DeviceState
+from jaxgrasp.glove.frames import Kind
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.model import GloveModel
@@ -78,6 +80,72 @@ def test_encoders_that_fall_silent_latch():
     assert world.zero_after(since) <= 0.08 and "read" in world.host.guard.cause
 
 
+def test_strain_gauges_that_fall_silent_latch():
+    """Or a cable could come off and nobody would know."""
+    world = World().armed()
+    frame = world.simulation.glove.next_frame
+    world.simulation.glove.next_frame = lambda clock: (
+        found if (found := frame(clock)).kind != Kind.TENSIONS else frame(clock)
+    )
+    since = world.now
+    world.run(0.5)
+    assert world.zero_after(since) <= 0.2 and "strain gauges fell silent" in world.host.guard.cause
+    with pytest.raises(ValueError, match="its strain gauges say nothing"):
+        world.host.arm(world.now)
+
+
+def test_leaving_in_the_instant_of_a_command():
+    """Two frames of one reading of the clock are two frames all the same."""
+    world = World().armed()
+    world.host.send(world.now, np.full(14, 0.1), world.now)
+    world.host.close(world.now)
+    world.is_host_alive, since = False, world.now
+    world.run(0.3)
+    assert world.zero_after(since) <= 0.02 and world.device.state.name == "IDLE"
+
+
+def test_a_device_that_is_at_fault_is_not_armed():
+    world = World()
+    world.bend(0.6)
+    world.run(0.5)
+    world.simulation.obey({"fault": 1}, world.now)
+    assert (world.device.state, world.device.cause) == (DeviceState.LATCHED, Cause.OWN)
+    step = world.device.step
+    world.device.step = lambda now: (world.device.trip(Cause.OWN), step(now))[1]
+    world.host.arm(world.now)
+    world.run(1.0)
+    assert world.host.guard.state != GuardState.ARMED and not any(counts.any() for _, counts in world.history)
+
+
+def test_an_echo_is_no_device():
+    world = World()
+    world.run(0.2)
+    write = world.line.write
+    world.line.write = lambda data: (world.line.to_host.extend(data), write(data))[1]
+    world.bend(0.6)
+    world.run(0.5)
+    world.host.arm(world.now)
+    world.run(0.5)
+    assert world.host.guard.state == GuardState.ARMED and world.host.order.missing == 0
+
+
+@pytest.mark.parametrize("drift", [-0.005, 0.005])
+def test_a_clock_that_is_off_by_half_a_per_cent(drift):
+    world = World(drift=drift).armed()
+    world.run(8.0)
+    assert world.host.guard.state == GuardState.ARMED and 0 < world.now - world.host.reading.angles_at < 0.03
+
+
+def test_a_slow_line_is_linked_and_holds_no_torque():
+    """At 9,600 baud a frame takes 44 ms: angles are too old to act on."""
+    world = World(baud=9600)
+    world.run(2.0)
+    assert world.host.state == LinkState.LINKED
+    world.host.arm(world.now)
+    world.run(2.0)
+    assert not any(counts.any() for _, counts in world.history)
+
+
 @pytest.mark.parametrize("wanted", [np.nan, np.inf, -np.inf])
 def test_a_bug_upstream_latches(wanted):
     world = World().armed()
@@ -131,6 +199,8 @@ def test_a_bad_line_breaks_no_law(share, seed, baud):
     [
         ({"quantum": 2e-5}, "the device's count is 100e-7 N.m: expected 200e-7"),
         ({"joints": ("a",), "limits": (0.12,)}, ""),
+        ({"limits": (0.1,) * 14}, "the device goes to 11999 counts: expected 10000 at most"),
+        ({"rate": 1.0}, "the device changes by 120 counts/ms: expected 1 N.m/s at most"),
     ],
 )
 def test_a_device_that_is_another_glove(change, trouble):
@@ -140,6 +210,14 @@ def test_a_device_that_is_another_glove(change, trouble):
     world.run(0.5)
     assert world.host.trouble == trouble or world.host.trouble.startswith(trouble)
     assert (world.host.state == LinkState.LINKED) == (not trouble)
+
+
+def test_a_device_with_a_long_watchdog_is_refused():
+    world = World()
+    world.device._watchdog = 30_000
+    world.run(0.5)
+    assert world.host.trouble == "the device's watchdog is 30000 ms: expected 1 to 50"
+    assert world.host.state == LinkState.GREETING
 
 
 def test_arming_needs_a_link_and_angles():

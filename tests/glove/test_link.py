@@ -1,6 +1,8 @@
 """Two hosts: the latest wins, ages are told to within the way, and nothing too old is acted on."""
 
+import contextlib
 import random
+import socket
 import time
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.link import LARGEST, MOST, Link
 from jaxgrasp.glove.messages import Exchange
 
 SIZE = 5
@@ -70,9 +72,11 @@ def test_late_doubled_and_foreign_messages_are_not_acted_on():
         assert other.incoming(9.0, spoilt) is None
     assert keyed.incoming(9.0, messages[3]) is None
     assert other.refused == 4 and keyed.refused == 1
-    # The other program starts anew, with a clock of its own.
-    assert other.incoming(9.0, Exchange(7, SIZE).outgoing(-100.0, np.zeros(SIZE))) is not None
-    assert other.age(9.0) == np.inf
+    # Another program must wait until this one has been silent for a while; it has a clock of its own.
+    another = Exchange(7, SIZE)
+    assert other.incoming(9.1, another.outgoing(-100.0, np.zeros(SIZE))) is None
+    assert other.incoming(9.5, another.outgoing(-99.6, np.zeros(SIZE))) is not None
+    assert other.age(9.5) == np.inf
 
 
 @settings(max_examples=200, deadline=None)
@@ -112,11 +116,48 @@ def test_sockets(transport):
     client.close()
 
 
+def test_a_flood_does_not_keep_the_loop():
+    server = Link("127.0.0.1", 0, SIZE, listens=True, transport="tcp")
+    flood = socket.create_connection(("127.0.0.1", server.port))
+    for _ in range(3):
+        server.receive(0.0)
+    flood.setblocking(False)
+    taken = 0
+    for _ in range(200):
+        with contextlib.suppress(BlockingIOError):
+            flood.send(b"\x01\0" * 30_000)
+        before = server.exchange.refused
+        server.receive(0.0)
+        taken = max(taken, server.exchange.refused - before)
+    assert 0 < taken <= MOST * LARGEST / 2
+    flood.close()
+    server.close()
+
+
+def test_answers_go_only_to_who_is_understood():
+    server = Link("127.0.0.1", 0, SIZE, listens=True, oldest=0.5)
+    client = Link("127.0.0.1", server.port, SIZE, oldest=0.5)
+    stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    for k in range(20):
+        client.send(0.001 * k, np.ones(SIZE))
+        stranger.sendto(b"x", ("127.0.0.1", server.port))
+        time.sleep(0.002)
+        server.receive(0.001 * k)
+        server.send(0.001 * k, np.zeros(SIZE))
+    time.sleep(0.01)
+    client.receive(0.02)
+    assert client.exchange.accepted > 10
+    for one in (server, client, stranger):
+        one.close()
+
+
 @pytest.mark.parametrize(
     "change, message",
     [
         ({"transport": "pigeon"}, "expected 'udp' or 'tcp'"),
         ({"size_in": 4000}, "size_in is 4000"),
+        ({"port": 99_999}, "port is 99999: expected 0 to 65535"),
+        ({"key": b"x" * 65}, "key has 65 bytes: expected 64 at most"),
         ({"oldest": 0.0}, "oldest is 0.0: expected a positive time"),
     ],
 )

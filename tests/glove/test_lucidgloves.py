@@ -96,7 +96,7 @@ def test_what_leaves_is_bounded_and_free_after_a_fault(wanted, give):
         line.to_host += SAID + b"\n"
         glove.poll(now)
         limits = glove.send(now, np.full(5, torque))
-        firmware(bytes(line.to_device).rstrip(b"\n"), servos)
+        firmware(bytes(line.to_device).strip(b"\n"), servos)
         line.to_device.clear()
         assert tuple(servos) == limits and all(0 <= limit <= 1000 for limit in limits)
         if glove.guard.state != GuardState.ARMED:
@@ -114,12 +114,39 @@ def test_each_line_is_answered_once_and_closing_frees():
     assert bytes(line.to_device) == b"A0B0C0D0E0\n" * 3
     line.to_device.clear()
     glove.close()
-    assert bytes(line.to_device) == b"A0B0C0D0E0\n" * 3
+    assert bytes(line.to_device) == b"\nA0B0C0D0E0\n" * 3
     gone, line = host()
     line.is_plugged = False
     with pytest.raises(LineError):
         gone.poll(0.0)
     gone.close()
+
+
+def test_limits_end_though_the_last_answer_was_lost():
+    """The firmware waits for an answer that never comes; what frees it comes without being asked for."""
+    glove, line = host()
+    servos = [7] * 5
+    for k in range(20):
+        line.to_host += SAID + b"\n"
+        glove.poll(0.005 * k)
+        if k == 1:
+            glove.arm(0.005 * k, ACCEPTANCE)
+        limits = glove.send(0.005 * k, np.full(5, 0.1))
+    line.to_device.clear()
+    assert any(limits), "and this answer is lost"
+    for k in range(20, 60):
+        glove.poll(0.005 * k)
+        limits = glove.send(0.005 * k, np.full(5, 0.1))
+        for one in bytes(line.to_device).split(b"\n"):
+            firmware(one, servos)
+        line.to_device.clear()
+    assert glove.guard.state == GuardState.LATCHED and limits == (0,) * 5 and servos == [0] * 5
+    line.to_host += SAID + b"\n"
+    glove.poll(1.0)
+    glove.send(1.0, np.zeros(5))
+    line.to_device.clear()
+    glove.send(1.0, np.zeros(5))
+    assert not line.to_device, "once it has answered, all is said"
 
 
 def test_its_channels_are_joints_of_the_hand(unchecked):

@@ -67,6 +67,10 @@ def test_a_file(tmp_path):
         ("0.2]", "20.0]", r"limits\[1\] is 20: expected 1 to 32767 times quantum"),
         ("rate = 2", "rate = -2", "rate is -2.0: expected a positive number"),
         ("rate = 2", "rate 2", "is no TOML"),
+        ("1e-4", "1.5e-7", "quantum is 1.5e-07: expected 1 to 32767 times 1e-7 N.m"),
+        ("1e-4", "4e-8", "quantum is 4e-08"),
+        ("0.2]", "1" + "0" * 400 + "]", r"limits\[1\] is 1000"),
+        ('["index MP", "thumb IP"]\nlimits = [0.1, 0.2]', "5\nlimits = 0.1", "expected a list of names"),
     ],
 )
 def test_bad_files(tmp_path, old, new, message):

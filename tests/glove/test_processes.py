@@ -29,13 +29,13 @@ class Engine:
         self.glove = glove
 
     def run(self, seconds: float, until=lambda state: False) -> GloveState:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
             state = self.glove.state()
             if state is not None and np.all(np.isfinite(state.angles)):
                 angles = state.angles
                 torques = np.maximum(0.25 * (angles - 0.2), 0)
-                self.glove.write(TorqueLaw(time.monotonic(), True, angles, torques, 0.25 * np.diag(angles > 0.2)))
+                self.glove.write(TorqueLaw(time.perf_counter(), True, angles, torques, 0.25 * np.diag(angles > 0.2)))
                 if until(state):
                     return state
             time.sleep(0.005)
@@ -73,7 +73,7 @@ def test_torque_is_gone_in_time(simulator, tmp_path, end):
     with GloveProcess(simulator.port, 14, scale=1.0, ramp=0.2) as glove:
         engine = Engine(glove)
         engine.hold()
-        since = time.monotonic()
+        since = time.perf_counter()
         if end.startswith("SIG"):
             glove.child.process.send_signal(getattr(signal, end))
         elif end != "engine":
@@ -85,7 +85,7 @@ def test_torque_is_gone_in_time(simulator, tmp_path, end):
         if end in ("SIGKILL", "SIGTERM"):
             return
         engine.run(3.0, lambda state: state.link == LinkState.LINKED)
-        latched = time.monotonic()
+        latched = time.perf_counter()
         assert engine.run(0.5).guard == GuardState.LATCHED
         assert last_torque(tmp_path / "record") < latched
         engine.hold()

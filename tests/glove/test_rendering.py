@@ -11,12 +11,13 @@ from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.link import Link
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.peers import LinkPeer, SlotPeer, make_slots
+from jaxgrasp.glove.peers import EngineLink, LinkPeer, SlotPeer, make_slots
+from jaxgrasp.glove.rendering import Rendering
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.slot import Slot
 from jaxgrasp.glove.tension import TensionControl, TensionWatch
 from jaxgrasp.glove.tick_times import EDGES, TickTimes
-from jaxgrasp.glove.virtual_glove import VirtualGlove
+from jaxgrasp.glove.virtual_glove import HeldPeer, VirtualGlove
 
 MODEL = lrp_hand_master()
 SPRING = 0.25
@@ -170,19 +171,70 @@ def test_peers_by_slots_and_by_a_link(folder):
     for name, value in vars(GloveState.of(states.read(), 14)).items():
         np.testing.assert_array_equal(value, getattr(state, name))
     peer.close()
-    engine = Link("127.0.0.1", 0, GloveState.size(14), listens=True, oldest=1.0)
-    there = LinkPeer(Link("127.0.0.1", engine.port, TorqueLaw.size(14), oldest=1.0), 14)
+
+
+def test_peers_by_a_link():
+    """Times become ages and times again, on clocks that differ; a law that was old when it was sent stays so."""
+    angles = np.linspace(0.1, 1.4, 14)
+    link = Link("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=1.0)
+    there = LinkPeer(link, 14)
+    engine = EngineLink(Link("127.0.0.1", link.port, GloveState.size(14), oldest=1.0), 14)
     for k in range(300):
-        there.publish(0.001 * k, state)
-        # The engine's clock is another.
-        heard = engine.receive(77.0 + 0.001 * k)
-        engine.send(77.0 + 0.001 * k, given_law.vector())
-        found = there.law(0.001 * k)
+        # The engine's clock is another, and the glove's is a large number.
+        here, now = 77.0 + 0.001 * k, 1.0e7 + 0.001 * k
+        state = GloveState(now, int(LinkState.ARMED), int(GuardState.ARMED), 0.5, now - 0.007, angles, angles, angles)
+        there.publish(now, state)
+        heard = engine.state(here)
+        if heard is not None:
+            engine.write(here, law(here - 0.02, angles))
+        found = there.law(now)
     assert heard is not None and found is not None and found.is_valid
-    np.testing.assert_allclose(found.torques, given_law.torques, rtol=1e-6)
-    assert 0.299 - found.computed_at < 0.05
+    np.testing.assert_allclose(found.torques, law(0.0, angles).torques, rtol=1e-6)
+    assert abs(now - found.computed_at - 0.02) < 0.01
+    assert abs(here - heard.angles_at - 0.007) < 0.01 and (heard.link, heard.guard) == (4, 1)
+    np.testing.assert_allclose(heard.angles, angles, rtol=1e-6)
     there.close()
     engine.close()
+
+
+def test_an_engine_calls_again_when_its_glove_was_started_anew():
+    first = Link("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=0.2)
+    engine = EngineLink(Link("127.0.0.1", first.port, GloveState.size(14), oldest=0.2), 14)
+
+    def talk(glove: LinkPeer, start: float, seconds: float) -> int:
+        heard = 0
+        for k in range(int(seconds / 0.005)):
+            now = start + 0.005 * k
+            glove.publish(now, GloveState(now, 2, 0, 0.0, now, *np.ones((3, 14))))
+            state = engine.state(now)
+            heard += state is not None
+            if state is not None:
+                engine.write(now, law(now, state.angles))
+            glove.law(now)
+        return heard
+
+    assert talk(LinkPeer(first, 14), 0.0, 1.0) > 150
+    first.close()
+    again = Link("127.0.0.1", first.port, TorqueLaw.size(14), listens=True, oldest=0.2)
+    assert talk(LinkPeer(again, 14), 1.0, 2.0) > 200
+    again.close()
+    engine.close()
+
+
+def test_what_is_no_state():
+    good = GloveState(1.0, 2, 0, 0.0, 1.0, *np.ones((3, 14))).vector()
+    assert GloveState.of(good, 14) is not None
+    for k, value in ((0, np.nan), (1, np.nan), (1, 7), (1, 1.5), (2, np.inf), (2, -1)):
+        bad = good.copy()
+        bad[k] = value
+        assert GloveState.of(bad, 14) is None
+
+
+@pytest.mark.parametrize("oldest", [0.0, -1.0, 1e9, np.inf, np.nan, "x"])
+def test_a_law_may_not_be_followed_for_long(unchecked, oldest):
+    host = VirtualGlove(MODEL, nominal_sensors(MODEL)).rendering.host
+    with pytest.raises(ValueError, match="oldest is .*: expected more than 0 and at most 0.05 s"):
+        Rendering(host, HeldPeer(), oldest=oldest)
 
 
 def test_a_law_with_a_bad_number_is_not_valid():

@@ -60,7 +60,7 @@ void glove_init(struct glove_device *device, struct glove_limits limits) {
 }
 
 void glove_trip(struct glove_device *device, enum glove_cause cause) {
-    if (device->state == GLOVE_ARMED) {
+    if (device->state == GLOVE_ARMED || cause == GLOVE_OWN) {
         device->state = GLOVE_LATCHED;
         device->cause = cause;
     }
@@ -142,11 +142,14 @@ void glove_step(struct glove_device *device, uint32_t now) {
     int32_t step;
     if (passed > LONGEST_STEP) passed = LONGEST_STEP;
     device->stepped = now;
-    if (device->state == GLOVE_ARMED && now - device->heard > 1000u * device->limits.watchdog)
+    if (device->state == GLOVE_ARMED && now - device->heard > (uint32_t)1000 * device->limits.watchdog)
         glove_trip(device, GLOVE_WATCHDOG);
-    if (device->state != GLOVE_ARMED) return;
+    if (device->state != GLOVE_ARMED) {
+        drop(device);
+        return;
+    }
     /* Whole counts, and what is left of one is kept, so that no clock makes it faster or slower. */
-    device->credit += device->limits.slew * passed;
+    device->credit += (uint32_t)device->limits.slew * passed;
     step = (int32_t)(device->credit / 1000u);
     device->credit %= 1000u;
     for (int k = 0; k < GLOVE_CHANNELS; k++) {

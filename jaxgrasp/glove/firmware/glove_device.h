@@ -3,7 +3,9 @@
  *
  * Call glove_receive for each byte that the line brings, glove_step about every millisecond, and drive the motors by
  * `counts` after each step. Times are a free-running clock in microseconds that may wrap, and none is before the last
- * one given: one that is counts as a wrap, and latches.
+ * one given: one that is counts as a wrap, and latches. All calls come from one context, or with interrupts off; an
+ * emergency stop that cannot wait cuts the motors' power itself, and calls glove_trip from that context for as long as
+ * it lasts.
  */
 #ifndef GLOVE_DEVICE_H
 #define GLOVE_DEVICE_H

@@ -7,9 +7,9 @@ import jax
 import jaxtyping
 import pytest
 
-# Nine tenths of the suite's time are compiling. Unless XLA_FLAGS are given (CI runs some tests with blank ones, as compiled
-# for users), it is done in half the time, for slower code. A flag that XLA does not know would end the process, and
-# others than these versions may not know the first.
+# Nine tenths of the suite's time are compiling. Unless XLA_FLAGS are given (CI runs some tests with empty ones, which
+# compile as users do), it is done in half the time, for slower code. A flag that XLA does not know would end the
+# process, and others than these versions may not know the first.
 _FAST = "--xla_backend_optimization_level=1"
 if jax.__version_info__ < (0, 11):
     _FAST += " --xla_cpu_use_fusion_emitters=false"

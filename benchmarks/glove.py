@@ -30,14 +30,15 @@ from jaxgrasp.glove.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.faults import Spoiler
 from jaxgrasp.glove.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
 from jaxgrasp.glove.glove_process import GloveProcess
-from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.link import Link
-from jaxgrasp.glove.lucidgloves import read_line
+from jaxgrasp.glove.lucidgloves import LucidHost, lucidgloves
 from jaxgrasp.glove.messages import Exchange
 from jaxgrasp.glove.peers import EngineLink
 from jaxgrasp.glove.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.simulator import Simulator, read_record
+from jaxgrasp.glove.slow_line import MemoryLine
 
 NAME = "glove"
 SPRING = 0.25
@@ -101,7 +102,14 @@ def rubbish(plan: Plan) -> list[dict]:
     for kind in (IsotrakBinary, FastrakAscii, FastrakBinary):
         decoder = kind()
         readers[kind.__name__] = decoder.feed, lambda decoder=decoder: len(decoder.kept)
-    readers["LucidGloves lines"] = lambda data: read_line(data, 4095), lambda: 0
+    line = MemoryLine(115_200)
+    lucid = LucidHost(line, Guard(lucidgloves()))
+
+    def lucid_feed(data: bytes) -> None:
+        line.to_host += data
+        lucid.poll(0.0)
+
+    readers["LucidGloves"] = lucid_feed, lambda: len(lucid._kept)
     readers["link messages"] = lambda data: exchange.incoming(0.0, data), lambda: 0
     rows = []
     for name, (feed, kept) in readers.items():

@@ -33,7 +33,8 @@ BUTTONS = {
     "O": "calibrate",
 }
 FREE = b"A0B0C0D0E0\n"
-LONGEST = 512
+LONGEST = 511
+"""Bytes of a line that are kept at most."""
 SEVERAL = 3
 """How often what frees all fingers is said, since no check sum guards it."""
 _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]|P)(\d{1,5})|([H-O])(?!\d)")

@@ -1,5 +1,6 @@
 """``jaxgrasp glove simulate``, ``monitor`` and ``ports``; none needs JAX."""
 
+import contextlib
 import math
 import time
 from typing import Any
@@ -16,6 +17,8 @@ from jaxgrasp.glove.simulator import Simulator
 
 SHOWN_EVERY = 0.1
 """Between two lines of the monitor [s]."""
+TROUBLE_EVERY = 2.0
+"""Between two complaints [s]."""
 TURN = 0.005
 HALF_PERIOD = 2.0
 """Of a simulated person's to and fro [s]."""
@@ -31,16 +34,19 @@ def files(arguments: GloveFiles) -> dict[str, Any]:
 
 
 def simulate_command(arguments: Simulate) -> int:
-    """Run until the time is over, or a key is pressed that interrupts."""
+    """Run until the time is over, or someone interrupts, which is no error."""
     check_finite(arguments, "bend")
     check_not_negative(arguments, "spoil")
     check_positive(arguments, "seconds")
     options = files(arguments)
     if arguments.port.exists() or arguments.port.is_symlink():
-        raise ValueError(f"port is {arguments.port}: expected a name that is not there yet")
+        raise ValueError(
+            f"port is {arguments.port}: expected a name that is not there yet; remove it if no simulated glove uses it"
+        )
     end = math.inf if arguments.seconds is None else time.perf_counter() + arguments.seconds
     channels = len(load_model(options)[0].joints)
-    with Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options) as simulator:
+    simulated = Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options)
+    with contextlib.suppress(KeyboardInterrupt), simulated as simulator:
         print(f"a simulated glove waits at {arguments.port}", flush=True)
         if arguments.spoil:
             simulator.order(spoil=arguments.spoil, seed=0)
@@ -62,18 +68,25 @@ def monitor_command(arguments: Monitor) -> int:
     host = GloveHost(
         model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
     )
-    begun = next_shown = time.perf_counter()
+    print("channels: " + ", ".join(model.joints))
+    begun = time.perf_counter()
+    # An answer takes a moment: nothing is missing before that.
+    next_shown = begun + SHOWN_EVERY
     end = math.inf if arguments.seconds is None else begun + arguments.seconds
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         while (now := time.perf_counter()) < end:
             host.poll(now)
             host.send(now, np.zeros(len(model.joints)), now)
             if now >= next_shown:
-                next_shown = now + SHOWN_EVERY
+                next_shown = now + (SHOWN_EVERY if host.state >= LinkState.LINKED else TROUBLE_EVERY)
                 print(shown(host, now - begun, now), flush=True)
             time.sleep(TURN)
-    finally:
-        host.close(time.perf_counter())
+    host.close(time.perf_counter())
+    if host.counts.links == 0:
+        raise OSError(
+            f"no glove answered: {host.trouble}; `jaxgrasp glove ports` lists the ports, `jaxgrasp glove simulate` "
+            "makes one, in the folder where it runs"
+        )
     return 0
 
 

@@ -10,6 +10,7 @@ from jaxgrasp.cli.glove_arguments import Calibrate
 from jaxgrasp.glove.calibrate import Line, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.report.calibration_picture import write_calibration_picture
 
 COLUMNS = ("sensor", "channel", "counts", "value")
 SENSORS = ("encoder", "gauge")
@@ -90,8 +91,9 @@ def _said(sensor: str, line: Line, model: GloveModel) -> str:
 
 
 def _plot(arguments: Calibrate, pairs: dict, lines: dict[str, Line], model: GloveModel) -> None:
-    from jaxgrasp.report.calibration_picture import write_calibration_picture
-
     path = arguments.out.with_suffix(".png")
-    write_calibration_picture(path, pairs, lines, model.joints)
-    print(f"written: {path}")
+    try:
+        write_calibration_picture(path, pairs, lines, model.joints)
+        print(f"figure:  {path}")
+    except ImportError as error:
+        print(f"no figure: {error}")

@@ -26,6 +26,7 @@ from jaxgrasp.glove.tracker import Tracker
 from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.report.glove_picture import write_glove_picture
 
 FULL = 1.0
 FIRST = 0.05
@@ -52,18 +53,23 @@ def run_command(arguments: Run) -> int:
 
 
 def _play(arguments: Run, model: GloveModel) -> int:
+    for name in ("seconds", "control", "tracker"):
+        if getattr(arguments, name):
+            raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
+    print("compiling, and playing the whole story: a minute or two", flush=True)
     story = grasp_and_lift(model)
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
     print(_said(story))
     print(f"written: {table}")
-    from jaxgrasp.report.glove_picture import write_glove_picture
-
     picture = arguments.out / "glove.png"
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
-    write_glove_picture(picture, model.joints, *curves)
-    print(f"written: {picture}")
+    try:
+        write_glove_picture(picture, model.joints, *curves)
+        print(f"figure:  {picture}")
+    except ImportError as error:
+        print(f"no figure: {error}")
     return 0
 
 
@@ -71,7 +77,9 @@ def _rows(story: Story, model: GloveModel) -> str:
     """A row each five milliseconds: torques at the glove, angles, and the object's height."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    torques, angles = ([f"{name} {joint}" for joint in model.joints] for name in ("torque [N.m]", "angle [rad]"))
+    torques, angles = (
+        [f"{name} {joint}" for joint in model.joints] for name in ("against flexion [N.m]", "angle [rad]")
+    )
     writer.writerow(["time [s]", *torques, *angles, "height [m]"])
     heights = np.interp(story.times, story.ticks, story.heights)
     for k in range(0, len(story.times), 5):

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import tyro
 
-from jaxgrasp.cli.arguments import Command
+from jaxgrasp.cli.arguments import Command, Evaluate
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,7 +17,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"jaxgrasp: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("jaxgrasp: interrupted; finished chunks are kept, --resume goes on with them", file=sys.stderr)
+        kept = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""
+        print(f"jaxgrasp: interrupted{kept}", file=sys.stderr)
         return 130
 
 

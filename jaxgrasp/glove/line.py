@@ -70,7 +70,9 @@ class SerialLine(Line):
         try:
             self._serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True)
         except _GONE as error:
-            raise LineError(f"port {port} cannot be opened: {error}") from None
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else str(error)
+            raise LineError(f"port {port} cannot be opened: {reason}") from None
 
     def read(self) -> bytes:
         try:

@@ -74,7 +74,7 @@ def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
 
 
 def grasp_and_lift(model: GloveModel | None = None) -> Story:
-    """Play it: close, lift, cut, arm again; the first call compiles, some 40 s."""
+    """Play it: close, lift, cut, arm again; a minute or two, most of it compiling."""
     model = lrp_hand_master() if model is None else model
     scene, closed, placed = cylinder_scene()
     haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
@@ -103,7 +103,7 @@ def grasp_and_lift(model: GloveModel | None = None) -> Story:
             script.pop(0)[1]()
     times, counts, angles = (np.array(part) for part in zip(*glove.record, strict=True))
     torques = counts[:, : len(model.joints)] * model.quantum
-    marks = {"closes": CLOSE, "lifts": LIFT, "cable cut": CUT, "armed again": REARM}
+    marks = {"armed, closes": CLOSE, "lifts": LIFT, "cable cut": CUT, "armed again": REARM}
     return Story(times, torques, angles, np.array(ticks), np.array(wanted), np.array(heights), marks)
 
 

@@ -52,7 +52,7 @@ def write_glove_picture(
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2))
     figure.subplots_adjust(left=0.085, right=0.86, top=0.9, bottom=0.075, hspace=0.14)
     _draw_fingers(top, joints, times, torques)
-    top.set_ylabel("torque at the glove, sum of\neach finger's joints [N\N{MIDDLE DOT}m]")
+    top.set_ylabel("torque against flexion, sum\nof each finger's joints [N\N{MIDDLE DOT}m]")
     _draw_fingers(middle, joints, times, np.degrees(angles))
     middle.set_ylabel("flexion, sum of each\nfinger's joints [\N{DEGREE SIGN}]")
     bottom.plot(object_times, 100 * heights, color=INK, lw=1.8)
@@ -71,6 +71,10 @@ def write_glove_picture(
             fontsize=9,
             color=INK,
         )
+    # Curves that coincide are told apart by a broken one above a whole one.
+    for line in (*top.lines, *middle.lines):
+        if line.get_color() == FINGERS["middle"]:
+            line.set_linestyle((0, (4, 3)))
     figure.text(0.012, 0.955, "A hand in a glove: it grasps, lifts, loses its cable, and is armed again", fontsize=12)
     replace_file(path, partial(figure.savefig, format="png", dpi=DPI))
 
@@ -84,19 +88,31 @@ def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, valu
             curve = values[:, places].sum(1)
             axes.plot(times, curve, color=colour, lw=1.6)
             ends[finger] = curve[-1]
-    low, high = axes.get_ylim()
-    gap, before = 0.085 * (high - low), -np.inf
-    for finger, end in sorted(ends.items(), key=lambda item: item[1]):
-        before = max(end, before + gap)
+    for finger, place in _apart(ends, axes.get_ylim()).items():
         axes.annotate(
             finger,
-            (times[-1], before),
+            (times[-1], place),
             xytext=(6, 0),
             textcoords="offset points",
             va="center",
             fontsize=9,
             color=FINGERS[finger],
         )
+
+
+def _apart(ends: dict[str, float], limits: tuple[float, float]) -> dict[str, float]:
+    """Where names stand, in the order of their curves' ends, none on another and none beyond the axes."""
+    low, high = limits
+    gap = 0.085 * (high - low)
+    names = sorted(ends, key=ends.__getitem__)
+    places: dict[str, float] = {}
+    for k, name in enumerate(names):
+        places[name] = max(ends[name], places[names[k - 1]] + gap) if k else ends[name]
+    ceiling = high
+    for name in reversed(names):
+        places[name] = min(places[name], ceiling)
+        ceiling = places[name] - gap
+    return places
 
 
 def _dress(axes: "Axes", times: np.ndarray, marks: dict[str, float]) -> None:

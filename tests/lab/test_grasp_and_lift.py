@@ -26,7 +26,7 @@ def scene():
 
 @pytest.mark.slow
 def test_the_story(story, folder):
-    closes, lifts, cut, again = (story.marks[name] for name in ("closes", "lifts", "cable cut", "armed again"))
+    closes, lifts, cut, again = (story.marks[name] for name in ("armed, closes", "lifts", "cable cut", "armed again"))
     during = lambda low, high: (story.times >= low) & (story.times < high)  # noqa: E731
     limits = np.array(MODEL.limits)
     assert np.all((story.torques >= 0) & (story.torques <= limits))

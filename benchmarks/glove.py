@@ -25,20 +25,20 @@ import numpy as np
 
 from benchmarks.machine import machine
 from benchmarks.page import glove_tables
-from jaxgrasp.glove.child import Child
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.faults import Spoiler
-from jaxgrasp.glove.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
-from jaxgrasp.glove.glove_process import GloveProcess
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import LinkState
-from jaxgrasp.glove.link import Link
-from jaxgrasp.glove.lucidgloves import LucidHost, lucidgloves
-from jaxgrasp.glove.messages import Exchange
-from jaxgrasp.glove.peers import EngineLink
-from jaxgrasp.glove.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
-from jaxgrasp.glove.simulator import Simulator, read_record
-from jaxgrasp.glove.slow_line import MemoryLine
+from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.loop.peers import EngineLink
+from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.messages import Exchange
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
+from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
+from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
+from jaxgrasp.glove.simulated.faults import Spoiler
+from jaxgrasp.glove.simulated.simulator import Simulator, read_record
+from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 NAME = "glove"
 SPRING = 0.25
@@ -211,7 +211,7 @@ def network_cut(plan: Plan) -> dict:
         with tempfile.TemporaryDirectory() as folder, Simulator(**recorded(folder)) as simulator:
             simulator.order(bend=[0.6] * CHANNELS, lasts=0.2)
             options = {"port": simulator.port, "listen": ["127.0.0.1", 0], "scale": 1.0, "ramp": 0.2}
-            host = Child("jaxgrasp.glove.io_process", options)
+            host = Child("jaxgrasp.glove.loop.io_process", options)
             port = host.wait_for(lambda told: "listens" in told)["listens"]
             far = EngineLink(Link("127.0.0.1", port, GloveState.size(CHANNELS)), CHANNELS)
             heard: dict[str, GloveState | None] = {}

@@ -13,7 +13,7 @@ from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.line import SerialLine
-from jaxgrasp.glove.simulator import Simulator
+from jaxgrasp.glove.simulated.simulator import Simulator
 
 SHOWN_EVERY = 0.1
 """Between two lines of the monitor [s]."""

@@ -15,14 +15,14 @@ from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.calibrate import load_model
-from jaxgrasp.glove.exchange import GloveState
-from jaxgrasp.glove.glove_process import GloveProcess
 from jaxgrasp.glove.line import SerialLine
-from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.loop.exchange import GloveState
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.loop.peers import EngineLink
+from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.peers import EngineLink
-from jaxgrasp.glove.tick_times import TickTimes
-from jaxgrasp.glove.tracker import Tracker
+from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.model.hand import Pose

@@ -1,24 +1,25 @@
 """The force-feedback glove: joint torques to bytes and sensors back, in NumPy alone; nothing here imports JAX.
 
 ``GloveProcess`` drives a glove from a process of its own: give it laws of torque, read its state. ``GloveHost`` is the
-same in yours. ``Simulator`` is a glove for those who have none. ``firmware/PROTOCOL.md`` is what to build a device by.
+same in yours. ``Simulator`` is a glove for those who have none. ``protocol/firmware/PROTOCOL.md`` says how to
+build a device.
 """
 
 from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, load_sensors, save_sensors
-from jaxgrasp.glove.device import Device, DeviceState
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.glove_process import GloveProcess
 from jaxgrasp.glove.guard import Guard, GuardState, Output
 from jaxgrasp.glove.host import GloveHost, LinkState, Reading
 from jaxgrasp.glove.line import Line, LineError, SerialLine
-from jaxgrasp.glove.link import Link
-from jaxgrasp.glove.lucidgloves import LucidHost, lucidgloves
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import FLEXIONS, GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
+from jaxgrasp.glove.other_devices.tracker import Tracker
+from jaxgrasp.glove.protocol.device import Device, DeviceState
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
-from jaxgrasp.glove.simulator import Simulator, read_record
+from jaxgrasp.glove.simulated.simulator import Simulator, read_record
+from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.glove.tension import TensionControl, TensionWatch
-from jaxgrasp.glove.tracker import Tracker
-from jaxgrasp.glove.virtual_glove import VirtualGlove
 
 __all__ = [
     "FLEXIONS",

@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.device import Cause, DeviceState
-from jaxgrasp.glove.frames import (
+from jaxgrasp.glove.guard import Guard, GuardState, Output
+from jaxgrasp.glove.line import Line, LineError, Pace
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.protocol.device import Cause, DeviceState
+from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
     LINE_SIZE,
     NO_FLAGS,
@@ -22,10 +25,7 @@ from jaxgrasp.glove.frames import (
     Sequence,
     encode,
 )
-from jaxgrasp.glove.guard import Guard, GuardState, Output
-from jaxgrasp.glove.line import Line, LineError, Pace
-from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.peer_clock import PeerClock
+from jaxgrasp.glove.protocol.peer_clock import PeerClock
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.tension import TensionWatch
 

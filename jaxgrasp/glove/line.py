@@ -7,7 +7,7 @@ from typing import Any
 
 import serial
 
-from jaxgrasp.glove.frames import LINE_SIZE
+from jaxgrasp.glove.protocol.frames import LINE_SIZE
 
 WRITE_TIMEOUT = 0 if os.name == "nt" else 0.002
 """How long a full line may hold a write [s]. Without any, pyserial tries for ever, but on Windows, where it then leaves

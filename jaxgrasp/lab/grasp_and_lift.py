@@ -10,7 +10,7 @@ from jaxgrasp.contact.human_hand import human_hand, open_angles
 from jaxgrasp.contact.shapes import Cylinder
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.virtual_glove import VirtualGlove
+from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.tick_times import TickTimes
 from jaxgrasp.lab.glove_hand import frames_of, glove_hand, resistance_and_slope
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose, Posture

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import jaxgrasp.glove
-from jaxgrasp.glove.device import Cause, Device, DeviceState
-from jaxgrasp.glove.frames import CHANNELS, LINE_SIZE, TICKS, Flag, Frame, FrameReader, Kind, encode
+import jaxgrasp.glove.protocol
+from jaxgrasp.glove.protocol.device import Cause, Device, DeviceState
+from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, TICKS, Flag, Frame, FrameReader, Kind, encode
 
-FIRMWARE = Path(jaxgrasp.glove.__file__).parent / "firmware"
+FIRMWARE = Path(jaxgrasp.glove.protocol.__file__).parent / "firmware"
 MS = 1000
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.cobs import stuff, unstuff
-from jaxgrasp.glove.frames import (
+from jaxgrasp.glove.protocol.cobs import stuff, unstuff
+from jaxgrasp.glove.protocol.frames import (
     BUFFER,
     CHANNELS,
     LINE_SIZE,

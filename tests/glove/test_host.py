@@ -5,11 +5,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.device import Cause, DeviceState
-from jaxgrasp.glove.frames import Kind
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.protocol.device import Cause, DeviceState
+from jaxgrasp.glove.protocol.frames import Kind
 from jaxgrasp.glove.sensors import nominal_sensors
 from tests.glove.virtual import MODEL, World
 

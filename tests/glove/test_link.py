@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.link import LARGEST, MOST, Link
-from jaxgrasp.glove.messages import Exchange
+from jaxgrasp.glove.network.link import LARGEST, MOST, Link
+from jaxgrasp.glove.network.messages import Exchange
 
 SIZE = 5
 

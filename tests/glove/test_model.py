@@ -21,8 +21,8 @@ quantum = 1e-4
 def test_it_needs_no_jax():
     code = (
         "import sys, pkgutil, importlib, jaxgrasp.glove\n"
-        "for one in pkgutil.iter_modules(jaxgrasp.glove.__path__):\n"
-        "    importlib.import_module('jaxgrasp.glove.' + one.name)\n"
+        "for one in pkgutil.walk_packages(jaxgrasp.glove.__path__, 'jaxgrasp.glove.'):\n"
+        "    importlib.import_module(one.name)\n"
         "assert 'jax' not in sys.modules and 'jaxgrasp.glove.guard' in sys.modules"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)

@@ -10,11 +10,11 @@ import time
 import numpy as np
 import pytest
 
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.glove_process import GloveProcess
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.host import LinkState
-from jaxgrasp.glove.simulator import Simulator, read_record
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.simulated.simulator import Simulator, read_record
 
 pytestmark = [
     pytest.mark.slow,

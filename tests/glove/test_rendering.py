@@ -5,19 +5,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.cable import Cable
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.host import LinkState
-from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
+from jaxgrasp.glove.loop.rendering import Rendering
+from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.loop.tick_times import EDGES, TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.peers import EngineLink, LinkPeer, SlotPeer, make_slots
-from jaxgrasp.glove.rendering import Rendering
+from jaxgrasp.glove.network.link import Link
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.slot import Slot
+from jaxgrasp.glove.simulated.cable import Cable
+from jaxgrasp.glove.simulated.virtual_glove import HeldPeer, VirtualGlove
 from jaxgrasp.glove.tension import TensionControl, TensionWatch
-from jaxgrasp.glove.tick_times import EDGES, TickTimes
-from jaxgrasp.glove.virtual_glove import HeldPeer, VirtualGlove
 
 MODEL = lrp_hand_master()
 SPRING = 0.25

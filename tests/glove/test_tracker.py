@@ -8,10 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.faults import Spoiler
-from jaxgrasp.glove.polhemus import INCH, FastrakAscii, FastrakBinary, IsotrakBinary, JumpFilter, TrackerSample
-from jaxgrasp.glove.slow_line import MemoryLine
-from jaxgrasp.glove.tracker import Tracker
+from jaxgrasp.glove.other_devices.polhemus import (
+    INCH,
+    FastrakAscii,
+    FastrakBinary,
+    IsotrakBinary,
+    JumpFilter,
+    TrackerSample,
+)
+from jaxgrasp.glove.other_devices.tracker import Tracker
+from jaxgrasp.glove.simulated.faults import Spoiler
+from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 
 def isotrak(position, quaternion, station=1) -> bytes:

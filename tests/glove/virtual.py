@@ -8,8 +8,8 @@ from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
-from jaxgrasp.glove.simulation import Simulation
-from jaxgrasp.glove.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import Simulation
+from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 MODEL = lrp_hand_master()
 SENSORS = nominal_sensors(MODEL)

@@ -2,7 +2,17 @@
 
 from enum import IntEnum
 
-from jaxgrasp.glove.frames import CHANNELS, NO_FLAGS, SEQUENCES, TICKS, Flag, Frame, FrameReader, Kind, Sequence
+from jaxgrasp.glove.protocol.frames import (
+    CHANNELS,
+    NO_FLAGS,
+    SEQUENCES,
+    TICKS,
+    Flag,
+    Frame,
+    FrameReader,
+    Kind,
+    Sequence,
+)
 
 WINDOW = 64
 """How far after the newest a command's number may lie: the watchdog has latched long before so many are missing."""

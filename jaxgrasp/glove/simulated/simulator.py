@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.child import Child
+from jaxgrasp.glove.loop.child import Child
 
 
 class Simulator:
@@ -28,7 +28,7 @@ class Simulator:
             raise OSError("the simulated glove needs pseudo-terminals, which this system has not: Linux and macOS do")
         self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-glove-")
         self.port = str(options.setdefault("port", str(Path(self._folder.name) / "glove")))
-        self._child = Child("jaxgrasp.glove.simulator_process", options)
+        self._child = Child("jaxgrasp.glove.simulated.simulator_process", options)
         self.process = self._child.process
         try:
             self._child.wait_for(lambda told: "port" in told)

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from jaxgrasp.glove.line import Line, LineError
-from jaxgrasp.glove.polhemus import (
+from jaxgrasp.glove.other_devices.polhemus import (
     Decoder,
     FastrakAscii,
     FastrakBinary,

@@ -8,7 +8,7 @@ import termios
 import tty
 from pathlib import Path
 
-from jaxgrasp.glove.slow_line import Terminal, Throttle
+from jaxgrasp.glove.simulated.slow_line import Terminal, Throttle
 
 
 class PseudoTerminal(Terminal):

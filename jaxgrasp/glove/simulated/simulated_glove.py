@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.cable import Cable
-from jaxgrasp.glove.device import Device
-from jaxgrasp.glove.frames import Flag, Frame, Kind
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.protocol.device import Device
+from jaxgrasp.glove.protocol.frames import Flag, Frame, Kind
 from jaxgrasp.glove.sensors import Sensors
+from jaxgrasp.glove.simulated.cable import Cable
 
 STEP = 5e-4
 """Longest step of the fingers' motion [s]."""

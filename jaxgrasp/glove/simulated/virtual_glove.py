@@ -4,15 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.peers import Peer
+from jaxgrasp.glove.loop.rendering import Rendering
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.peers import Peer
-from jaxgrasp.glove.rendering import Rendering
 from jaxgrasp.glove.sensors import Sensors
-from jaxgrasp.glove.simulation import Simulation
-from jaxgrasp.glove.slow_line import MemoryLine
+from jaxgrasp.glove.simulated.simulation import Simulation
+from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 MILLISECOND = 0.001
 TURN = 0.005

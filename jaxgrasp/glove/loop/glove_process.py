@@ -4,9 +4,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.glove.child import Child
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.peers import make_slots
+from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.peers import make_slots
 
 
 class GloveProcess:
@@ -32,7 +32,7 @@ class GloveProcess:
         options = {"port": port, **options}
         if "listen" not in options:
             options["slots"] = self._folder.name
-        self.child = Child("jaxgrasp.glove.io_process", options)
+        self.child = Child("jaxgrasp.glove.loop.io_process", options)
         self.summary: dict[str, Any] = {}
         """What it counted, once it has ended."""
         if "listen" in options:

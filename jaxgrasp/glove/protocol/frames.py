@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from jaxgrasp.glove.cobs import stuff, unstuff
+from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 
 VERSION = 1
 CHANNELS = 14

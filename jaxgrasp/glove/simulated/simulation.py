@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.cable import Cable
-from jaxgrasp.glove.device import Cause
-from jaxgrasp.glove.faults import Spoiler
-from jaxgrasp.glove.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.protocol.device import Cause
+from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.sensors import Sensors
-from jaxgrasp.glove.simulated_glove import SimulatedGlove
-from jaxgrasp.glove.slow_line import Terminal
+from jaxgrasp.glove.simulated.cable import Cable
+from jaxgrasp.glove.simulated.faults import Spoiler
+from jaxgrasp.glove.simulated.simulated_glove import SimulatedGlove
+from jaxgrasp.glove.simulated.slow_line import Terminal
 
 FRAME_EVERY = 0.004
 """Between the frames that a device sends [s], if the line is not slower."""

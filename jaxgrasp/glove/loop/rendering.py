@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.guard import GuardState, Output
 from jaxgrasp.glove.host import GloveHost, LinkState, Reading
-from jaxgrasp.glove.peers import AHEAD, Peer
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.peers import AHEAD, Peer
 from jaxgrasp.glove.tension import TensionControl
 
 OLDEST_LAW = 0.03

@@ -9,8 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.cobs import stuff, unstuff
-from jaxgrasp.glove.messages import MOST_NUMBERS, NUMBERS, Exchange, Message
+from jaxgrasp.glove.network.messages import MOST_NUMBERS, NUMBERS, Exchange, Message
+from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 
 Transport = Literal["udp", "tcp"]
 RECONNECT = 0.25

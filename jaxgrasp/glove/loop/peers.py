@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.glove.exchange import GloveState, TorqueLaw
-from jaxgrasp.glove.link import Link
-from jaxgrasp.glove.slot import Slot
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.network.link import Link
 
 LAW, STATE = "law", "state"
 """Files of the slots in the folder that two processes share."""

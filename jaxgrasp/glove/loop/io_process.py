@@ -1,4 +1,4 @@
-"""The process that owns the glove's line: ``python -m jaxgrasp.glove.io_process``; it never imports JAX.
+"""The process that owns the glove's line: ``python -m jaxgrasp.glove.loop.io_process``; it never imports JAX.
 
 Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``scale``) as lines of JSON on its standard
 input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero behind,
@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.glove.calibrate import load_model
-from jaxgrasp.glove.exchange import TorqueLaw
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import SerialLine
-from jaxgrasp.glove.link import Link
+from jaxgrasp.glove.loop.exchange import TorqueLaw
+from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
+from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.peers import LinkPeer, NoPeer, Peer, SlotPeer
-from jaxgrasp.glove.rendering import OLDEST_LAW, Rendering
+from jaxgrasp.glove.network.link import Link
 from jaxgrasp.glove.tension import TensionControl
-from jaxgrasp.glove.tick_times import TickTimes
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),

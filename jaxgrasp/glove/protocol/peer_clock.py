@@ -1,6 +1,6 @@
 """Another side's clock, from the frames that carry it: how old is what it says?"""
 
-from jaxgrasp.glove.frames import TICKS
+from jaxgrasp.glove.protocol.frames import TICKS
 
 DRIFT = 6e-3
 """By how much two clocks may run apart, with room: half a per cent, as ceramic resonators do [1]."""

@@ -1,4 +1,4 @@
-"""A simulated glove behind a pseudo-terminal, as a process of its own: ``python -m jaxgrasp.glove.simulator_process``.
+"""A simulated glove behind a pseudo-terminal, as a process of its own: run as a module.
 
 It reads orders as lines of JSON from its standard input, and says what happens as lines of JSON; ``Simulator`` in
 ``simulator.py`` runs one. Only systems with pseudo-terminals can (Linux, macOS).
@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.glove.calibrate import load_model
-from jaxgrasp.glove.pseudo_terminal import PseudoTerminal
-from jaxgrasp.glove.simulation import Simulation
+from jaxgrasp.glove.simulated.pseudo_terminal import PseudoTerminal
+from jaxgrasp.glove.simulated.simulation import Simulation
 
 PERIOD = 0.001
 """Of its loop [s]."""

@@ -1,0 +1,1 @@
+"""Two hosts: messages that carry their age, and the sockets they travel by."""

@@ -1,0 +1,1 @@
+"""Devices that others make: LucidGloves, Polhemus trackers."""

@@ -1,0 +1,1 @@
+"""A glove that is not there: fingers, cables, a slow line and its faults, in real or in virtual time."""

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxgrasp.glove.network.link import LARGEST, MOST, Link
-from jaxgrasp.glove.network.messages import Exchange
+from jaxgrasp.glove.network.messages import Exchange, length_of
+from jaxgrasp.glove.protocol.cobs import stuff
 
 SIZE = 5
 
@@ -122,14 +123,17 @@ def test_a_flood_does_not_keep_the_loop():
     for _ in range(3):
         server.receive(0.0)
     flood.setblocking(False)
-    taken = 0
-    for _ in range(200):
-        with contextlib.suppress(BlockingIOError):
-            flood.send(b"\x01\0" * 30_000)
-        before = server.exchange.refused
-        server.receive(0.0)
-        taken = max(taken, server.exchange.refused - before)
-    assert 0 < taken <= MOST * LARGEST / 2
+    taken = []
+    for piece in (b"\x01\0" * 30_000, (stuff(bytes(range(1, 1 + length_of(SIZE)))) + b"\0") * 1000):
+        refused = server.exchange.refused
+        for _ in range(30):
+            with contextlib.suppress(BlockingIOError):
+                flood.send(piece)
+            before = server.exchange.refused
+            server.receive(0.0)
+            assert server.exchange.refused - before <= MOST * LARGEST / length_of(SIZE)
+        taken.append(server.exchange.refused - refused)
+    assert taken[0] < 2 < taken[1], "what is no message by its length is not even read"
     flood.close()
     server.close()
 

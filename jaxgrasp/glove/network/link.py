@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.network.messages import MOST_NUMBERS, NUMBERS, Exchange, Message
+from jaxgrasp.glove.network.messages import MOST_NUMBERS, NUMBERS, Exchange, Message, length_of
 from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 
 Transport = Literal["udp", "tcp"]
@@ -17,7 +17,7 @@ RECONNECT = 0.25
 """Time between attempts to connect [s]."""
 LARGEST = 4096
 """Bytes of a message that are kept at most before its end."""
-MOST = 64
+MOST = 16
 """Pieces that are taken at a time, so that nobody who sends without end keeps the loop from its work."""
 
 
@@ -67,7 +67,9 @@ class Link:
             raise ValueError(f"oldest is {oldest}: expected a positive time [s]")
         self.exchange = Exchange(random.randrange(NUMBERS), size_in, key)
         self._oldest = oldest
-        self._carrier: _Carrier = (_Datagrams if transport == "udp" else _Stream)(host, port, listens)
+        self._carrier: _Carrier = (
+            _Datagrams(host, port, listens) if transport == "udp" else _Stream(host, port, listens, length_of(size_in))
+        )
 
     @property
     def port(self) -> int:
@@ -146,8 +148,10 @@ class _Datagrams(_Carrier):
 
 
 class _Stream(_Carrier):
-    def __init__(self, host: str, port: int, listens: bool) -> None:
+    def __init__(self, host: str, port: int, listens: bool, length: int) -> None:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        # Of what comes between two zeros, only what is as long as a message is looked at any further.
+        self._lengths = range(length + 1, len(stuff(b"\1" * length)) + 1)
         self._family, self._address = family, address
         self._server: socket.socket | None = None
         if listens:
@@ -193,7 +197,8 @@ class _Stream(_Carrier):
             *lines, rest = (bytes(self._kept) + data).split(b"\0")
             # More than a message without an end is none.
             self._kept = bytearray(rest[-LARGEST:])
-            found += [(message, None) for message in map(unstuff, lines) if message is not None]
+            candidates = [unstuff(line) for line in lines if len(line) in self._lengths]
+            found += [(message, None) for message in candidates if message is not None]
         return found
 
     def _connect(self, now: float) -> None:

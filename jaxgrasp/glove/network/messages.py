@@ -43,9 +43,14 @@ def encode(message: Message, key: bytes) -> bytes:
     return body + _check(body, key)
 
 
+def length_of(size: int) -> int:
+    """Bytes of a message of so many numbers."""
+    return _HEAD.size + 4 * size + CHECK
+
+
 def decode(data: bytes, size: int, key: bytes) -> Message | None:
     """The message of bytes; None where they are none of so many numbers."""
-    if len(data) != _HEAD.size + 4 * size + CHECK or _check(data[:-CHECK], key) != data[-CHECK:]:
+    if len(data) != length_of(size) or _check(data[:-CHECK], key) != data[-CHECK:]:
         return None
     session, number, sent, echo, held = _HEAD.unpack_from(data)
     if not math.isfinite(sent):

@@ -13,6 +13,8 @@ from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
 
 SHOWN_EVERY = 0.1
@@ -24,13 +26,12 @@ HALF_PERIOD = 2.0
 """Of a simulated person's to and fro [s]."""
 
 
-def files(arguments: GloveFiles) -> dict[str, Any]:
-    """The options that say which glove, checked."""
+def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sensors]:
+    """The options that say which glove, for another process, and the glove that they say."""
     check_positive(arguments, "baud")
     named = {"model": arguments.model, "calibration": arguments.calibration}
     options = {name: str(path.resolve()) for name, path in named.items() if path is not None}
-    load_model(options)
-    return options | {"baud": arguments.baud}
+    return options | {"baud": arguments.baud}, *load_model(options)
 
 
 def simulate_command(arguments: Simulate) -> int:
@@ -38,13 +39,12 @@ def simulate_command(arguments: Simulate) -> int:
     check_finite(arguments, "bend")
     check_not_negative(arguments, "spoil")
     check_positive(arguments, "seconds")
-    options = files(arguments)
+    options, model, _ = which_glove(arguments)
     if arguments.port.exists() or arguments.port.is_symlink():
         raise ValueError(
             f"port is {arguments.port}: expected a name that is not there yet; remove it if no simulated glove uses it"
         )
     end = math.inf if arguments.seconds is None else time.perf_counter() + arguments.seconds
-    channels = len(load_model(options)[0].joints)
     simulated = Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options)
     with contextlib.suppress(KeyboardInterrupt), simulated as simulator:
         print(f"a simulated glove waits at {arguments.port}", flush=True)
@@ -54,7 +54,7 @@ def simulate_command(arguments: Simulate) -> int:
         while time.perf_counter() < end:
             if arguments.bend:
                 angle = math.radians(arguments.bend) if goes_there else 0.0
-                simulator.order(bend=[angle] * channels, lasts=HALF_PERIOD)
+                simulator.order(bend=[angle] * len(model.joints), lasts=HALF_PERIOD)
                 goes_there = not goes_there
             time.sleep(max(0.0, min(HALF_PERIOD, end - time.perf_counter())))
     return 0
@@ -63,8 +63,7 @@ def simulate_command(arguments: Simulate) -> int:
 def monitor_command(arguments: Monitor) -> int:
     """Show angles, torques and ages, one line each."""
     check_positive(arguments, "seconds")
-    options = files(arguments)
-    model, sensors = load_model(options)
+    _, model, sensors = which_glove(arguments)
     host = GloveHost(
         model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
     )

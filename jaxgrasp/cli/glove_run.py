@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.cli.checks import check_positive
-from jaxgrasp.cli.glove import files
+from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -37,8 +36,7 @@ OLDEST_POSE = 0.1
 def run_command(arguments: Run) -> int:
     """Play the story, or render what a glove touches now."""
     check_positive(arguments, "seconds", "rate", "tracker_baud")
-    options = files(arguments)
-    model, _ = load_model(options)
+    options, model, _ = which_glove(arguments)
     if arguments.listen and arguments.port is None:
         raise ValueError("listen needs the port of the glove")
     if arguments.connect and arguments.port is not None:

@@ -76,16 +76,23 @@ class GloveModel:
         Raises:
             ValueError: for a hand without one of the glove's joints, or torques that are not one for each joint.
         """
-        places = []
+        places = self.places(joints)
+        if torques.shape[-1:] != (len(joints),):
+            raise ValueError(f"torques have shape {torques.shape}: expected (..., {len(joints)}), one for each joint")
+        return -torques[..., list(places)]
+
+    def places(self, joints: Sequence[str]) -> tuple[int, ...]:
+        """Of the channels' joints among a hand's.
+
+        Raises:
+            ValueError: for a hand without one of them.
+        """
         for joint in self.joints:
             if joint not in joints:
                 raise ValueError(
                     f"the hand has no joint {joint!r}, which {self.name} pulls on{_nearest(joint, joints)}"
                 )
-            places.append(list(joints).index(joint))
-        if torques.shape[-1:] != (len(joints),):
-            raise ValueError(f"torques have shape {torques.shape}: expected (..., {len(joints)}), one for each joint")
-        return -torques[..., places]
+        return tuple(list(joints).index(joint) for joint in self.joints)
 
 
 def lrp_hand_master() -> GloveModel:

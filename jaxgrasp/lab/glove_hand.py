@@ -1,7 +1,5 @@
 """A virtual hand that a glove moves: its flexions come from the glove, the rest stays as it is."""
 
-import difflib
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -42,12 +40,7 @@ def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> G
     """
     if np.shape(others) != (len(hand.joints),):
         raise ValueError(f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle a joint")
-    for joint in model.joints:
-        if joint not in hand.joints:
-            like = difflib.get_close_matches(joint, hand.joints, 1, 0.5)
-            meant = f": did you mean {like[0]!r}?" if like else ""
-            raise ValueError(f"the hand has no joint {joint!r}, which {model.name} pulls on{meant}")
-    return GloveHand(tuple(hand.joints.index(joint) for joint in model.joints), others)
+    return GloveHand(model.places(hand.joints), others)
 
 
 @jax.jit

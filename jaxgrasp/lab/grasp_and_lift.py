@@ -79,7 +79,7 @@ def grasp_and_lift(model: GloveModel | None = None) -> Story:
     scene, closed, placed = cylinder_scene()
     haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
     glove = VirtualGlove(model, nominal_sensors(model))
-    places = [scene.hand.joints.index(joint) for joint in model.joints]
+    places = list(model.places(scene.hand.joints))
     glove.order(bend=np.asarray(open_angles(scene.hand))[places].tolist(), lasts=0.0)
     script = [
         (CLOSE, lambda: glove.order(bend=(np.asarray(closed.angles)[places] + PRESS).tolist(), lasts=CLOSING)),

@@ -13,6 +13,12 @@ PATIENCE = 15.0
 """How long a program may take to start, to answer or to end [s]."""
 
 
+def tell(what: dict[str, Any]) -> None:
+    """What such a program tells whoever started it."""
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
 class Child:
     """A program of its own: spawned, never forked; the end of its input tells it to go."""
 

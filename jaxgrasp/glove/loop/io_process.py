@@ -18,6 +18,7 @@ from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
 from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
@@ -53,7 +54,7 @@ def main() -> None:
             signal.signal(name, signal.SIG_IGN)
         rendering.host.close(time.perf_counter())
         rendering.peer.close()
-        _say({"summary": times.summary() | report(rendering.host)})
+        tell({"summary": times.summary() | report(rendering.host)})
 
 
 def build(options: dict[str, Any]) -> Rendering:
@@ -97,7 +98,7 @@ def run(rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str |
         changed = (host.state.name, host.guard.state.name, host.trouble, host.guard.cause)
         if changed != said:
             said = changed
-            _say({"event": dict(zip(("link", "guard", "trouble", "cause"), changed, strict=True)), "at": begun})
+            tell({"event": dict(zip(("link", "guard", "trouble", "cause"), changed, strict=True)), "at": begun})
         over = time.perf_counter()
         times.add(begun - due, over - begun)
         # A turn that was missed is not made up for: its answer would be as late as it is.
@@ -121,7 +122,7 @@ def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
         transport = options.get("transport", "udp")
         size = TorqueLaw.size(channels)
         link = Link(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)
-        _say({"listens": link.port})
+        tell({"listens": link.port})
         return LinkPeer(link, channels)
     return SlotPeer(Path(options["slots"]), channels) if options.get("slots") else NoPeer()
 
@@ -137,25 +138,20 @@ def _obey(rendering: Rendering, order: dict[str, Any]) -> None:
             case {"scale": scale}:
                 rendering.host.guard.rescale(scale)
             case {"report": _}:
-                _say({"report": report(rendering.host)})
+                tell({"report": report(rendering.host)})
                 return
             case _:
                 raise ValueError(f"order {order} is none of arm, disarm, scale, report")
     except (ValueError, TypeError) as error:
-        _say({"refused": str(error), "at": now})
+        tell({"refused": str(error), "at": now})
     else:
-        _say({"done": order, "at": now})
+        tell({"done": order, "at": now})
 
 
 def _listen(orders: "queue.SimpleQueue[str | None]") -> None:
     for line in sys.stdin:
         orders.put(line)
     orders.put(None)
-
-
-def _say(what: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
 
 
 def _leave(*_: object) -> None:

@@ -10,9 +10,9 @@ import select
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 from jaxgrasp.glove.calibrate import load_model
+from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.simulated.pseudo_terminal import PseudoTerminal
 from jaxgrasp.glove.simulated.simulation import Simulation
 
@@ -20,18 +20,13 @@ PERIOD = 0.001
 """Of its loop [s]."""
 
 
-def say(what: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
-
-
 def main() -> None:
     """Run until the standard input ends."""
     options = json.loads(sys.argv[1])
     terminal = PseudoTerminal(Path(options["port"]), options.get("baud", 115_200))
-    simulation = Simulation(options, terminal, time.perf_counter(), say, *load_model(options))
+    simulation = Simulation(options, terminal, time.perf_counter(), tell, *load_model(options))
     terminal.plug()
-    say({"port": options["port"], "at": time.perf_counter()})
+    tell({"port": options["port"], "at": time.perf_counter()})
     orders, next_turn = b"", time.perf_counter()
     try:
         while True:

@@ -1,17 +1,14 @@
 """A picture of a calibration: each channel's residuals over its values, encoders above, gauges below."""
 
 import math
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.calibrate import Line
 from jaxgrasp.report.look import GRID, INK, MUTED
+from jaxgrasp.report.png import check_matplotlib, write_png
 
-MISSING = "the figure needs matplotlib: pip install 'jaxgrasp[report]'"
-DPI = 130
 SHOWN = {
     "encoder": ("joint angle [\N{DEGREE SIGN}]", "residual [\N{DEGREE SIGN}]", math.degrees(1)),
     "gauge": ("tension [N]", "residual [N]", 1.0),
@@ -32,10 +29,9 @@ def write_calibration_picture(
     Raises:
         ImportError: matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(MISSING) from None
+    check_matplotlib()
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(11, 0.6 + 3.2 * len(lines)), layout="constrained")
     grid = figure.subplots(len(lines), 1, squeeze=False)[:, 0]
     for axes, (sensor, line) in zip(grid, lines.items(), strict=True):
@@ -54,4 +50,4 @@ def write_calibration_picture(
         axes.set_xlabel(f"{across}, {np.nanmin(values):.3g} to {np.nanmax(values):.3g} in each field")
         axes.set_xticks([])
         axes.set_xlim(-0.06 * width, len(joints) * width)
-    replace_file(path, partial(figure.savefig, format="png", dpi=DPI))
+    write_png(path, figure)

@@ -1,20 +1,17 @@
 """A picture of a glove over time: torques, a finger's angle, the object's height, and what happened when."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxgrasp.files.replace import replace_file
 from jaxgrasp.report.look import GRID, INK, MUTED
+from jaxgrasp.report.png import check_matplotlib, write_png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-MISSING = "the figure needs matplotlib: pip install 'jaxgrasp[report]'"
-DPI = 130
 FINGERS = {"thumb": "#0072B2", "index": "#D55E00", "middle": "#009E73", "ring": "#CC79A7", "little": "#B08A00"}
 """Okabe and Ito's colours, which the colour-blind tell apart; the yellow is darker, to be read on white."""
 
@@ -44,10 +41,9 @@ def write_glove_picture(
     Raises:
         ImportError: matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(MISSING) from None
+    check_matplotlib()
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(10, 7.2))
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2))
     figure.subplots_adjust(left=0.085, right=0.86, top=0.9, bottom=0.075, hspace=0.14)
@@ -76,7 +72,7 @@ def write_glove_picture(
         if line.get_color() == FINGERS["middle"]:
             line.set_linestyle((0, (4, 3)))
     figure.text(0.012, 0.955, "A hand in a glove: it grasps, lifts, loses its cable, and is armed again", fontsize=12)
-    replace_file(path, partial(figure.savefig, format="png", dpi=DPI))
+    write_png(path, figure)
 
 
 def _draw_fingers(axes: "Axes", joints: tuple[str, ...], times: np.ndarray, values: np.ndarray) -> None:

@@ -1,19 +1,15 @@
 """Writes pictures of a grip, which need no browser."""
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.files.replace import replace_file
 from jaxgrasp.prehension.scene import Scene
 from jaxgrasp.report.history import History
 from jaxgrasp.report.instants_picture import instants_figure
 from jaxgrasp.report.panels_picture import panels_figure
-
-MISSING = "the pictures need matplotlib: pip install 'jaxgrasp[report]'"
-DPI = 130
+from jaxgrasp.report.png import check_matplotlib, write_png
 
 
 def write_grip_pictures(folder: Path, scene: Scene, history: History, instants: Mapping[str, float]) -> list[Path]:
@@ -28,12 +24,9 @@ def write_grip_pictures(folder: Path, scene: Scene, history: History, instants: 
     Raises:
         ImportError: matplotlib is not installed.
     """
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise ImportError(MISSING) from None
+    check_matplotlib("the pictures need")
     shown = {name: int(np.abs(history.times - time).argmin()) for name, time in instants.items()}
     figures = {"grip.png": instants_figure(scene, history, shown), "grip_forces.png": panels_figure(history, shown)}
     for name, figure in figures.items():
-        replace_file(folder / name, partial(figure.savefig, format="png", dpi=DPI))
+        write_png(folder / name, figure)
     return [folder / name for name in figures]

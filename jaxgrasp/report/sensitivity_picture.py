@@ -1,14 +1,13 @@
 """A picture of a sensitivity analysis: slip angles over time as in the paper's Fig. 5, and what has influence."""
 
-from functools import partial
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxgrasp.files.replace import replace_file
 from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, method_title, number
+from jaxgrasp.report.png import check_matplotlib, write_png
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
 from jaxgrasp.sensitivity.study import Study, ranking
 
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MISSING = "the figure needs matplotlib: pip install 'jaxgrasp[report]'"
-DPI = 130
 SHOWN = 8
 """Bars of a ranking."""
 DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (5, 1.5, 1, 1.5)))
@@ -29,11 +26,8 @@ def write_sensitivity_picture(path: Path, found: Study, finger: str, vary: str) 
     Raises:
         ImportError: matplotlib is not installed.
     """
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise ImportError(MISSING) from None
-    replace_file(path, partial(sensitivity_figure(found, finger, vary).savefig, format="png", dpi=DPI))
+    check_matplotlib()
+    write_png(path, sensitivity_figure(found, finger, vary))
 
 
 def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":

@@ -1,0 +1,25 @@
+"""Pictures as PNG files, written whole or not at all, if matplotlib is there."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxgrasp.files.replace import replace_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DPI = 130
+
+
+def check_matplotlib(who: str = "the figure needs") -> None:
+    """Raise ImportError with the pip command where matplotlib is not installed."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise ImportError(f"{who} matplotlib: pip install 'jaxgrasp[report]'") from None
+
+
+def write_png(path: Path, figure: "Figure") -> None:
+    """Write a figure."""
+    replace_file(path, partial(figure.savefig, format="png", dpi=DPI))

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.other_devices.lucidgloves import FINGERS, LucidHost, lucidgloves
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
 
@@ -62,24 +64,20 @@ def simulate_command(arguments: Simulate) -> int:
 
 def monitor_command(arguments: Monitor) -> int:
     """Show angles, torques and ages, one line each."""
-    check_positive(arguments, "seconds")
+    check_positive(arguments, "seconds", "full_scale")
     _, model, sensors = which_glove(arguments)
+    if arguments.device == "lucidgloves":
+        return _monitor_lucidgloves(arguments)
     host = GloveHost(
         model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
     )
     print("channels: " + ", ".join(model.joints))
-    begun = time.perf_counter()
-    # An answer takes a moment: nothing is missing before that.
-    next_shown = begun + SHOWN_EVERY
-    end = math.inf if arguments.seconds is None else begun + arguments.seconds
-    with contextlib.suppress(KeyboardInterrupt):
-        while (now := time.perf_counter()) < end:
-            host.poll(now)
-            host.send(now, np.zeros(len(model.joints)), now)
-            if now >= next_shown:
-                next_shown = now + (SHOWN_EVERY if host.state >= LinkState.LINKED else TROUBLE_EVERY)
-                print(shown(host, now - begun, now), flush=True)
-            time.sleep(TURN)
+
+    def turn(now: float) -> None:
+        host.poll(now)
+        host.send(now, np.zeros(len(model.joints)), now)
+
+    _watch(arguments, turn, lambda elapsed, now: shown(host, elapsed, now), lambda: host.state >= LinkState.LINKED)
     host.close(time.perf_counter())
     if host.counts.links == 0:
         raise OSError(
@@ -87,6 +85,46 @@ def monitor_command(arguments: Monitor) -> int:
             "makes one, in the folder where it runs"
         )
     return 0
+
+
+def _monitor_lucidgloves(arguments: Monitor) -> int:
+    host = LucidHost(SerialLine(arguments.port, arguments.baud), Guard(lucidgloves()), full_scale=arguments.full_scale)
+    print("curl of " + ", ".join(FINGERS))
+
+    def turn(now: float) -> None:
+        host.poll(now)
+        host.send(now, np.zeros(len(FINGERS)))
+
+    try:
+        _watch(arguments, turn, lambda elapsed, now: curled(host, elapsed, now), lambda: host.reading is not None)
+    finally:
+        host.close()
+    if host.reading is None:
+        raise OSError(
+            f"no LucidGloves spoke at {arguments.port}: {host.refused} lines came, and none was of five curls up to "
+            f"{arguments.full_scale}"
+        )
+    return 0
+
+
+def _watch(
+    arguments: Monitor,
+    turn: Callable[[float], None],
+    said: Callable[[float, float], str],
+    is_there: Callable[[], bool],
+) -> None:
+    """Turn until the time is over or someone interrupts, and print what is said as often as is due."""
+    begun = time.perf_counter()
+    # An answer takes a moment: nothing is missing before that.
+    next_shown = begun + SHOWN_EVERY
+    end = math.inf if arguments.seconds is None else begun + arguments.seconds
+    with contextlib.suppress(KeyboardInterrupt):
+        while (now := time.perf_counter()) < end:
+            turn(now)
+            if now >= next_shown:
+                next_shown = now + (SHOWN_EVERY if is_there() else TROUBLE_EVERY)
+                print(said(now - begun, now), flush=True)
+            time.sleep(TURN)
 
 
 def shown(host: GloveHost, elapsed: float, now: float) -> str:
@@ -99,6 +137,16 @@ def shown(host: GloveHost, elapsed: float, now: float) -> str:
     age = 1e3 * (now - reading.angles_at)
     end = "  a gauge is at its end" if reading.saturated.any() else ""
     return f"{elapsed:7.1f} s  [\N{DEGREE SIGN}] {angles}   [mN\N{MIDDLE DOT}m] {torques}   {age:.0f} ms old{end}"
+
+
+def curled(host: LucidHost, elapsed: float, now: float) -> str:
+    """A line of what a LucidGloves says."""
+    reading = host.reading
+    if reading is None:
+        return f"{elapsed:7.1f} s  it says nothing"
+    curls = " ".join(f"{100 * curl:4.0f}" for curl in reading.curls)
+    pressed = ", ".join(sorted(reading.buttons))
+    return f"{elapsed:7.1f} s  [%] {curls}   {1e3 * (now - host.read_at):.0f} ms old  {pressed}".rstrip()
 
 
 def ports_command() -> int:

@@ -46,6 +46,10 @@ class Monitor(GloveFiles):
 
     port: str = "jaxgrasp-glove"
     """Of the glove."""
+    device: Literal["native", "lucidgloves"] = "native"
+    """What it speaks: the native protocol, or that of LucidGloves and OpenGloves."""
+    full_scale: int = 4095
+    """Of a LucidGloves' numbers: 4095 with an ESP32, 1023 with an AVR."""
     seconds: float | None = None
     """How long; until interrupted where not given."""
 

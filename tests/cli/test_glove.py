@@ -4,6 +4,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -120,6 +121,32 @@ def bending(folder):
         glove.stdout.readline()
         yield "jaxgrasp-glove"
         glove.terminate()
+
+
+@POSIX
+def test_monitor_lucidgloves(folder, capsys):
+    """Each line is answered, with fingers free: the firmware waits for that."""
+    ours, theirs = os.openpty()
+    pytest.importorskip("tty").setraw(theirs)
+    (folder / "port").symlink_to(os.ttyname(theirs))
+
+    def monitor(line: bytes) -> int:
+        # An opened port forgets what came before.
+        speaks = threading.Timer(0.1, os.write, (ours, line))
+        speaks.start()
+        options = ["--device", "lucidgloves", "--port", "port", "--full-scale", "4092", "--seconds", "0.5"]
+        code = main(["glove", "monitor", *options])
+        speaks.join()
+        return code
+
+    assert monitor(b"A0B1023C2046D3069E4092LJ\nnoise\n") == 0
+    said = capsys.readouterr().out
+    assert "curl of thumb, index" in said and "0   25   50   75  100" in said and "A, grab" in said
+    assert b"A0B0C0D0E0\n" in os.read(ours, 4096)
+    assert monitor(b"A0B1023C2046D3069E4093\n") == 1
+    assert "1 lines came, and none was of five curls up to 4092" in capsys.readouterr().err
+    os.close(ours)
+    os.close(theirs)
 
 
 @POSIX

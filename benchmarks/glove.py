@@ -290,7 +290,7 @@ def long_run(plan: Plan) -> dict:
         glove.disarm()
         engine.stop()
         time.sleep(0.1)
-        before = len(glove.child.said)
+        before = glove.child.count
         glove.child.order({"report": True})
         report = glove.child.wait_for(lambda told: "report" in told, before)["report"]
         device = simulator.order(report=1)

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from jaxgrasp.cli.experiment_arguments import Experiment
 from jaxgrasp.cli.glove_arguments import Glove
 
 MethodName = Literal["A", "B", "A-optimum", "B-optimum"]
@@ -199,6 +200,7 @@ class Sensitivity:
 Command = (
     Annotated[Contacts, tyro.conf.subcommand("contacts")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Experiment, tyro.conf.subcommand("experiment")]
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
     | Annotated[Info, tyro.conf.subcommand("info")]

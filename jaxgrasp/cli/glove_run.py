@@ -130,7 +130,7 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
                 print("ready; orders: arm, full, disarm, quit", flush=True)
                 orders = Orders(glove)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
-                times = run_loop(haptics, glove.state, glove.write, wrist, arguments.rate, goes_on)
+                times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
                 raise OSError("the process that owned the glove's line has ended")
             print(f"the line: {TickTimes.text(glove.summary)}")
@@ -148,7 +148,7 @@ def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | No
     print(f"calls {host}:{port}; the glove is armed there", flush=True)
     try:
         return run_loop(
-            haptics,
+            haptics.tick,
             lambda: engine.state(time.perf_counter()),
             lambda law: engine.write(time.perf_counter(), law),
             wrist,

@@ -1,8 +1,6 @@
 """Gloves as they are driven: which joints they resist, how much, how fast, and in which steps."""
 
-import difflib
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -10,6 +8,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+
+from jaxgrasp.files.toml_fields import load_toml, nearest, number
 
 MOST_CHANNELS = 14
 """Values in a frame of the native protocol."""
@@ -89,9 +89,7 @@ class GloveModel:
         """
         for joint in self.joints:
             if joint not in joints:
-                raise ValueError(
-                    f"the hand has no joint {joint!r}, which {self.name} pulls on{_nearest(joint, joints)}"
-                )
+                raise ValueError(f"the hand has no joint {joint!r}, which {self.name} pulls on{nearest(joint, joints)}")
         return tuple(list(joints).index(joint) for joint in self.joints)
 
 
@@ -107,15 +105,11 @@ def load_glove(path: Path) -> GloveModel:
         ValueError: for a file that is no TOML, keys that are unknown or missing, and values that no glove has.
         OSError: for a file that cannot be read.
     """
-    try:
-        with open(path, "rb") as stream:
-            given = tomllib.load(stream)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no TOML: {error}") from None
+    given = load_toml(path)
     known = [one.name for one in fields(GloveModel) if one.init]
     for key in given:
         if key not in known:
-            raise ValueError(f"{path} has {key!r}{_nearest(key, known)}")
+            raise ValueError(f"{path} has {key!r}{nearest(key, known)}")
     for key in ("name", "joints", "limits"):
         if key not in given:
             raise ValueError(f"{path} has no {key!r}: expected {', '.join(known)}")
@@ -133,15 +127,9 @@ def _read(key: str, value: Any, given: dict[str, Any]) -> Any:
             raise ValueError(f"joints is {value!r}: expected a list of names")
         return tuple(value)
     if key == "limits" and isinstance(value, list):
-        return tuple(_number(f"limits[{k}]", one) for k, one in enumerate(value))
-    number = _number(key, value)
-    return (number,) * len(_read("joints", given["joints"], given)) if key == "limits" else number
-
-
-def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > 1e300:
-        raise ValueError(f"{name} is {str(value)[:40]}: expected a number")
-    return float(value)
+        return tuple(number(f"limits[{k}]", one) for k, one in enumerate(value))
+    one = number(key, value)
+    return (one,) * len(_read("joints", given["joints"], given)) if key == "limits" else one
 
 
 def _check_positive(name: str, value: float) -> None:
@@ -153,8 +141,3 @@ def _most_counts(limit: float, quantum: float) -> int:
     """Rounding must not let the largest count exceed the limit."""
     counts = int(limit / quantum)
     return counts - 1 if counts * quantum > limit else counts
-
-
-def _nearest(name: str, known: Sequence[str]) -> str:
-    like = difflib.get_close_matches(name, known, 1, 0.5)
-    return f": did you mean {like[0]!r}?" if like else f": expected one of {', '.join(known)}"

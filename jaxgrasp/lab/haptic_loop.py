@@ -77,7 +77,7 @@ def warm_up(haptics: Haptics, wrist: Pose) -> None:
 
 
 def run_loop(
-    haptics: Haptics,
+    tick: Callable[[float, Float[np.ndarray, "channels"], Pose], TorqueLaw],
     state: Callable[[], GloveState | None],
     write: Callable[[TorqueLaw], None],
     wrist: Callable[[float], Pose | None],
@@ -87,7 +87,7 @@ def run_loop(
     """Tick at a steady rate for as long as it goes on; how punctual it was.
 
     Args:
-        haptics: warmed up.
+        tick: the law at a time, angles and the wrist's pose, such as a warmed-up ``Haptics.tick``.
         state: what the glove does.
         write: takes the law to follow.
         wrist: the hand's pose at a time [s]; None while nobody knows it, so that no law is written.
@@ -101,7 +101,7 @@ def run_loop(
         read = state()
         pose = wrist(begun)
         if read is not None and pose is not None and np.all(np.isfinite(read.angles)):
-            write(haptics.tick(begun, read.angles, pose))
+            write(tick(begun, read.angles, pose))
         over = time.perf_counter()
         times.add(begun - due, over - begun)
         if not goes_on(over):

@@ -7,6 +7,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.paper.tables import CONTRIBUTIONS, FINGERS, PHALANGES
 
 
 def squeezing(
@@ -48,7 +49,7 @@ class Contributions:
         return self.values.sum(0)
 
 
-def _read_only(rows: list[list[float]]) -> np.ndarray:
+def _read_only(rows: tuple[tuple[float, ...], ...]) -> np.ndarray:
     values = np.array(rows)
     values.flags.writeable = False
     return values
@@ -56,8 +57,8 @@ def _read_only(rows: list[list[float]]) -> np.ndarray:
 
 CYLINDRICAL_POWER_GRIP = Contributions(
     grip="cylindrical power",
-    fingers=("index", "middle", "ring", "little"),
-    phalanges=("proximal", "middle", "distal"),
-    values=_read_only([[1.44, 1.44, 1.08, 0.72], [0.24, 0.24, 0.24, 0.12], [1.92, 2.16, 1.44, 0.96]]),
+    fingers=FINGERS,
+    phalanges=PHALANGES,
+    values=_read_only(CONTRIBUTIONS),
     source="Tzafestas 2003, Table I (it names no thumb and no palm)",
 )

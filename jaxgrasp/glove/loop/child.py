@@ -6,11 +6,14 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 PATIENCE = 15.0
 """How long a program may take to start, to answer or to end [s]."""
+KEPT = 1000
+"""Of what a program told, so that memory does not grow with time."""
 
 
 def tell(what: dict[str, Any]) -> None:
@@ -29,8 +32,10 @@ class Child:
             module: run as ``python -m``.
             options: its only argument, as JSON.
         """
-        self.said: list[dict[str, Any]] = []
-        """All that it told."""
+        self.said: deque[dict[str, Any]] = deque(maxlen=KEPT)
+        """What it told last."""
+        self.count = 0
+        """How much it has told."""
         self._news = threading.Condition()
         command = [sys.executable, "-m", module, json.dumps(options)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -51,7 +56,7 @@ class Child:
     def wait_for(
         self, is_it: Callable[[dict[str, Any]], bool], begin: int = 0, patience: float = PATIENCE
     ) -> dict[str, Any]:
-        """The first thing that it told, from the ``begin``-th on, that is what is waited for.
+        """The first thing that it told, from the ``begin``-th on as ``count`` counts, that is what is waited for.
 
         Raises:
             OSError: if it ends without, or takes too long.
@@ -59,10 +64,11 @@ class Child:
         end = time.perf_counter() + patience
         with self._news:
             while True:
-                found = next((one for one in self.said[begin:] if is_it(one)), None)
+                new = min(self.count - begin, len(self.said))
+                found = next((one for one in list(self.said)[len(self.said) - new :] if is_it(one)), None)
                 if found is not None:
                     return found
-                begin = len(self.said)
+                begin = self.count
                 if not self._reader.is_alive():
                     raise OSError(f"{self._name} ended with {self.process.wait(PATIENCE)}")
                 if time.perf_counter() > end:
@@ -94,4 +100,5 @@ class Child:
                 continue
             with self._news:
                 self.said.append(told)
+                self.count += 1
                 self._news.notify_all()

@@ -95,7 +95,7 @@ class GloveProcess:
         self.close()
 
     def _order(self, what: dict[str, Any]) -> None:
-        before = len(self.child.said)
+        before = self.child.count
         self.child.order(what)
         answer = self.child.wait_for(lambda told: "done" in told or "refused" in told, before)
         if "refused" in answer:

@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import math
 import os
 import struct
 import termios
@@ -10,6 +11,9 @@ from pathlib import Path
 
 from jaxgrasp.glove.simulated.slow_line import Terminal, Throttle
 
+PROMPT = 0.002
+"""How soon a simulator that is not held up reads again [s]."""
+
 
 class PseudoTerminal(Terminal):
     """A pseudo-terminal under a name of our own, that can be unplugged and come back."""
@@ -17,7 +21,8 @@ class PseudoTerminal(Terminal):
     def __init__(self, link: Path, baud: int) -> None:
         self.link = link
         self.most_waiting = 0
-        """Bytes that were on their way to the device at most."""
+        """Bytes that were on their way to the device at most, but for those that wait only since nobody read."""
+        self._read_at, self._overdue = math.inf, 0.0
         self._coming, self._going, self._baud = Throttle(baud), Throttle(baud), baud
         self._out = bytearray()
         self._ends: tuple[int, int] | None = None
@@ -38,6 +43,7 @@ class PseudoTerminal(Terminal):
                 os.close(end)
             self._ends = None
             self._out.clear()
+            self._read_at, self._overdue = math.inf, 0.0
 
     def read(self, now: float) -> bytes:
         """What the line has carried to the device by now."""
@@ -45,7 +51,12 @@ class PseudoTerminal(Terminal):
             return b""
         waiting = struct.unpack("i", fcntl.ioctl(self._ends[0], termios.FIONREAD, b"\0" * 4))[0]
         through = self._coming.pass_on(now, waiting)
-        self.most_waiting = max(self.most_waiting, waiting - through)
+        # A real line carries on while a simulator sleeps; here, what it would have carried waits until all is through.
+        self._overdue += max(0.0, now - self._read_at - PROMPT) * self._baud / 10
+        self._read_at = now
+        self.most_waiting = max(self.most_waiting, waiting - through - math.ceil(self._overdue))
+        if through == waiting:
+            self._overdue = 0.0
         return os.read(self._ends[0], through) if through else b""
 
     def is_free(self) -> bool:

@@ -47,7 +47,7 @@ class Simulator:
         Raises:
             OSError: if it has ended, or does not answer.
         """
-        before = len(self._child.said)
+        before = self._child.count
         self._child.order(what)
         return self._child.wait_for(lambda told: "done" in told, before)["report"]
 

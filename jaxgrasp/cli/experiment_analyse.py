@@ -1,0 +1,134 @@
+"""``jaxgrasp experiment analyse``: records to thresholds, in words, as JSON, and as a page."""
+
+import json
+import math
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.cli.experiment_arguments import Analyse
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.psychophysics.analysis.experiment import (
+    EVERYONE,
+    Analysis,
+    AnalysisSettings,
+    Cell,
+    analyse,
+    load_experiment,
+)
+from jaxgrasp.psychophysics.analysis.finding import Finding
+from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.psychometric import Shape
+
+
+def analyse_command(arguments: Analyse) -> int:
+    """Read, analyse, say, write."""
+    if not 0 <= arguments.lapse < 0.5:
+        raise ValueError(f"lapse is {arguments.lapse}: expected 0 or more, and less than 0.5")
+    model = Model(Shape(arguments.shape), arguments.criterion, 0.5, (0.0, arguments.lapse))
+    settings = AnalysisSettings(arguments.method, model, arguments.interval, saturated=arguments.saturated)
+    plan, trials = load_experiment(arguments.folder)
+    found = analyse(plan, trials, settings)
+    print("\n".join(said(found, settings)))
+    out = arguments.folder if arguments.out is None else arguments.out
+    out.mkdir(parents=True, exist_ok=True)
+    content = json.dumps(_plain(asdict(found)), indent=1, allow_nan=False).encode()
+    replace_file(out / "analysis.json", lambda stream: stream.write(content + b"\n"))
+    print(f"written: {out / 'analysis.json'}")
+    if arguments.report:
+        _report(out / "report.html", found, settings)
+    return 0
+
+
+def said(found: Analysis, settings: AnalysisSettings) -> list[str]:
+    """What a person asks first."""
+    unit = found.plan.stimulus.unit
+    lines = [f"{found.plan.name}: {len(found.subjects)} person(s), {found.plan.method}"]
+    word, other = ("left out", "counted") if settings.saturated == "exclude" else ("counted", "left out")
+    for cell in (*found.pooled, *found.cells):
+        lines.append(f"{cell.subject:>8} at {cell.reference:g} {unit}: {_threshold(cell, unit, other)}")
+    for one in found.matched:
+        lines.append(
+            f"{one.subject:>8} at {one.reference:g} {unit}: {one.settings} settings, error {one.error:+.3g} {unit} "
+            f"({one.error_low:+.3g} to {one.error_high:+.3g}), deviation {one.deviation:.3g} {unit} "
+            f"({one.deviation_low:.3g} to {one.deviation_high:.3g}), JND {one.jnd:.3g} {unit}"
+        )
+    lines += _differences(found, unit)
+    lines += [f"note: {note}" for note in found.notes]
+    if any(cell.saturated for cell in found.pooled):
+        lines.append(f"trials in which a torque was cut are {word}; --saturated changes that")
+    return lines
+
+
+def _threshold(cell: Cell, unit: str, word: str) -> str:
+    one = cell.threshold
+    bounds = f"{100 * one.coverage:g}% interval {_number(one.low)} to {_number(one.high)}"
+    if one.finding is Finding.NO_TRIALS and cell.saturated:
+        text = f"no threshold: a torque was cut in all {cell.saturated} trials"
+    elif one.finding is not Finding.FOUND:
+        text = f"no threshold ({one.finding}); {bounds}. {one.finding.advice}"
+    elif cell.weber is not None:
+        text = f"Weber fraction {one.value:.3f}, JND {cell.weber.jnd:.3g} {unit}; {bounds}"
+    else:
+        text = f"threshold {one.value:.3g} {unit}; {bounds}"
+    if cell.fit is not None and cell.fit.p_value < 0.05:
+        text += f"; the function does not fit (p = {cell.fit.p_value:.3f})"
+    if cell.with_others is not None:
+        other = cell.with_others
+        text += f"; {cell.saturated} saturated trials {word} it would be "
+        text += f"{other.value:.3f}" if other.finding is Finding.FOUND else f"none ({other.finding})"
+    return text
+
+
+def _differences(found: Analysis, unit: str) -> list[str]:
+    lines = []
+    if found.line is not None:
+        lines.append(
+            f"JND of {EVERYONE} = {found.line.limit:.3f} x reference + {found.line.floor:.3g} {unit} (least squares)"
+        )
+    if found.comparison is not None:
+        within, between = found.comparison.within, found.comparison.between
+        lines.append(
+            f"references differ: repeated measures F[{within.between:g}, {within.within:g}] = {within.f:.2f}, "
+            f"p = {within.p_value:.4f} ({within.corrected_p_value:.4f} corrected, epsilon {within.sphericity:.2f}), "
+            f"partial eta squared {within.eta_squared:.2f}; as if of different persons "
+            f"F[{between.between:g}, {between.within:g}] = {between.f:.2f}, p = {between.p_value:.4f}"
+        )
+        for pair in found.comparison.pairs:
+            first, second = (found.comparison.references[k] for k in pair.groups)
+            lines.append(
+                f"  {first:g} less {second:g} {unit}: {pair.difference:+.3f}, p = {pair.p_value:.4f} (Holm), "
+                f"d = {pair.effect:.2f}"
+            )
+    return lines
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else "without bound"
+
+
+def _report(path: Path, found: Analysis, settings: AnalysisSettings) -> None:
+    from jaxgrasp.report.experiment_page import write_experiment_page
+
+    try:
+        write_experiment_page(path, found, settings)
+        print(f"report:  {path}")
+    except ImportError as error:
+        print(f"no report: {error}")
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it: arrays are lists, and what is not finite is null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    return value if not isinstance(value, float) or math.isfinite(value) else None

@@ -1,0 +1,149 @@
+"""The commands of ``jaxgrasp experiment`` and their arguments."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class ObserverArguments:
+    """A simulated observer."""
+
+    weber: float = 0.15
+    """Weber fraction of large references."""
+    absolute: float = 0.0
+    """Difference that is just noticed where there is no reference, in the stimulus' unit."""
+    lapse: float = 0.0
+    """Share of trials answered wrong for want of attention."""
+    bias: float = 0.0
+    """Preference for the second interval, by the noise of the difference."""
+    learning: float = 0.0
+    """By how much worse it is in the first trial; 63 % of that is gone after 50."""
+
+
+@dataclass(frozen=True)
+class PlanCommand:
+    """Check a plan: trials, torques, and which stimuli the glove cannot render. Without a file, the paper's plan."""
+
+    file: tyro.conf.Positional[Path | None] = None
+    """TOML file of the plan."""
+    glove: Path | None = None
+    """A TOML file of the glove; the paper's LRP Hand Master where not given."""
+    write: Path | None = None
+    """Write the plan, with all its defaults, to this new file."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.experiment_plan import plan_command
+
+        return plan_command(self)
+
+
+@dataclass(frozen=True)
+class RunExperiment:
+    """Ask one person all that a plan asks; each answer is on disk before the next question."""
+
+    file: tyro.conf.Positional[Path | None] = None
+    """TOML file of the plan; the paper's where not given."""
+    subject: str = ""
+    """Code of the person, without a name in it."""
+    out: Path = Path("jaxgrasp-experiment")
+    """Folder of the records, a file for each person."""
+    resume: bool = False
+    """Go on where this person's records end."""
+    port: str | None = None
+    """Of the glove in which stimuli are felt."""
+    glove: Path | None = None
+    """A TOML file of the glove; the paper's LRP Hand Master where not given."""
+    calibration: Path | None = None
+    """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
+    baud: int = 115_200
+    """Of the glove's line."""
+    simulate: bool = False
+    """Let a simulated observer answer, without a glove."""
+    observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
+
+    def run(self) -> int:
+        from jaxgrasp.cli.experiment_run import run_command
+
+        return run_command(self)
+
+
+@dataclass(frozen=True)
+class Analyse:
+    """Thresholds, Weber fractions and their differences, from a folder of records; with a report."""
+
+    folder: tyro.conf.Positional[Path]
+    """Of the records."""
+    method: Literal["likelihood", "posterior", "interpolation", "line", "paper"] = "likelihood"
+    """How thresholds are found; `paper`: the line through chance at zero that gives the paper's numbers."""
+    shape: Literal["gaussian", "logistic", "weibull", "difference"] = "weibull"
+    """Of the psychometric function, for `likelihood` and `posterior`."""
+    criterion: float = 0.75
+    """Hit ratio at the threshold."""
+    lapse: float = 0.05
+    """Largest share of lapses that a fit may find."""
+    interval: Literal["profile", "credible", "bootstrap", "bca"] | None = None
+    """Of each threshold; as the method has it, where not given."""
+    saturated: Literal["include", "exclude"] = "exclude"
+    """Trials in which a torque was cut."""
+    out: Path | None = None
+    """Folder for analysis.json and report.html; that of the records where not given."""
+    report: bool = True
+    """Write report.html (needs the extra `report`)."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.experiment_analyse import analyse_command
+
+        return analyse_command(self)
+
+
+@dataclass(frozen=True)
+class Paper:
+    """Recompute every number of the paper's section III-C beside the printed one."""
+
+    def run(self) -> int:
+        from jaxgrasp.cli.experiment_paper import paper_command
+
+        return paper_command()
+
+
+@dataclass(frozen=True)
+class Power:
+    """How many trials and persons a wanted precision takes, by simulated experiments."""
+
+    file: tyro.conf.Positional[Path | None] = None
+    """TOML file of the plan, of constant stimuli; the paper's where not given."""
+    reference: float | None = None
+    """Which one of its references; the first where not given."""
+    wanted: float = 0.02
+    """Standard error of the mean threshold over persons: of the Weber fraction, or of the intensity in detection."""
+    between: float = 0.035
+    """Standard deviation of the persons' own thresholds; the paper prints 0.035 to 0.052."""
+    most_subjects: int = 100
+    """That can be had."""
+    observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
+
+    def run(self) -> int:
+        from jaxgrasp.cli.experiment_plan import power_command
+
+        return power_command(self)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Design, run and analyse experiments on what a person feels."""
+
+    command: tyro.conf.OmitSubcommandPrefixes[
+        tyro.conf.OmitArgPrefixes[
+            Annotated[PlanCommand, tyro.conf.subcommand("plan")]
+            | Annotated[RunExperiment, tyro.conf.subcommand("run")]
+            | Annotated[Analyse, tyro.conf.subcommand("analyse")]
+            | Annotated[Paper, tyro.conf.subcommand("paper")]
+            | Annotated[Power, tyro.conf.subcommand("power")]
+        ]
+    ]
+
+    def run(self) -> int:
+        return self.command.run()

@@ -1,0 +1,52 @@
+"""A person at a terminal, who answers by the keyboard."""
+
+from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
+from jaxgrasp.psychophysics.running.person import Move, Person
+from jaxgrasp.psychophysics.stimulus import Rendered
+from jaxgrasp.psychophysics.trial import Trial
+
+MOVES: dict[str, Move] = {"+": "up", "-": "down", "r": "reference", "c": "comparison", "": "done"}
+
+
+class TerminalPerson(Person):
+    """Asks by lines of text; the end of the input interrupts the experiment, and nothing is lost."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan, self._most = plan, plan.most_trials()
+        self._started = False
+
+    def feel(self, trial: Trial, interval: int) -> None:
+        if interval == 1:
+            what = "practice" if trial.is_practice else f"session {trial.session}"
+            print(f"\ntrial {trial.number} of {self._most} ({what})")
+            self._started = False
+        name = "reference" if trial.task == "setting" else ("first", "second")[interval - 1]
+        _typed(f"  feel the {name} one; Enter when you have ")
+
+    def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
+        while True:
+            typed = _typed(f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? ").strip()
+            if typed in ("1", "2"):
+                return int(typed)
+
+    def adjust(self, trial: Trial, setting: float) -> Move:
+        if not self._started:
+            print("  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does")
+            self._started = True
+        while True:
+            typed = _typed("  > ").strip().lower()
+            if typed in MOVES:
+                return MOVES[typed]
+
+    def told(self, trial: Trial, right: bool) -> None:
+        print("  right" if right else "  wrong")
+
+    def rest(self, done: int, most: int) -> None:
+        _typed(f"\n{done} of at most {most} trials are done. Rest; Enter to go on ")
+
+
+def _typed(prompt: str) -> str:
+    try:
+        return input(prompt)
+    except EOFError:
+        raise KeyboardInterrupt from None

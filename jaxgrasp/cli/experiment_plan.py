@@ -1,0 +1,120 @@
+"""``jaxgrasp experiment plan`` and ``power``: what a plan asks, and what it will tell."""
+
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.cli.checks import check_not_negative, check_positive
+from jaxgrasp.cli.experiment_arguments import ObserverArguments, PlanCommand, Power
+from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.plan import Plan, load_plan, plan_toml
+from jaxgrasp.psychophysics.prediction.power import cheapest
+from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
+
+SHOWN = 6
+
+
+def plan_command(arguments: PlanCommand) -> int:
+    """Read, predict, say."""
+    if arguments.write is not None and arguments.write.exists():
+        raise ValueError(f"write is {arguments.write}: expected a file that is not there yet")
+    plan = read_plan(arguments.file)
+    if arguments.write is not None:
+        replace_file(arguments.write, lambda stream: stream.write(plan_toml(plan).encode()))
+        print(f"written: {arguments.write}")
+    model = load_glove(arguments.glove) if arguments.glove else lrp_hand_master()
+    print("\n".join(summary(plan)))
+    print(f"rendered by {model.name}:")
+    print("\n".join(predicted(plan, predicted_stimulus(plan, model))))
+    return 0
+
+
+def power_command(arguments: Power) -> int:
+    """Simulate, and say the designs that take the fewest trials."""
+    check_positive(arguments, "wanted", "most_subjects")
+    check_not_negative(arguments, "between")
+    plan = read_plan(arguments.file)
+    if not isinstance(plan.procedure, ConstantStimuli):
+        raise ValueError(f"procedure.method is {plan.method!r}: expected constant-stimuli, of which power is simulated")
+    reference = plan.session.references[0] if arguments.reference is None else arguments.reference
+    if reference not in plan.session.references:
+        known = ", ".join(f"{one:g}" for one in plan.session.references)
+        raise ValueError(f"reference is {reference:g}: expected one of {known}")
+    levels = np.array(plan.procedure.levels)
+    print(
+        f"standard error {arguments.wanted:g} of the mean threshold at {reference:g} {plan.stimulus.unit}, levels "
+        f"{', '.join(f'{level:g}' for level in levels)}"
+    )
+    found = cheapest(
+        arguments.wanted,
+        observer_of(arguments.observer),
+        reference,
+        levels,
+        between=arguments.between,
+        most_subjects=arguments.most_subjects,
+    )
+    if not found:
+        print(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
+        return 0
+    print("trials a level  persons  trials in all  one person's deviation  outside the levels")
+    for one in found[:SHOWN]:
+        print(
+            f"{one.trials:14d}  {one.subjects:7d}  {one.total(len(levels)):13d}  {one.within:22.4f}  "
+            f"{100 * one.outside:17.1f}%"
+        )
+    return 0
+
+
+def read_plan(path: Path | None) -> Plan:
+    """The plan of a file, or the paper's."""
+    return Plan() if path is None else load_plan(path)
+
+
+def observer_of(arguments: ObserverArguments) -> Observer:
+    """The observer that arguments describe."""
+    parts = (arguments.weber, arguments.absolute, arguments.lapse, arguments.bias, arguments.learning)
+    return Observer(*parts)
+
+
+def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
+    """What a glove can render of a plan's stimulus."""
+    set_up_jax("float64")
+    from jaxgrasp.lab.felt_objects import felt_object
+    from jaxgrasp.lab.stimuli import PredictedGloveStimulus
+
+    return PredictedGloveStimulus(felt_object(plan.stimulus, model), model)
+
+
+def summary(plan: Plan) -> list[str]:
+    """What a plan asks of a person."""
+    unit = plan.stimulus.unit
+    where = plan.stimulus.joint if plan.stimulus.kind == "torque" else " and ".join(plan.stimulus.fingers)
+    references = ", ".join(f"{one:g}" for one in plan.session.references)
+    task = "detection" if plan.is_detection else f"references {references} {unit}"
+    return [
+        f"{plan.name}: {plan.stimulus.kind} on {where}, {task}, {plan.method}, {plan.session.sessions} session(s) each",
+        f"trials of a person: {'at most ' if plan.method == 'staircase' else ''}{plan.most_trials()}, "
+        f"{plan.session.practice} of them practice; a break every {plan.session.break_every}",
+    ]
+
+
+def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:
+    """A line for each intensity, and a warning for those that the glove cannot render."""
+    found = [stimulus.predict(one) for one in plan.intensities() if one > 0]
+    lines = [_line(one, plan.stimulus.unit) for one in found]
+    cut = [one for one in found if one.saturated]
+    if cut:
+        lines.append(
+            f"WARNING: {len(cut)} of {len(found)} stimuli need more torque than the glove has, from "
+            f"{cut[0].intensity:g} {plan.stimulus.unit} on: their trials will be flagged, and left out of the analysis"
+        )
+    return lines
+
+
+def _line(one: Rendered, unit: str) -> str:
+    felt = f"SATURATES, about {one.felt:.3g} {unit} is left" if one.saturated else "rendered whole"
+    return f"  {one.intensity:8.4g} {unit}: torques up to {one.torque:.4f} N\N{MIDDLE DOT}m, {felt}"

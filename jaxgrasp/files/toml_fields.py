@@ -1,0 +1,96 @@
+"""TOML tables into dataclasses: what is unknown, missing or of another kind is named before anything is done."""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import MISSING, fields
+from enum import StrEnum
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+Made = TypeVar("Made")
+HUGE = 1e300
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """The table of a file.
+
+    Raises:
+        ValueError: for a file that is no TOML.
+        OSError: for a file that cannot be read.
+    """
+    try:
+        with open(path, "rb") as stream:
+            return tomllib.load(stream)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no TOML: {error}") from None
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """The end of a message on a name that nobody knows."""
+    like = difflib.get_close_matches(name, known, 1, 0.5)
+    return f": did you mean {like[0]!r}?" if like else f": expected one of {', '.join(known)}"
+
+
+def made_from(kind: type[Made], table: Any, where: str) -> Made:
+    """A dataclass of numbers, texts, flags, tuples of these, and literals, from a table of its fields.
+
+    Args:
+        kind: the dataclass.
+        table: of the file.
+        where: name of the table, for messages.
+
+    Raises:
+        ValueError: for keys that are unknown or missing, values of another kind, and whatever the dataclass refuses.
+    """
+    if not isinstance(table, dict):
+        raise ValueError(f"{where} is {table!r}: expected a table")
+    known = {one.name: one for one in fields(kind) if one.init}  # type: ignore[arg-type]
+    for key in table:
+        if key not in known:
+            raise ValueError(f"{where} has {key!r}{nearest(key, list(known))}")
+    for name, one in known.items():
+        if name not in table and one.default is MISSING and one.default_factory is MISSING:
+            raise ValueError(f"{where} has no {name!r}")
+    hints = get_type_hints(kind)
+    values = {key: _value(f"{where}.{key}", value, hints[key]) for key, value in table.items()}
+    try:
+        return kind(**values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def number(name: str, value: Any) -> float:
+    """A value as a number, NaN too; ValueError, by its name, for what is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > HUGE:
+        raise ValueError(f"{name} is {str(value)[:40]}: expected a number")
+    return float(value)
+
+
+def _value(name: str, value: Any, hint: Any) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Literal:
+        if value not in arguments:
+            raise ValueError(f"{name} is {value!r}{nearest(str(value), [str(one) for one in arguments])}")
+        return value
+    if origin is tuple:
+        if not isinstance(value, list):
+            raise ValueError(f"{name} is {value!r}: expected a list")
+        return tuple(_value(f"{name}[{k}]", one, arguments[0]) for k, one in enumerate(value))
+    if origin in (Union, UnionType):
+        return _value(name, value, next(one for one in arguments if one is not type(None)))
+    if isinstance(hint, type) and issubclass(hint, StrEnum):
+        if value not in list(hint):
+            raise ValueError(f"{name} is {value!r}{nearest(str(value), list(hint))}")
+        return hint(value)
+    if hint is float:
+        if math.isnan(found := number(name, value)):
+            raise ValueError(f"{name} is nan: expected a number")
+        return found
+    if hint is int and (isinstance(value, bool) or not isinstance(value, int)):
+        raise ValueError(f"{name} is {value!r}: expected a whole number")
+    if hint in (bool, str) and not isinstance(value, hint):
+        raise ValueError(f"{name} is {value!r}: expected {'text' if hint is str else 'true or false'}")
+    return value

@@ -1,0 +1,132 @@
+"""Stimuli of the psychophysics, rendered: predicted for a glove, or felt in one."""
+
+import threading
+import time
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.loop.exchange import TorqueLaw
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, resistance_and_slope, resistances
+from jaxgrasp.lab.haptic_loop import run_loop
+from jaxgrasp.model.hand import Pose
+from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered
+
+RATE = 100.0
+"""Of laws [Hz]."""
+
+
+class PredictedGloveStimulus(PredictedStimulus):
+    """What a glove can render of an intensity, over all postures in which it is felt."""
+
+    def __init__(self, felt: FeltObject, model: GloveModel) -> None:
+        """Args: what is felt, and the glove, whose limits count."""
+        super().__init__()
+        self._felt, self._limits = felt, np.array(model.limits)
+        self._postures = felt.postures()
+        self._known: dict[float, Rendered] = {}
+
+    def predict(self, intensity: float) -> Rendered:
+        if intensity not in self._known:
+            asked = np.asarray(resistances(self._felt, self._postures, np.float64(intensity)))
+            self._known[intensity] = rendered(intensity, asked, self._limits)
+        return self._known[intensity]
+
+
+class GloveStimulus(PredictedGloveStimulus):
+    """The same in a glove that is there: laws go out at a steady rate, from the first until ``close``."""
+
+    def __init__(self, felt: FeltObject, model: GloveModel, glove: GloveProcess) -> None:
+        """A stimulus of no intensity, in a glove that someone arms."""
+        super().__init__(felt, model)
+        self._glove = glove
+        self._ends = threading.Event()
+        self._lock = threading.Lock()
+        self._clipped, self._most, self._armed = 0.0, 0.0, True
+        resistance_and_slope(felt, self._postures[0], np.float64(0.0))
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def begin(self, intensity: float) -> None:
+        """Let it be felt.
+
+        Raises:
+            OSError: where the glove is not armed.
+        """
+        self._check_armed()
+        with self._lock:
+            self._intensity = intensity
+            self._clipped, self._most, self._armed = 0.0, 0.0, True
+
+    def end(self) -> Rendered:
+        """Let it end.
+
+        Raises:
+            OSError: where the glove was not armed all the time: what was felt is not what the plan says.
+        """
+        with self._lock:
+            intensity, clipped, most, armed = self._intensity, self._clipped, self._most, self._armed
+            self._intensity = 0.0
+        if not armed:
+            raise OSError("the glove was disarmed while it was felt; arm it, and go on with --resume")
+        foreseen = self.predict(intensity)
+        return Rendered(intensity, foreseen.felt if clipped > 0 else intensity, most, clipped > 0)
+
+    def wait_until_armed(self, patience: float) -> None:
+        """Return once the glove is armed.
+
+        Raises:
+            OSError: if it is not, after so long [s].
+        """
+        end = time.perf_counter() + patience
+        while (state := self._glove.state()) is None or state.guard != GuardState.ARMED:
+            if time.perf_counter() > end:
+                raise OSError(f"the glove was not armed within {patience:g} s")
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        """No more laws."""
+        self._ends.set()
+        self._thread.join()
+
+    def _check_armed(self) -> None:
+        state = self._glove.state()
+        if state is None or state.guard != GuardState.ARMED or not self._thread.is_alive():
+            raise OSError("the glove is not armed")
+
+    def _run(self) -> None:
+        run_loop(
+            self._tick, self._read, self._glove.write, lambda now: PALM_UP, RATE, lambda now: not self._ends.is_set()
+        )
+
+    def _read(self):
+        state = self._glove.state()
+        if state is not None:
+            with self._lock:
+                self._clipped = max(self._clipped, state.clipped)
+                self._armed = self._armed and state.guard == GuardState.ARMED
+        return state
+
+    def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
+        with self._lock:
+            intensity = self._intensity
+        found = resistance_and_slope(self._felt, angles, np.float64(intensity))
+        torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
+        with self._lock:
+            self._most = max(self._most, float(torques.max()))
+        valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
+        return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
+
+
+def rendered(
+    intensity: float, asked: Float[np.ndarray, "P channels"], limits: Float[np.ndarray, "channels"]
+) -> Rendered:
+    """What limits leave of torques; felt is the share that is left of their sum, where it is least."""
+    given = np.clip(asked, 0, limits)
+    sums = np.clip(asked, 0, None).sum(1)
+    shares = np.where(sums > 0, given.sum(1) / np.where(sums > 0, sums, 1), 1.0)
+    return Rendered(intensity, float(intensity * shares.min()), float(asked.max()), bool(np.any(asked > limits)))

@@ -1,0 +1,1 @@
+"""From answers to thresholds, with what they leave open."""

@@ -1,0 +1,79 @@
+"""Answers counted: how many of how many were right at each level."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.stats import binomtest
+
+
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """Right answers by level, in rising order; levels without a trial are left out.
+
+    Raises:
+        ValueError: for arrays of different lengths, levels that are not finite, negative or there twice, and more
+            right answers than trials.
+    """
+
+    levels: Float[np.ndarray, "L"]
+    """Of the comparison: its difference from the reference by the reference [1], or its intensity in detection."""
+    hits: Int[np.ndarray, "L"]
+    """Right answers."""
+    trials: Int[np.ndarray, "L"]
+
+    def __post_init__(self):
+        levels, hits, trials = np.asarray(self.levels, float), np.asarray(self.hits), np.asarray(self.trials)
+        if not (levels.ndim == 1 and levels.shape == hits.shape == trials.shape):
+            raise ValueError(f"levels, hits, trials have shapes {levels.shape}, {hits.shape}, {trials.shape}")
+        for k in range(len(levels)):
+            if not (np.isfinite(levels[k]) and levels[k] >= 0):
+                raise ValueError(f"levels[{k}] is {levels[k]}: expected a finite number, 0 or more")
+            if levels[k] in levels[:k]:
+                raise ValueError(f"levels[{k}] is {levels[k]} again: expected each level once")
+            for name, values in (("hits", hits), ("trials", trials)):
+                if values[k] != np.floor(values[k]) or values[k] < 0:
+                    raise ValueError(f"{name}[{k}] is {values[k]}: expected a whole number, 0 or more")
+            if hits[k] > trials[k]:
+                raise ValueError(f"hits[{k}] is {hits[k]}: expected at most its {trials[k]} trials")
+        kept = np.argsort(levels)[trials[np.argsort(levels)] > 0]
+        for name, values in (("levels", levels), ("hits", hits.astype(int)), ("trials", trials.astype(int))):
+            object.__setattr__(self, name, values[kept])
+
+    @property
+    def ratios(self) -> Float[np.ndarray, "L"]:
+        """Shares of right answers."""
+        return self.hits / self.trials
+
+
+def count(levels: Float[np.ndarray, "T"], correct: np.ndarray) -> Counts:
+    """Count answers, one for each trial, by their levels."""
+    found, place = np.unique(np.asarray(levels, float), return_inverse=True)
+    correct = np.asarray(correct, bool)
+    return Counts(found, np.bincount(place[correct], minlength=len(found)), np.bincount(place, minlength=len(found)))
+
+
+def pooled(parts: "list[Counts]") -> Counts:
+    """All answers together."""
+    levels = np.unique(np.concatenate([part.levels for part in parts])) if parts else np.zeros(0)
+    hits, trials = np.zeros(len(levels), int), np.zeros(len(levels), int)
+    for part in parts:
+        at = np.searchsorted(levels, part.levels)
+        hits[at] += part.hits
+        trials[at] += part.trials
+    return Counts(levels, hits, trials)
+
+
+def ratio_intervals(counts: Counts, coverage: float = 0.95, method: str = "wilson") -> Float[np.ndarray, "L 2"]:
+    """Intervals of the hit ratios, each for itself.
+
+    Args:
+        counts: of answers.
+        coverage: of each interval.
+        method: ``"wilson"`` (score) or ``"exact"`` (Clopper and Pearson).
+    """
+    found = [
+        binomtest(int(k), int(n)).proportion_ci(coverage, method)
+        for k, n in zip(counts.hits, counts.trials, strict=True)
+    ]
+    return np.array([[one.low, one.high] for one in found]).reshape(-1, 2)

@@ -1,0 +1,250 @@
+"""A whole experiment analysed: each person, all together, and what differs between references."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from jaxgrasp.psychophysics.analysis.anova import Anova, Pair, compare_conditions, one_way, repeated_measures
+from jaxgrasp.psychophysics.analysis.counts import Counts, count
+from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
+from jaxgrasp.psychophysics.analysis.finding import Finding
+from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
+from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.matching import Matched, matched
+from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
+from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
+from jaxgrasp.psychophysics.plan import Plan, plan_of
+from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
+from jaxgrasp.psychophysics.running.records import RecordError, subjects
+from jaxgrasp.psychophysics.running.session import read_trials
+
+TrialRecord = dict[str, Any]
+EVERYONE = "all"
+"""Stands for all persons' answers together."""
+
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """How answers are analysed."""
+
+    method: Method = "likelihood"
+    model: Model = field(default_factory=Model)
+    interval: Interval | None = None
+    """As the method has it, where None."""
+    coverage: float = 0.95
+    saturated: Literal["include", "exclude"] = "exclude"
+    """Trials in which a torque was cut."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Answers of a person, or of all, at one reference."""
+
+    subject: str
+    reference: float
+    counts: Counts
+    threshold: Threshold
+    weber: Weber | None
+    """None in detection, and where there is no threshold."""
+    fit: Goodness | None
+    """None where no psychometric function was fitted."""
+    sensitivities: tuple[tuple[float, Sensitivity], ...]
+    """By level."""
+    saturated: int
+    """Trials in which a torque was cut."""
+    with_others: Threshold | None
+    """The threshold with saturated trials where these are left out, and without them where they are not; None where
+    there are none."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One staircase."""
+
+    subject: str
+    reference: float
+    levels: tuple[float, ...]
+    right: tuple[bool, ...]
+    turning_points: float
+    """Geometric mean of the later ones; NaN where there are too few."""
+    target: float
+    """Hit ratio of the level that it goes to."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Of Weber fractions, or of thresholds, between references."""
+
+    references: tuple[float, ...]
+    subjects: tuple[str, ...]
+    within: Anova
+    """Of the same persons at every reference."""
+    between: Anova
+    """As if they were different ones, which is what the paper did."""
+    pairs: tuple[Pair, ...]
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Of an experiment."""
+
+    plan: Plan
+    subjects: tuple[str, ...]
+    cells: tuple[Cell, ...]
+    """Of each person at each reference."""
+    pooled: tuple[Cell, ...]
+    """Of all persons at each reference."""
+    matched: tuple[Matched, ...]
+    traces: tuple[Trace, ...]
+    comparison: Comparison | None
+    line: WeberLine | None
+    notes: tuple[str, ...]
+    """What cannot be said, and why; and what the reader must know."""
+
+
+def load_experiment(folder: Path) -> tuple[Plan, dict[str, list[TrialRecord]]]:
+    """The plan of the records in a folder, and each person's trials.
+
+    Raises:
+        ValueError: for a folder without records, or with records of several plans.
+        RecordError: for records that cannot be read.
+    """
+    plan, trials = None, {}
+    for path in subjects(folder):
+        first, trials[path.stem] = read_trials(path)
+        own = plan_of(first["plan"], f"{path}: plan")
+        if plan is not None and own != plan:
+            raise RecordError(f"{path} was made with another plan than the others in {folder}")
+        plan = own
+    if plan is None:
+        raise ValueError(f"{folder} has no records: expected files that `jaxgrasp experiment run` wrote")
+    return plan, trials
+
+
+def analyse(plan: Plan, trials: dict[str, list[TrialRecord]], settings: AnalysisSettings | None = None) -> Analysis:
+    """All that an experiment's answers say.
+
+    Args:
+        plan: of the experiment.
+        trials: records of each person.
+        settings: of the analysis.
+    """
+    settings = AnalysisSettings() if settings is None else settings
+    real = {who: [one for one in own if not one["is_practice"]] for who, own in trials.items()}
+    if plan.method == "matching":
+        found = [
+            matched(who, reference, [one["setting"] for one in own if one["reference"] == reference])
+            for who, own in real.items()
+            for reference in plan.session.references
+        ]
+        return Analysis(plan, tuple(real), (), (), tuple(found), (), None, None, _notes(plan, real, ()))
+    cells = tuple(
+        _cell(who, reference, own, settings) for who, own in real.items() for reference in plan.session.references
+    )
+    everyone = [one for own in real.values() for one in own]
+    pooled = tuple(_cell(EVERYONE, reference, everyone, settings) for reference in plan.session.references)
+    notes = list(_notes(plan, real, cells))
+    comparison = _comparison(plan, tuple(real), cells, notes)
+    return Analysis(
+        plan, tuple(real), cells, pooled, (), tuple(_traces(plan, real)), comparison, _line(pooled), tuple(notes)
+    )
+
+
+def _cell(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
+    own = [one for one in trials if one["reference"] == reference]
+    clean = [one for one in own if not one["saturated"]]
+    used, others = (clean, own) if settings.saturated == "exclude" else (own, clean)
+    counts = counted(used)
+    found = _threshold(counts, settings)
+    with_others = _threshold(counted(others), settings) if len(clean) < len(own) else None
+    fraction = weber(found, reference) if reference > 0 and found.finding is Finding.FOUND else None
+    fit = goodness(counts, settings.model) if found.function is not None and found.finding is Finding.FOUND else None
+    views = tuple((float(level), _view(used, level)) for level in counts.levels)
+    return Cell(who, reference, counts, found, fraction, fit, views, len(own) - len(clean), with_others)
+
+
+def counted(trials: Iterable[TrialRecord]) -> Counts:
+    """Answers of choices by level."""
+    own = list(trials)
+    return count(np.array([one["level"] for one in own]), np.array([one["right"] for one in own], bool))
+
+
+def _threshold(counts: Counts, settings: AnalysisSettings) -> Threshold:
+    return threshold(
+        counts, settings.method, model=settings.model, interval=settings.interval, coverage=settings.coverage
+    )
+
+
+def _view(trials: list[TrialRecord], level: float) -> Sensitivity:
+    there = [one for one in trials if one["level"] == level]
+    first = [one["right"] for one in there if one["first"] > one["second"]]
+    second = [one["right"] for one in there if one["first"] < one["second"]]
+    return sensitivity(sum(first), len(first), sum(second), len(second))
+
+
+def _comparison(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
+    references = plan.session.references
+    if len(references) < 2 or len(people) < 2:
+        return None
+    values = np.array([[_of(cells, who, r).threshold.value for r in references] for who in people])
+    whole = np.all(np.isfinite(values), axis=1)
+    for who, row in zip(people, values, strict=True):
+        missing = [f"{r:g}" for r, value in zip(references, row, strict=True) if not np.isfinite(value)]
+        if missing:
+            notes.append(f"{who} has no threshold at {', '.join(missing)}, and is left out of the analysis of variance")
+    kept = tuple(who for who, is_whole in zip(people, whole, strict=True) if is_whole)
+    if len(kept) < 2:
+        notes.append("no analysis of variance: fewer than two persons have a threshold at every reference")
+        return None
+    table = values[whole]
+    try:
+        return Comparison(
+            references, kept, repeated_measures(table), one_way(list(table.T)), tuple(compare_conditions(table))
+        )
+    except ValueError as error:
+        notes.append(f"no analysis of variance: {error}")
+        return None
+
+
+def _of(cells: tuple[Cell, ...], who: str, reference: float) -> Cell:
+    return next(cell for cell in cells if cell.subject == who and cell.reference == reference)
+
+
+def _line(pooled: tuple[Cell, ...]) -> WeberLine | None:
+    """Through JNDs of all persons together, where there are two at least."""
+    known = [cell.weber for cell in pooled if cell.weber is not None]
+    if len(known) < 2:
+        return None
+    return weber_line(np.array([one.reference for one in known]), np.array([one.jnd for one in known]))
+
+
+def _traces(plan: Plan, trials: dict[str, list[TrialRecord]]) -> Iterable[Trace]:
+    settings = plan.procedure
+    if not isinstance(settings, Staircase):
+        return
+    for who, own in trials.items():
+        for session, series in sorted({(one["session"], one["series"]) for one in own}):
+            part = [one for one in own if (one["session"], one["series"]) == (session, series)]
+            levels, right = [one["level"] for one in part], [one["right"] for one in part]
+            mean = staircase_threshold(settings, levels, right)
+            yield Trace(who, part[0]["reference"], tuple(levels), tuple(right), mean, settings.target)
+
+
+def _notes(plan: Plan, trials: dict[str, list[TrialRecord]], cells: tuple[Cell, ...]) -> tuple[str, ...]:
+    notes = []
+    for who, own in trials.items():
+        for reference in plan.session.references:
+            there = sum(one["reference"] == reference for one in own)
+            asked = plan.session.sessions * plan.procedure.most_trials()
+            if there == 0:
+                notes.append(f"{who} has no trial at {reference:g} {plan.stimulus.unit}")
+            elif there < asked and plan.method in ("constant-stimuli", "adaptive", "matching"):
+                notes.append(f"{who} has {there} of {asked} trials at {reference:g} {plan.stimulus.unit}")
+    for cell in cells:
+        if cell.saturated:
+            where = f"{cell.subject} at {cell.reference:g} {plan.stimulus.unit}"
+            notes.append(f"{where}: a torque was cut in {cell.saturated} trials")
+    return tuple(notes)

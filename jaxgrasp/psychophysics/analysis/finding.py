@@ -1,0 +1,84 @@
+"""What answers allow to be said of a threshold, where they do not settle it; and why."""
+
+from enum import StrEnum
+
+import numpy as np
+from scipy.stats import binomtest
+
+from jaxgrasp.psychophysics.analysis.counts import Counts
+
+DOUBT = 0.05
+"""Chance of calling answers better, or worse, than guesses when they are guesses."""
+
+
+class Finding(StrEnum):
+    """Whether a threshold was found. The names are stable in files; ``advice`` says what to do."""
+
+    FOUND = "found"
+    NO_TRIALS = "no-trials"
+    ONE_LEVEL = "one-level"
+    ALL_RIGHT = "all-right"
+    AT_CHANCE = "at-chance"
+    BELOW_CHANCE = "below-chance"
+    NOT_RISING = "not-rising"
+    BELOW_LEVELS = "below-levels"
+    ABOVE_LEVELS = "above-levels"
+
+    @property
+    def advice(self) -> str:
+        """A sentence that a user can act on."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    Finding.FOUND: "The threshold lies among the levels that were tried.",
+    Finding.NO_TRIALS: "There are no answers to analyse.",
+    Finding.ONE_LEVEL: "Answers at one level leave the steepness open: try more, or take the shape 'difference'.",
+    Finding.ALL_RIGHT: "Every answer is right, so the threshold is below the levels that were tried: try smaller ones.",
+    Finding.AT_CHANCE: "The answers are not better than guesses: the threshold is above the levels, or the task is not "
+    "understood.",
+    Finding.BELOW_CHANCE: "The answers are worse than guesses: they may be reversed; ask, and look at the records.",
+    Finding.NOT_RISING: "Hit ratios do not rise with the level: look at the records, or gather more trials.",
+    Finding.BELOW_LEVELS: "The estimate is below the smallest level that was tried: try smaller ones.",
+    Finding.ABOVE_LEVELS: "The estimate is above the largest level that was tried: try larger ones.",
+}
+
+
+def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Finding:
+    """Why answers say nothing of a threshold, whatever the method; FOUND where nothing speaks against one."""
+    if not len(counts.levels):
+        return Finding.NO_TRIALS
+    hits, trials = int(counts.hits.sum()), int(counts.trials.sum())
+    if hits == trials:
+        return Finding.ALL_RIGHT
+    if chance > 0 and binomtest(hits, trials, chance, "less").pvalue < DOUBT / 2:
+        return Finding.BELOW_CHANCE
+    if chance > 0 and not _is_better(counts, chance):
+        return Finding.AT_CHANCE
+    if needs_levels and len(counts.levels) == 1:
+        return Finding.ONE_LEVEL
+    if needs_levels and _slope(counts) <= 0:
+        return Finding.NOT_RISING
+    return Finding.FOUND
+
+
+def place(estimate: float, counts: Counts) -> Finding:
+    """Whether an estimate lies among the levels."""
+    if np.isnan(estimate):
+        return Finding.NOT_RISING
+    if estimate < counts.levels[0]:
+        return Finding.BELOW_LEVELS
+    return Finding.ABOVE_LEVELS if estimate > counts.levels[-1] else Finding.FOUND
+
+
+def _is_better(counts: Counts, chance: float) -> bool:
+    """Than guesses: all answers together, or those of the largest level, where a steep function shows first."""
+    together = binomtest(int(counts.hits.sum()), int(counts.trials.sum()), chance, "greater").pvalue
+    largest = binomtest(int(counts.hits[-1]), int(counts.trials[-1]), chance, "greater").pvalue
+    return bool(min(together, largest) < DOUBT / 2)
+
+
+def _slope(counts: Counts) -> float:
+    """Of the ratios by level, each level by its trials."""
+    centred = counts.levels - np.average(counts.levels, weights=counts.trials)
+    return float(np.sum(counts.trials * centred * counts.ratios))

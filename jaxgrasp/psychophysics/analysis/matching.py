@@ -1,0 +1,44 @@
+"""Settings of a person who matched one stimulus to another: how far off, and how sure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import t as t_distribution
+
+from jaxgrasp.psychophysics.observer import QUARTILE
+
+
+@dataclass(frozen=True)
+class Matched:
+    """Of one person at one reference. NaN where there are too few settings."""
+
+    subject: str
+    reference: float
+    settings: int
+    error: float
+    """Mean setting less the reference: the constant error, in the stimulus' unit."""
+    error_low: float
+    error_high: float
+    deviation: float
+    """Of the settings: the variable error."""
+    deviation_low: float
+    deviation_high: float
+
+    @property
+    def jnd(self) -> float:
+        """Difference that would be told apart in three of four choices, if the noise of both tasks is the same."""
+        return QUARTILE * self.deviation
+
+
+def matched(subject: str, reference: float, settings: list[float], coverage: float = 0.95) -> Matched:
+    """Mean and deviation with their intervals, for settings that are normally distributed."""
+    values, count = np.asarray(settings, float), len(settings)
+    if count < 2:
+        error = float(values[0] - reference) if count else np.nan
+        return Matched(subject, reference, count, error, -np.inf, np.inf, np.nan, 0.0, np.inf)
+    error, deviation = float(values.mean() - reference), float(values.std(ddof=1))
+    tail = (1 - coverage) / 2
+    away = float(t_distribution.isf(tail, count - 1)) * deviation / np.sqrt(count)
+    low, high = (deviation * float(np.sqrt((count - 1) / chi2.isf(share, count - 1))) for share in (tail, 1 - tail))
+    return Matched(subject, reference, count, error, error - away, error + away, deviation, low, high)

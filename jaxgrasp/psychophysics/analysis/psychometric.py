@@ -1,0 +1,100 @@
+"""Psychometric functions: the chance of a right answer by level, through a threshold at a stated hit ratio."""
+
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import expit, logit, ndtr, ndtri
+
+Values = Float[np.ndarray, "..."] | float
+
+
+class Shape(StrEnum):
+    """How a hit ratio rises from chance to one, less the lapses."""
+
+    GAUSSIAN = "gaussian"
+    """The normal distribution of the level, with location and scale."""
+    LOGISTIC = "logistic"
+    """The logistic one."""
+    WEIBULL = "weibull"
+    """Weibull's, which is at chance where the level is zero."""
+    DIFFERENCE = "difference"
+    """What an observer without bias does who compares two noisy sensations: scale alone, at chance at zero."""
+
+    @property
+    def has_width(self) -> bool:
+        """Whether its steepness is a parameter of its own."""
+        return self is not Shape.DIFFERENCE
+
+
+def standard(shape: Shape, u: Values) -> Values:
+    """The rise from 0 to 1 along its own axis."""
+    match shape:
+        case Shape.GAUSSIAN:
+            return ndtr(u)
+        case Shape.LOGISTIC:
+            return expit(u)
+        case Shape.WEIBULL:
+            return -np.expm1(-np.exp(np.minimum(u, 50.0)))
+        case Shape.DIFFERENCE:
+            return 2 * ndtr(u) - 1
+
+
+def quantile(shape: Shape, share: Values) -> Values:
+    """Where on that axis it reaches a share."""
+    match shape:
+        case Shape.GAUSSIAN:
+            return ndtri(share)
+        case Shape.LOGISTIC:
+            return logit(share)
+        case Shape.WEIBULL:
+            return np.log(-np.log1p(-np.asarray(share)))
+        case Shape.DIFFERENCE:
+            return ndtri((1 + np.asarray(share)) / 2)
+
+
+def hit_probability(
+    shape: Shape,
+    levels: Values,
+    threshold: Values,
+    width: Values = 1.0,
+    lapse: Values = 0.0,
+    *,
+    criterion: float = 0.75,
+    chance: float = 0.5,
+) -> Values:
+    """Chance of a right answer; all arguments broadcast.
+
+    Args:
+        shape: of the rise.
+        levels: zero or more.
+        threshold: level at which the hit ratio is the criterion, lapses included.
+        width: of the rise, in units of the level; of its logarithm for a Weibull function (one by its exponent); a
+            difference function has none.
+        lapse: share of answers that do not depend on the stimulus and are wrong.
+        criterion: hit ratio at the threshold.
+        chance: hit ratio of who guesses.
+    """
+    rise = 1 - chance - np.asarray(lapse)
+    anchor = quantile(shape, (criterion - chance) / rise)
+    if shape is Shape.DIFFERENCE:
+        u = np.asarray(levels) / threshold * anchor
+    elif shape is Shape.WEIBULL:
+        with np.errstate(divide="ignore"):
+            u = (np.log(levels) - np.log(threshold)) / width + anchor
+    else:
+        u = (np.asarray(levels) - threshold) / width + anchor
+    return chance + rise * standard(shape, u)
+
+
+def check_criterion(criterion: float, chance: float, most_lapse: float) -> None:
+    """Raise ValueError unless a psychometric function passes the criterion between chance and lapses."""
+    if not 0 <= chance < 1:
+        raise ValueError(f"chance is {chance}: expected 0 or more, and less than 1")
+    if not 0 <= most_lapse < 1 - chance:
+        raise ValueError(f"lapse is {most_lapse}: expected 0 or more, and less than 1 - chance, {1 - chance:g}")
+    if not chance < criterion < 1 - most_lapse:
+        raise ValueError(
+            f"criterion is {criterion}: expected more than chance, {chance:g}, and less than {1 - most_lapse:g}, "
+            "which lapses leave"
+        )

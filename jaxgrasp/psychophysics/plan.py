@@ -1,0 +1,183 @@
+"""The plan of an experiment: which stimulus, which references, which procedure; from a TOML file."""
+
+import math
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from jaxgrasp.files.toml_fields import load_toml, made_from, nearest
+from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
+from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
+from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.procedures.procedure import Settings
+from jaxgrasp.psychophysics.procedures.staircase import Staircase
+from jaxgrasp.psychophysics.trial import intensity
+
+METHODS: dict[str, type[Settings]] = {
+    "constant-stimuli": ConstantStimuli,
+    "matching": Matching,
+    "staircase": Staircase,
+    "adaptive": Adaptive,
+}
+UNITS = {"weight": "N", "stiffness": "N/m", "torque": "N\N{MIDDLE DOT}m"}
+QUESTIONS = {"weight": "heavier", "stiffness": "stiffer", "torque": "stronger"}
+
+
+@dataclass(frozen=True)
+class StimulusPlan:
+    """What is felt, and where."""
+
+    kind: Literal["weight", "stiffness", "torque"] = "weight"
+    """Of a virtual object that is lifted or squeezed; or a torque on one joint."""
+    fingers: tuple[str, ...] = ("index", "middle")
+    """Which bear a weight or squeeze."""
+    joint: str = "index MP"
+    """Which a torque resists."""
+
+    def __post_init__(self):
+        if not self.fingers:
+            raise ValueError("fingers is empty: expected one at least")
+        for k, finger in enumerate(self.fingers):
+            known = ("index", "middle", "ring", "little")
+            if finger not in known:
+                raise ValueError(f"fingers[{k}] is {finger!r}{nearest(finger, known)}")
+            if finger in self.fingers[:k]:
+                raise ValueError(f"fingers[{k}] is {finger!r} again: expected each finger once")
+
+    @property
+    def unit(self) -> str:
+        """Of its intensity."""
+        return UNITS[self.kind]
+
+
+@dataclass(frozen=True)
+class SessionPlan:
+    """How a person's sessions go, one for each reference and time."""
+
+    references: tuple[float, ...] = REFERENCE_WEIGHTS
+    """In the stimulus' unit; zero stands for detection: something against nothing."""
+    sessions: int = 1
+    """With each reference."""
+    order: Literal["random", "given"] = "random"
+    """Of the references."""
+    feedback: bool = True
+    """Whether a person is told if an answer was right."""
+    practice: int = 4
+    """Trials before the first session, at its largest level, with feedback."""
+    break_every: int = 40
+    """Trials after which a person is asked to rest."""
+
+    def __post_init__(self):
+        if not self.references:
+            raise ValueError("references is empty: expected one at least")
+        for k, reference in enumerate(self.references):
+            if not reference >= 0:
+                raise ValueError(f"references[{k}] is {reference:g}: expected 0 or more")
+            if reference in self.references[:k]:
+                raise ValueError(f"references[{k}] is {reference:g} again: expected each once")
+        for name, least in (("sessions", 1), ("practice", 0), ("break_every", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} is {getattr(self, name)}: expected {least} or more")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole experiment. Its defaults are the paper's (section III-C)."""
+
+    name: str = "virtual weight"
+    seed: int = 2003
+    """Of all orders, with each person's code."""
+    stimulus: StimulusPlan = field(default_factory=StimulusPlan)
+    session: SessionPlan = field(default_factory=SessionPlan)
+    method: str = "constant-stimuli"
+    procedure: Settings = field(default_factory=ConstantStimuli)
+
+    def __post_init__(self):
+        if self.method == "matching" and 0 in self.session.references:
+            raise ValueError("session.references has 0, and nothing can be matched to nothing: expected positive ones")
+        if self.is_detection and len(self.session.references) > 1:
+            raise ValueError("session.references has 0 beside others: expected detection to be a plan of its own")
+
+    @property
+    def is_detection(self) -> bool:
+        """Whether levels are intensities, since there is no reference."""
+        return 0 in self.session.references
+
+    def intensities(self) -> list[float]:
+        """Those that are certain to come, or the ends of what may come, in rising order."""
+        levels = getattr(self.procedure, "levels", None)
+        levels = levels if isinstance(levels, tuple) else self.procedure.extremes()
+        found = {reference for reference in self.session.references if reference > 0}
+        return sorted(found | {intensity(r, level) for r in self.session.references for level in levels})
+
+    def most_trials(self) -> int:
+        """Of one person, practice included."""
+        sessions = self.session.sessions * len(self.session.references)
+        return self.session.practice + sessions * self.procedure.most_trials()
+
+    def table(self) -> dict[str, Any]:
+        """As a file has it."""
+        tables = {"stimulus": asdict(self.stimulus), "session": asdict(self.session)}
+        procedure = {"method": self.method, **asdict(self.procedure)}  # type: ignore[call-overload]
+        return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure}
+
+
+def load_plan(path: Path) -> Plan:
+    """The plan in a TOML file; what the file leaves out is the paper's.
+
+    Raises:
+        ValueError: for a file that is no TOML, keys that are unknown, and values that no experiment has.
+        OSError: for a file that cannot be read.
+    """
+    return plan_of(load_toml(path), str(path))
+
+
+def plan_of(given: dict[str, Any], where: str) -> Plan:
+    """The plan in a table; ``where`` names it in messages."""
+    known = [one.name for one in fields(Plan) if one.name != "method"]
+    for key in given:
+        if key not in known:
+            raise ValueError(f"{where} has {key!r}{nearest(key, known)}")
+    name, seed = given.get("name", Plan.name), given.get("seed", Plan.seed)
+    if not isinstance(name, str):
+        raise ValueError(f"name is {name!r}: expected text")
+    if isinstance(seed, bool) or not isinstance(seed, int):
+        raise ValueError(f"seed is {seed!r}: expected a whole number")
+    stimulus = made_from(StimulusPlan, given.get("stimulus", {}), "stimulus")
+    session = made_from(SessionPlan, given.get("session", {}), "session")
+    procedure = given.get("procedure", {})
+    if not isinstance(procedure, dict):
+        raise ValueError(f"procedure is {procedure!r}: expected a table")
+    method = procedure.get("method", Plan.method)
+    if not isinstance(method, str) or method not in METHODS:
+        raise ValueError(f"procedure.method is {method!r}{nearest(str(method), list(METHODS))}")
+    rest = {key: value for key, value in procedure.items() if key != "method"}
+    settings = made_from(METHODS[method], rest, "procedure")
+    return Plan(name, seed, stimulus, session, method, settings)
+
+
+def plan_toml(plan: Plan) -> str:
+    """A plan as the text of a file."""
+    lines: list[str] = []
+    tables = []
+    for key, value in plan.table().items():
+        if isinstance(value, dict):
+            tables.append((key, value))
+        else:
+            lines.append(f"{key} = {_toml(value)}")
+    for key, table in tables:
+        lines += ["", f"[{key}]", *(f"{name} = {_toml(value)}" for name, value in table.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(one) for one in value) + "]"
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    return str(value)

@@ -1,0 +1,103 @@
+"""How many trials and persons a wanted precision takes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model
+from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.prediction.simulation import simulated_hits
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Of one design."""
+
+    trials: int
+    """At each level, of each person."""
+    subjects: int
+    within: float
+    """Standard deviation of one person's estimated threshold about its own truth."""
+    standard_error: float
+    """Of the mean over persons."""
+    outside: float
+    """Share of single persons' estimates that lie outside the levels: these experiments would say so, and not count."""
+
+    def total(self, levels: int) -> int:
+        """Trials of all persons together."""
+        return self.trials * self.subjects * levels
+
+
+def precision(
+    observer: Observer,
+    reference: float,
+    levels: Float[np.ndarray, "L"],
+    trials: int,
+    subjects: int,
+    *,
+    between: float = 0.0,
+    model: Model | None = None,
+    experiments: int = 500,
+    seed: int = 0,
+) -> Precision:
+    """How well the mean threshold of persons comes out.
+
+    Args:
+        observer: of the middling person.
+        reference: of the comparisons; 0 for detection.
+        levels: of the comparisons.
+        trials: at each level, of each person.
+        subjects: how many persons.
+        between: standard deviation of the persons' own thresholds, in the levels' unit.
+        model: by which each person's answers are fitted.
+        experiments: simulated.
+        seed: of the answers.
+    """
+    rng = np.random.default_rng(seed)
+    hits = simulated_hits(observer, reference, levels, trials, experiments, rng)
+    estimates = Likelihood(levels, model or Model()).estimates(hits, np.full(len(levels), float(trials)))
+    low, high = np.quantile(estimates, [0.1587, 0.8413])
+    within = float(high - low) / 2
+    outside = np.mean((estimates < levels.min()) | (estimates > levels.max()))
+    return Precision(trials, subjects, within, float(np.sqrt((within**2 + between**2) / subjects)), float(outside))
+
+
+def cheapest(
+    wanted: float,
+    observer: Observer,
+    reference: float,
+    levels: Float[np.ndarray, "L"],
+    *,
+    between: float = 0.0,
+    most_subjects: int = 100,
+    trials: tuple[int, ...] = (10, 20, 40, 80, 160, 320),
+    usable: float = 0.1,
+    **options: object,
+) -> list[Precision]:
+    """Designs that reach a standard error, one for each number of trials a level, by how many trials they take in all.
+
+    Args:
+        wanted: standard error of the mean threshold.
+        observer: of the middling person.
+        reference: of the comparisons.
+        levels: of the comparisons.
+        between: standard deviation of the persons' own thresholds.
+        most_subjects: that can be had.
+        trials: at each level of each person, to be tried.
+        usable: largest share of persons' estimates outside the levels.
+        options: of ``precision``.
+
+    Raises:
+        ValueError: for a wanted precision that is not positive.
+    """
+    if not wanted > 0:
+        raise ValueError(f"wanted is {wanted}: expected a positive number")
+    found = []
+    for count in trials:
+        one = precision(observer, reference, levels, count, 1, between=between, **options)  # type: ignore[arg-type]
+        subjects = max(2, int(np.ceil((one.standard_error / wanted) ** 2)))
+        if subjects <= most_subjects and one.outside <= usable:
+            error = one.standard_error / np.sqrt(subjects)
+            found.append(Precision(count, subjects, one.within, float(error), one.outside))
+    return sorted(found, key=lambda design: design.total(len(levels)))

@@ -1,0 +1,93 @@
+"""From what a device does to a stimulus, to the just noticeable difference that one should expect through it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import brentq
+from scipy.special import ndtr
+
+from jaxgrasp.psychophysics.observer import QUARTILE, Observer
+
+Values = Float[np.ndarray, "..."] | float
+
+
+@dataclass(frozen=True)
+class RenderingError:
+    """Of a device, in the stimulus' unit. It is taken for noise that each of the two stimuli of a trial has anew.
+
+    Raises:
+        ValueError: for numbers that are negative or not finite, but an infinite limit.
+    """
+
+    quantum: float = 0.0
+    """Step of what can be rendered: an even error of half of it either way."""
+    friction: float = 0.0
+    """Of the cables: coefficient times angle of wrap, by which the tension grows or falls as exp(+-friction) with the
+    direction of the motion. What both directions have in common is in both stimuli alike, and is not felt."""
+    stiction: float = 0.0
+    """Standard deviation of an error that does not grow with the stimulus: cables that stick where they stop."""
+    lag: float = 0.0
+    """Delay times the stimulus' own relative rate of change: late by that share, with the sign of the motion."""
+    limit: float = np.inf
+    """Largest stimulus that can be rendered."""
+    motions: float = 7.0
+    """Over which a person averages what depends on the direction: three to four liftings, up and down."""
+
+    def __post_init__(self):
+        for name in ("quantum", "friction", "stiction", "lag"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} is {value}: expected a finite number, 0 or more")
+        for name in ("limit", "motions"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}: expected a positive number")
+
+    def deviation(self, intensity: Values) -> Values:
+        """Standard deviation of what is rendered for an intensity."""
+        by_direction = np.hypot(np.sinh(self.friction), self.lag) / np.sqrt(self.motions)
+        return np.sqrt(self.quantum**2 / 12 + self.stiction**2 + (by_direction * np.asarray(intensity)) ** 2)
+
+
+def hit_probability_through(observer: Observer, error: RenderingError, reference: Values, comparison: Values) -> Values:
+    """Chance of a right answer where both stimuli come through a device."""
+    felt, other = (np.minimum(np.asarray(x, float), error.limit) for x in (comparison, reference))
+    own = np.asarray(observer.jnd(np.minimum(felt, other))) / QUARTILE
+    noise = np.sqrt(own**2 + error.deviation(felt) ** 2 + error.deviation(other) ** 2)
+    distance = (felt - other) / noise
+    both = 0.5 * (ndtr(distance + observer.bias) + ndtr(distance - observer.bias))
+    return observer.lapse + (1 - 2 * observer.lapse) * both
+
+
+def jnd_through(observer: Observer, error: RenderingError, reference: float, criterion: float = 0.75) -> float:
+    """Difference that is noticed as often as the criterion says; infinite where the device renders none so large.
+
+    Raises:
+        ValueError: for a criterion that lapses make impossible, or that guesses reach.
+    """
+    if not 0.5 < criterion < 1 - observer.lapse:
+        raise ValueError(f"criterion is {criterion}: expected more than 0.5 and less than {1 - observer.lapse:g}")
+
+    def beyond(difference: float) -> float:
+        return float(hit_probability_through(observer, error, reference, reference + difference)) - criterion
+
+    far = max(float(observer.jnd(reference)), 1e-12)
+    for _ in range(60):
+        if beyond(far) > 0:
+            return float(brentq(beyond, 0.0, far, xtol=1e-14, rtol=1e-12))
+        far *= 2
+        if reference + far > 4 * error.limit:
+            break
+    return np.inf
+
+
+def shares_of_device(observer: Observer, error: RenderingError, reference: float) -> dict[str, float]:
+    """JND through a device with each of its errors alone, and with all of them; and without any, as ``none``."""
+    parts = {"none": RenderingError(motions=error.motions)}
+    for name in ("quantum", "friction", "stiction", "lag"):
+        if value := getattr(error, name):
+            parts[name] = RenderingError(**{name: value}, motions=error.motions)
+    if np.isfinite(error.limit):
+        parts["limit"] = RenderingError(limit=error.limit)
+    parts["all"] = error
+    return {name: jnd_through(observer, part, reference) for name, part in parts.items()}

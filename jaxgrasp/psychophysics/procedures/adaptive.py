@@ -1,0 +1,103 @@
+"""A Bayesian adaptive procedure: each trial at the level that is expected to tell most.
+
+The psi method (Kontsevich and Tyler 1999), as QUEST+ has it (Watson 2017): a posterior on a grid of psychometric
+functions, and the level whose answer leaves the least expected entropy.
+"""
+
+import random
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import xlogy
+
+from jaxgrasp.psychophysics.analysis.psychometric import Shape, check_criterion, hit_probability
+from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure, Settings, check_count, check_level
+from jaxgrasp.psychophysics.trial import Presentation
+
+THRESHOLDS, WIDTHS = 60, 20
+
+
+@dataclass(frozen=True)
+class Adaptive(Settings):
+    """Levels and prior are even on a logarithmic scale from low to high."""
+
+    low: float = 0.02
+    """Smallest level, and smallest threshold thought of."""
+    high: float = 0.8
+    """Largest level, and largest threshold thought of."""
+    levels: int = 25
+    """How many are to choose from."""
+    trials: int = 40
+    """In a session."""
+    shape: Shape = Shape.WEIBULL
+    """Of the psychometric function."""
+    criterion: float = 0.75
+    """Hit ratio at the threshold."""
+    lapse: float = 0.02
+    """Share of answers that do not depend on the stimulus and are wrong."""
+
+    def __post_init__(self):
+        for name in ("low", "high"):
+            check_level(name, getattr(self, name))
+        if not self.low < self.high:
+            raise ValueError(f"low is {self.low:g}: expected less than high, {self.high:g}")
+        check_count("levels", self.levels, 2)
+        check_count("trials", self.trials)
+        check_criterion(self.criterion, 0.5, self.lapse)
+
+    def begin(self, rng: random.Random) -> Procedure:
+        return _Session(self, rng)
+
+    def extremes(self) -> tuple[float, float]:
+        return self.low, self.high
+
+    def most_trials(self) -> int:
+        return self.trials
+
+
+class _Session(Procedure):
+    def __init__(self, settings: Adaptive, rng: random.Random) -> None:
+        self._levels = np.geomspace(settings.low, settings.high, settings.levels)
+        thresholds = np.geomspace(settings.low, settings.high, THRESHOLDS)
+        shape = settings.shape
+        widths = (
+            np.geomspace(0.2, 3.0, WIDTHS)
+            if shape is Shape.WEIBULL
+            else np.geomspace(0.1, 2.0, WIDTHS) * (settings.low * settings.high) ** 0.5
+        )
+        widths = widths if shape.has_width else np.ones(1)
+        chances = hit_probability(
+            shape,
+            self._levels[:, None, None],
+            thresholds[:, None],
+            widths,
+            settings.lapse,
+            criterion=settings.criterion,
+        )
+        self._right = np.asarray(chances).reshape(len(self._levels), -1)
+        self._belief = np.full(self._right.shape[1], 1 / self._right.shape[1])
+        self._left = settings.trials
+        self._coin = Coin(rng)
+        self._chosen = 0
+        self._presented = self._choose()
+
+    def next(self) -> Presentation | None:
+        return self._presented
+
+    def score(self, value: float) -> None:
+        right = self._right[self._chosen]
+        belief = self._belief * (right if value > 0 else 1 - right)
+        self._belief = belief / belief.sum()
+        self._left -= 1
+        self._presented = self._choose()
+
+    def _choose(self) -> Presentation | None:
+        if not self._left:
+            return None
+        self._chosen = int(np.argmin(self._expected_entropy()))
+        return Presentation(float(self._levels[self._chosen]), self._coin.toss())
+
+    def _expected_entropy(self) -> np.ndarray:
+        """Of the belief after an answer at each level."""
+        joint = self._right * self._belief, (1 - self._right) * self._belief
+        return sum(xlogy(total := part.sum(1), total) - xlogy(part, part).sum(1) for part in joint)

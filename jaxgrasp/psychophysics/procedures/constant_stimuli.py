@@ -1,0 +1,57 @@
+"""Constant stimuli with paired comparison: the paper's forced choice."""
+
+import random
+from dataclasses import dataclass
+
+from jaxgrasp.paper.tables import DIFFERENCES
+from jaxgrasp.paper.weight_perception import REPEATS, SERIES
+from jaxgrasp.psychophysics.procedures.procedure import Procedure, Settings, check_count, check_level, shuffled
+from jaxgrasp.psychophysics.trial import Presentation
+
+
+@dataclass(frozen=True)
+class ConstantStimuli(Settings):
+    """Series in each of which every level comes equally often, as often first as second, in random order."""
+
+    levels: tuple[float, ...] = DIFFERENCES
+    """Differences from the reference by the reference; intensities where the reference is zero."""
+    series: int = SERIES
+    """In a session."""
+    repeats: int = REPEATS
+    """Of each level in a series: an even number, so that it comes first as often as second."""
+
+    def __post_init__(self):
+        if not self.levels:
+            raise ValueError("levels is empty: expected one at least")
+        for k, level in enumerate(self.levels):
+            check_level(f"levels[{k}]", level)
+            if level in self.levels[:k]:
+                raise ValueError(f"levels[{k}] is {level:g} again: expected each level once")
+        check_count("series", self.series)
+        check_count("repeats", self.repeats, 2)
+        if self.repeats % 2:
+            raise ValueError(f"repeats is {self.repeats}: expected an even number, half of them with each order")
+
+    def begin(self, rng: random.Random) -> Procedure:
+        return _Session(self, rng)
+
+    def extremes(self) -> tuple[float, float]:
+        return min(self.levels), max(self.levels)
+
+    def most_trials(self) -> int:
+        return self.series * self.repeats * len(self.levels)
+
+
+class _Session(Procedure):
+    def __init__(self, settings: ConstantStimuli, rng: random.Random) -> None:
+        self._left = []
+        for series in range(settings.series):
+            orders = (True, False) * (settings.repeats // 2)
+            all_of_it = [Presentation(level, first, series) for level in settings.levels for first in orders]
+            self._left += shuffled(all_of_it, rng)
+
+    def next(self) -> Presentation | None:
+        return self._left[0] if self._left else None
+
+    def score(self, value: float) -> None:
+        self._left.pop(0)

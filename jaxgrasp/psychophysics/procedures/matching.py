@@ -1,0 +1,52 @@
+"""Matching: a person adjusts one stimulus until it feels like the other (the method of adjustment)."""
+
+import random
+from dataclasses import dataclass
+
+from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure, Settings, check_count, check_level
+from jaxgrasp.psychophysics.trial import Presentation, Task
+
+
+@dataclass(frozen=True)
+class Matching(Settings):
+    """Settings that start above and below the reference equally often."""
+
+    trials: int = 20
+    """In a session."""
+    start: float = 0.4
+    """Largest distance of the start from the reference, by the reference; less than 1."""
+    step: float = 0.02
+    """Of the adjustment, by the reference."""
+
+    def __post_init__(self):
+        check_count("trials", self.trials, 2)
+        for name in ("start", "step"):
+            check_level(name, getattr(self, name))
+        if not self.step <= self.start < 1:
+            raise ValueError(f"start is {self.start:g}: expected at least step, {self.step:g}, and less than 1")
+
+    def begin(self, rng: random.Random) -> Procedure:
+        return _Session(self, rng)
+
+    def extremes(self) -> tuple[float, float]:
+        return -self.start, self.start
+
+    def most_trials(self) -> int:
+        return self.trials
+
+
+class _Session(Procedure):
+    task: Task = "setting"
+
+    def __init__(self, settings: Matching, rng: random.Random) -> None:
+        above = Coin(rng)
+        sides = [above.toss() for _ in range(settings.trials)]
+        # Half of the distance at least, so that no start tells where the match is.
+        away = [settings.start * (0.5 + 0.5 * rng.random()) for _ in sides]
+        self._left = [Presentation(d if up else -d, False) for up, d in zip(sides, away, strict=True)]
+
+    def next(self) -> Presentation | None:
+        return self._left[0] if self._left else None
+
+    def score(self, value: float) -> None:
+        self._left.pop(0)

@@ -1,0 +1,70 @@
+"""What all procedures have in common."""
+
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import TypeVar
+
+from jaxgrasp.psychophysics.trial import Presentation, Task
+
+Item = TypeVar("Item")
+
+
+class Procedure(ABC):
+    """One session: ask ``next``, give the score to ``score``, in turn."""
+
+    task: Task = "choice"
+
+    @abstractmethod
+    def next(self) -> Presentation | None:
+        """What to present; None when the session is over. The same until it is scored."""
+
+    @abstractmethod
+    def score(self, value: float) -> None:
+        """Of what was presented: 1 for a right answer, 0 for a wrong one; of a setting, its level."""
+
+
+class Settings(ABC):
+    """What a plan says of a procedure."""
+
+    @abstractmethod
+    def begin(self, rng: random.Random) -> Procedure:
+        """A session, decided by a generator's seed."""
+
+    @abstractmethod
+    def extremes(self) -> tuple[float, float]:
+        """The smallest and the largest level that it can present."""
+
+    @abstractmethod
+    def most_trials(self) -> int:
+        """Trials of a session at most."""
+
+
+def shuffled(items: Iterable[Item], rng: random.Random) -> list[Item]:
+    """In random order, by ``random()`` alone: of Python's generator, its sequence is promised to stay."""
+    return [item for _, item in sorted(((rng.random(), k), item) for k, item in enumerate(items))]
+
+
+class Coin:
+    """Yes and no in random order, as often each: two of each in every four."""
+
+    def __init__(self, rng: random.Random) -> None:
+        self._rng = rng
+        self._left: list[bool] = []
+
+    def toss(self) -> bool:
+        if not self._left:
+            self._left = shuffled((True, True, False, False), self._rng)
+        return self._left.pop()
+
+
+def check_level(name: str, value: float) -> None:
+    """Raise ValueError unless a level is positive."""
+    if not value > 0:
+        raise ValueError(f"{name} is {value:g}: expected a positive number")
+
+
+def check_count(name: str, value: int, least: int = 1) -> None:
+    """Raise ValueError for fewer than that."""
+    if value < least:
+        raise ValueError(f"{name} is {value}: expected {least} or more")

@@ -1,0 +1,154 @@
+"""Section III-C of the paper recomputed: every number beside the printed one, within what rounding allows."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import product
+
+import numpy as np
+
+from jaxgrasp.paper import weight_perception as printed
+from jaxgrasp.paper.tables import DIFFERENCES, HIT_RATIOS, REFERENCE_WEIGHTS
+from jaxgrasp.psychophysics.analysis import lines
+from jaxgrasp.psychophysics.analysis.anova import one_way_of_summaries, rounding_interval
+from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+
+RATIO_STEP, WEBER_STEP, JND_STEP = 0.01, 0.001, 0.01
+"""Of the last digit printed."""
+
+
+class Outcome(StrEnum):
+    """How a printed number stands."""
+
+    REPRODUCED = "reproduced"
+    OTHERWISE = "reproduced, by another estimator than the text says"
+    IMPOSSIBLE = "impossible"
+    UNKNOWN = "cannot be recomputed"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of the paper."""
+
+    quantity: str
+    printed: str
+    recomputed: str
+    """With the smallest and largest value that the rounding of what it is computed from allows."""
+    outcome: Outcome
+    note: str = ""
+
+
+def recomputed() -> list[Row]:
+    """All of them, in the paper's order."""
+    return [*_design(), *_thresholds(), *_deviations(), _mean(), *_variance()]
+
+
+def threshold_range(method: str, row: int) -> tuple[float, float, float]:
+    """Difference at the criterion for a row of Table III, and its smallest and largest value.
+
+    Args:
+        method: ``"interpolation"``, as the text says; ``"line"``; or ``"paper"``, a line through chance at zero.
+        row: of the table.
+    """
+    levels, ratios = np.array(DIFFERENCES), np.array(HIT_RATIOS[row])
+    # A quotient of linear functions of the ratios is extreme at corners.
+    half = RATIO_STEP / 2
+    corners = ratios + np.array(list(product((-half, half), repeat=len(levels))))
+    values = _estimates(method, levels, np.vstack([ratios, corners]))
+    return float(values[0]), float(values.min()), float(values.max())
+
+
+def _estimates(method: str, levels: np.ndarray, ratios: np.ndarray) -> np.ndarray:
+    match method:
+        case "interpolation":
+            return lines.by_interpolation(levels, ratios, printed.CRITERION)
+        case "line":
+            return lines.by_line(levels, ratios, printed.CRITERION)
+    return lines.by_line_from_chance(levels, ratios, printed.CRITERION, 0.5)
+
+
+def _design() -> list[Row]:
+    plan = ConstantStimuli()
+    counts = (
+        ("trials in a series", printed.TRIALS_IN_SERIES, len(plan.levels) * plan.repeats),
+        ("trials in a session", printed.TRIALS_IN_SESSION, plan.most_trials()),
+        ("trials of each comparison in a session", printed.TRIALS_OF_COMPARISON, plan.series * plan.repeats),
+    )
+    rows = [
+        Row(name, str(was), str(now), Outcome.REPRODUCED if was == now else Outcome.IMPOSSIBLE)
+        for name, was, now in counts
+    ]
+    answers = printed.SUBJECTS * printed.TRIALS_OF_COMPARISON
+    ratios = np.array(HIT_RATIOS).ravel()
+    # A share of `answers` that rounds to what is printed.
+    odd = sum(not np.any(np.round(np.arange(answers + 1) / answers, 2) == np.round(ratio, 2)) for ratio in ratios)
+    note = (
+        f"{odd} of {len(ratios)} hit ratios are no share of {answers} answers (five persons, one session); two "
+        f"sessions each, {2 * answers} answers, fit"
+    )
+    outcome = Outcome.IMPOSSIBLE if odd else Outcome.REPRODUCED
+    return [*rows, Row("answers behind each hit ratio", f"{answers}", f"{2 * answers}", outcome, note)]
+
+
+def _thresholds() -> list[Row]:
+    rows = []
+    for k, reference in enumerate(REFERENCE_WEIGHTS):
+        for name, scale, was, step, unit in (
+            ("JND", reference, printed.JND[k], JND_STEP, " N"),
+            ("Weber fraction", 1.0, printed.WEBER[k], WEBER_STEP, ""),
+        ):
+            literal, line = (np.array(threshold_range(method, k)) * scale for method in ("interpolation", "paper"))
+            outcome, found, note = Outcome.IMPOSSIBLE, literal, ""
+            if _meet(was, step, literal):
+                outcome = Outcome.REPRODUCED
+            elif _meet(was, step, line):
+                outcome, found = Outcome.OTHERWISE, line
+                note = (
+                    f"linear interpolation gives {literal[0]:.3f}{unit} ({literal[1]:.3f} to {literal[2]:.3f}); this "
+                    "is a line of least squares through the four points and chance at zero"
+                )
+            text = f"{found[0]:.3f}{unit} ({found[1]:.3f} to {found[2]:.3f})"
+            rows.append(Row(f"{name} at {reference:g} N", f"{was:g}{unit}", text, outcome, note))
+    return rows
+
+
+def _deviations() -> list[Row]:
+    note = "the subjects' own hit ratios are not printed"
+    return [
+        Row(f"deviation of the Weber fraction at {reference:g} N", f"{was:g}", "-", Outcome.UNKNOWN, note)
+        for reference, was in zip(REFERENCE_WEIGHTS, printed.WEBER_DEVIATIONS, strict=True)
+    ]
+
+
+def _mean() -> Row:
+    values = np.array(printed.WEBER[1:])
+    found = np.array([values.mean(), *(values.mean() + np.array([-1, 1]) * WEBER_STEP / 2)])
+    outcome = Outcome.REPRODUCED if _meet(printed.MEAN_WEBER, WEBER_STEP, found) else Outcome.IMPOSSIBLE
+    text = f"{found[0]:.4f} ({found[1]:.4f} to {found[2]:.4f})"
+    return Row("mean Weber fraction at 2 and 3 N", f"{printed.MEAN_WEBER:g}", text, outcome)
+
+
+def _variance() -> list[Row]:
+    rows = []
+    for pair, was, is_significant in (((0, 2), printed.F_1_AND_3, True), ((1, 2), printed.F_2_AND_3, False)):
+        means, deviations = [printed.WEBER[k] for k in pair], [printed.WEBER_DEVIATIONS[k] for k in pair]
+        sizes = [printed.SUBJECTS] * 2
+        found = one_way_of_summaries(means, deviations, sizes)
+        ends = rounding_interval(means, deviations, sizes, WEBER_STEP)
+        outcome = Outcome.REPRODUCED if _meet(was, 0.1, np.array([found.f, *ends])) else Outcome.IMPOSSIBLE
+        weights = " and ".join(f"{REFERENCE_WEIGHTS[k]:g}" for k in pair)
+        note = "the same persons at both weights would call for repeated measures, F[1, 4]"
+        if outcome is Outcome.IMPOSSIBLE:
+            note = f"no means and deviations that round to the printed ones give it; {note}"
+        text = f"{found.f:.2f} ({ends[0]:.2f} to {ends[1]:.2f})"
+        freedom = f"F[{found.between:g}, {found.within:g}]"
+        rows.append(Row(f"{freedom} of {weights} N", f"{was:g}", text, outcome, note))
+        level, holds = ("< 0.01", found.p_value < 0.01) if is_significant else ("> 0.05", found.p_value > 0.05)
+        outcome = Outcome.REPRODUCED if holds else Outcome.IMPOSSIBLE
+        rows.append(Row(f"p of {weights} N", level, f"{found.p_value:.4f}", outcome))
+    return rows
+
+
+def _meet(was: float, step: float, found: np.ndarray) -> bool:
+    """Whether a printed number, within its rounding, meets the range of what was recomputed."""
+    slack = 1e-9
+    return bool(was - step / 2 <= found[2] + slack and was + step / 2 >= found[1] - slack)

@@ -1,0 +1,1 @@
+"""Running an experiment: each answer is on disk before the next question."""

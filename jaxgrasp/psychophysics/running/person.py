@@ -1,0 +1,76 @@
+"""Who answers: a person at a terminal implements this elsewhere; a simulated observer does here."""
+
+import hashlib
+from abc import ABC, abstractmethod
+from typing import Literal
+
+import numpy as np
+
+from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.stimulus import Rendered
+from jaxgrasp.psychophysics.trial import Trial
+
+Move = Literal["up", "down", "reference", "comparison", "done"]
+"""What a person who adjusts does next."""
+
+
+class Person(ABC):
+    """Feels stimuli and answers."""
+
+    @abstractmethod
+    def feel(self, trial: Trial, interval: int) -> None:
+        """Take the time to feel what is rendered in interval 1 or 2; returns when it has been felt."""
+
+    @abstractmethod
+    def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
+        """1 or 2: which one felt stronger."""
+
+    @abstractmethod
+    def adjust(self, trial: Trial, setting: float) -> Move:
+        """What to do at a setting."""
+
+    @abstractmethod
+    def told(self, trial: Trial, right: bool) -> None:
+        """Feedback."""
+
+    @abstractmethod
+    def rest(self, done: int, most: int) -> None:
+        """A break; returns when it is over. ``most`` trials there are at most, and ``done`` of them are."""
+
+
+class SimulatedPerson(Person):
+    """An observer whose answers follow from a seed, the person's code and the trial's number alone."""
+
+    def __init__(self, observer: Observer, seed: int, subject: str) -> None:
+        self._observer, self._seed, self._subject = observer, seed, subject
+        self._adjusting, self._target = 0, 0.0
+        self._before: Move = "done"
+
+    def feel(self, trial: Trial, interval: int) -> None:
+        return
+
+    def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
+        first, second = (one.felt for one in rendered)
+        return self._observer.choose(first, second, trial.number - 1, self._generator(trial))
+
+    def adjust(self, trial: Trial, setting: float) -> Move:
+        if trial.number != self._adjusting:
+            self._adjusting = trial.number
+            self._target = self._observer.match(trial.reference, trial.number - 1, self._generator(trial))
+            self._before = "done"
+        move: Move = "up" if setting < self._target else "down"
+        # It stops where the next step would lead away again.
+        if self._before not in ("done", move) or (move == "down" and setting <= 0):
+            return "done"
+        self._before = move
+        return move
+
+    def told(self, trial: Trial, right: bool) -> None:
+        return
+
+    def rest(self, done: int, most: int) -> None:
+        return
+
+    def _generator(self, trial: Trial) -> np.random.Generator:
+        text = f"{self._seed}/{self._subject}/{trial.number}"
+        return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))

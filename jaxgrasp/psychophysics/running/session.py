@@ -1,0 +1,209 @@
+"""A person's trials, one after another, from wherever the records end."""
+
+import datetime
+import importlib.metadata
+import math
+import re
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.running.person import Person
+from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, RecordError, read_records
+from jaxgrasp.psychophysics.schedule import Schedule
+from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
+from jaxgrasp.psychophysics.trial import Trial, intensity, level_of
+
+CODE = re.compile(r"[A-Za-z0-9_-]{1,32}")
+
+
+def run_experiment(
+    plan: Plan,
+    subject: str,
+    folder: Path,
+    stimulus: Stimulus,
+    person: Person,
+    *,
+    resume: bool = False,
+    recorded: Callable[[Trial], None] = lambda trial: None,
+) -> int:
+    """Ask all that the plan asks of a person; what is on record is not asked again.
+
+    Args:
+        plan: of the experiment.
+        subject: code of the person: letters, digits, ``-`` and ``_``; no name.
+        folder: for the records, a file for each person.
+        stimulus: renders intensities.
+        person: who answers.
+        resume: go on where the records of this person end; begin where there are none.
+        recorded: called with each trial once it is on disk.
+
+    Returns:
+        How many trials are on record.
+
+    Raises:
+        ValueError: for a code that is none, or records of this person without ``resume``.
+        RecordError: for records that cannot be read, or that another plan made.
+        OSError: for records that cannot be written.
+    """
+    check_subject(subject)
+    path = folder / f"{subject}{SUFFIX}"
+    there = path.exists()
+    if there and not resume:
+        raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
+    folder.mkdir(parents=True, exist_ok=True)
+    with Journal(path, _begun(plan, subject)) as journal:
+        schedule = Schedule(plan, subject)
+        done = _replay(schedule, plan, subject, journal.records, path)
+        if there:
+            journal.append({"record": "resumed", "at": _now(), "trials": done})
+        while (trial := schedule.next()) is not None:
+            if done and done > plan.session.practice and (done - plan.session.practice) % plan.session.break_every == 0:
+                person.rest(done, plan.most_trials())
+            score, record = _asked(trial, plan, stimulus, person)
+            journal.append(record)
+            schedule.score(score)
+            done += 1
+            recorded(trial)
+            if trial.task == "choice" and (plan.session.feedback or trial.is_practice):
+                person.told(trial, record["right"])
+        return done
+
+
+def check_subject(subject: str) -> None:
+    """Raise ValueError unless it is a code that a file can be named by."""
+    if not CODE.fullmatch(subject):
+        raise ValueError(f"subject is {subject!r}: expected a code of letters, digits, - and _, and no name")
+
+
+def read_trials(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The first record of a person's file, with the plan, and those of all trials.
+
+    Raises:
+        RecordError: for a file that is none of these.
+    """
+    records, _ = read_records(path)
+    if not records or records[0]["record"] != "begun":
+        raise RecordError(f"{path} has no first record of an experiment")
+    if records[0].get("format") != FORMAT:
+        raise RecordError(f"{path} has format {records[0].get('format')!r}: expected {FORMAT}")
+    return records[0], [record for record in records if record["record"] == "trial"]
+
+
+def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tuple[float, dict[str, Any]]:
+    """Present a trial, and what came of it: its score and its record."""
+    begun = time.perf_counter()
+    if trial.task == "setting":
+        setting, rendered = _setting(trial, plan, stimulus, person)
+        score = level_of(trial.reference, setting)
+        answer: dict[str, Any] = {"setting": setting}
+    else:
+        rendered = _felt(trial, 1, stimulus, person), _felt(trial, 2, stimulus, person)
+        choice = person.choose(trial, rendered)
+        if choice not in (1, 2):
+            raise ValueError(f"the answer is {choice!r}: expected 1 or 2")
+        score = float(choice == trial.stronger)
+        answer = {"answer": choice, "right": bool(score)}
+    record = {
+        "record": "trial",
+        **asdict(trial),
+        **answer,
+        "felt": [_known(one.felt) for one in rendered],
+        "torque": [_known(one.torque) for one in rendered],
+        "saturated": any(one.saturated for one in rendered),
+        "seconds": round(time.perf_counter() - begun, 3),
+        "at": _now(),
+    }
+    return score, record
+
+
+def _felt(trial: Trial, interval: int, stimulus: Stimulus, person: Person) -> Rendered:
+    stimulus.begin(trial.first if interval == 1 else trial.second)
+    try:
+        person.feel(trial, interval)
+    finally:
+        rendered = stimulus.end()
+    return rendered
+
+
+def _setting(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tuple[float, tuple[Rendered, Rendered]]:
+    """What a person adjusts, and how reference and final setting were rendered."""
+    settings = plan.procedure
+    assert isinstance(settings, Matching)
+    reference = _felt(trial, 1, stimulus, person)
+    level = trial.level
+    stimulus.begin(trial.second)
+    last = None
+    try:
+        while (move := person.adjust(trial, intensity(trial.reference, level))) != "done":
+            if move in ("up", "down"):
+                level = max(level + (settings.step if move == "up" else -settings.step), -1.0)
+            last = stimulus.end()
+            stimulus.begin(trial.reference if move == "reference" else intensity(trial.reference, level))
+    finally:
+        last = stimulus.end()
+    return intensity(trial.reference, level), (reference, last)
+
+
+def _replay(schedule: Schedule, plan: Plan, subject: str, records: list[dict[str, Any]], path: Path) -> int:
+    """Lead a schedule to where the records end; they must be what it would have asked."""
+    if not records or records[0].get("record") != "begun":
+        raise RecordError(f"{path} has no first record of an experiment")
+    first = records[0]
+    if first.get("format") != FORMAT:
+        raise RecordError(f"{path} has format {first.get('format')!r}: expected {FORMAT}")
+    if first.get("subject") != subject:
+        raise RecordError(f"{path} is of subject {first.get('subject')!r}: expected {subject!r}")
+    _check_same(first.get("plan"), _plain(plan.table()), path)
+    done = 0
+    for record in records:
+        if record["record"] != "trial":
+            continue
+        trial = schedule.next()
+        if trial is None:
+            raise RecordError(f"{path} has more trials than the plan")
+        for name, value in asdict(trial).items():
+            if record.get(name) != value:
+                raise RecordError(
+                    f"{path}, trial {trial.number}: {name} is {record.get(name)!r}, and the plan leads to {value!r}"
+                )
+        schedule.score(level_of(trial.reference, record["setting"]) if "setting" in record else float(record["right"]))
+        done += 1
+    return done
+
+
+def _check_same(recorded: Any, plan: dict[str, Any], path: Path) -> None:
+    if recorded == plan:
+        return
+    for key, value in plan.items():
+        was = recorded.get(key) if isinstance(recorded, dict) else None
+        if was != value:
+            raise RecordError(f"{path} was begun with another plan: {key} was {was!r}, and now is {value!r}")
+    raise RecordError(f"{path} was begun with another plan")
+
+
+def _begun(plan: Plan, subject: str) -> dict[str, Any]:
+    version = importlib.metadata.version("jaxgrasp")
+    head = {"record": "begun", "format": FORMAT, "subject": subject, "software": version, "at": _now()}
+    return {**head, "plan": _plain(plan.table())}
+
+
+def _plain(value: Any) -> Any:
+    """As JSON gives it back: tuples are lists."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(one) for one in value]
+    return value
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _now() -> str:
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")

@@ -1,0 +1,76 @@
+"""A person's whole experiment, trial by trial: practice, then a session for each reference."""
+
+import random
+
+from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure
+from jaxgrasp.psychophysics.trial import Presentation, Task, Trial, intensity
+
+
+class Schedule:
+    """Decided by the plan, the person's code, and the answers so far: ask ``next``, give the score, in turn."""
+
+    def __init__(self, plan: Plan, subject: str) -> None:
+        """The first trial of a person's.
+
+        Args:
+            plan: of the experiment.
+            subject: code of the person.
+        """
+        self._plan, self._subject = plan, subject
+        rng = self._generator("sessions")
+        references: list[float] = []
+        for _ in range(plan.session.sessions):
+            given = list(plan.session.references)
+            keys = [rng.random() for _ in given]
+            references += given if plan.session.order == "given" else [r for _, r in sorted(zip(keys, given))]
+        self.references = references
+        """Of the sessions, in their order."""
+        self._number, self._session = 1, 0
+        self._practice = self._practice_levels()
+        self._procedure = self._begin()
+
+    def next(self) -> Trial | None:
+        """The trial that is due; None when all is done. The same until it is scored."""
+        if self._practice:
+            return self._trial(self._practice[0], is_practice=True)
+        while self._session < len(self.references):
+            presented = self._procedure.next()
+            if presented is not None:
+                return self._trial(presented, is_practice=False)
+            self._session += 1
+            if self._session < len(self.references):
+                self._procedure = self._begin()
+        return None
+
+    def score(self, value: float) -> None:
+        """Of the trial that was due: 1 for a right answer, 0 for a wrong one; of a setting, its level."""
+        self._number += 1
+        if self._practice:
+            self._practice.pop(0)
+        else:
+            self._procedure.score(value)
+
+    @property
+    def task(self) -> Task:
+        """What is asked."""
+        return self._procedure.task
+
+    def _begin(self) -> Procedure:
+        return self._plan.procedure.begin(self._generator(f"session {self._session}"))
+
+    def _practice_levels(self) -> list[Presentation]:
+        coin = Coin(self._generator("practice"))
+        level = self._plan.procedure.extremes()[1]
+        return [Presentation(level, coin.toss()) for _ in range(self._plan.session.practice)]
+
+    def _generator(self, purpose: str) -> random.Random:
+        # A text seeds by its SHA-512, which is the same everywhere.
+        return random.Random(f"{self._plan.seed}/{self._subject}/{purpose}")
+
+    def _trial(self, presented: Presentation, *, is_practice: bool) -> Trial:
+        reference = self.references[self._session]
+        comparison = intensity(reference, presented.level)
+        pair = (comparison, reference) if presented.comparison_first else (reference, comparison)
+        place = (self._number, self._session + 1, presented.series + 1, is_practice)
+        return Trial(*place, self._procedure.task, reference, presented.level, *pair)

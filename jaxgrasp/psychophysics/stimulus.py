@@ -1,0 +1,54 @@
+"""The stimulus as an experiment sees it: something with an intensity, rendered by whoever implements this."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What came of an intensity."""
+
+    intensity: float
+    """Asked for, in the stimulus' unit."""
+    felt: float
+    """What the device could render of it, in the same unit."""
+    torque: float
+    """Largest joint torque that it asks for [N.m]; NaN where nobody knows."""
+    saturated: bool
+    """Whether any torque was cut: the trial is not what the plan says."""
+
+
+class Stimulus(ABC):
+    """A weight, a stiffness, or a torque that can be felt."""
+
+    @abstractmethod
+    def predict(self, intensity: float) -> Rendered:
+        """What would come of an intensity, without a person."""
+
+    @abstractmethod
+    def begin(self, intensity: float) -> None:
+        """Let it be felt, from now on, in place of what was before."""
+
+    @abstractmethod
+    def end(self) -> Rendered:
+        """Let it end; what came of it, over all of its time."""
+
+
+class PredictedStimulus(Stimulus):
+    """Nothing that can be felt: what is predicted counts as what came of it."""
+
+    def __init__(self) -> None:
+        self._intensity = 0.0
+
+    def begin(self, intensity: float) -> None:
+        self._intensity = intensity
+
+    def end(self) -> Rendered:
+        return self.predict(self._intensity)
+
+
+class IdealStimulus(PredictedStimulus):
+    """Whatever is asked for, without a limit."""
+
+    def predict(self, intensity: float) -> Rendered:
+        return Rendered(intensity, intensity, float("nan"), False)

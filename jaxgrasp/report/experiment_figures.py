@@ -1,0 +1,171 @@
+"""The figures of an experiment as plotly's own JSON: psychometric functions, JNDs, Weber fractions, staircases."""
+
+import numpy as np
+
+from jaxgrasp.psychophysics.analysis.counts import ratio_intervals
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Cell, Trace
+from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.report.figures import axis, layout
+from jaxgrasp.report.look import INK, MUTED
+
+COLOURS = ("#1f5fa8", "#b5541c", "#2f7d4f", "#7a4fa3", "#8a6d1d", "#5a6472")
+"""Of references, in their order; the last for all others."""
+POINTS = 120
+
+
+def colour(place: int) -> str:
+    """Of the reference at a place."""
+    return COLOURS[min(place, len(COLOURS) - 1)]
+
+
+def psychometric(cells: tuple[Cell, ...], model: Model, unit: str) -> dict:
+    """Hit ratios with their intervals, the fitted functions, and the thresholds at the criterion."""
+    traces: list[dict] = []
+    for k, cell in enumerate(cells):
+        if not len(cell.counts.levels):
+            continue
+        name = f"{cell.reference:g} {unit}" if cell.reference > 0 else "detection"
+        traces.append(_ratios(cell, name, colour(k)))
+        if cell.threshold.function is not None:
+            levels = np.linspace(0, 1.1 * cell.counts.levels.max(), POINTS)
+            chances = model.hit_probability(levels, cell.threshold.function)
+            traces.append(_line(levels, chances, colour(k)))
+        if np.isfinite(cell.threshold.value):
+            traces.append(_threshold(cell, name, colour(k)))
+    title = "difference from the reference, by the reference" if cells[0].reference > 0 else f"intensity [{unit}]"
+    level = {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": model.criterion, "y1": model.criterion}
+    shape = layout(
+        420,
+        xaxis=axis(title, rangemode="tozero"),
+        yaxis=axis("hit ratio", range=[0.35, 1.02]),
+        showlegend=True,
+        legend={"x": 0.99, "y": 0.02, "xanchor": "right", "yanchor": "bottom"},
+        shapes=[level | {"line": {"color": MUTED, "width": 1, "dash": "dot"}}],
+    )
+    return {"data": traces, "layout": shape}
+
+
+def by_reference(found: Analysis, part: str, unit: str) -> dict | None:
+    """JND (``"jnd"``, the paper's Fig. 9) or Weber fraction (``"fraction"``, Fig. 10) of all and of each person."""
+    known = [cell for cell in found.pooled if cell.weber is not None]
+    if not known:
+        return None
+    values = [getattr(cell.weber, part) for cell in known]
+    low, high = ([getattr(cell.weber, f"{part}_{end}") for cell in known] for end in ("low", "high"))
+    away = {
+        "type": "data",
+        "symmetric": False,
+        "array": [_finite(h - v) for h, v in zip(high, values, strict=True)],
+        "arrayminus": [_finite(v - one) for one, v in zip(low, values, strict=True)],
+    }
+    everyone = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": "all persons",
+        "x": [cell.reference for cell in known],
+        "y": values,
+        "error_y": away | {"color": INK, "thickness": 1.5},
+        "marker": {"color": INK, "size": 9},
+    }
+    traces = [everyone, *_persons(found, part)]
+    if found.line is not None:
+        traces.append(_weber_line(found, part))
+    title = f"JND [{unit}]" if part == "jnd" else "Weber fraction"
+    top = max(traces[0]["y"]) if traces[0]["y"] else 1.0
+    highest = max([top, *(y for trace in traces[1:] for y in trace["y"] if y is not None)])
+    shape = layout(
+        330,
+        xaxis=axis(f"reference [{unit}]", range=[0, 1.15 * max(everyone["x"])]),
+        yaxis=axis(title, range=[0, 1.25 * highest]),
+        showlegend=True,
+        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+    )
+    return {"data": traces, "layout": shape}
+
+
+def staircases(traces: tuple[Trace, ...], unit: str) -> dict:
+    """Levels of each trial."""
+    references = sorted({trace.reference for trace in traces})
+    drawn = [
+        {
+            "type": "scatter",
+            "mode": "lines+markers",
+            "name": f"{trace.subject}, {trace.reference:g} {unit}",
+            "x": list(range(1, len(trace.levels) + 1)),
+            "y": [float(f"{level:.5g}") for level in trace.levels],
+            "line": {"color": colour(references.index(trace.reference)), "width": 1, "shape": "hv"},
+            "marker": {
+                "size": 6,
+                "color": [colour(references.index(trace.reference)) if one else "#ffffff" for one in trace.right],
+                "line": {"width": 1, "color": colour(references.index(trace.reference))},
+            },
+        }
+        for trace in traces
+    ]
+    shape = layout(
+        360, xaxis=axis("trial of its staircase"), yaxis=axis("level", type="log"), showlegend=len(traces) <= 12
+    )
+    return {"data": drawn, "layout": shape}
+
+
+def _ratios(cell: Cell, name: str, shade: str) -> dict:
+    ends = ratio_intervals(cell.counts, cell.threshold.coverage)
+    ratios = cell.counts.ratios
+    away = {"type": "data", "symmetric": False, "color": shade, "thickness": 1, "width": 3}
+    pairs = [f"{k} of {n}" for k, n in zip(cell.counts.hits, cell.counts.trials, strict=True)]
+    return {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "x": cell.counts.levels.tolist(),
+        "y": ratios.tolist(),
+        "text": pairs,
+        "hovertemplate": f"{name}, level %{{x}}: %{{text}}<extra></extra>",
+        "error_y": away | {"array": (ends[:, 1] - ratios).tolist(), "arrayminus": (ratios - ends[:, 0]).tolist()},
+        "marker": {"color": shade, "size": 8},
+    }
+
+
+def _line(x: np.ndarray, y: np.ndarray, shade: str) -> dict:
+    points = {"x": [float(f"{one:.5g}") for one in x], "y": [float(f"{one:.5g}") for one in y]}
+    line = {"color": shade, "width": 2}
+    return {"type": "scatter", "mode": "lines", **points, "line": line, "showlegend": False, "hoverinfo": "skip"}
+
+
+def _threshold(cell: Cell, name: str, shade: str) -> dict:
+    one = cell.threshold
+    away = {"type": "data", "symmetric": False, "color": shade, "thickness": 2, "width": 5}
+    away |= {"array": [_finite(one.high - one.value)], "arrayminus": [_finite(one.value - one.low)]}
+    marker = {"color": "#ffffff", "size": 9, "symbol": "diamond", "line": {"color": shade, "width": 2}}
+    said = f"{name}: threshold {one.value:.3f}<extra></extra>"
+    point = {"x": [one.value], "y": [one.criterion], "error_x": away, "marker": marker, "hovertemplate": said}
+    return {"type": "scatter", "mode": "markers", "showlegend": False, **point}
+
+
+def _persons(found: Analysis, part: str) -> list[dict]:
+    traces = []
+    for who in found.subjects:
+        own = [cell for cell in found.cells if cell.subject == who and cell.weber is not None]
+        points = {"x": [cell.reference for cell in own], "y": [getattr(cell.weber, part) for cell in own]}
+        look = {"line": {"color": MUTED, "width": 1}, "marker": {"color": MUTED, "size": 5}}
+        traces.append({"type": "scatter", "mode": "lines+markers", "name": who, **points, **look})
+    return traces if len(traces) <= 8 else []
+
+
+def _weber_line(found: Analysis, part: str) -> dict:
+    line = found.line
+    assert line is not None
+    largest = max(cell.reference for cell in found.pooled)
+    x = np.linspace(largest / POINTS, 1.15 * largest, POINTS)
+    jnd = line.limit * x + line.floor
+    drawn = _line(x, jnd if part == "jnd" else jnd / x, INK)
+    if part == "fraction":
+        # Near zero it has no bound, and would leave no room for the rest.
+        kept = x >= min(cell.reference for cell in found.pooled) / 2
+        drawn = _line(x[kept], (jnd / x)[kept], INK)
+    drawn["line"] = {"color": INK, "width": 1, "dash": "dot"}
+    return drawn | {"name": f"JND = {line.limit:.3f} x reference + {line.floor:.3g}", "showlegend": True}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

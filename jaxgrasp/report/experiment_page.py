@@ -1,0 +1,162 @@
+"""Writes the page of an experiment: psychometric functions, JNDs, Weber fractions, staircases; one offline file."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, AnalysisSettings, Cell
+from jaxgrasp.psychophysics.analysis.finding import Finding
+from jaxgrasp.report import experiment_figures as figures
+from jaxgrasp.report.bundle import page_html
+from jaxgrasp.report.look import counted, number, percentage, table, text
+from jaxgrasp.report.sections import figure_html
+
+
+def write_experiment_page(path: str | os.PathLike, found: Analysis, settings: AnalysisSettings) -> None:
+    """Write the page of an experiment, whole or not at all.
+
+    Args:
+        path: the HTML file to write.
+        found: what its answers say.
+        settings: how they were analysed.
+
+    Raises:
+        ImportError: plotly is not installed.
+    """
+    page = experiment_html(found, settings)
+    replace_file(Path(path), lambda stream: stream.write(page.encode()))
+
+
+def experiment_html(found: Analysis, settings: AnalysisSettings) -> str:
+    """The page as text."""
+    unit = found.plan.stimulus.unit
+    if found.matched:
+        parts = [("settings", "Settings", _settings(found, unit))]
+    else:
+        parts = [("answers", "Answers", _answers(found, settings, unit))]
+        parts.append(("references", "References", _references(found)))
+    if found.traces:
+        parts.append(("staircases", "Staircases", _staircases(found, unit)))
+    parts.append(("notes", "What is to be known", _notes(found, settings)))
+    body = "\n".join(f'<section id="{name}"><h2>{head}</h2>{content}</section>' for name, head, content in parts)
+    lead = f"{counted(len(found.subjects), 'person')}, {found.plan.method}, {found.plan.stimulus.kind} [{unit}]."
+    top = f'<header><h1>{text(found.plan.name)}</h1><p class="lead">{text(lead)}</p></header>'
+    return page_html(found.plan.name, f"{top}\n{body}", "page.js")
+
+
+def _answers(found: Analysis, settings: AnalysisSettings, unit: str) -> str:
+    note = (
+        f"All persons together: hit ratios with {percentage(settings.coverage)} intervals (Wilson's), the function of "
+        f"largest likelihood where the method has one ({text(settings.model.shape)}), and the threshold at a hit ratio "
+        f"of {settings.model.criterion:g} with its interval."
+    )
+    figure = figure_html("psychometric", figures.psychometric(found.pooled, settings.model, unit))
+    head = ["who", f"reference [{text(unit)}]", "threshold", "interval", "JND", "trials", "fit", "what it means"]
+    rows = [_row(cell) for cell in (*found.pooled, *found.cells)]
+    return f'<p class="note">{note}</p>{figure}{table(head, rows)}{_detection(found)}'
+
+
+def _row(cell: Cell) -> list[str]:
+    one = cell.threshold
+    fit = f"p = {number(cell.fit.p_value, 2)}" if cell.fit is not None else ""
+    return [
+        text(cell.subject),
+        f"{cell.reference:g}",
+        number(one.value),
+        f"{number(one.low)} to {number(one.high)}",
+        number(cell.weber.jnd) if cell.weber is not None else "",
+        str(int(cell.counts.trials.sum())),
+        fit,
+        "" if one.finding is Finding.FOUND else f'<span class="wide">{text(one.finding.advice)}</span>',
+    ]
+
+
+def _detection(found: Analysis) -> str:
+    rows = [
+        [
+            f"{cell.reference:g}",
+            f"{level:g}",
+            number(view.d_prime),
+            f"{number(view.low)} to {number(view.high)}",
+            number(view.lean, 2),
+        ]
+        for cell in found.pooled
+        for level, view in cell.sensitivities
+    ]
+    head = ["reference", "level", "d\N{PRIME}", "interval", "lean to the second"]
+    return f"<details><summary>Signal detection: d\N{PRIME} and bias</summary>{table(head, rows)}</details>"
+
+
+def _references(found: Analysis) -> str:
+    unit = found.plan.stimulus.unit
+    drawn = [
+        f'<div class="panel3"><h3>{title}</h3>{figure_html(part, figure)}</div>'
+        for part, title in (("jnd", "Just noticeable difference"), ("fraction", "Weber fraction"))
+        if (figure := figures.by_reference(found, part, unit)) is not None
+    ]
+    if not drawn:
+        return '<p class="note">No reference has a threshold.</p>'
+    return f'<div class="three">{"".join(drawn)}</div>{_variance(found)}'
+
+
+def _variance(found: Analysis) -> str:
+    comparison = found.comparison
+    if comparison is None:
+        return ""
+    rows = [
+        [
+            name,
+            f"F[{one.between:g}, {one.within:g}] = {number(one.f)}",
+            number(one.p_value),
+            number(one.corrected_p_value) if np.isfinite(one.corrected_p_value) else "",
+            number(one.generalized_eta_squared),
+        ]
+        for name, one in (("the same persons", comparison.within), ("as if different ones", comparison.between))
+    ]
+    head = ["analysis of variance", "F", "p", "p corrected for sphericity", "generalized η²"]
+    pairs = [
+        [
+            " less ".join(f"{comparison.references[k]:g}" for k in pair.groups),
+            number(pair.difference),
+            number(pair.p_value),
+            number(pair.effect),
+        ]
+        for pair in comparison.pairs
+    ]
+    below = table(["references", "difference", "p (Holm)", "Cohen's d"], pairs)
+    return table(head, rows) + below
+
+
+def _settings(found: Analysis, unit: str) -> str:
+    rows = [
+        [
+            text(one.subject),
+            f"{one.reference:g}",
+            str(one.settings),
+            f"{number(one.error)} ({number(one.error_low)} to {number(one.error_high)})",
+            f"{number(one.deviation)} ({number(one.deviation_low)} to {number(one.deviation_high)})",
+            number(one.jnd),
+        ]
+        for one in found.matched
+    ]
+    head = ["who", f"reference [{text(unit)}]", "settings", "constant error", "deviation", "JND"]
+    return table(head, rows)
+
+
+def _staircases(found: Analysis, unit: str) -> str:
+    rows = [
+        [text(one.subject), f"{one.reference:g}", number(one.turning_points), number(one.target), str(len(one.levels))]
+        for one in found.traces
+    ]
+    head = ["who", "reference", "mean of turning points", "at a hit ratio of", "trials"]
+    return figure_html("staircases", figures.staircases(found.traces, unit)) + table(head, rows)
+
+
+def _notes(found: Analysis, settings: AnalysisSettings) -> str:
+    least, most = settings.model.lapse
+    word = "left out" if settings.saturated == "exclude" else "counted"
+    how = f"Method {settings.method}; lapses {least:g} to {most:g}; saturated trials {word}."
+    points = [how, *(f"{note}." for note in found.notes)]
+    return "<ul>" + "".join(f"<li>{text(point)}</li>" for point in points) + "</ul>"

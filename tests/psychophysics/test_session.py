@@ -1,0 +1,190 @@
+"""Running an experiment: every answer is on disk before the next question, whatever happens to the program."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
+from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.running.person import SimulatedPerson
+from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records
+from jaxgrasp.psychophysics.running.session import read_trials, run_experiment
+from jaxgrasp.psychophysics.schedule import Schedule
+from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered
+
+SHORT = Plan(session=SessionPlan(references=(1.0, 3.0), practice=2, break_every=7), procedure=ConstantStimuli(series=1))
+
+
+class Watched(SimulatedPerson):
+    """Counts what it is told and asked, and leaves when it is told to."""
+
+    def __init__(self, plan: Plan, leaves_after: int = 10**9) -> None:
+        super().__init__(Observer(0.15), plan.seed, "S1")
+        self.answers, self.rests, self.heard, self._left = 0, [], [], leaves_after
+
+    def choose(self, trial, rendered):
+        if self.answers >= self._left:
+            raise KeyboardInterrupt
+        self.answers += 1
+        return super().choose(trial, rendered)
+
+    def told(self, trial, right):
+        self.heard.append((trial.number, right))
+
+    def rest(self, done, most):
+        self.rests.append(done)
+
+
+def run(plan: Plan, folder: Path, person=None, **options) -> int:
+    person = Watched(plan) if person is None else person
+    return run_experiment(plan, "S1", folder, IdealStimulus(), person, **options)
+
+
+def lasting(folder: Path) -> list[dict]:
+    """All trials on record, but for when they were."""
+    _, trials = read_trials(folder / "S1.jsonl")
+    return [{key: value for key, value in one.items() if key not in ("at", "seconds")} for one in trials]
+
+
+@pytest.mark.parametrize("method", list(METHODS))
+def test_records_are_what_was_asked(folder, method):
+    plan = replace(SHORT, method=method, procedure=METHODS[method]())
+    count = run(plan, folder)
+    trials = lasting(folder)
+    assert len(trials) == count and [one["number"] for one in trials] == list(range(1, count + 1))
+    schedule = Schedule(plan, "S1")
+    for one in trials:
+        trial = schedule.next()
+        assert (trial.level, trial.first, trial.second) == (one["level"], one["first"], one["second"])
+        if trial.task == "choice":
+            assert one["right"] == (one["answer"] == trial.stronger)
+            schedule.score(float(one["right"]))
+        else:
+            assert one["setting"] >= 0
+            schedule.score(one["setting"] / one["reference"] - 1)
+    assert schedule.next() is None
+
+
+def test_rests_and_feedback(folder):
+    person = Watched(SHORT)
+    assert run(SHORT, folder, person) == 18
+    assert person.rests == [9, 16] and [number for number, _ in person.heard] == list(range(1, 19))
+    silent = replace(SHORT, session=replace(SHORT.session, feedback=False))
+    other = Watched(silent)
+    run_experiment(silent, "S2", folder, IdealStimulus(), other)
+    assert [number for number, _ in other.heard] == [1, 2], "practice has feedback"
+
+
+@pytest.mark.parametrize("method", list(METHODS))
+def test_cut_off_anywhere_and_resumed(folder, method):
+    """As if power had failed at any byte: what was whole stays, and the end is that of an uninterrupted run."""
+    procedure = Matching(trials=4) if method == "matching" else METHODS[method]()
+    plan = replace(SHORT, session=SessionPlan((2.0,), practice=1), method=method, procedure=procedure)
+    run(plan, folder)
+    whole, data = lasting(folder), (folder / "S1.jsonl").read_bytes()
+    begin = data.index(b"\n") + 1
+    for cut in random.Random(0).sample(range(begin, len(data)), 25):
+        (folder / "S1.jsonl").write_bytes(data[:cut])
+        run(plan, folder, resume=True)
+        assert lasting(folder) == whole
+        records, rest = read_records(folder / "S1.jsonl")
+        torn = data[:cut].rpartition(b"\n")[2].decode()
+        assert not rest and [r["text"] for r in records if r["record"] == "cut-off"] == ([torn] if torn else [])
+
+
+def test_stopped_and_resumed(folder):
+    run(SHORT, folder)
+    whole = lasting(folder)
+    (folder / "S1.jsonl").unlink()
+    for answers in (3, 0, 5):
+        with pytest.raises(KeyboardInterrupt):
+            run(SHORT, folder, Watched(SHORT, answers), resume=True)
+    assert len(lasting(folder)) == 8
+    run(SHORT, folder, resume=True)
+    assert lasting(folder) == whole
+
+
+@pytest.mark.parametrize("kills", [6, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_killed_at_random(folder, kills):
+    """No answer that was said to be on record is lost, none is there twice, and the order is the same."""
+    # Long enough that no run comes to its end before it is killed.
+    series = 100 * kills
+    program = [sys.executable, str(Path(__file__).with_name("experiment_to_kill.py")), str(folder), "S1", str(series)]
+    rng, acknowledged = random.Random(0), 0
+    for _ in range(kills):
+        with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
+            last = int(process.stdout.readline())
+            assert last == acknowledged + 1, "it goes on where the records end"
+            for _ in range(rng.randrange(30)):
+                last = int(process.stdout.readline())
+            process.send_signal(signal.SIGKILL)
+            rest = [line for line in process.stdout.read().splitlines(keepends=True) if line.endswith("\n")]
+            last = int(rest[-1]) if rest else last
+        numbers = [one["number"] for one in read_after_a_crash(folder / "S1.jsonl")]
+        assert numbers == list(range(1, len(numbers) + 1)) and len(numbers) >= last
+        acknowledged = len(numbers)
+    schedule = Schedule(Plan(procedure=ConstantStimuli(series=series)), "S1")
+    for one in read_after_a_crash(folder / "S1.jsonl"):
+        trial = schedule.next()
+        assert (one["number"], one["level"], one["first"]) == (trial.number, trial.level, trial.first)
+        schedule.score(float(one["right"]))
+
+
+def read_after_a_crash(path: Path) -> list[dict]:
+    """By other means than the program's own."""
+    lines = path.read_bytes().split(b"\n")[:-1]
+    return [one for one in map(json.loads, lines) if one["record"] == "trial"]
+
+
+def test_what_saturates_is_flagged(folder):
+    class Weak(PredictedStimulus):
+        def predict(self, intensity):
+            return Rendered(intensity, min(intensity, 3.2), 0.05 * intensity, intensity > 3.2)
+
+    run_experiment(SHORT, "S1", folder, Weak(), Watched(SHORT))
+    for one in lasting(folder):
+        assert one["saturated"] == (max(one["first"], one["second"]) > 3.2) and max(one["felt"]) <= 3.2
+
+
+def test_refusals(folder, unchecked):
+    for subject in ("", "Jane Doe", "a/b", "x" * 33):
+        with pytest.raises(ValueError, match="expected a code of letters"):
+            run_experiment(SHORT, subject, folder, IdealStimulus(), Watched(SHORT))
+    run(SHORT, folder)
+    with pytest.raises(ValueError, match="is there already: --resume goes on"):
+        run(SHORT, folder)
+    with pytest.raises(RecordError, match="begun with another plan: seed was 2003, and now is 1"):
+        run(replace(SHORT, seed=1), folder, resume=True)
+    (folder / "S2.jsonl").write_bytes((folder / "S1.jsonl").read_bytes())
+    with pytest.raises(RecordError, match="is of subject 'S1': expected 'S2'"):
+        run_experiment(SHORT, "S2", folder, IdealStimulus(), Watched(SHORT), resume=True)
+    lines = (folder / "S1.jsonl").read_bytes().splitlines(keepends=True)
+    for spoilt, message in (
+        ([lines[0], b"what?\n", *lines[2:]], "line 2, is no record: b'what"),
+        ([lines[0], *lines[2:]], "trial 1: number is 2, and the plan leads to 1"),
+        (lines[1:], "no first record"),
+        ([lines[0].replace(b'"format":1', b'"format":9')], "has format 9: expected 1"),
+    ):
+        (folder / "S1.jsonl").write_bytes(b"".join(spoilt))
+        with pytest.raises(RecordError, match=message):
+            run(SHORT, folder, resume=True)
+        assert (folder / "S1.jsonl").read_bytes() == b"".join(spoilt), "nothing is touched"
+
+
+def test_one_program_at_a_time(folder):
+    with Journal(folder / "S1.jsonl", {"record": "begun"}), pytest.raises(OSError, match="in use by another program"):
+        Journal(folder / "S1.jsonl", {"record": "begun"})
+    with Journal(folder / "S1.jsonl", {"record": "begun"}) as journal:
+        with pytest.raises(ValueError, match="not JSON compliant"):
+            journal.append({"record": "trial", "felt": float("nan")})
+        assert len(journal.records) == 1

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from scipy.optimize import minimize, minimize_scalar
-from scipy.stats import chi2, norm
+from scipy.stats import binomtest, chi2, norm
 
 from jaxgrasp.paper.tables import DIFFERENCES, HIT_RATIOS
 from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled, ratio_intervals
@@ -209,3 +209,13 @@ def test_bad_requests(unchecked):
     ):
         with pytest.raises(ValueError, match=message):
             threshold(TABLE[0], **options)
+
+
+@pytest.mark.parametrize("method", ["wilson", "exact"])
+def test_ratio_intervals_are_scipys(method):
+    trials = np.full(11, 10)
+    counts = Counts(np.linspace(0.1, 1.1, 11), np.arange(11), trials)
+    theirs = [binomtest(k, 10).proportion_ci(0.9, method) for k in range(11)]
+    np.testing.assert_allclose(
+        ratio_intervals(counts, 0.9, method), [[one.low, one.high] for one in theirs], atol=1e-12
+    )

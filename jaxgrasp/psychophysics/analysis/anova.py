@@ -7,9 +7,7 @@ from itertools import combinations, product
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
-from scipy.stats import f as f_distribution
-from scipy.stats import t as t_distribution
-from scipy.stats import tukey_hsd
+from scipy.special import fdtrc, stdtr
 
 Numbers = Sequence[float] | Sequence[int] | np.ndarray
 
@@ -75,7 +73,7 @@ def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -
     f = (explained / between) / (left / within)
     share = explained / (explained + left)
     omega = (explained - between * left / within) / (explained + left + left / within)
-    p_value = f_distribution.sf(f, between, within)
+    p_value = fdtrc(between, within, f)
     return Anova(float(f), between, within, float(p_value), float(share), float(omega), float(share))
 
 
@@ -133,18 +131,21 @@ def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova
         float(f),
         between,
         within,
-        float(f_distribution.sf(f, between, within)),
+        float(fdtrc(between, within, f)),
         float(explained / (explained + left)),
         np.nan,
         float(explained / (explained + left + of_subjects)),
         epsilon,
-        float(f_distribution.sf(f, epsilon * between, epsilon * within)),
+        float(fdtrc(epsilon * between, epsilon * within, f)),
     )
 
 
 def compare_groups(groups: Sequence[np.ndarray]) -> list[Pair]:
     """Every two groups of different subjects, by Tukey's honest significant differences."""
     values = [_values(group, f"groups[{k}]") for k, group in enumerate(groups)]
+    # Here alone: importing it changes which warnings a program shows.
+    from scipy.stats import tukey_hsd
+
     found = tukey_hsd(*values)
     pairs = []
     for i, j in combinations(range(len(values)), 2):
@@ -165,7 +166,7 @@ def compare_conditions(values: Float[np.ndarray, "subjects conditions"]) -> list
     count = len(table)
     with np.errstate(divide="ignore", invalid="ignore"):
         effects = np.array(means) / np.array(spreads)
-    p_values = 2 * t_distribution.sf(np.abs(effects) * np.sqrt(count), count - 1)
+    p_values = 2 * stdtr(count - 1, -np.abs(effects) * np.sqrt(count))
     return [
         Pair(pair, float(mean), float(p), float(effect))
         for pair, mean, p, effect in zip(pairs, means, holm(p_values), effects, strict=True)

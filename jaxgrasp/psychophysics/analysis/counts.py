@@ -1,10 +1,11 @@
 """Answers counted: how many of how many were right at each level."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.stats import binomtest
+from scipy.special import betaincinv, ndtri
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,9 @@ def pooled(parts: "list[Counts]") -> Counts:
     return Counts(levels, hits, trials)
 
 
-def ratio_intervals(counts: Counts, coverage: float = 0.95, method: str = "wilson") -> Float[np.ndarray, "L 2"]:
+def ratio_intervals(
+    counts: Counts, coverage: float = 0.95, method: Literal["wilson", "exact"] = "wilson"
+) -> Float[np.ndarray, "L 2"]:
     """Intervals of the hit ratios, each for itself.
 
     Args:
@@ -72,8 +75,22 @@ def ratio_intervals(counts: Counts, coverage: float = 0.95, method: str = "wilso
         coverage: of each interval.
         method: ``"wilson"`` (score) or ``"exact"`` (Clopper and Pearson).
     """
-    found = [
-        binomtest(int(k), int(n)).proportion_ci(coverage, method)
-        for k, n in zip(counts.hits, counts.trials, strict=True)
-    ]
-    return np.array([[one.low, one.high] for one in found]).reshape(-1, 2)
+    interval = wilson if method == "wilson" else exact
+    return interval(counts.hits, counts.trials, coverage)
+
+
+def wilson(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverage: float) -> Float[np.ndarray, "... 2"]:
+    """Wilson's score intervals of binomial shares."""
+    z = ndtri((1 + coverage) / 2)
+    centre = (hits + z**2 / 2) / (trials + z**2)
+    away = z / (trials + z**2) * np.sqrt(hits * (trials - hits) / trials + z**2 / 4)
+    return np.clip(np.stack([centre - away, centre + away], -1), 0, 1)
+
+
+def exact(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverage: float) -> Float[np.ndarray, "... 2"]:
+    """Clopper and Pearson's intervals of binomial shares."""
+    tail = (1 - coverage) / 2
+    misses = trials - hits
+    low = np.where(hits > 0, betaincinv(np.maximum(hits, 1), misses + 1, tail), 0.0)
+    high = np.where(misses > 0, betaincinv(hits + 1, np.maximum(misses, 1), 1 - tail), 1.0)
+    return np.stack([low, high], -1)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
-from scipy.stats import binomtest
+
+from jaxgrasp.psychophysics.analysis.counts import wilson
 
 
 @dataclass(frozen=True)
@@ -47,14 +48,14 @@ def sensitivity(
     hits, trials = first_hits + second_hits, first_trials + second_trials
     if trials == 0:
         raise ValueError("first_trials and second_trials are 0: expected a trial")
-    ends = binomtest(hits, trials).proportion_ci(coverage, "wilson")
+    ends = wilson(np.array(hits), np.array(trials), coverage)
     corrected = any(k in (0, n) for k, n in ((first_hits, first_trials), (second_hits, second_trials)) if n)
     add = 0.5 if corrected else 0.0
 
     def z(hits: int, trials: int) -> float:
         return float(ndtri((hits + add) / (trials + 2 * add)))
 
-    low, high = (float(np.sqrt(2) * ndtri(end)) for end in (ends.low, ends.high))
+    low, high = (float(np.sqrt(2) * ndtri(end)) for end in ends)
     if first_trials and second_trials:
         # "First" said of a first one is a hit, said of a second one a false alarm.
         hit, false_alarm = z(first_hits, first_trials), -z(second_hits, second_trials)

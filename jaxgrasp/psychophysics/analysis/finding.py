@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 import numpy as np
-from scipy.stats import binomtest
+from scipy.special import bdtr, bdtrc
 
 from jaxgrasp.psychophysics.analysis.counts import Counts
 
@@ -51,7 +51,7 @@ def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Find
     hits, trials = int(counts.hits.sum()), int(counts.trials.sum())
     if hits == trials:
         return Finding.ALL_RIGHT
-    if chance > 0 and binomtest(hits, trials, chance, "less").pvalue < DOUBT / 2:
+    if chance > 0 and bdtr(hits, trials, chance) < DOUBT / 2:
         return Finding.BELOW_CHANCE
     if chance > 0 and not _is_better(counts, chance):
         return Finding.AT_CHANCE
@@ -73,9 +73,10 @@ def place(estimate: float, counts: Counts) -> Finding:
 
 def _is_better(counts: Counts, chance: float) -> bool:
     """Than guesses: all answers together, or those of the largest level, where a steep function shows first."""
-    together = binomtest(int(counts.hits.sum()), int(counts.trials.sum()), chance, "greater").pvalue
-    largest = binomtest(int(counts.hits[-1]), int(counts.trials[-1]), chance, "greater").pvalue
-    return bool(min(together, largest) < DOUBT / 2)
+    hits = np.array([counts.hits.sum(), counts.hits[-1]])
+    trials = np.array([counts.trials.sum(), counts.trials[-1]])
+    # Of as many right answers or more.
+    return bool(np.min(bdtrc(hits - 1, trials, chance)) < DOUBT / 2)
 
 
 def _slope(counts: Counts) -> float:

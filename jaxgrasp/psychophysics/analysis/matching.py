@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as t_distribution
+from scipy.special import chdtri, stdtrit
 
 from jaxgrasp.psychophysics.observer import QUARTILE
 
@@ -39,6 +38,6 @@ def matched(subject: str, reference: float, settings: list[float], coverage: flo
         return Matched(subject, reference, count, error, -np.inf, np.inf, np.nan, 0.0, np.inf)
     error, deviation = float(values.mean() - reference), float(values.std(ddof=1))
     tail = (1 - coverage) / 2
-    away = float(t_distribution.isf(tail, count - 1)) * deviation / np.sqrt(count)
-    low, high = (deviation * float(np.sqrt((count - 1) / chi2.isf(share, count - 1))) for share in (tail, 1 - tail))
+    away = float(-stdtrit(count - 1, tail)) * deviation / np.sqrt(count)
+    low, high = (deviation * float(np.sqrt((count - 1) / chdtri(count - 1, share))) for share in (tail, 1 - tail))
     return Matched(subject, reference, count, error, error - away, error + away, deviation, low, high)

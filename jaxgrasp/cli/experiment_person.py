@@ -21,31 +21,32 @@ class TerminalPerson(Person):
             print(f"\ntrial {trial.number} of {self._most} ({what})")
             self._started = False
         name = "reference" if trial.task == "setting" else ("first", "second")[interval - 1]
-        _typed(f"  feel the {name} one; Enter when you have ")
+        typed(f"  feel the {name} one; Enter when you have ")
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
         while True:
-            typed = _typed(f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? ").strip()
-            if typed in ("1", "2"):
-                return int(typed)
+            answer = typed(f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? ").strip()
+            if answer in ("1", "2"):
+                return int(answer)
 
     def adjust(self, trial: Trial, setting: float) -> Move:
         if not self._started:
             print("  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does")
             self._started = True
         while True:
-            typed = _typed("  > ").strip().lower()
-            if typed in MOVES:
-                return MOVES[typed]
+            answer = typed("  > ").strip().lower()
+            if answer in MOVES:
+                return MOVES[answer]
 
     def told(self, trial: Trial, right: bool) -> None:
         print("  right" if right else "  wrong")
 
     def rest(self, done: int, most: int) -> None:
-        _typed(f"\n{done} of at most {most} trials are done. Rest; Enter to go on ")
+        typed(f"\n{done} of at most {most} trials are done. Rest; Enter to go on ")
 
 
-def _typed(prompt: str) -> str:
+def typed(prompt: str) -> str:
+    """A line from the keyboard; KeyboardInterrupt where there are no more."""
     try:
         return input(prompt)
     except EOFError:

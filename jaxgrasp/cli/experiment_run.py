@@ -1,61 +1,73 @@
 """``jaxgrasp experiment run``: a person in a glove, or a simulated observer."""
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 
 from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.experiment_arguments import RunExperiment
-from jaxgrasp.cli.experiment_person import TerminalPerson
+from jaxgrasp.cli.experiment_person import TerminalPerson, typed
 from jaxgrasp.cli.experiment_plan import observer_of, predicted, predicted_stimulus, read_plan, summary
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
-from jaxgrasp.psychophysics.running.records import SUFFIX
-from jaxgrasp.psychophysics.running.session import check_subject, run_experiment
-from jaxgrasp.psychophysics.stimulus import Stimulus
+from jaxgrasp.psychophysics.running.session import check_records, run_experiment
+from jaxgrasp.psychophysics.stimulus import Stimulus, StimulusLostError
 
 FIRST, FULL = 0.05, 1.0
 PATIENCE = 5.0
 """How long a glove may take to link and to arm [s]."""
+Arm = Callable[[], None]
+"""Asks the person, and arms the glove."""
 
 
 def run_command(arguments: RunExperiment) -> int:
     """Ask until all is asked, or the person stops."""
     check_positive(arguments, "baud")
-    check_subject(arguments.subject)
     if arguments.simulate == (arguments.port is not None):
         raise ValueError(
             "either --port, of the glove in which stimuli are felt, or --simulate, which lets an observer answer: "
             "expected one of them"
         )
     plan = read_plan(arguments.file)
+    observer = observer_of(arguments.observer)
+    path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume)
     print("\n".join(summary(plan)))
-    path = arguments.out / f"{arguments.subject}{SUFFIX}"
-    with ExitStack() as stack:
-        person: Person = TerminalPerson(plan)
-        if arguments.simulate:
-            stimulus = _simulated(arguments, plan)
-            person = SimulatedPerson(observer_of(arguments.observer), plan.seed, arguments.subject)
-        else:
-            stimulus = _felt(arguments, plan, stack)
-        try:
-            done = run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=arguments.resume)
-        except KeyboardInterrupt:
-            raise InterruptedError(f"stopped; all answers are in {path}, --resume goes on with them") from None
+    person: Person = TerminalPerson(plan)
+    if arguments.simulate:
+        person = SimulatedPerson(observer, plan.seed, arguments.subject)
+    try:
+        with ExitStack() as stack:
+            stimulus, arm = _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, stack)
+            done = _asked(arguments, plan, stimulus, person, arm)
+    except KeyboardInterrupt:
+        raise InterruptedError(f"stopped; all answers are in {path}, --resume goes on with them") from None
     print(f"{done} trials are in {path}; `jaxgrasp experiment analyse {arguments.out}` analyses them")
     return 0
 
 
-def _simulated(arguments: RunExperiment, plan: Plan) -> Stimulus:
+def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Person, arm: Arm) -> int:
+    """A trial whose stimulus was lost is asked again, once the person has armed the glove anew."""
+    resume = arguments.resume
+    while True:
+        try:
+            return run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=resume)
+        except StimulusLostError as error:
+            print(f"\n{error}: this trial does not count")
+            arm()
+            resume = True
+
+
+def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
     model, _ = load_model({"model": arguments.glove})
     stimulus = predicted_stimulus(plan, model)
     warnings = [line for line in predicted(plan, stimulus) if line.startswith("WARNING")]
     print("\n".join([*warnings, "a simulated observer answers"]))
-    return stimulus
+    return stimulus, lambda: None
 
 
-def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> Stimulus:
+def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimulus, Arm]:
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
     set_up_jax("float64")
     from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -73,24 +85,26 @@ def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> Stimulus:
     stimulus = GloveStimulus(felt, model, glove)
     stack.callback(stimulus.close)
     print("\n".join(predicted(plan, stimulus)))
-    for scale, words in (
-        (FIRST, "Enter arms the glove at a twentieth of its torque "),
-        (FULL, "Enter arms it at all "),
-    ):
-        input(words)
+
+    def arm(scale: float, words: str) -> None:
+        typed(words)
         glove.disarm()
         glove.rescale(scale)
-        _arm(glove.arm)
+        _until_it_does(glove.arm)
         stimulus.wait_until_armed(PATIENCE)
-    return stimulus
+
+    arm(FIRST, "Enter arms the glove at a twentieth of its torque ")
+    arm(FULL, "Enter arms it at all ")
+    return stimulus, lambda: arm(FULL, "Enter arms it again ")
 
 
-def _arm(arm) -> None:
+def _until_it_does(arm: Callable[[], None]) -> None:
     """Until there is a link and a law to follow, or nobody waits any longer."""
     end = time.perf_counter() + PATIENCE
     while True:
         try:
-            return arm()
+            arm()
+            return
         except ValueError:
             if time.perf_counter() > end:
                 raise

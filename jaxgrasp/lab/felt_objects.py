@@ -48,7 +48,7 @@ class FeltObject(eqx.Module):
 
     @abstractmethod
     def resistance(
-        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""]
+        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
         """Torques against flexion [N.m]."""
 
@@ -71,7 +71,7 @@ class Lifted(FeltObject):
         return jnp.mean(self._pads(angles)[1][:, 2]) - jnp.mean(self._pads(self.start)[1][:, 2])
 
     def resistance(
-        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""]
+        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
         frames, points = self._pads(angles)
         height = self.height(angles)
@@ -109,7 +109,7 @@ class Squeezed(FeltObject):
         return (centres - touching) @ self._inward()
 
     def resistance(
-        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""]
+        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
         frames, points = self._pads(angles)
         inward = self._inward()
@@ -147,7 +147,7 @@ class Resisted(FeltObject):
     channels: int = eqx.field(static=True)
 
     def resistance(
-        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""]
+        self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
         return jnp.zeros(self.channels).at[self.channel].set(intensity)
 
@@ -192,7 +192,7 @@ def felt_object(plan: StimulusPlan, model: GloveModel, hand: Hand | None = None)
 
 @jax.jit
 def resistance_and_slope(
-    felt: FeltObject, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""]
+    felt: FeltObject, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
 ) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
     """Torques against flexion [N.m], and their exact derivative by the angles [N.m/rad]."""
 
@@ -206,7 +206,7 @@ def resistance_and_slope(
 
 @jax.jit
 def resistances(
-    felt: FeltObject, angles: Float[AnyArray, "P channels"], intensity: Float[AnyArray, ""]
+    felt: FeltObject, angles: Float[AnyArray, "P channels"], intensity: Float[AnyArray, ""] | float
 ) -> Float[Array, "P channels"]:
     """Torques against flexion in many postures."""
     return jax.vmap(lambda one: felt.resistance(one, intensity))(jnp.asarray(angles))

@@ -8,13 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.loop.exchange import TorqueLaw
+from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, resistance_and_slope, resistances
 from jaxgrasp.lab.haptic_loop import run_loop
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered
+from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered, StimulusLostError
 
 RATE = 100.0
 """Of laws [Hz]."""
@@ -32,7 +33,7 @@ class PredictedGloveStimulus(PredictedStimulus):
 
     def predict(self, intensity: float) -> Rendered:
         if intensity not in self._known:
-            asked = np.asarray(resistances(self._felt, self._postures, np.float64(intensity)))
+            asked = np.asarray(resistances(self._felt, self._postures, intensity))
             self._known[intensity] = rendered(intensity, asked, self._limits)
         return self._known[intensity]
 
@@ -47,7 +48,9 @@ class GloveStimulus(PredictedGloveStimulus):
         self._ends = threading.Event()
         self._lock = threading.Lock()
         self._clipped, self._most, self._armed = 0.0, 0.0, True
-        resistance_and_slope(felt, self._postures[0], np.float64(0.0))
+        # All is compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go.
+        self.predict(0.0)
+        resistance_and_slope(felt, self._postures[0], 0.0)
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -55,7 +58,7 @@ class GloveStimulus(PredictedGloveStimulus):
         """Let it be felt.
 
         Raises:
-            OSError: where the glove is not armed.
+            StimulusLostError: where the glove is not armed.
         """
         self._check_armed()
         with self._lock:
@@ -66,13 +69,13 @@ class GloveStimulus(PredictedGloveStimulus):
         """Let it end.
 
         Raises:
-            OSError: where the glove was not armed all the time: what was felt is not what the plan says.
+            StimulusLostError: where the glove was not armed all the time.
         """
         with self._lock:
             intensity, clipped, most, armed = self._intensity, self._clipped, self._most, self._armed
             self._intensity = 0.0
         if not armed:
-            raise OSError("the glove was disarmed while it was felt; arm it, and go on with --resume")
+            raise StimulusLostError("the glove let go while it was felt")
         foreseen = self.predict(intensity)
         return Rendered(intensity, foreseen.felt if clipped > 0 else intensity, most, clipped > 0)
 
@@ -82,9 +85,10 @@ class GloveStimulus(PredictedGloveStimulus):
         Raises:
             OSError: if it is not, after so long [s].
         """
-        end = time.perf_counter() + patience
-        while (state := self._glove.state()) is None or state.guard != GuardState.ARMED:
-            if time.perf_counter() > end:
+        begun = time.perf_counter()
+        # What was said before this call may be of an arming before.
+        while (state := self._glove.state()) is None or state.at < begun or not _is_armed(state):
+            if time.perf_counter() > begun + patience:
                 raise OSError(f"the glove was not armed within {patience:g} s")
             time.sleep(0.02)
 
@@ -95,31 +99,35 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _check_armed(self) -> None:
         state = self._glove.state()
-        if state is None or state.guard != GuardState.ARMED or not self._thread.is_alive():
-            raise OSError("the glove is not armed")
+        if state is None or not _is_armed(state) or not self._thread.is_alive():
+            raise StimulusLostError("the glove is not armed")
 
     def _run(self) -> None:
         run_loop(
             self._tick, self._read, self._glove.write, lambda now: PALM_UP, RATE, lambda now: not self._ends.is_set()
         )
 
-    def _read(self):
+    def _read(self) -> GloveState | None:
         state = self._glove.state()
         if state is not None:
             with self._lock:
                 self._clipped = max(self._clipped, state.clipped)
-                self._armed = self._armed and state.guard == GuardState.ARMED
+                self._armed = self._armed and _is_armed(state)
         return state
 
     def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         with self._lock:
             intensity = self._intensity
-        found = resistance_and_slope(self._felt, angles, np.float64(intensity))
+        found = resistance_and_slope(self._felt, angles, intensity)
         torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
         with self._lock:
             self._most = max(self._most, float(torques.max()))
         valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
         return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
+
+
+def _is_armed(state: GloveState) -> bool:
+    return state.guard == GuardState.ARMED and state.link == LinkState.ARMED
 
 
 def rendered(

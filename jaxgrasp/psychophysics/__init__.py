@@ -30,7 +30,7 @@ from jaxgrasp.psychophysics.procedures.staircase import Staircase
 from jaxgrasp.psychophysics.recomputed import recomputed
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import run_experiment
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, Rendered, Stimulus
+from jaxgrasp.psychophysics.stimulus import IdealStimulus, Rendered, Stimulus, StimulusLostError
 
 __all__ = [
     "Adaptive",
@@ -55,6 +55,7 @@ __all__ = [
     "SimulatedPerson",
     "Staircase",
     "Stimulus",
+    "StimulusLostError",
     "StimulusPlan",
     "Threshold",
     "Weber",

@@ -4,6 +4,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 
+class StimulusLostError(OSError):
+    """What was to be felt was not, or not all the time: the trial does not count, and is to be asked again."""
+
+
 @dataclass(frozen=True)
 class Rendered:
     """What came of an intensity."""
@@ -27,11 +31,19 @@ class Stimulus(ABC):
 
     @abstractmethod
     def begin(self, intensity: float) -> None:
-        """Let it be felt, from now on, in place of what was before."""
+        """Let it be felt, from now on, in place of what was before.
+
+        Raises:
+            StimulusLostError: where it cannot be.
+        """
 
     @abstractmethod
     def end(self) -> Rendered:
-        """Let it end; what came of it, over all of its time."""
+        """Let it end; what came of it, over all of its time.
+
+        Raises:
+            StimulusLostError: where it was not felt all the time.
+        """
 
 
 class PredictedStimulus(Stimulus):

@@ -52,7 +52,7 @@ def run(plan: Plan, folder: Path, person=None, **options) -> int:
 def lasting(folder: Path) -> list[dict]:
     """All trials on record, but for when they were."""
     _, trials = read_trials(folder / "S1.jsonl")
-    return [{key: value for key, value in one.items() if key not in ("at", "seconds")} for one in trials]
+    return [{key: value for key, value in one.items() if key not in ("at", "seconds", "durations")} for one in trials]
 
 
 @pytest.mark.parametrize("method", list(METHODS))

@@ -1,5 +1,6 @@
 """A person's trials, one after another, from wherever the records end."""
 
+import contextlib
 import datetime
 import importlib.metadata
 import math
@@ -15,7 +16,7 @@ from jaxgrasp.psychophysics.procedures.matching import Matching
 from jaxgrasp.psychophysics.running.person import Person
 from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, RecordError, read_records
 from jaxgrasp.psychophysics.schedule import Schedule
-from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
+from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus, StimulusLostError
 from jaxgrasp.psychophysics.trial import Trial, intensity, level_of
 
 CODE = re.compile(r"[A-Za-z0-9_-]{1,32}")
@@ -48,13 +49,11 @@ def run_experiment(
     Raises:
         ValueError: for a code that is none, or records of this person without ``resume``.
         RecordError: for records that cannot be read, or that another plan made.
+        StimulusLostError: where a stimulus was not felt as it should have been; that trial is not on record.
         OSError: for records that cannot be written.
     """
-    check_subject(subject)
-    path = folder / f"{subject}{SUFFIX}"
+    path = check_records(plan, subject, folder, resume=resume)
     there = path.exists()
-    if there and not resume:
-        raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
     folder.mkdir(parents=True, exist_ok=True)
     with Journal(path, _begun(plan, subject)) as journal:
         schedule = Schedule(plan, subject)
@@ -74,10 +73,21 @@ def run_experiment(
         return done
 
 
-def check_subject(subject: str) -> None:
-    """Raise ValueError unless it is a code that a file can be named by."""
+def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool) -> Path:
+    """The file of a person's records, which are not there, or can be gone on with.
+
+    Raises:
+        ValueError: for a code that is none, or records of this person without ``resume``.
+        RecordError: for records that cannot be read, or that another plan made.
+    """
     if not CODE.fullmatch(subject):
         raise ValueError(f"subject is {subject!r}: expected a code of letters, digits, - and _, and no name")
+    path = folder / f"{subject}{SUFFIX}"
+    if path.exists():
+        if not resume:
+            raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
+        _replay(Schedule(plan, subject), plan, subject, read_records(path)[0], path)
+    return path
 
 
 def read_trials(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -98,11 +108,12 @@ def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tupl
     """Present a trial, and what came of it: its score and its record."""
     begun = time.perf_counter()
     if trial.task == "setting":
-        setting, rendered = _setting(trial, plan, stimulus, person)
+        setting, rendered, durations = _setting(trial, plan, stimulus, person)
         score = level_of(trial.reference, setting)
         answer: dict[str, Any] = {"setting": setting}
     else:
-        rendered = _felt(trial, 1, stimulus, person), _felt(trial, 2, stimulus, person)
+        intervals = _felt(trial, 1, stimulus, person), _felt(trial, 2, stimulus, person)
+        rendered, durations = (intervals[0][0], intervals[1][0]), (intervals[0][1], intervals[1][1])
         choice = person.choose(trial, rendered)
         if choice not in (1, 2):
             raise ValueError(f"the answer is {choice!r}: expected 1 or 2")
@@ -115,38 +126,48 @@ def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tupl
         "felt": [_known(one.felt) for one in rendered],
         "torque": [_known(one.torque) for one in rendered],
         "saturated": any(one.saturated for one in rendered),
+        "durations": [round(one, 3) for one in durations],
         "seconds": round(time.perf_counter() - begun, 3),
         "at": _now(),
     }
     return score, record
 
 
-def _felt(trial: Trial, interval: int, stimulus: Stimulus, person: Person) -> Rendered:
+def _felt(trial: Trial, interval: int, stimulus: Stimulus, person: Person) -> tuple[Rendered, float]:
+    """What came of one interval, and how long it was felt [s]."""
+    begun = time.perf_counter()
     stimulus.begin(trial.first if interval == 1 else trial.second)
     try:
         person.feel(trial, interval)
-    finally:
-        rendered = stimulus.end()
-    return rendered
+    except BaseException:
+        # Whoever leaves must not be held by it, and is told why they left rather than how it ended.
+        with contextlib.suppress(StimulusLostError):
+            stimulus.end()
+        raise
+    return stimulus.end(), time.perf_counter() - begun
 
 
-def _setting(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tuple[float, tuple[Rendered, Rendered]]:
-    """What a person adjusts, and how reference and final setting were rendered."""
+def _setting(
+    trial: Trial, plan: Plan, stimulus: Stimulus, person: Person
+) -> tuple[float, tuple[Rendered, Rendered], tuple[float, float]]:
+    """What a person adjusts; how reference and final setting were rendered, and how long all of each took [s]."""
     settings = plan.procedure
     assert isinstance(settings, Matching)
-    reference = _felt(trial, 1, stimulus, person)
-    level = trial.level
+    reference, first = _felt(trial, 1, stimulus, person)
+    level, begun = trial.level, time.perf_counter()
     stimulus.begin(trial.second)
-    last = None
     try:
         while (move := person.adjust(trial, intensity(trial.reference, level))) != "done":
             if move in ("up", "down"):
                 level = max(level + (settings.step if move == "up" else -settings.step), -1.0)
-            last = stimulus.end()
+            stimulus.end()
             stimulus.begin(trial.reference if move == "reference" else intensity(trial.reference, level))
-    finally:
-        last = stimulus.end()
-    return intensity(trial.reference, level), (reference, last)
+    except BaseException:
+        with contextlib.suppress(StimulusLostError):
+            stimulus.end()
+        raise
+    setting = stimulus.end()
+    return intensity(trial.reference, level), (reference, setting), (first, time.perf_counter() - begun)
 
 
 def _replay(schedule: Schedule, plan: Plan, subject: str, records: list[dict[str, Any]], path: Path) -> int:

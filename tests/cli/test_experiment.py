@@ -1,0 +1,167 @@
+"""``jaxgrasp experiment``: planned, run by an observer and by a person at a terminal, analysed."""
+
+import contextlib
+import io
+import itertools
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from jaxgrasp.cli.main import main
+from jaxgrasp.psychophysics.running.session import read_trials
+
+PLAN = """
+[session]
+references = [1.0, 2.0]
+practice = 1
+[procedure]
+series = 2
+"""
+TORQUE = """
+name = "one joint"
+[stimulus]
+kind = "torque"
+[session]
+references = [0.05]
+practice = 1
+break_every = 5
+[procedure]
+levels = [0.2, 0.4]
+series = 1
+"""
+
+
+@pytest.fixture
+def plan(folder):
+    (folder / "plan.toml").write_text(PLAN)
+    return "plan.toml"
+
+
+def test_paper(capsys):
+    assert main(["experiment", "paper"]) == 0
+    said = capsys.readouterr().out
+    assert "14.85 (14.26 to 15.46)     impossible" in said and "0.133 (0.130 to 0.137)" in said
+    assert said.splitlines()[-1].startswith("7 reproduced; 2 impossible; 6 reproduced, by another estimator")
+
+
+def test_plan(folder, capsys):
+    assert main(["experiment", "plan", "--write", "paper.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "trials of a person: 124, 4 of them practice" in said
+    assert "WARNING: 5 of 15 stimuli need more torque than the glove has, from 3 N on" in said
+    assert main(["experiment", "plan", "paper.toml", "--write", "paper.toml"]) == 1
+    assert "expected a file that is not there yet" in capsys.readouterr().err
+    assert main(["experiment", "plan", "paper.toml"]) == 0
+
+
+def test_an_observer_is_run_and_analysed(folder, plan, capsys):
+    for subject in ("S1", "S2", "S3"):
+        options = ["--subject", subject, "--simulate", "--weber", "0.1", "--absolute", "0.05"]
+        assert main(["experiment", "run", plan, *options]) == 0
+    assert "33 trials are in" in capsys.readouterr().out
+    assert main(["experiment", "analyse", "jaxgrasp-experiment"]) == 0
+    said = capsys.readouterr().out
+    assert "all at 1 N: " in said and "JND of all = " in said
+    found = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
+    assert [cell["counts"]["trials"] for cell in found["pooled"]] == [[12] * 4] * 2
+    assert (folder / "jaxgrasp-experiment" / "report.html").stat().st_size > 10**6
+    assert main(["experiment", "analyse", "jaxgrasp-experiment", "--method", "paper", "--no-report"]) == 0
+    assert main(["experiment", "run", plan, "--subject", "S1", "--simulate"]) == 1
+    assert "--resume goes on with it" in capsys.readouterr().err
+
+
+def test_power(folder, capsys):
+    assert main(["experiment", "power", "--wanted", "0.03"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    totals = [int(line.split()[2]) for line in lines[2:]]
+    assert totals == sorted(totals) and len(totals) >= 3
+    assert main(["experiment", "power", "--wanted", "0.0001"]) == 0
+    assert "no design" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["run", "--subject", "S1"], "expected one of them"),
+        (["run", "--subject", "Jane Doe", "--simulate"], "expected a code of letters"),
+        (["run", "no.toml", "--subject", "S1", "--simulate"], "no.toml"),
+        (["run", "--subject", "S1", "--simulate", "--weber", "-1"], "weber is -1.0"),
+        (["analyse", "."], "has no records"),
+        (["analyse", ".", "--lapse", "0.7"], "lapse is 0.7"),
+        (["analyse", ".", "--criterion", "0.3"], "criterion is 0.3"),
+        (["power", "--wanted", "0"], "wanted is 0"),
+        (["power", "--reference", "7"], "reference is 7: expected one of 1, 2, 3"),
+    ],
+)
+def test_bad_arguments(folder, capsys, arguments, message):
+    assert main(["experiment", *arguments]) == 1
+    assert message in capsys.readouterr().err
+    assert not list(folder.iterdir())
+
+
+def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
+    """Answers by the keyboard; the end of the input is where one stops."""
+    from jaxgrasp.cli import experiment_run
+    from jaxgrasp.psychophysics.stimulus import IdealStimulus
+
+    (folder / "plan.toml").write_text(TORQUE)
+    monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
+    command = ["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere", "--resume"]
+    # What is no answer is asked again; the input ends in the middle of the third trial.
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n1\n\n\n3\nx\n2\n\n"))
+    assert main(command) == 1
+    out, err = capsys.readouterr()
+    assert "all answers are in" in err and "which one was stronger, 1 or 2?" in out
+    assert [one["answer"] for one in read_trials(folder / "jaxgrasp-experiment" / "S1.jsonl")[1]] == [1, 2]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n1\n" * 2 + "\n" + "\n\n1\n" * 4))
+    assert main(command) == 0
+    assert "5 trials are in" in capsys.readouterr().out
+
+
+def test_a_person_matches(folder, monkeypatch, capsys):
+    from jaxgrasp.cli import experiment_run
+    from jaxgrasp.psychophysics.stimulus import IdealStimulus
+
+    settings = '[procedure]\nmethod = "matching"\ntrials = 2\nstep = 0.1'
+    (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\n" + settings)
+    monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
+    assert main(["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere"]) == 0
+    first, second = read_trials(folder / "jaxgrasp-experiment" / "S1.jsonl")[1]
+    assert first["setting"] == pytest.approx(first["second"] + 0.2) and second["setting"] == second["second"]
+    assert main(["experiment", "analyse", "jaxgrasp-experiment"]) == 0
+    assert "2 settings, error" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
+def test_in_a_glove(folder):
+    """A whole experiment through a simulated glove: armed at a twentieth, then at all, and each answer typed."""
+    (folder / "plan.toml").write_text(TORQUE)
+    program = [sys.executable, "-m", "jaxgrasp.cli.main"]
+    simulated = [*program, "glove", "simulate", "--seconds", "300"]
+    with subprocess.Popen(simulated, stdout=subprocess.PIPE) as glove:
+        glove.stdout.readline()
+        run = [*program, "experiment", "run", "plan.toml", "--subject", "S1", "--port", "jaxgrasp-glove"]
+        with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+            # Not before it asks: what is typed ahead would be answered without having been felt.
+            while "torques up to" not in process.stdout.readline():
+                pass
+            # Enter arms, feels and rests, and is asked again where a number is wanted.
+            end, lines = time.perf_counter() + 120, itertools.cycle(["", "1", "", "2"])
+            with contextlib.suppress(BrokenPipeError):
+                while process.poll() is None and time.perf_counter() < end:
+                    process.stdin.write(next(lines) + "\n")
+                    process.stdin.flush()
+                    time.sleep(0.3)
+                process.stdin.close()
+            process.wait(60)
+        glove.terminate()
+    _, trials = read_trials(folder / "jaxgrasp-experiment" / "S1.jsonl")
+    assert len(trials) == 5 and not any(one["saturated"] for one in trials)
+    for one in trials:
+        assert max(one["torque"]) == pytest.approx(max(one["first"], one["second"]))

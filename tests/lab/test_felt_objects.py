@@ -1,0 +1,147 @@
+"""What experiments let a hand feel: torques are the work's derivative, limits cut them, and a glove renders them."""
+
+import os
+import time
+
+import jax
+import numpy as np
+import pytest
+
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.model import GloveModel, lrp_hand_master
+from jaxgrasp.glove.simulated.simulator import Simulator
+from jaxgrasp.lab.felt_objects import ENGAGED, SQUEEZED, TRAVEL, felt_object, resistance_and_slope, resistances
+from jaxgrasp.lab.stimuli import GloveStimulus, PredictedGloveStimulus
+from jaxgrasp.psychophysics.plan import Plan, StimulusPlan
+
+MODEL = lrp_hand_master()
+ALL_FOUR = ("index", "middle", "ring", "little")
+FINGERS = pytest.mark.parametrize("fingers", [("index", "middle"), pytest.param(ALL_FOUR, marks=pytest.mark.slow)])
+
+
+@FINGERS
+def test_a_weight_is_felt_by_the_work_that_lifts_it(fingers):
+    """Torques = weight x d height / d angle, over the whole travel: virtual work, without any forces."""
+    felt = felt_object(StimulusPlan("weight", fingers), MODEL)
+    postures = felt.postures()
+    heights = np.array([felt.height(one) for one in postures])
+    assert len(postures) > 20 and heights.min() >= ENGAGED and heights.max() == pytest.approx(TRAVEL, abs=1e-3)
+    rates = jax.vmap(jax.grad(felt.height))(postures)
+    np.testing.assert_allclose(resistances(felt, postures, 2.0), 2.0 * np.asarray(rates), atol=1e-12)
+    for name, column in zip(MODEL.joints, np.asarray(rates).T):
+        assert np.any(column > 1e-3) == (name.split()[0] in fingers), name
+
+
+@FINGERS
+def test_a_stiffness_is_felt_by_its_energy(fingers):
+    felt = felt_object(StimulusPlan("stiffness", fingers), MODEL)
+    postures = felt.postures()
+    assert np.max([felt.depths(one).max() for one in postures]) == pytest.approx(SQUEEZED, abs=1e-3)
+
+    def energy(angles):
+        return 0.5 * 200.0 * jax.numpy.sum(jax.numpy.maximum(felt.depths(angles), 0) ** 2)
+
+    wanted = jax.vmap(jax.grad(energy))(postures)
+    np.testing.assert_allclose(resistances(felt, postures, 200.0), wanted, atol=1e-10)
+
+
+def test_nothing_is_felt_before_it_is_touched_and_the_end_stops():
+    felt = felt_object(StimulusPlan("weight"), MODEL)
+    start = np.asarray(felt.start)
+    np.testing.assert_allclose(felt.resistance(start, 3.0), 0, atol=1e-15)
+    past = start + np.array([1.2 if name in ("index MP", "middle MP") else 0.0 for name in MODEL.joints])
+    assert felt.height(past) > TRAVEL and np.max(felt.resistance(past, 0.1)) > 0.5
+    squeezed = felt_object(StimulusPlan("stiffness"), MODEL)
+    np.testing.assert_allclose(squeezed.resistance(squeezed.start, 300.0), 0, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [pytest.param("weight", marks=pytest.mark.slow), "stiffness", "torque"])
+def test_slope(kind):
+    felt = felt_object(StimulusPlan(kind), MODEL)
+    postures = felt.postures()
+    angles = postures[len(postures) // 2]
+    torques, slope = resistance_and_slope(felt, angles, 1.5)
+    np.testing.assert_allclose(torques, felt.resistance(angles, 1.5), atol=1e-14)
+    backward = jax.jacrev(felt.resistance)(angles, 1.5)
+    np.testing.assert_allclose(slope, backward, atol=1e-11)
+
+
+def test_saturation_is_predicted():
+    """Of the paper's plan, all of 3 N: 0.12 N.m at 8.9 cm are 2.7 N on two fingers."""
+    stimulus = PredictedGloveStimulus(felt_object(Plan().stimulus, MODEL), MODEL)
+    found = [stimulus.predict(intensity) for intensity in Plan().intensities()]
+    assert [one.intensity for one in found if one.saturated] == pytest.approx([3.0, 3.15, 3.3, 3.6, 3.9])
+    for one in found:
+        assert one.torque == pytest.approx(one.intensity * found[0].torque) and one.saturated == (one.torque > 0.12)
+        assert (one.felt < one.intensity) == one.saturated
+    assert np.all(np.diff([one.felt for one in found]) > 0)
+    twice = GloveModel("strong", MODEL.joints, (0.24,) * 14)
+    assert not PredictedGloveStimulus(felt_object(Plan().stimulus, twice), twice).predict(3.9).saturated
+
+
+def test_a_torque_is_one_joints():
+    felt = felt_object(StimulusPlan("torque", joint="middle PIP"), MODEL)
+    torques = felt.resistance(np.zeros(14), 0.05)
+    assert np.flatnonzero(torques).tolist() == [MODEL.joints.index("middle PIP")] and torques.max() == 0.05
+
+
+def test_what_a_glove_has_not():
+    small = GloveModel("small", ("index MP",), (0.12,))
+    with pytest.raises(ValueError, match=r"fingers\[1\] is 'middle', which small does not pull on"):
+        felt_object(StimulusPlan("weight"), small)
+    with pytest.raises(ValueError, match="joint is 'middle PIP', which small does not pull on"):
+        felt_object(StimulusPlan("torque", joint="middle PIP"), small)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
+def test_felt_in_a_glove():
+    felt = felt_object(StimulusPlan("torque", joint="index MP"), MODEL)
+    place = MODEL.joints.index("index MP")
+    with Simulator() as simulator, GloveProcess(simulator.port, 14, scale=1.0, ramp=0.05, oldest=0.05) as glove:
+        stimulus = GloveStimulus(felt, MODEL, glove)
+        try:
+            with pytest.raises(OSError, match="the glove is not armed"):
+                stimulus.begin(0.05)
+            arm(glove, stimulus)
+            stimulus.begin(0.05)
+            assert reaches(glove, place, 0.05)
+            found = stimulus.end()
+            assert found.torque == 0.05 and not found.saturated and found.felt == 0.05
+            assert reaches(glove, place, 0.0)
+            arm(glove, stimulus)
+            stimulus.begin(0.2)
+            assert reaches(glove, place, 0.12)
+            found = stimulus.end()
+            assert found.saturated and found.felt == pytest.approx(0.12)
+            stimulus.begin(0.05)
+            glove.disarm()
+            assert reaches(glove, place, 0.0)
+            time.sleep(0.1)
+            with pytest.raises(OSError, match="the glove let go while it was felt"):
+                stimulus.end()
+        finally:
+            stimulus.close()
+
+
+def arm(glove: GloveProcess, stimulus: GloveStimulus) -> None:
+    """A busy machine may have latched it."""
+    end = time.perf_counter() + 10
+    while True:
+        try:
+            glove.arm()
+            stimulus.wait_until_armed(1.0)
+            return
+        except (ValueError, OSError):
+            if time.perf_counter() > end:
+                raise
+            time.sleep(0.1)
+
+
+def reaches(glove: GloveProcess, place: int, torque: float) -> bool:
+    end = time.perf_counter() + 5
+    while time.perf_counter() < end:
+        state = glove.state()
+        if state is not None and abs(state.torques[place] - torque) < 1e-4:
+            return True
+        time.sleep(0.01)
+    return False

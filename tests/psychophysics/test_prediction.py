@@ -65,15 +65,15 @@ def test_precision_grows_with_the_root_of_trials():
         cheapest(0.0, one, 2.0, LEVELS)
 
 
-ERROR = RenderingError(quantum=0.05, friction=0.2, stiction=0.03, lag=0.1, motions=5.0)
+ERROR = RenderingError(quantum=0.05, friction=0.2, pretension=0.5, stiction=0.03, lag=0.1, motions=5.0)
 
 
 def test_deviation_is_that_of_a_simulation():
     """Tensions through cables that pull by exp(+-friction) as the direction of each motion has it, and the rest."""
     rng, count = np.random.default_rng(0), 200_000
     ways = rng.choice([-1.0, 1.0], (count, 5))
-    by_direction = np.mean(np.exp(0.2 * ways), 1) + np.mean(0.1 * rng.choice([-1.0, 1.0], (count, 5)), 1)
-    felt = 2.0 * by_direction + rng.normal(0, 0.03, count) + rng.uniform(-0.025, 0.025, count)
+    by_direction = 2.5 * np.mean(np.exp(0.2 * ways), 1) + 2.0 * np.mean(0.1 * rng.choice([-1.0, 1.0], (count, 5)), 1)
+    felt = by_direction + rng.normal(0, 0.03, count) + rng.uniform(-0.025, 0.025, count)
     assert felt.std() == pytest.approx(ERROR.deviation(2.0), rel=0.01)
 
 
@@ -94,7 +94,8 @@ def test_jnd_through_a_device():
     assert hit_probability_through(one, ERROR, 2.0, 2.0 + found) == pytest.approx(0.75)
     shares = shares_of_device(one, ERROR, 2.0)
     assert shares["none"] == pytest.approx(one.jnd(2.0)) and shares["all"] == found == max(shares.values())
-    assert set(shares) == {"none", "quantum", "friction", "stiction", "lag", "all"}
+    parts = {"none", "quantum", "friction", "friction and pretension", "stiction", "lag", "all"}
+    assert set(shares) == parts
     limited = RenderingError(limit=2.1)
     assert jnd_through(one, limited, 2.0) == np.inf and jnd_through(one, limited, 1.0) == pytest.approx(one.jnd(1.0))
     assert jnd_through(Observer(0.1, lapse=0.02), RenderingError(), 2.0) > 0.2

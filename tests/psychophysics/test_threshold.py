@@ -150,6 +150,7 @@ def test_what_settles_nothing_still_bounds():
 def test_one_level_is_enough_for_one_parameter():
     found = threshold(of(15), model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0)))
     assert found.finding is Finding.FOUND and found.value == pytest.approx(0.05, rel=1e-3)
+    assert threshold(of(14), model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0))).finding is not Finding.FOUND
 
 
 def test_missing_levels_are_left_out():

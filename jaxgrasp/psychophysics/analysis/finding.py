@@ -9,6 +9,7 @@ from jaxgrasp.psychophysics.analysis.counts import Counts
 
 DOUBT = 0.05
 """Chance of calling answers better, or worse, than guesses when they are guesses."""
+CLOSE = 1e-4
 
 
 class Finding(StrEnum):
@@ -62,13 +63,14 @@ def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Find
     return Finding.FOUND
 
 
-def place(estimate: float, counts: Counts) -> Finding:
-    """Whether an estimate lies among the levels."""
+def place(estimate: float, counts: Counts, *, from_zero: bool = False) -> Finding:
+    """Whether an estimate lies among the levels, or, of a function that is known at zero, from there on."""
     if np.isnan(estimate):
         return Finding.NOT_RISING
-    if estimate < counts.levels[0]:
+    # A search ends a little beside a level where the threshold is one.
+    if estimate < (0 if from_zero else counts.levels[0] * (1 - CLOSE)):
         return Finding.BELOW_LEVELS
-    return Finding.ABOVE_LEVELS if estimate > counts.levels[-1] else Finding.FOUND
+    return Finding.ABOVE_LEVELS if estimate > counts.levels[-1] * (1 + CLOSE) else Finding.FOUND
 
 
 def _is_better(counts: Counts, chance: float) -> bool:

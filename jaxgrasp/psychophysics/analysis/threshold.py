@@ -117,7 +117,7 @@ def _by_grid(
         drawn = estimator(draw(counts, chances, resamples, np.random.default_rng(seed)))
         ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage)
     if found is Finding.FOUND:
-        found = place(estimate, counts) if model.shape.has_width else found
+        found = place(estimate, counts, from_zero=not model.shape.has_width)
     return Threshold(found, estimate, *ends, model.criterion, method, kind, coverage, parameters)
 
 

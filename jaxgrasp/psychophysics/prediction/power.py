@@ -56,10 +56,11 @@ def precision(
     """
     rng = np.random.default_rng(seed)
     hits = simulated_hits(observer, reference, levels, trials, experiments, rng)
-    estimates = Likelihood(levels, model or Model()).estimates(hits, np.full(len(levels), float(trials)))
+    model = Model() if model is None else model
+    estimates = Likelihood(levels, model).estimates(hits, np.full(len(levels), float(trials)))
     low, high = np.quantile(estimates, [0.1587, 0.8413])
     within = float(high - low) / 2
-    outside = np.mean((estimates < levels.min()) | (estimates > levels.max()))
+    outside = np.mean((estimates > levels.max()) | (model.shape.has_width & (estimates < levels.min())))
     return Precision(trials, subjects, within, float(np.sqrt((within**2 + between**2) / subjects)), float(outside))
 
 

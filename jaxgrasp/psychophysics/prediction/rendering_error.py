@@ -25,17 +25,21 @@ class RenderingError:
     friction: float = 0.0
     """Of the cables: coefficient times angle of wrap, by which the tension grows or falls as exp(+-friction) with the
     direction of the motion. What both directions have in common is in both stimuli alike, and is not felt."""
+    pretension: float = 0.0
+    """That keeps cables taut and is pulled at besides: friction changes it with the direction too, even for no
+    stimulus."""
     stiction: float = 0.0
-    """Standard deviation of an error that does not grow with the stimulus: cables that stick where they stop."""
+    """Standard deviation of any other error that does not grow with the stimulus."""
     lag: float = 0.0
     """Delay times the stimulus' own relative rate of change: late by that share, with the sign of the motion."""
     limit: float = np.inf
     """Largest stimulus that can be rendered."""
     motions: float = 7.0
-    """Over which a person averages what depends on the direction: three to four liftings, up and down."""
+    """Over which a person averages what depends on the direction, as if each had a direction at random: the paper's
+    three to four liftings, up and down."""
 
     def __post_init__(self):
-        for name in ("quantum", "friction", "stiction", "lag"):
+        for name in ("quantum", "friction", "pretension", "stiction", "lag"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}: expected a finite number, 0 or more")
@@ -45,8 +49,9 @@ class RenderingError:
 
     def deviation(self, intensity: Values) -> Values:
         """Standard deviation of what is rendered for an intensity."""
-        by_direction = np.hypot(np.sinh(self.friction), self.lag) / np.sqrt(self.motions)
-        return np.sqrt(self.quantum**2 / 12 + self.stiction**2 + (by_direction * np.asarray(intensity)) ** 2)
+        stimulus = np.asarray(intensity)
+        by_direction = np.hypot(np.sinh(self.friction) * (stimulus + self.pretension), self.lag * stimulus)
+        return np.sqrt(self.quantum**2 / 12 + self.stiction**2 + by_direction**2 / self.motions)
 
 
 def hit_probability_through(observer: Observer, error: RenderingError, reference: Values, comparison: Values) -> Values:
@@ -87,6 +92,9 @@ def shares_of_device(observer: Observer, error: RenderingError, reference: float
     for name in ("quantum", "friction", "stiction", "lag"):
         if value := getattr(error, name):
             parts[name] = RenderingError(**{name: value}, motions=error.motions)
+    if error.pretension and error.friction:
+        both = {"friction": error.friction, "pretension": error.pretension}
+        parts["friction and pretension"] = RenderingError(**both, motions=error.motions)
     if np.isfinite(error.limit):
         parts["limit"] = RenderingError(limit=error.limit)
     parts["all"] = error

@@ -1,0 +1,199 @@
+"""Whether the psychophysics finds what is there: bias, coverage, what a procedure is worth, what a device explains.
+
+    python -m benchmarks.psychophysics --out benchmarks/results
+
+Writes psychophysics.json and psychophysics.md. Simulated experiments at the paper's design (references 1, 2 and 3 N
+with Weber fractions as it prints them; differences of 5 to 30 %; 10 answers a level of one person, 50 of five) and at
+ten times as many answers. Some minutes; no times are measured.
+"""
+
+import argparse
+import json
+import random
+from dataclasses import asdict
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.machine import machine
+from benchmarks.page import psychophysics_tables
+from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS
+from jaxgrasp.paper.weight_perception import WEBER
+from jaxgrasp.psychophysics.analysis.counts import count
+from jaxgrasp.psychophysics.analysis.finding import Finding
+from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
+from jaxgrasp.psychophysics.analysis.threshold import threshold
+from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.prediction.power import cheapest
+from jaxgrasp.psychophysics.prediction.recovery import Recovery, by_bootstrap, by_likelihood
+from jaxgrasp.psychophysics.prediction.rendering_error import jnd_through, shares_of_device
+from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
+from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.procedures.procedure import Settings
+from jaxgrasp.psychophysics.procedures.staircase import Staircase
+
+NAME = "psychophysics"
+LEVELS = np.array(DIFFERENCES)
+ANSWERS = (10, 50, 100, 500)
+"""At each level: of one person and of five at the paper's design, and ten times as many."""
+WIDTHS = {Shape.GAUSSIAN: 0.15, Shape.LOGISTIC: 0.09, Shape.WEIBULL: 0.8, Shape.DIFFERENCE: 1.0}
+REAL = 0.10
+"""Weber fraction of real weights, as the paper cites it."""
+
+
+class Effort(NamedTuple):
+    experiments: int = 1000
+    resamples: int = 1000
+    runs: int = 400
+
+
+QUICK = Effort(experiments=60, resamples=100, runs=10)
+
+
+def recovery(effort: Effort) -> list[dict]:
+    """Each function fitted to answers drawn from itself, at each of the paper's three Weber fractions."""
+    rows = []
+    for shape, width in WIDTHS.items():
+        for lapse in ((0.0, 0.0), (0.0, 0.05)):
+            for reference, truth in zip(REFERENCE_WEIGHTS, WEBER, strict=True):
+                for answers in ANSWERS:
+                    rng = np.random.default_rng(answers)
+                    chances = hit_probability(shape, LEVELS, truth, width, sum(lapse) / 2)
+                    hits = rng.binomial(answers, chances, (effort.experiments, len(LEVELS)))
+                    found = by_likelihood(hits, answers, LEVELS, Model(shape, lapse=lapse), truth)
+                    for method, one in found.items():
+                        rows.append(
+                            _row(method, one, shape=shape, free=lapse[1] > 0, reference=reference, answers=answers)
+                        )
+    return rows
+
+
+def misfit(effort: Effort) -> list[dict]:
+    """Each method on answers of an observer who compares noisy sensations, at the paper's Weber fraction for 2 N."""
+    rows, truth = [], WEBER[1]
+    observer = Observer(truth)
+    for answers in ANSWERS:
+        rng = np.random.default_rng(answers)
+        chances = np.asarray(observer.hit_probability(2.0, 2.0 * (1 + LEVELS)))
+        hits = rng.binomial(answers, chances, (effort.experiments, len(LEVELS)))
+        for shape in Shape:
+            found = by_likelihood(hits, answers, LEVELS, Model(shape), truth)
+            rows.append(_row(f"likelihood, {shape}", found["likelihood"], answers=answers))
+        for method in ("interpolation", "line", "paper"):
+            one = by_bootstrap(hits, answers, LEVELS, Model(), truth, method, effort.resamples, rng)
+            rows.append(_row(method, one, answers=answers))
+    return rows
+
+
+def procedures(effort: Effort) -> list[dict]:
+    """What 40 and 120 trials of one person tell, by procedure; all analysed by the same likelihood."""
+    observer, truth, rows = Observer(WEBER[1]), WEBER[1], []
+    for trials in (40, 120):
+        plans: dict[str, Settings] = {
+            "constant stimuli, the paper's": ConstantStimuli(series=trials // 8),
+            "constant stimuli, 10 and 25 %": ConstantStimuli(levels=(0.10, 0.25), series=trials // 4),
+            "staircase, 1 up 2 down": Staircase(interleaved=1, reversals=trials, trials=trials),
+            "staircase, 1 up 3 down": Staircase(interleaved=1, reversals=trials, trials=trials, down=3),
+            "adaptive (psi)": Adaptive(trials=trials),
+        }
+        for name, settings in plans.items():
+            found = [_one_person(settings, observer, seed) for seed in range(effort.runs)]
+            estimates = np.array([one if np.isfinite(one) else np.inf for one in found])
+            low, middle, high = np.quantile(estimates, [0.1587, 0.5, 0.8413], method="nearest")
+            rows.append(
+                {
+                    "procedure": name,
+                    "trials": trials,
+                    "bias": middle / truth - 1,
+                    "spread": (high - low) / (2 * truth) if np.isfinite(high) else None,
+                    "none": float(np.mean(~np.isfinite(estimates))),
+                }
+            )
+    return rows
+
+
+def _one_person(settings: Settings, observer: Observer, seed: int) -> float:
+    """The threshold of a simulated session; NaN where the answers settle none."""
+    procedure, rng = settings.begin(random.Random(seed)), np.random.default_rng(seed)
+    levels, right = [], []
+    while (presented := procedure.next()) is not None:
+        is_right = rng.random() < observer.hit_probability(2.0, 2.0 * (1 + presented.level))
+        levels.append(presented.level)
+        right.append(bool(is_right))
+        procedure.score(float(is_right))
+    model = Model(Shape.DIFFERENCE, lapse=(0.0, 0.0))
+    found = threshold(count(np.array(levels), np.array(right)), model=model, interval="none")
+    # A one-parameter function needs no level on either side of its threshold.
+    return found.estimate if found.finding in (Finding.FOUND, Finding.BELOW_LEVELS, Finding.ABOVE_LEVELS) else np.nan
+
+
+def power(effort: Effort) -> list[dict]:
+    """Designs for a standard error of 0.01 and 0.02 of the mean Weber fraction at 2 N, persons as different as the
+    paper's.
+    """
+    rows = []
+    for wanted in (0.02, 0.01):
+        for one in cheapest(wanted, Observer(WEBER[1]), 2.0, LEVELS, between=0.035, experiments=effort.experiments):
+            rows.append({"wanted": wanted, **asdict(one), "total": one.total(len(LEVELS))})
+    return rows
+
+
+def device(_: Effort) -> list[dict]:
+    """Weber fractions through the paper's glove of someone who tells real weights apart at 10 %, by what is assumed."""
+    import jax
+
+    from jaxgrasp.glove.model import lrp_hand_master
+    from jaxgrasp.glove.simulated.cable import Cable
+    from jaxgrasp.lab.felt_objects import felt_object
+    from jaxgrasp.lab.glove_error import glove_error
+    from jaxgrasp.psychophysics.plan import StimulusPlan
+
+    jax.config.update("jax_enable_x64", True)
+    model = lrp_hand_master()
+    felt, observer, rows = felt_object(StimulusPlan(), model), Observer(REAL), []
+    for sliding in (0.0, 0.05, 0.08):
+        for pretension in (0.0, 1.0, 2.0) if sliding else (0.0,):
+            error = glove_error(felt, model, cable=Cable(14, sliding=sliding), pretension=pretension)
+            fractions = [jnd_through(observer, error, reference) / reference for reference in (1.0, 1.5, 2.0)]
+            shares = {name: jnd / 2.0 for name, jnd in shares_of_device(observer, error, 2.0).items()}
+            rows.append(
+                {
+                    "sliding": sliding,
+                    "pretension": pretension,
+                    "limit": error.limit,
+                    "quantum": error.quantum,
+                    "fractions": [one if np.isfinite(one) else None for one in fractions],
+                    "shares": {name: one if np.isfinite(one) else None for name, one in shares.items()},
+                }
+            )
+    return rows
+
+
+def _row(method: str, one: Recovery, **where) -> dict:
+    numbers = {name: value if np.isfinite(value) else None for name, value in asdict(one).items()}
+    return {"method": method, **{name: str(v) if isinstance(v, Shape) else v for name, v in where.items()}, **numbers}
+
+
+SECTIONS = {"recovery": recovery, "misfit": misfit, "procedures": procedures, "power": power, "device": device}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
+    parser.add_argument("--quick", action="store_true", help="a few of everything: a test, not a measurement")
+    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="made again; all")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    effort, path = QUICK if options.quick else Effort(), options.out / f"{NAME}.json"
+    report = json.loads(path.read_text()) if path.exists() else {}
+    report |= {"machine": machine(), "effort": effort._asdict()}
+    for name in options.sections:
+        report[name] = SECTIONS[name](effort)
+    path.write_text(json.dumps(report, indent=1) + "\n")
+    (options.out / f"{NAME}.md").write_text(psychophysics_tables.page(report))
+
+
+if __name__ == "__main__":
+    main()

@@ -21,10 +21,9 @@ from benchmarks.page import psychophysics_tables
 from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import WEBER
 from jaxgrasp.psychophysics.analysis.counts import count
-from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
-from jaxgrasp.psychophysics.analysis.threshold import threshold
+from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.prediction.power import cheapest
 from jaxgrasp.psychophysics.prediction.recovery import Recovery, by_bootstrap, by_likelihood
@@ -100,7 +99,7 @@ def procedures(effort: Effort) -> list[dict]:
         }
         for name, settings in plans.items():
             found = [_one_person(settings, observer, seed) for seed in range(effort.runs)]
-            estimates = np.array([one if np.isfinite(one) else np.inf for one in found])
+            estimates = np.array([one.estimate if np.isfinite(one.estimate) else np.inf for one in found])
             low, middle, high = np.quantile(estimates, [0.1587, 0.5, 0.8413], method="nearest")
             rows.append(
                 {
@@ -108,14 +107,15 @@ def procedures(effort: Effort) -> list[dict]:
                     "trials": trials,
                     "bias": middle / truth - 1,
                     "spread": (high - low) / (2 * truth) if np.isfinite(high) else None,
+                    "coverage": float(np.mean([one.low <= truth <= one.high for one in found])),
                     "none": float(np.mean(~np.isfinite(estimates))),
                 }
             )
     return rows
 
 
-def _one_person(settings: Settings, observer: Observer, seed: int) -> float:
-    """The threshold of a simulated session; NaN where the answers settle none."""
+def _one_person(settings: Settings, observer: Observer, seed: int) -> Threshold:
+    """The threshold of a simulated session, as it is found by default where levels follow the answers."""
     procedure, rng = settings.begin(random.Random(seed)), np.random.default_rng(seed)
     levels, right = [], []
     while (presented := procedure.next()) is not None:
@@ -123,10 +123,7 @@ def _one_person(settings: Settings, observer: Observer, seed: int) -> float:
         levels.append(presented.level)
         right.append(bool(is_right))
         procedure.score(float(is_right))
-    model = Model(Shape.DIFFERENCE, lapse=(0.0, 0.0))
-    found = threshold(count(np.array(levels), np.array(right)), model=model, interval="none")
-    # A one-parameter function needs no level on either side of its threshold.
-    return found.estimate if found.finding in (Finding.FOUND, Finding.BELOW_LEVELS, Finding.ABOVE_LEVELS) else np.nan
+    return threshold(count(np.array(levels), np.array(right)), model=Model(Shape.DIFFERENCE))
 
 
 def power(effort: Effort) -> list[dict]:

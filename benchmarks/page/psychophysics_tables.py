@@ -80,14 +80,15 @@ def _misfit(rows: list[dict]) -> str:
 
 def _procedures(rows: list[dict]) -> str:
     lines = [
-        [row["procedure"], row["trials"], _percent(row["bias"]), _percent(row["spread"], ""), _percent(row["none"], "")]
+        [row["procedure"], row["trials"], *(_percent(row[name], sign) for name, sign in (*NUMBERS, ("none", "")))]
         for row in rows
     ]
     text = (
         "## What a procedure is worth\n\nThe threshold of one person from as many trials, all fitted alike (function "
-        "`difference`); the last column is how often answers settle none.\n\n"
+        "`difference`, lapses free up to 0.05; there are none), with profile intervals of 95 %; the last column is how "
+        "often answers settle no threshold.\n\n"
     )
-    return text + table(["procedure", "trials", "bias", "spread", "none"], lines)
+    return text + table(["procedure", "trials", "bias", "spread", "coverage", "none"], lines)
 
 
 def _power(rows: list[dict]) -> str:

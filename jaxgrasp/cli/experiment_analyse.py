@@ -21,29 +21,40 @@ from jaxgrasp.psychophysics.analysis.experiment import (
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.psychometric import Shape
+from jaxgrasp.psychophysics.plan import Plan
 
 
 def analyse_command(arguments: Analyse) -> int:
     """Read, analyse, say, write."""
     if not 0 <= arguments.lapse < 0.5:
         raise ValueError(f"lapse is {arguments.lapse}: expected 0 or more, and less than 0.5")
-    model = Model(Shape(arguments.shape), arguments.criterion, 0.5, (0.0, arguments.lapse))
-    settings = AnalysisSettings(arguments.method, model, arguments.interval, saturated=arguments.saturated)
-    plan, trials = load_experiment(arguments.folder)
-    found = analyse(plan, trials, settings)
-    print("\n".join(said(found, settings)))
+    answers = load_experiment(arguments.folder)
+    settings = AnalysisSettings(
+        arguments.method, _model(arguments, answers.plan), arguments.interval, saturated=arguments.saturated
+    )
+    found = analyse(answers, settings)
+    print("\n".join(said(found)))
     out = arguments.folder if arguments.out is None else arguments.out
     out.mkdir(parents=True, exist_ok=True)
     content = json.dumps(_plain(asdict(found)), indent=1, allow_nan=False).encode()
     replace_file(out / "analysis.json", lambda stream: stream.write(content + b"\n"))
     print(f"written: {out / 'analysis.json'}")
     if arguments.report:
-        _report(out / "report.html", found, settings)
+        _report(out / "report.html", found)
     return 0
 
 
-def said(found: Analysis, settings: AnalysisSettings) -> list[str]:
+def _model(arguments: Analyse, plan: Plan) -> Model:
+    """Lines know nothing of lapses."""
+    follows_answers = plan.method in ("staircase", "adaptive")
+    shape = arguments.shape or ("difference" if follows_answers else "weibull")
+    most = arguments.lapse if arguments.method in ("likelihood", "posterior") else 0.0
+    return Model(Shape(shape), arguments.criterion, 0.5, (0.0, most))
+
+
+def said(found: Analysis) -> list[str]:
     """What a person asks first."""
+    settings = found.settings
     unit = found.plan.stimulus.unit
     lines = [f"{found.plan.name}: {len(found.subjects)} person(s), {found.plan.method}"]
     word, other = ("left out", "counted") if settings.saturated == "exclude" else ("counted", "left out")
@@ -57,7 +68,7 @@ def said(found: Analysis, settings: AnalysisSettings) -> list[str]:
         )
     lines += _differences(found, unit)
     lines += [f"note: {note}" for note in found.notes]
-    if any(cell.saturated for cell in found.pooled):
+    if any(cell.saturated for cell in found.pooled) or any(one.saturated for one in found.matched):
         lines.append(f"trials in which a torque was cut are {word}; --saturated changes that")
     return lines
 
@@ -109,11 +120,11 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "without bound"
 
 
-def _report(path: Path, found: Analysis, settings: AnalysisSettings) -> None:
+def _report(path: Path, found: Analysis) -> None:
     from jaxgrasp.report.experiment_page import write_experiment_page
 
     try:
-        write_experiment_page(path, found, settings)
+        write_experiment_page(path, found)
         print(f"report:  {path}")
     except ImportError as error:
         print(f"no report: {error}")

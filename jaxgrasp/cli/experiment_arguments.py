@@ -78,8 +78,9 @@ class Analyse:
     """Of the records."""
     method: Literal["likelihood", "posterior", "interpolation", "line", "paper"] = "likelihood"
     """How thresholds are found; `paper`: the line through chance at zero that gives the paper's numbers."""
-    shape: Literal["gaussian", "logistic", "weibull", "difference"] = "weibull"
-    """Of the psychometric function, for `likelihood` and `posterior`."""
+    shape: Literal["gaussian", "logistic", "weibull", "difference"] | None = None
+    """Of the psychometric function, for `likelihood` and `posterior`; where not given, `weibull` for constant stimuli,
+    and `difference` where levels follow the answers."""
     criterion: float = 0.75
     """Hit ratio at the threshold."""
     lapse: float = 0.05

@@ -1,5 +1,8 @@
 """A person at a terminal, who answers by the keyboard."""
 
+import contextlib
+import sys
+
 from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
 from jaxgrasp.psychophysics.running.person import Move, Person
 from jaxgrasp.psychophysics.stimulus import Rendered
@@ -47,6 +50,11 @@ class TerminalPerson(Person):
 
 def typed(prompt: str) -> str:
     """A line from the keyboard; KeyboardInterrupt where there are no more."""
+    with contextlib.suppress(ImportError, OSError, ValueError):
+        import termios
+
+        # What was typed ahead answers nothing that was felt.
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
     try:
         return input(prompt)
     except EOFError:

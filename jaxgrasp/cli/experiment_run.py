@@ -32,7 +32,7 @@ def run_command(arguments: RunExperiment) -> int:
         )
     plan = read_plan(arguments.file)
     observer = observer_of(arguments.observer)
-    path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume)
+    path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, simulated=arguments.simulate)
     print("\n".join(summary(plan)))
     person: Person = TerminalPerson(plan)
     if arguments.simulate:

@@ -175,8 +175,8 @@ def felt_object(plan: StimulusPlan, model: GloveModel, hand: Hand | None = None)
         return Resisted(model.joints.index(plan.joint), len(model.joints))
     hand = human_hand() if hand is None else hand
     for k, finger in enumerate(plan.fingers):
-        if not any(joint.startswith(f"{finger} ") for joint in model.joints):
-            raise ValueError(f"fingers[{k}] is {finger!r}, which {model.name} does not pull on")
+        if f"{finger} MP" not in model.joints:
+            raise ValueError(f"fingers[{k}] is {finger!r}, on whose MP joint {model.name} does not pull")
     start = open_angles(hand)
     bent = BENT if plan.kind == "weight" else CURLED
     for k, joint in enumerate(hand.joints):

@@ -19,6 +19,8 @@ from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered, Stimulu
 
 RATE = 100.0
 """Of laws [Hz]."""
+FRESH = 0.1
+"""Age of the glove's word beyond which nobody knows what it does [s]."""
 
 
 class PredictedGloveStimulus(PredictedStimulus):
@@ -74,7 +76,7 @@ class GloveStimulus(PredictedGloveStimulus):
         with self._lock:
             intensity, clipped, most, armed = self._intensity, self._clipped, self._most, self._armed
             self._intensity = 0.0
-        if not armed:
+        if not (armed and self._holds()):
             raise StimulusLostError("the glove let go while it was felt")
         foreseen = self.predict(intensity)
         return Rendered(intensity, foreseen.felt if clipped > 0 else intensity, most, clipped > 0)
@@ -98,9 +100,15 @@ class GloveStimulus(PredictedGloveStimulus):
         self._thread.join()
 
     def _check_armed(self) -> None:
-        state = self._glove.state()
-        if state is None or not _is_armed(state) or not self._thread.is_alive():
+        if not self._holds():
             raise StimulusLostError("the glove is not armed")
+
+    def _holds(self) -> bool:
+        """Whether laws go out and someone who is there says that they are followed."""
+        state = self._glove.state()
+        if state is None or not (self._thread.is_alive() and self._glove.is_alive()):
+            return False
+        return _is_armed(state) and time.perf_counter() - state.at < FRESH
 
     def _run(self) -> None:
         run_loop(

@@ -12,7 +12,7 @@ from jaxgrasp.psychophysics.analysis.anova import (
 )
 from jaxgrasp.psychophysics.analysis.counts import Counts, count
 from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, AnalysisSettings, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, AnalysisSettings, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
@@ -36,6 +36,7 @@ __all__ = [
     "Adaptive",
     "Analysis",
     "AnalysisSettings",
+    "Answers",
     "ConstantStimuli",
     "Counts",
     "Finding",

@@ -1,5 +1,6 @@
 """The plan of an experiment: which stimulus, which references, which procedure; from a TOML file."""
 
+import json
 import math
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -10,10 +11,11 @@ from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
 from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.procedures.procedure import Settings
+from jaxgrasp.psychophysics.procedures.procedure import Settings, check_count, check_level
 from jaxgrasp.psychophysics.procedures.staircase import Staircase
 from jaxgrasp.psychophysics.trial import intensity
 
+MOST_TRIALS = 100_000
 METHODS: dict[str, type[Settings]] = {
     "constant-stimuli": ConstantStimuli,
     "matching": Matching,
@@ -72,13 +74,12 @@ class SessionPlan:
         if not self.references:
             raise ValueError("references is empty: expected one at least")
         for k, reference in enumerate(self.references):
-            if not reference >= 0:
-                raise ValueError(f"references[{k}] is {reference:g}: expected 0 or more")
+            if reference != 0:
+                check_level(f"references[{k}]", reference)
             if reference in self.references[:k]:
                 raise ValueError(f"references[{k}] is {reference:g} again: expected each once")
         for name, least in (("sessions", 1), ("practice", 0), ("break_every", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} is {getattr(self, name)}: expected {least} or more")
+            check_count(name, getattr(self, name), least)
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,10 @@ class Plan:
     def __post_init__(self):
         if self.method == "matching" and 0 in self.session.references:
             raise ValueError("session.references has 0, and nothing can be matched to nothing: expected positive ones")
+        if self.most_trials() > MOST_TRIALS:
+            raise ValueError(
+                f"the plan has {self.most_trials():,} trials of a person: expected {MOST_TRIALS:,} at most"
+            )
         if self.is_detection and len(self.session.references) > 1:
             raise ValueError("session.references has 0 beside others: expected detection to be a plan of its own")
 
@@ -118,8 +123,8 @@ class Plan:
 
     def table(self) -> dict[str, Any]:
         """As a file has it."""
-        tables = {"stimulus": asdict(self.stimulus), "session": asdict(self.session)}
-        procedure = {"method": self.method, **asdict(self.procedure)}  # type: ignore[call-overload]
+        tables = {"stimulus": _plain(self.stimulus), "session": _plain(self.session)}
+        procedure = {"method": self.method, **_plain(self.procedure)}
         return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure}
 
 
@@ -171,11 +176,17 @@ def plan_toml(plan: Plan) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _plain(settings: Any) -> dict[str, Any]:
+    """A dataclass as TOML and JSON give it back: tuples are lists."""
+    return {key: list(one) if isinstance(one, tuple) else one for key, one in asdict(settings).items()}
+
+
 def _toml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        # JSON's escapes are TOML's too, but for one character that JSON leaves as it is.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_toml(one) for one in value) + "]"
     if isinstance(value, float):

@@ -27,8 +27,8 @@ class Schedule:
         self.references = references
         """Of the sessions, in their order."""
         self._number, self._session = 1, 0
-        self._practice = self._practice_levels()
         self._procedure = self._begin()
+        self._practice = self._practice_levels()
 
     def next(self) -> Trial | None:
         """The trial that is due; None when all is done. The same until it is scored."""
@@ -62,7 +62,9 @@ class Schedule:
     def _practice_levels(self) -> list[Presentation]:
         coin = Coin(self._generator("practice"))
         level = self._plan.procedure.extremes()[1]
-        return [Presentation(level, coin.toss()) for _ in range(self._plan.session.practice)]
+        # What is set always starts from the comparison, and comes second.
+        is_choice = self._procedure.task == "choice"
+        return [Presentation(level, coin.toss() and is_choice) for _ in range(self._plan.session.practice)]
 
     def _generator(self, purpose: str) -> random.Random:
         # A text seeds by its SHA-512, which is the same everywhere.

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, AnalysisSettings, Cell
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Cell
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.report import experiment_figures as figures
 from jaxgrasp.report.bundle import page_html
@@ -14,45 +14,46 @@ from jaxgrasp.report.look import counted, number, percentage, table, text
 from jaxgrasp.report.sections import figure_html
 
 
-def write_experiment_page(path: str | os.PathLike, found: Analysis, settings: AnalysisSettings) -> None:
+def write_experiment_page(path: str | os.PathLike, found: Analysis) -> None:
     """Write the page of an experiment, whole or not at all.
 
     Args:
         path: the HTML file to write.
         found: what its answers say.
-        settings: how they were analysed.
 
     Raises:
         ImportError: plotly is not installed.
     """
-    page = experiment_html(found, settings)
+    page = experiment_html(found)
     replace_file(Path(path), lambda stream: stream.write(page.encode()))
 
 
-def experiment_html(found: Analysis, settings: AnalysisSettings) -> str:
+def experiment_html(found: Analysis) -> str:
     """The page as text."""
     unit = found.plan.stimulus.unit
     if found.matched:
         parts = [("settings", "Settings", _settings(found, unit))]
     else:
-        parts = [("answers", "Answers", _answers(found, settings, unit))]
+        parts = [("answers", "Answers", _answers(found, unit))]
         parts.append(("references", "References", _references(found)))
     if found.traces:
         parts.append(("staircases", "Staircases", _staircases(found, unit)))
-    parts.append(("notes", "What is to be known", _notes(found, settings)))
+    parts.append(("notes", "What is to be known", _notes(found)))
     body = "\n".join(f'<section id="{name}"><h2>{head}</h2>{content}</section>' for name, head, content in parts)
     lead = f"{counted(len(found.subjects), 'person')}, {found.plan.method}, {found.plan.stimulus.kind} [{unit}]."
     top = f'<header><h1>{text(found.plan.name)}</h1><p class="lead">{text(lead)}</p></header>'
     return page_html(found.plan.name, f"{top}\n{body}", "page.js")
 
 
-def _answers(found: Analysis, settings: AnalysisSettings, unit: str) -> str:
+def _answers(found: Analysis, unit: str) -> str:
+    settings, model = found.settings, found.settings.model
+    assert model is not None
     note = (
         f"All persons together: hit ratios with {percentage(settings.coverage)} intervals (Wilson's), the function of "
-        f"largest likelihood where the method has one ({text(settings.model.shape)}), and the threshold at a hit ratio "
-        f"of {settings.model.criterion:g} with its interval."
+        f"largest likelihood where the method has one ({text(model.shape)}), and the threshold at a hit ratio "
+        f"of {model.criterion:g} with its interval."
     )
-    figure = figure_html("psychometric", figures.psychometric(found.pooled, settings.model, unit))
+    figure = figure_html("psychometric", figures.psychometric(found.pooled, model, unit))
     head = ["who", f"reference [{text(unit)}]", "threshold", "interval", "JND", "trials", "fit", "what it means"]
     rows = [_row(cell) for cell in (*found.pooled, *found.cells)]
     return f'<p class="note">{note}</p>{figure}{table(head, rows)}{_detection(found)}'
@@ -154,8 +155,9 @@ def _staircases(found: Analysis, unit: str) -> str:
     return figure_html("staircases", figures.staircases(found.traces, unit)) + table(head, rows)
 
 
-def _notes(found: Analysis, settings: AnalysisSettings) -> str:
-    least, most = settings.model.lapse
+def _notes(found: Analysis) -> str:
+    settings = found.settings
+    least, most = settings.model.lapse if settings.model is not None else (0.0, 0.0)
     word = "left out" if settings.saturated == "exclude" else "counted"
     how = f"Method {settings.method}; lapses {least:g} to {most:g}; saturated trials {word}."
     points = [how, *(f"{note}." for note in found.notes)]

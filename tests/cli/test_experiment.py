@@ -12,7 +12,7 @@ import time
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.psychophysics.running.session import read_trials
+from jaxgrasp.psychophysics.running.history import read_experiment
 
 PLAN = """
 [session]
@@ -70,8 +70,15 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
     assert [cell["counts"]["trials"] for cell in found["pooled"]] == [[12] * 4] * 2
     assert (folder / "jaxgrasp-experiment" / "report.html").stat().st_size > 10**6
     assert main(["experiment", "analyse", "jaxgrasp-experiment", "--method", "paper", "--no-report"]) == 0
-    assert main(["experiment", "run", plan, "--subject", "S1", "--simulate"]) == 1
-    assert "--resume goes on with it" in capsys.readouterr().err
+    for options, message in (
+        (["run", plan, "--subject", "S1", "--simulate"], "--resume goes on with it"),
+        (["run", plan, "--subject", "S1", "--port", "x", "--resume"], "was begun by a simulated observer"),
+        (["run", plan, "--subject", "all", "--simulate"], "stands for all persons together"),
+        (["analyse", "jaxgrasp-experiment", "--criterion", "0.3"], "criterion is 0.3"),
+    ):
+        assert main(["experiment", *options]) == 1
+        assert message in capsys.readouterr().err
+    assert main(["experiment", "analyse", "jaxgrasp-experiment", "--method", "line", "--criterion", "0.96"]) == 0
 
 
 def test_power(folder, capsys):
@@ -92,7 +99,6 @@ def test_power(folder, capsys):
         (["run", "--subject", "S1", "--simulate", "--weber", "-1"], "weber is -1.0"),
         (["analyse", "."], "has no records"),
         (["analyse", ".", "--lapse", "0.7"], "lapse is 0.7"),
-        (["analyse", ".", "--criterion", "0.3"], "criterion is 0.3"),
         (["power", "--wanted", "0"], "wanted is 0"),
         (["power", "--reference", "7"], "reference is 7: expected one of 1, 2, 3"),
     ],
@@ -116,7 +122,7 @@ def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
     assert main(command) == 1
     out, err = capsys.readouterr()
     assert "all answers are in" in err and "which one was stronger, 1 or 2?" in out
-    assert [one["answer"] for one in read_trials(folder / "jaxgrasp-experiment" / "S1.jsonl")[1]] == [1, 2]
+    assert [one["answer"] for one in read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]] == [1, 2]
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n1\n" * 2 + "\n" + "\n\n1\n" * 4))
     assert main(command) == 0
     assert "5 trials are in" in capsys.readouterr().out
@@ -131,7 +137,7 @@ def test_a_person_matches(folder, monkeypatch, capsys):
     monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
     assert main(["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere"]) == 0
-    first, second = read_trials(folder / "jaxgrasp-experiment" / "S1.jsonl")[1]
+    first, second = read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]
     assert first["setting"] == pytest.approx(first["second"] + 0.2) and second["setting"] == second["second"]
     assert main(["experiment", "analyse", "jaxgrasp-experiment"]) == 0
     assert "2 settings, error" in capsys.readouterr().out
@@ -161,7 +167,7 @@ def test_in_a_glove(folder):
                 process.stdin.close()
             process.wait(60)
         glove.terminate()
-    _, trials = read_trials(folder / "jaxgrasp-experiment" / "S1.jsonl")
+    _, _, trials = read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")
     assert len(trials) == 5 and not any(one["saturated"] for one in trials)
     for one in trials:
         assert max(one["torque"]) == pytest.approx(max(one["first"], one["second"]))

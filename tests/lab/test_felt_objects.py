@@ -13,6 +13,7 @@ from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.lab.felt_objects import ENGAGED, SQUEEZED, TRAVEL, felt_object, resistance_and_slope, resistances
 from jaxgrasp.lab.stimuli import GloveStimulus, PredictedGloveStimulus
 from jaxgrasp.psychophysics.plan import Plan, StimulusPlan
+from jaxgrasp.psychophysics.stimulus import StimulusLostError
 
 MODEL = lrp_hand_master()
 ALL_FOUR = ("index", "middle", "ring", "little")
@@ -87,7 +88,7 @@ def test_a_torque_is_one_joints():
 
 def test_what_a_glove_has_not():
     small = GloveModel("small", ("index MP",), (0.12,))
-    with pytest.raises(ValueError, match=r"fingers\[1\] is 'middle', which small does not pull on"):
+    with pytest.raises(ValueError, match=r"fingers\[1\] is 'middle', on whose MP joint small does not pull"):
         felt_object(StimulusPlan("weight"), small)
     with pytest.raises(ValueError, match="joint is 'middle PIP', which small does not pull on"):
         felt_object(StimulusPlan("torque", joint="middle PIP"), small)
@@ -117,8 +118,17 @@ def test_felt_in_a_glove():
             glove.disarm()
             assert reaches(glove, place, 0.0)
             time.sleep(0.1)
-            with pytest.raises(OSError, match="the glove let go while it was felt"):
+            with pytest.raises(StimulusLostError, match="the glove let go while it was felt"):
                 stimulus.end()
+            # What nobody is there to render is not felt, whatever was said last.
+            arm(glove, stimulus)
+            stimulus.begin(0.05)
+            glove.child.process.kill()
+            time.sleep(0.3)
+            with pytest.raises(StimulusLostError, match="the glove let go"):
+                stimulus.end()
+            with pytest.raises(StimulusLostError, match="the glove is not armed"):
+                stimulus.begin(0.05)
         finally:
             stimulus.close()
 

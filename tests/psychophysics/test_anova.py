@@ -108,6 +108,11 @@ def test_rounding_interval_holds_all_that_rounds_so(means, deviations):
     assert min(found) < low + 0.2 * (high - low) + 1e-9 and max(found) > high - 0.6 * (high - low)
 
 
+def test_no_spread_at_all_rounds_to_any_f():
+    low, high = rounding_interval([0.1, 0.2], [0.004, 0.003], [5, 5], 0.01)
+    assert 0 < low < high == np.inf
+
+
 @pytest.mark.parametrize(
     "call, message",
     [

@@ -40,11 +40,22 @@ def test_swapped_orders_and_extremes():
     one, other = sensitivity(8, 10, 6, 10), sensitivity(6, 10, 8, 10)
     assert one.d_prime == pytest.approx(other.d_prime) and one.lean == pytest.approx(-other.lean)
     perfect = sensitivity(10, 10, 10, 10)
-    assert perfect.corrected and np.isfinite(perfect.d_prime) and perfect.high == np.inf
+    assert perfect.corrected and perfect.low < perfect.d_prime < perfect.high < np.inf
     assert math.isnan(sensitivity(8, 10, 0, 0).lean)
     for arguments, message in (((3, 2, 1, 2), "first_hits is 3"), ((0, 0, 0, 0), "are 0: expected a trial")):
         with pytest.raises(ValueError, match=message):
             sensitivity(*arguments)
+
+
+@pytest.mark.parametrize("shares", [(0.7, 0.7), (0.95, 0.5), (0.6, 0.9)])
+def test_intervals_of_d_prime_cover(shares):
+    """Whatever the lean: as often as they say, over simulated answers."""
+    rng, trials = np.random.default_rng(0), 80
+    truth = sum(norm.ppf(shares)) / math.sqrt(2)
+    hits = rng.binomial(trials, shares, (1500, 2))
+    found = [sensitivity(int(first), trials, int(second), trials) for first, second in hits]
+    assert all(one.low < one.d_prime < one.high for one in found)
+    assert 0.93 < np.mean([one.low <= truth <= one.high for one in found]) < 0.975
 
 
 def test_weber():
@@ -70,6 +81,8 @@ def test_weber_line_is_scipys():
     assert found.floor_deviation == pytest.approx(theirs.intercept_stderr)
     two = weber_line(np.array([1.0, 2.0]), np.array([0.2, 0.3]))
     assert two.limit == pytest.approx(0.1) and math.isnan(two.limit_deviation)
+    with pytest.raises(ValueError, match=r"deviations\[1\] is 0.0"):
+        weber_line(np.array([1.0, 2.0]), np.array([0.2, 0.3]), np.array([1.0, 0.0]))
     with pytest.raises(ValueError, match="two different ones"):
         weber_line(np.array([1.0, 1.0]), np.array([0.2, 0.3]))
     with pytest.raises(ValueError, match=r"jnds\[1\] is nan"):

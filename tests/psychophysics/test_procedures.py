@@ -124,8 +124,16 @@ def test_adaptive_asks_where_it_learns():
     assert len(set(levels[:15].tolist())) > 3
 
 
+def test_levels_of_a_staircase_come_back():
+    """Up and down again is the same level, to the last bit: answers there are counted together."""
+    levels = [trial.level for trial, _ in answered(plan_of("staircase", trials=300, reversals=100), seed=1)]
+    rounded = [float(f"{level:.7g}") for level in levels]
+    assert len(set(levels)) == len(set(rounded)) < 60
+
+
 def test_matching_starts_on_both_sides():
     plan = plan_of("matching", trials=40)
+    assert all(trial.first == trial.reference for trial, _ in answered(plan)), "practice too"
     starts = [t.level for t, _ in answered(plan) if not t.is_practice and t.session == 1]
     assert sum(start > 0 for start in starts) == 20 and all(0.2 <= abs(start) <= 0.4 for start in starts)
 
@@ -145,6 +153,11 @@ def test_matching_starts_on_both_sides():
         (lambda: Adaptive(low=0.9), "low is 0.9: expected less than high"),
         (lambda: SessionPlan(references=(1.0, 1.0)), r"references\[1\] is 1 again"),
         (lambda: SessionPlan(references=(-1.0,)), r"references\[0\] is -1"),
+        (lambda: SessionPlan(references=(1e200,)), r"references\[0\] is 1e\+200: expected a positive number, 1e-06 to"),
+        (lambda: ConstantStimuli(levels=(1e-20,)), r"levels\[0\] is 1e-20"),
+        (lambda: ConstantStimuli(series=10**9), "series is 1000000000: expected 1 or more, and at most 10000"),
+        (lambda: Adaptive(levels=2000), "levels is 2000: expected 500 at most"),
+        (lambda: Plan(procedure=ConstantStimuli(series=10_000)), "240,004 trials of a person: expected 100,000"),
         (lambda: Plan(session=SessionPlan(references=(0.0, 1.0))), "a plan of its own"),
         (
             lambda: Plan(session=SessionPlan(references=(0.0,)), method="matching", procedure=Matching()),

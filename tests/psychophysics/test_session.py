@@ -11,13 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from jaxgrasp.psychophysics.analysis.experiment import AnalysisSettings, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.psychometric import Shape
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.running.history import read_experiment
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
 from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records
-from jaxgrasp.psychophysics.running.session import read_trials, run_experiment
+from jaxgrasp.psychophysics.running.session import run_experiment
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered
 
@@ -51,7 +54,7 @@ def run(plan: Plan, folder: Path, person=None, **options) -> int:
 
 def lasting(folder: Path) -> list[dict]:
     """All trials on record, but for when they were."""
-    _, trials = read_trials(folder / "S1.jsonl")
+    _, _, trials = read_experiment(folder / "S1.jsonl")
     return [{key: value for key, value in one.items() if key not in ("at", "seconds", "durations")} for one in trials]
 
 
@@ -168,17 +171,102 @@ def test_refusals(folder, unchecked):
     (folder / "S2.jsonl").write_bytes((folder / "S1.jsonl").read_bytes())
     with pytest.raises(RecordError, match="is of subject 'S1': expected 'S2'"):
         run_experiment(SHORT, "S2", folder, IdealStimulus(), Watched(SHORT), resume=True)
-    lines = (folder / "S1.jsonl").read_bytes().splitlines(keepends=True)
+
+
+def changed(line: bytes, **values) -> bytes:
+    return json.dumps(json.loads(line) | values).encode() + b"\n"
+
+
+def test_records_that_are_not_those_of_the_plan(folder):
+    """By whoever's hand: neither resumed nor analysed, by the trial and the field, and left as they are."""
+    run(SHORT, folder)
+    path = folder / "S1.jsonl"
+    first, one, two, *rest = path.read_bytes().splitlines(keepends=True)
+    wrong = not json.loads(one)["right"]
     for spoilt, message in (
-        ([lines[0], b"what?\n", *lines[2:]], "line 2, is no record: b'what"),
-        ([lines[0], *lines[2:]], "trial 1: number is 2, and the plan leads to 1"),
-        (lines[1:], "no first record"),
-        ([lines[0].replace(b'"format":1', b'"format":9')], "has format 9: expected 1"),
+        ([first, b"what?\n", two, *rest], "line 2, is no record: b'what"),
+        ([first, b"[" * 100_000 + b"\n", two, *rest], "line 2, is no record"),
+        ([first, two, *rest], "trial 1: number is 2, and the plan leads to 1"),
+        ([first, one, one, two, *rest], "trial 2: number is 1"),
+        ([first, two, one, *rest], "trial 1: number is 2"),
+        ([first, changed(one, level="0.3")], "trial 1: level is '0.3'"),
+        ([first, changed(one, right=wrong)], "trial 1: right is .*, and the answer was"),
+        ([first, changed(one, right=None)], "trial 1: right is None"),
+        ([first, changed(one, answer=3)], "trial 1: answer is 3: expected 1 or 2"),
+        ([first, changed(one, saturated=None)], "trial 1: saturated is None"),
+        ([first, changed(one, felt=[1])], r"trial 1: felt is \[1\]: expected two numbers"),
+        ([one, two], "no first record"),
+        ([changed(first, format=9), one], "has format 9: expected 1"),
+        ([changed(first, plan=[1]), one], "has no plan in its first record"),
+        ([changed(first, plan={"seed": "x"}), one], "seed is 'x'"),
+        ([changed(first, subject="S2"), one], "is of subject 'S2': expected 'S1'"),
     ):
-        (folder / "S1.jsonl").write_bytes(b"".join(spoilt))
+        path.write_bytes(b"".join(spoilt))
         with pytest.raises(RecordError, match=message):
             run(SHORT, folder, resume=True)
-        assert (folder / "S1.jsonl").read_bytes() == b"".join(spoilt), "nothing is touched"
+        with pytest.raises(RecordError, match=message):
+            load_experiment(folder)
+        assert path.read_bytes() == b"".join(spoilt), "nothing is touched"
+    path.write_bytes(b"".join([first, one, two, *rest]))
+    (folder / "copy of S1.jsonl").write_bytes(path.read_bytes())
+    with pytest.raises(RecordError, match="is of subject 'S1': expected 'copy of S1'"):
+        load_experiment(folder)
+
+
+def test_whatever_is_left_of_a_beginning(folder):
+    """An empty file, a part of the first record, or a last record that lacks its end of line alone."""
+    run(SHORT, folder)
+    path = folder / "S1.jsonl"
+    whole, data = lasting(folder), path.read_bytes()
+    for left, kept in ((b"", 0), (data[:40], 0), (data.splitlines()[0], 0), (data[:-1], len(whole))):
+        path.write_bytes(left)
+        assert len(lasting(folder)) == kept if b"begun" in left and left.endswith(b"}") else True
+        run(SHORT, folder, resume=True)
+        assert lasting(folder) == whole and path.read_bytes().endswith(b"\n")
+
+
+def test_a_setting_is_what_was_last_felt_beside_the_reference(folder):
+    """Up, up, back to the reference, and done there."""
+
+    class Weak(PredictedStimulus):
+        def predict(self, intensity):
+            return Rendered(intensity, min(intensity, 1.0), intensity, intensity > 1.0)
+
+    class Certain(Watched):
+        def adjust(self, trial, setting):
+            self.heard.append(setting)
+            return ("up", "up", "reference", "done")[(len(self.heard) - 1) % 4]
+
+    plan = replace(SHORT, session=SessionPlan((1.0,), practice=2), method="matching", procedure=Matching(trials=4))
+    run_experiment(plan, "S1", folder, Weak(), Certain(plan))
+    for one in lasting(folder):
+        assert one["setting"] == pytest.approx(one["second"] + 0.04) and one["first"] == 1.0
+        assert one["torque"][1] == pytest.approx(one["setting"]) and one["saturated"] == (one["setting"] > 1)
+    (found,) = analyse(load_experiment(folder)).matched
+    assert found.saturated == 2 == found.settings
+    (other,) = analyse(load_experiment(folder), AnalysisSettings(saturated="include")).matched
+    assert other.settings == 4 and other.error != found.error
+
+
+def test_lines_through_answers_that_chose_their_levels(folder):
+    """Points of a staircase are where answers led: a straight line through them means nothing."""
+    plan = replace(SHORT, method="staircase", procedure=METHODS["staircase"]())
+    run(plan, folder)
+    with pytest.raises(ValueError, match="levels of the procedure 'staircase' follow the answers"):
+        analyse(load_experiment(folder), AnalysisSettings("line"))
+    assert analyse(load_experiment(folder)).settings.model.shape is Shape.DIFFERENCE
+
+
+def test_what_was_too_brief_to_be_felt_is_said(folder):
+    class Present(Watched):
+        is_simulated = False
+
+    run(SHORT, folder, Present(SHORT))
+    notes = analyse(load_experiment(folder)).notes
+    assert any("S1: 16 trials had an interval of less than 0.3 s" in note for note in notes)
+    (folder / "S1.jsonl").unlink()
+    run(SHORT, folder)
+    assert any("S1: answers of a simulated observer" in note for note in analyse(load_experiment(folder)).notes)
 
 
 def test_one_program_at_a_time(folder):

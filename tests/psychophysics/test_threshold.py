@@ -153,6 +153,31 @@ def test_one_level_is_enough_for_one_parameter():
     assert threshold(of(14), model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0))).finding is not Finding.FOUND
 
 
+@pytest.mark.parametrize("counts", [of(99, trials=100, levels=(0.1,)), of(97, 97, trials=100, levels=(0.1, 0.2))])
+def test_lapses_may_explain_all(counts):
+    """Nearly all right at large levels: any small threshold will do, with lapses, and none is named."""
+    found = threshold(counts, model=Model(Shape.DIFFERENCE))
+    assert found.finding is Finding.BELOW_LEVELS and found.low == 0 and math.isnan(found.value)
+
+
+def test_guesses_do_not_bound_from_above():
+    """Where a posterior has not fallen off, its quantile is the prior's, and is not given."""
+    found = threshold(of(10, 9, 11, 10), "posterior")
+    assert found.low > 0.05 and found.high == np.inf
+
+
+@pytest.mark.parametrize("trials", [10_000, 1_000_000])
+def test_with_very_many_answers(trials):
+    rng = np.random.default_rng(0)
+    chances = hit_probability(Shape.WEIBULL, LEVELS, 0.15, 0.8, 0.02)
+    for _ in range(6):
+        counts = Counts(LEVELS, rng.binomial(trials, chances), np.full(4, trials))
+        found = threshold(counts)
+        assert found.low < found.estimate < found.high and found.estimate == pytest.approx(0.15, rel=5 / trials**0.5)
+        away = found.high - found.estimate, found.estimate - found.low
+        assert 0.5 < away[0] / away[1] < 2
+
+
 def test_missing_levels_are_left_out():
     whole = threshold(TABLE[1])
     more = Counts(np.append(LEVELS, 0.5), np.append(TABLE[1].hits, 0), np.append(TABLE[1].trials, 0))

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from jaxgrasp.psychophysics.analysis.experiment import AnalysisSettings, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
@@ -22,7 +22,7 @@ def done(plan: Plan, folder, people: int = 3, stimulus=None):
     for k in range(people):
         person = SimulatedPerson(Observer(0.12), plan.seed, f"S{k}")
         run_experiment(plan, f"S{k}", folder, stimulus or IdealStimulus(), person)
-    return analyse(*load_experiment(folder))
+    return analyse(load_experiment(folder))
 
 
 def data_of(page: str) -> dict[str, dict]:
@@ -32,7 +32,7 @@ def data_of(page: str) -> dict[str, dict]:
 
 def test_figures_show_what_was_found(folder):
     found = done(PLAN, folder)
-    page = experiment_html(found, AnalysisSettings())
+    page = experiment_html(found)
     assert "a &lt;b&gt;plan" in page and "<b>plan" not in page
     figures = data_of(page)
     points = [one for one in figures["psychometric"]["data"] if one["mode"] == "markers" and "error_y" in one]
@@ -47,7 +47,7 @@ def test_figures_show_what_was_found(folder):
 def test_every_procedure_has_a_page(folder, method):
     plan = Plan(session=SessionPlan((2.0,)), method=method, procedure=METHODS[method]())
     found = done(plan, folder, 1)
-    figures = data_of(experiment_html(found, AnalysisSettings()))
+    figures = data_of(experiment_html(found))
     assert ("staircases" in figures) == (method == "staircase") and ("psychometric" in figures) == (
         method != "matching"
     )
@@ -60,18 +60,18 @@ def test_nothing_found_is_said(folder):
     plan = Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(levels=(5.0, 9.0)))
     found = done(plan, folder / "easy", 1)
     assert np.isnan(found.pooled[0].threshold.value)
-    assert "Every answer is right" in experiment_html(found, AnalysisSettings())
+    assert "Every answer is right" in experiment_html(found)
 
     class Weak(PredictedStimulus):
         def predict(self, intensity):
             return Rendered(intensity, 1.0, 1.0, True)
 
     found = done(PLAN, folder / "weak", 1, Weak())
-    page = experiment_html(found, AnalysisSettings())
+    page = experiment_html(found)
     assert "There are no answers to analyse" in page and "No reference has a threshold" in page
     assert all(cell.saturated == 40 for cell in found.pooled)
     detection = Plan(session=SessionPlan((0.0,)), procedure=ConstantStimuli(levels=(0.1, 0.2, 0.3)))
     person = SimulatedPerson(Observer(absolute=0.15), 1, "S1")
     run_experiment(detection, "S1", folder / "detection", IdealStimulus(), person)
-    found = analyse(*load_experiment(folder / "detection"))
-    assert found.pooled[0].weber is None and "intensity [N]" in experiment_html(found, AnalysisSettings())
+    found = analyse(load_experiment(folder / "detection"))
+    assert found.pooled[0].weber is None and "intensity [N]" in experiment_html(found)

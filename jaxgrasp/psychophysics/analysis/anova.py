@@ -95,7 +95,7 @@ def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step
 
     # F rises as deviations fall, and is a convex quadratic of the means: largest at a corner, smallest anywhere.
     corners = [np.array(corner) for corner in product((-half, half), repeat=len(mean))]
-    most = max(f(corner, narrow) for corner in corners)
+    most = max(f(corner, narrow) for corner in corners) if np.any(narrow > 0) else np.inf
     starts = [np.zeros(len(mean)), *corners]
     bounds = [(-half, half)] * len(mean)
     least = min(minimize(f, start, args=(wide,), bounds=bounds).fun for start in starts)

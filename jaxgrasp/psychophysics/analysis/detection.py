@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from jaxgrasp.psychophysics.analysis.counts import wilson
-
 
 @dataclass(frozen=True)
 class Sensitivity:
@@ -19,7 +17,7 @@ class Sensitivity:
     """Distance of the two sensations by the noise of each."""
     low: float
     high: float
-    """Its interval, by Wilson's for the share of right answers where the order does not matter."""
+    """Its interval, by the variances of both shares (Gourevitch and Galanter 1967)."""
     lean: float
     """Criterion c: positive where a person prefers to name the second interval, 0 without preference; NaN where one
     order was never tried."""
@@ -45,19 +43,25 @@ def sensitivity(
     for name, hits, trials in (("first", first_hits, first_trials), ("second", second_hits, second_trials)):
         if not 0 <= hits <= trials:
             raise ValueError(f"{name}_hits is {hits}: expected 0 to {name}_trials, {trials}")
-    hits, trials = first_hits + second_hits, first_trials + second_trials
-    if trials == 0:
+    if first_trials + second_trials == 0:
         raise ValueError("first_trials and second_trials are 0: expected a trial")
-    ends = wilson(np.array(hits), np.array(trials), coverage)
     corrected = any(k in (0, n) for k, n in ((first_hits, first_trials), (second_hits, second_trials)) if n)
     add = 0.5 if corrected else 0.0
-
-    def z(hits: int, trials: int) -> float:
-        return float(ndtri((hits + add) / (trials + 2 * add)))
-
-    low, high = (float(np.sqrt(2) * ndtri(end)) for end in ends)
+    first, second = (_z(k + add, n + 2 * add) for k, n in ((first_hits, first_trials), (second_hits, second_trials)))
     if first_trials and second_trials:
         # "First" said of a first one is a hit, said of a second one a false alarm.
-        hit, false_alarm = z(first_hits, first_trials), -z(second_hits, second_trials)
-        return Sensitivity((hit - false_alarm) / np.sqrt(2), low, high, -(hit + false_alarm) / 2, corrected)
-    return Sensitivity(np.sqrt(2) * z(hits, trials), low, high, np.nan, corrected)
+        d_prime, variance, lean = (first[0] + second[0]) / np.sqrt(2), (first[1] + second[1]) / 2, second[0] - first[0]
+    else:
+        value, spread = first if first_trials else second
+        d_prime, variance, lean = np.sqrt(2) * value, 2 * spread, np.nan
+    away = float(ndtri((1 + coverage) / 2)) * np.sqrt(variance)
+    return Sensitivity(float(d_prime), float(d_prime - away), float(d_prime + away), float(lean) / 2, corrected)
+
+
+def _z(hits: float, trials: float) -> tuple[float, float]:
+    """The normal quantile of a share, and its variance."""
+    if not trials:
+        return np.nan, np.nan
+    share = hits / trials
+    z = float(ndtri(share))
+    return z, share * (1 - share) / trials * 2 * np.pi * float(np.exp(z**2))

@@ -1,9 +1,9 @@
 """A whole experiment analysed: each person, all together, and what differs between references."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,16 +14,15 @@ from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.matching import Matched, matched
+from jaxgrasp.psychophysics.analysis.notes import notes_on
+from jaxgrasp.psychophysics.analysis.psychometric import Shape
 from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
-from jaxgrasp.psychophysics.plan import Plan, plan_of
+from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
+from jaxgrasp.psychophysics.running.history import TrialRecord, read_experiment
 from jaxgrasp.psychophysics.running.records import RecordError, subjects
-from jaxgrasp.psychophysics.running.session import read_trials
-
-TrialRecord = dict[str, Any]
-EVERYONE = "all"
-"""Stands for all persons' answers together."""
+from jaxgrasp.psychophysics.running.session import EVERYONE
 
 
 @dataclass(frozen=True)
@@ -31,12 +30,25 @@ class AnalysisSettings:
     """How answers are analysed."""
 
     method: Method = "likelihood"
-    model: Model = field(default_factory=Model)
+    model: Model | None = None
+    """Where None, a Weibull function; for staircases and adaptive procedures that of an unbiased comparison, since a
+    steepness of its own is biased where levels follow the answers."""
     interval: Interval | None = None
     """As the method has it, where None."""
     coverage: float = 0.95
     saturated: Literal["include", "exclude"] = "exclude"
     """Trials in which a torque was cut."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Of an experiment."""
+
+    plan: Plan
+    trials: dict[str, list[TrialRecord]]
+    """Of each person, as they are on record, practice too."""
+    simulated: tuple[str, ...] = ()
+    """Persons who are none."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +104,8 @@ class Analysis:
     """Of an experiment."""
 
     plan: Plan
+    settings: AnalysisSettings
+    """With the model that was taken."""
     subjects: tuple[str, ...]
     cells: tuple[Cell, ...]
     """Of each person at each reference."""
@@ -105,52 +119,72 @@ class Analysis:
     """What cannot be said, and why; and what the reader must know."""
 
 
-def load_experiment(folder: Path) -> tuple[Plan, dict[str, list[TrialRecord]]]:
-    """The plan of the records in a folder, and each person's trials.
+def load_experiment(folder: Path) -> Answers:
+    """The records in a folder, each person's led through the plan again.
 
     Raises:
-        ValueError: for a folder without records, or with records of several plans.
-        RecordError: for records that cannot be read.
+        ValueError: for a folder without records.
+        RecordError: for records that cannot be read, or were made with several plans.
     """
-    plan, trials = None, {}
+    plan, trials, simulated = None, {}, []
     for path in subjects(folder):
-        first, trials[path.stem] = read_trials(path)
-        own = plan_of(first["plan"], f"{path}: plan")
+        own, is_simulated, trials[path.stem] = read_experiment(path)
         if plan is not None and own != plan:
             raise RecordError(f"{path} was made with another plan than the others in {folder}")
         plan = own
+        if is_simulated:
+            simulated.append(path.stem)
     if plan is None:
         raise ValueError(f"{folder} has no records: expected files that `jaxgrasp experiment run` wrote")
-    return plan, trials
+    return Answers(plan, trials, tuple(simulated))
 
 
-def analyse(plan: Plan, trials: dict[str, list[TrialRecord]], settings: AnalysisSettings | None = None) -> Analysis:
+def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analysis:
     """All that an experiment's answers say.
 
     Args:
-        plan: of the experiment.
-        trials: records of each person.
+        answers: of all persons.
         settings: of the analysis.
+
+    Raises:
+        ValueError: for straight lines through answers at levels that followed from the answers.
     """
-    settings = AnalysisSettings() if settings is None else settings
-    real = {who: [one for one in own if not one["is_practice"]] for who, own in trials.items()}
+    plan, references = answers.plan, answers.plan.session.references
+    settings = _settled(AnalysisSettings() if settings is None else settings, plan)
+    real = {who: [one for one in own if not one["is_practice"]] for who, own in answers.trials.items()}
+    people = tuple(real)
     if plan.method == "matching":
-        found = [
-            matched(who, reference, [one["setting"] for one in own if one["reference"] == reference])
-            for who, own in real.items()
-            for reference in plan.session.references
-        ]
-        return Analysis(plan, tuple(real), (), (), tuple(found), (), None, None, _notes(plan, real, ()))
-    cells = tuple(
-        _cell(who, reference, own, settings) for who, own in real.items() for reference in plan.session.references
-    )
+        found = tuple(_matched(who, reference, own, settings) for who, own in real.items() for reference in references)
+        notes = notes_on(plan, real, answers.simulated)
+        return Analysis(plan, settings, people, (), (), found, (), None, None, tuple(notes))
+    cells = tuple(_cell(who, reference, own, settings) for who, own in real.items() for reference in references)
     everyone = [one for own in real.values() for one in own]
-    pooled = tuple(_cell(EVERYONE, reference, everyone, settings) for reference in plan.session.references)
-    notes = list(_notes(plan, real, cells))
-    comparison = _comparison(plan, tuple(real), cells, notes)
-    return Analysis(
-        plan, tuple(real), cells, pooled, (), tuple(_traces(plan, real)), comparison, _line(pooled), tuple(notes)
-    )
+    pooled = tuple(_cell(EVERYONE, reference, everyone, settings) for reference in references)
+    notes = notes_on(plan, real, answers.simulated)
+    comparison = _comparison(plan, people, cells, notes)
+    traces = tuple(_traces(plan, real))
+    return Analysis(plan, settings, people, cells, pooled, (), traces, comparison, _line(pooled), tuple(notes))
+
+
+def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
+    """What suits the procedure, where nothing was asked for."""
+    follows_answers = plan.method in ("staircase", "adaptive")
+    if follows_answers and settings.method not in ("likelihood", "posterior"):
+        raise ValueError(
+            f"method is {settings.method!r}, and levels of the procedure {plan.method!r} follow the answers: expected "
+            "likelihood or posterior, which allow for that"
+        )
+    if settings.model is not None:
+        return settings
+    # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
+    return replace(settings, model=Model(Shape.DIFFERENCE if follows_answers else Shape.WEIBULL))
+
+
+def _matched(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Matched:
+    own = [one for one in trials if one["reference"] == reference]
+    clean = [one for one in own if not one["saturated"]]
+    used = clean if settings.saturated == "exclude" else own
+    return matched(who, reference, [one["setting"] for one in used], settings.coverage, len(own) - len(clean))
 
 
 def _cell(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
@@ -231,20 +265,3 @@ def _traces(plan: Plan, trials: dict[str, list[TrialRecord]]) -> Iterable[Trace]
             levels, right = [one["level"] for one in part], [one["right"] for one in part]
             mean = staircase_threshold(settings, levels, right)
             yield Trace(who, part[0]["reference"], tuple(levels), tuple(right), mean, settings.target)
-
-
-def _notes(plan: Plan, trials: dict[str, list[TrialRecord]], cells: tuple[Cell, ...]) -> tuple[str, ...]:
-    notes = []
-    for who, own in trials.items():
-        for reference in plan.session.references:
-            there = sum(one["reference"] == reference for one in own)
-            asked = plan.session.sessions * plan.procedure.most_trials()
-            if there == 0:
-                notes.append(f"{who} has no trial at {reference:g} {plan.stimulus.unit}")
-            elif there < asked and plan.method in ("constant-stimuli", "adaptive", "matching"):
-                notes.append(f"{who} has {there} of {asked} trials at {reference:g} {plan.stimulus.unit}")
-    for cell in cells:
-        if cell.saturated:
-            where = f"{cell.subject} at {cell.reference:g} {plan.stimulus.unit}"
-            notes.append(f"{where}: a torque was cut in {cell.saturated} trials")
-    return tuple(notes)

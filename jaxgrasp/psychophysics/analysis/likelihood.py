@@ -18,8 +18,8 @@ from jaxgrasp.psychophysics.analysis.psychometric import Shape, check_criterion,
 
 Answers = Real[np.ndarray, "... L"]
 """Of one set of answers, or of many."""
-Bounds = tuple[tuple[float, float], tuple[float, float]]
-"""Smallest and largest threshold, and width."""
+Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Smallest and largest threshold, width, and lapse."""
 THRESHOLDS, WIDTHS, LAPSES = 240, 80, 6
 """Points of the grid."""
 REACH = (0.05, 5.0)
@@ -28,6 +28,8 @@ SPREAD = (0.05, 5.0)
 """Widths by the largest level."""
 LOG_SPREAD = (0.1, 5.0)
 """Widths of a Weibull function."""
+ROUNDS = 3
+"""Of looking closer: each makes the grid a hundred times finer, if the answers are as many."""
 NEGLIGIBLE = 15.0
 """Below the largest log-likelihood by this, nothing matters."""
 FLOOR = 1e-12
@@ -82,13 +84,12 @@ class Likelihood:
     """Of a model, for answers at given levels."""
 
     def __init__(self, levels: Float[np.ndarray, "L"], model: Model, bounds: Bounds | None = None) -> None:
-        """A grid around levels, of which one at least is positive, or within bounds of thresholds and widths."""
+        """A grid around levels, of which one at least is positive, or within bounds."""
         self.levels, self.model = np.asarray(levels, float), model
-        thresholds, widths = _bounds(self.levels, model.shape) if bounds is None else bounds
+        thresholds, widths, lapses = _bounds(self.levels, model) if bounds is None else bounds
         self.thresholds = np.geomspace(*thresholds, THRESHOLDS)
         self.widths = np.geomspace(*widths, WIDTHS) if model.shape.has_width else np.ones(1)
-        least, most = model.lapse
-        self.lapses = np.linspace(least, most, LAPSES if most > least else 1)
+        self.lapses = np.linspace(*lapses, LAPSES if lapses[1] > lapses[0] else 1)
         chances = hit_probability(
             model.shape,
             self.levels,
@@ -166,24 +167,24 @@ class Likelihood:
 def focused(counts: Counts, model: Model) -> Likelihood:
     """A grid that is as fine as one set of answers needs it: where its likelihood is, and nowhere else."""
     grid = Likelihood(counts.levels, model)
-    for _ in range(2):
-        top = []
-        for values, axes in ((grid.thresholds, (2, 3)), (grid.widths, (1, 3))):
-            profile = grid._reduced(counts.hits, counts.trials, partial(np.max, axis=axes))[0]
+    for _ in range(ROUNDS):
+        ends = []
+        for values, others in ((grid.thresholds, (2, 3)), (grid.widths, (1, 3)), (grid.lapses, (1, 2))):
+            profile = grid._reduced(counts.hits, counts.trials, partial(np.max, axis=others))[0]
             inside = np.flatnonzero(profile >= profile.max() - NEGLIGIBLE)
-            ends = values[max(inside[0] - 1, 0)], values[min(inside[-1] + 1, len(values) - 1)]
-            top.append((float(ends[0]), float(ends[1])))
-        grid = Likelihood(counts.levels, model, (top[0], top[1]))
+            low, high = values[max(inside[0] - 1, 0)], values[min(inside[-1] + 1, len(values) - 1)]
+            ends.append((float(low), float(high)))
+        grid = Likelihood(counts.levels, model, (ends[0], ends[1], ends[2]))
     return grid
 
 
-def _bounds(levels: Float[np.ndarray, "L"], shape: Shape) -> Bounds:
+def _bounds(levels: Float[np.ndarray, "L"], model: Model) -> Bounds:
     positive = levels[levels > 0]
     if not len(positive):
         raise ValueError("no level is above zero")
     largest = float(positive.max())
-    widths = LOG_SPREAD if shape is Shape.WEIBULL else (SPREAD[0] * largest, SPREAD[1] * largest)
-    return (REACH[0] * float(positive.min()), REACH[1] * largest), widths
+    widths = LOG_SPREAD if model.shape is Shape.WEIBULL else (SPREAD[0] * largest, SPREAD[1] * largest)
+    return (REACH[0] * float(positive.min()), REACH[1] * largest), widths, model.lapse
 
 
 def log_likelihood(counts: Counts, chances: Float[np.ndarray, "L"]) -> float:

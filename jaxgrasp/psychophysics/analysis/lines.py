@@ -9,7 +9,7 @@ Ratios = Float[np.ndarray, "*batch L"]
 def by_interpolation(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) -> Float[np.ndarray, "*batch"]:
     """Where the ratio first passes the criterion, on straight lines from level to level.
 
-    Minus infinity where it is above already at the smallest level, and infinity where it never is.
+    Where it never passes from below, minus infinity if it is above at the smallest level, and infinity if it is not.
     """
     below, above = ratios[..., :-1] < criterion, ratios[..., 1:] >= criterion
     passes = below & above

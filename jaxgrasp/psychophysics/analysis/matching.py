@@ -23,6 +23,8 @@ class Matched:
     """Of the settings: the variable error."""
     deviation_low: float
     deviation_high: float
+    saturated: int = 0
+    """Settings in which a torque was cut."""
 
     @property
     def jnd(self) -> float:
@@ -30,14 +32,16 @@ class Matched:
         return QUARTILE * self.deviation
 
 
-def matched(subject: str, reference: float, settings: list[float], coverage: float = 0.95) -> Matched:
+def matched(
+    subject: str, reference: float, settings: list[float], coverage: float = 0.95, saturated: int = 0
+) -> Matched:
     """Mean and deviation with their intervals, for settings that are normally distributed."""
     values, count = np.asarray(settings, float), len(settings)
     if count < 2:
         error = float(values[0] - reference) if count else np.nan
-        return Matched(subject, reference, count, error, -np.inf, np.inf, np.nan, 0.0, np.inf)
+        return Matched(subject, reference, count, error, -np.inf, np.inf, np.nan, 0.0, np.inf, saturated)
     error, deviation = float(values.mean() - reference), float(values.std(ddof=1))
     tail = (1 - coverage) / 2
     away = float(-stdtrit(count - 1, tail)) * deviation / np.sqrt(count)
     low, high = (deviation * float(np.sqrt((count - 1) / chdtri(count - 1, share))) for share in (tail, 1 - tail))
-    return Matched(subject, reference, count, error, error - away, error + away, deviation, low, high)
+    return Matched(subject, reference, count, error, error - away, error + away, deviation, low, high, saturated)

@@ -17,6 +17,8 @@ Method = Literal["likelihood", "posterior", "interpolation", "line", "paper"]
 Interval = Literal["profile", "credible", "bootstrap", "bca", "none"]
 DEFAULT_INTERVAL: dict[str, Interval] = {"likelihood": "profile", "posterior": "credible"}
 RESAMPLES = 2000
+FALLEN = 1e-2
+"""Of a posterior's largest density: where it is below at the end of the grid, the answers bound the threshold."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +105,11 @@ def _by_grid(
     estimate = posterior_quantiles(grid, counts, [0.5])[0] if parameters is None else parameters.threshold
     if found is not Finding.FOUND:
         estimate = np.nan
+    profile = _profile_interval(grid, counts, coverage)
     if kind == "profile":
-        ends = _profile_interval(grid, counts, coverage)
+        ends = profile
     elif kind == "credible":
-        low, high = posterior_quantiles(grid, counts, [(1 - coverage) / 2, (1 + coverage) / 2])
-        ends = (low, high)
+        ends = _credible_interval(grid, counts, coverage)
     elif kind == "none" or found is not Finding.FOUND:
         ends = (0.0, np.inf)
     else:
@@ -117,7 +119,8 @@ def _by_grid(
         drawn = estimator(draw(counts, chances, resamples, np.random.default_rng(seed)))
         ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage)
     if found is Finding.FOUND:
-        found = place(estimate, counts, from_zero=not model.shape.has_width)
+        # A function without a width is known at zero: there, what is bounded from below needs no smaller level.
+        found = place(estimate, counts, from_zero=profile[0] > 0 and not model.shape.has_width)
     return Threshold(found, estimate, *ends, model.criterion, method, kind, coverage, parameters)
 
 
@@ -127,6 +130,14 @@ def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -
     # Each point stands for its step, half of it on either side.
     summed = np.cumsum(weights) - 0.5 * weights
     return np.exp(np.interp(shares, summed, np.log(grid.thresholds))).tolist()
+
+
+def _credible_interval(grid: Likelihood, counts: Counts, coverage: float) -> tuple[float, float]:
+    """Between two quantiles of the posterior; open where it has not fallen off at the grid's end: the prior's."""
+    weights = grid.posteriors(counts.hits, counts.trials)[0]
+    low, high = posterior_quantiles(grid, counts, [(1 - coverage) / 2, (1 + coverage) / 2])
+    falls = weights[[0, -1]] < FALLEN * weights.max()
+    return low if falls[0] else 0.0, high if falls[1] else np.inf
 
 
 def _profile_interval(grid: Likelihood, counts: Counts, coverage: float) -> tuple[float, float]:

@@ -69,7 +69,7 @@ def weber_line(
     """The line of least squares through JNDs, each by its standard deviation where these are given.
 
     Raises:
-        ValueError: for fewer than two references, or JNDs that are not finite.
+        ValueError: for fewer than two references, JNDs that are not finite, or deviations that are not positive.
     """
     references, jnds = np.asarray(references, float), np.asarray(jnds, float)
     if len(references) < 2 or len(np.unique(references)) < 2:
@@ -78,6 +78,9 @@ def weber_line(
         if not np.isfinite(jnd):
             raise ValueError(f"jnds[{k}] is {jnd}: expected a finite number")
     scale = np.ones(len(jnds)) if deviations is None else np.asarray(deviations, float)
+    for k, deviation in enumerate(scale):
+        if not (np.isfinite(deviation) and deviation > 0):
+            raise ValueError(f"deviations[{k}] is {deviation}: expected a positive number")
     table = np.column_stack([references, np.ones(len(references))]) / scale[:, None]
     inverse = np.linalg.inv(table.T @ table)
     limit, floor = inverse @ table.T @ (jnds / scale)

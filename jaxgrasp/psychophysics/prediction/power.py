@@ -9,6 +9,8 @@ from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.prediction.simulation import simulated_hits
 
+SMALLEST = 1e-9
+
 
 @dataclass(frozen=True)
 class Precision:
@@ -90,15 +92,18 @@ def cheapest(
         options: of ``precision``.
 
     Raises:
-        ValueError: for a wanted precision that is not positive.
+        ValueError: for a wanted precision that is not positive, or a negative deviation.
     """
-    if not wanted > 0:
+    if not (np.isfinite(wanted) and wanted > SMALLEST):
         raise ValueError(f"wanted is {wanted}: expected a positive number")
+    if not 0 <= between < 1 / SMALLEST:
+        raise ValueError(f"between is {between}: expected a finite number, 0 or more")
     found = []
     for count in trials:
         one = precision(observer, reference, levels, count, 1, between=between, **options)  # type: ignore[arg-type]
-        subjects = max(2, int(np.ceil((one.standard_error / wanted) ** 2)))
-        if subjects <= most_subjects and one.outside <= usable:
+        needed = one.standard_error / wanted
+        if needed**2 <= most_subjects and one.outside <= usable:
+            subjects = max(2, int(np.ceil(needed**2)))
             error = one.standard_error / np.sqrt(subjects)
             found.append(Precision(count, subjects, one.within, float(error), one.outside))
     return sorted(found, key=lambda design: design.total(len(levels)))

@@ -68,8 +68,13 @@ def jnd_through(observer: Observer, error: RenderingError, reference: float, cri
     """Difference that is noticed as often as the criterion says; infinite where the device renders none so large.
 
     Raises:
-        ValueError: for a criterion that lapses make impossible, or that guesses reach.
+        ValueError: for a criterion that lapses make impossible, or that guesses reach; a reference that is negative,
+            or zero for an observer who notices anything there.
     """
+    if not (np.isfinite(reference) and reference >= 0):
+        raise ValueError(f"reference is {reference}: expected a finite number, 0 or more")
+    if not observer.jnd(reference) > 0:
+        raise ValueError(f"reference is {reference}, where this observer notices anything: expected a positive number")
     if not 0.5 < criterion < 1 - observer.lapse:
         raise ValueError(f"criterion is {criterion}: expected more than 0.5 and less than {1 - observer.lapse:g}")
 

@@ -15,6 +15,7 @@ from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure, Setting
 from jaxgrasp.psychophysics.trial import Presentation
 
 THRESHOLDS, WIDTHS = 60, 20
+MOST_LEVELS = 500
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class Adaptive(Settings):
         if not self.low < self.high:
             raise ValueError(f"low is {self.low:g}: expected less than high, {self.high:g}")
         check_count("levels", self.levels, 2)
+        if self.levels > MOST_LEVELS:
+            raise ValueError(f"levels is {self.levels}: expected {MOST_LEVELS} at most")
         check_count("trials", self.trials)
         check_criterion(self.criterion, 0.5, self.lapse)
 

@@ -8,6 +8,10 @@ from typing import TypeVar
 from jaxgrasp.psychophysics.trial import Presentation, Task
 
 Item = TypeVar("Item")
+SMALLEST = 1e-6
+"""Of what a level or an intensity may be; the largest is its inverse."""
+MOST = 10_000
+"""Of whatever is counted."""
 
 
 class Procedure(ABC):
@@ -59,12 +63,12 @@ class Coin:
 
 
 def check_level(name: str, value: float) -> None:
-    """Raise ValueError unless a level is positive."""
-    if not value > 0:
-        raise ValueError(f"{name} is {value:g}: expected a positive number")
+    """Raise ValueError for what no experiment has, or is not positive."""
+    if not SMALLEST <= value <= 1 / SMALLEST:
+        raise ValueError(f"{name} is {value:g}: expected a positive number, {SMALLEST:g} to {1 / SMALLEST:g}")
 
 
 def check_count(name: str, value: int, least: int = 1) -> None:
-    """Raise ValueError for fewer than that."""
-    if value < least:
-        raise ValueError(f"{name} is {value}: expected {least} or more")
+    """Raise ValueError for fewer than that, or more than any person can do."""
+    if not least <= value <= MOST:
+        raise ValueError(f"{name} is {value}: expected {least} or more, and at most {MOST}")

@@ -66,6 +66,8 @@ class Track:
         self.turning_points: list[float] = []
         """Levels at which it turned."""
         self._settings = settings
+        # Steps are counted, so that a level to which it comes back is the same number to the last bit.
+        self._from, self._steps = settings.start, [0] * len(settings.factors)
         self._in_a_row = self._trials = self._way = 0
 
     @property
@@ -85,8 +87,11 @@ class Track:
             self.turning_points.append(self.level)
         self._way = way
         factors = self._settings.factors
-        factor = factors[min(len(self.turning_points), len(factors) - 1)]
-        self.level = min(max(self.level * factor**way, self._settings.low), self._settings.high)
+        self._steps[min(len(self.turning_points), len(factors) - 1)] += way
+        level = self._from * math.prod(factor**steps for factor, steps in zip(factors, self._steps, strict=True))
+        self.level = min(max(level, self._settings.low), self._settings.high)
+        if self.level != level:
+            self._from, self._steps = self.level, [0] * len(factors)
 
 
 class _Session(Procedure):

@@ -17,6 +17,9 @@ Move = Literal["up", "down", "reference", "comparison", "done"]
 class Person(ABC):
     """Feels stimuli and answers."""
 
+    is_simulated = False
+    """Whether answers are nobody's: the records say so."""
+
     @abstractmethod
     def feel(self, trial: Trial, interval: int) -> None:
         """Take the time to feel what is rendered in interval 1 or 2; returns when it has been felt."""
@@ -40,6 +43,8 @@ class Person(ABC):
 
 class SimulatedPerson(Person):
     """An observer whose answers follow from a seed, the person's code and the trial's number alone."""
+
+    is_simulated = True
 
     def __init__(self, observer: Observer, seed: int, subject: str) -> None:
         self._observer, self._seed, self._subject = observer, seed, subject

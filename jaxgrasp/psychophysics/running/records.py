@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from jaxgrasp.files.replace import replace_file
-
 FORMAT = 1
+_BINARY = getattr(os, "O_BINARY", 0)
 SUFFIX = ".jsonl"
 
 
@@ -25,17 +24,22 @@ def read_records(path: Path) -> tuple[list[dict[str, Any]], bytes]:
         OSError: for a file that cannot be read.
     """
     *lines, rest = path.read_bytes().split(b"\n")
-    return [_record(path, k, line) for k, line in enumerate(lines, 1)], rest
+    records = [_parsed(line) for line in lines]
+    for k, record in enumerate(records, 1):
+        if record is None:
+            raise RecordError(f"{path}, line {k}, is no record: {lines[k - 1][:60]!r}")
+    # Nothing that was cut off within a record is one: what lacks its end of line alone is whole.
+    last = _parsed(rest)
+    whole = [record for record in (*records, last) if record is not None]
+    return whole, b"" if last is not None else rest
 
 
-def _record(path: Path, number: int, line: bytes) -> dict[str, Any]:
+def _parsed(line: bytes) -> dict[str, Any] | None:
     try:
         found = json.loads(line)
-    except ValueError:
-        found = None
-    if not (isinstance(found, dict) and isinstance(found.get("record"), str)):
-        raise RecordError(f"{path}, line {number}, is no record: {line[:60]!r}")
-    return found
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) and isinstance(found.get("record"), str) else None
 
 
 class Journal:
@@ -55,22 +59,35 @@ class Journal:
             OSError: for a file that cannot be written, or that another program has open.
         """
         self.path = path
-        if not path.exists():
-            replace_file(path, lambda stream: stream.write(_line(first)))
-            _sync_folder(path.parent)
-        self._stream: BinaryIO = open(path, "r+b")  # noqa: SIM115
+        # One file from the beginning on, locked before it is looked at: of two programs, one finds it in use.
+        self._stream: BinaryIO = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | _BINARY, 0o666), "r+b")
         try:
             _lock(self._stream, path)
             self.records, rest = read_records(path)
-            if rest:
-                self._stream.seek(-len(rest), os.SEEK_END)
-                self._write({"record": "cut-off", "text": rest.decode(errors="replace")})
-                self._stream.truncate()
-                os.fsync(self._stream.fileno())
-            self._stream.seek(0, os.SEEK_END)
+            self._mend(rest, first)
+            _sync_folder(path.parent)
         except BaseException:
             self._stream.close()
             raise
+
+    def _mend(self, rest: bytes, first: dict[str, Any]) -> None:
+        """Begin an empty file, and end a last line that a crash cut off."""
+        self._stream.seek(-len(rest), os.SEEK_END)
+        if not rest and self._stream.tell() and not self._ends_a_line():
+            self._stream.seek(0, os.SEEK_END)
+            self._stream.write(b"\n")
+        if not self.records:
+            self._write(first)
+            self.records.append(first)
+        if rest:
+            self._write({"record": "cut-off", "text": rest.decode(errors="replace")})
+        self._stream.truncate()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+
+    def _ends_a_line(self) -> bool:
+        self._stream.seek(-1, os.SEEK_END)
+        return self._stream.read(1) == b"\n"
 
     def append(self, record: dict[str, Any]) -> None:
         """Write a record; it is on disk when this returns.

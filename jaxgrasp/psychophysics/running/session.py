@@ -13,12 +13,15 @@ from typing import Any
 
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.running.history import check_plan, replay
 from jaxgrasp.psychophysics.running.person import Person
-from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, RecordError, read_records
+from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, read_records
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus, StimulusLostError
 from jaxgrasp.psychophysics.trial import Trial, intensity, level_of
 
+EVERYONE = "all"
+"""Stands for all persons' answers together, where these are analysed."""
 CODE = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 
@@ -52,12 +55,13 @@ def run_experiment(
         StimulusLostError: where a stimulus was not felt as it should have been; that trial is not on record.
         OSError: for records that cannot be written.
     """
-    path = check_records(plan, subject, folder, resume=resume)
+    path = check_records(plan, subject, folder, resume=resume, simulated=person.is_simulated)
     there = path.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    with Journal(path, _begun(plan, subject)) as journal:
+    with Journal(path, _begun(plan, subject, person.is_simulated)) as journal:
         schedule = Schedule(plan, subject)
-        done = _replay(schedule, plan, subject, journal.records, path)
+        check_plan(journal.records, plan, person.is_simulated, path)
+        done = len(replay(schedule, subject, journal.records, path))
         if there:
             journal.append({"record": "resumed", "at": _now(), "trials": done})
         while (trial := schedule.next()) is not None:
@@ -73,7 +77,7 @@ def run_experiment(
         return done
 
 
-def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool) -> Path:
+def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, simulated: bool) -> Path:
     """The file of a person's records, which are not there, or can be gone on with.
 
     Raises:
@@ -82,26 +86,16 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool) -> Pa
     """
     if not CODE.fullmatch(subject):
         raise ValueError(f"subject is {subject!r}: expected a code of letters, digits, - and _, and no name")
+    if subject == EVERYONE:
+        raise ValueError(f"subject is {subject!r}, which stands for all persons together: expected another code")
     path = folder / f"{subject}{SUFFIX}"
     if path.exists():
         if not resume:
             raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
-        _replay(Schedule(plan, subject), plan, subject, read_records(path)[0], path)
+        records = read_records(path)[0]
+        check_plan(records, plan, simulated, path)
+        replay(Schedule(plan, subject), subject, records, path)
     return path
-
-
-def read_trials(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The first record of a person's file, with the plan, and those of all trials.
-
-    Raises:
-        RecordError: for a file that is none of these.
-    """
-    records, _ = read_records(path)
-    if not records or records[0]["record"] != "begun":
-        raise RecordError(f"{path} has no first record of an experiment")
-    if records[0].get("format") != FORMAT:
-        raise RecordError(f"{path} has format {records[0].get('format')!r}: expected {FORMAT}")
-    return records[0], [record for record in records if record["record"] == "trial"]
 
 
 def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tuple[float, dict[str, Any]]:
@@ -156,70 +150,30 @@ def _setting(
     reference, first = _felt(trial, 1, stimulus, person)
     level, begun = trial.level, time.perf_counter()
     stimulus.begin(trial.second)
+    shows, setting = "comparison", None
     try:
         while (move := person.adjust(trial, intensity(trial.reference, level))) != "done":
             if move in ("up", "down"):
                 level = max(level + (settings.step if move == "up" else -settings.step), -1.0)
-            stimulus.end()
-            stimulus.begin(trial.reference if move == "reference" else intensity(trial.reference, level))
+            ended = stimulus.end()
+            setting = ended if shows == "comparison" else setting
+            shows = "reference" if move == "reference" else "comparison"
+            stimulus.begin(trial.reference if shows == "reference" else intensity(trial.reference, level))
     except BaseException:
         with contextlib.suppress(StimulusLostError):
             stimulus.end()
         raise
-    setting = stimulus.end()
+    ended = stimulus.end()
+    # Who says "done" at the reference means what was last felt beside it.
+    setting = ended if shows == "comparison" or setting is None else setting
     return intensity(trial.reference, level), (reference, setting), (first, time.perf_counter() - begun)
 
 
-def _replay(schedule: Schedule, plan: Plan, subject: str, records: list[dict[str, Any]], path: Path) -> int:
-    """Lead a schedule to where the records end; they must be what it would have asked."""
-    if not records or records[0].get("record") != "begun":
-        raise RecordError(f"{path} has no first record of an experiment")
-    first = records[0]
-    if first.get("format") != FORMAT:
-        raise RecordError(f"{path} has format {first.get('format')!r}: expected {FORMAT}")
-    if first.get("subject") != subject:
-        raise RecordError(f"{path} is of subject {first.get('subject')!r}: expected {subject!r}")
-    _check_same(first.get("plan"), _plain(plan.table()), path)
-    done = 0
-    for record in records:
-        if record["record"] != "trial":
-            continue
-        trial = schedule.next()
-        if trial is None:
-            raise RecordError(f"{path} has more trials than the plan")
-        for name, value in asdict(trial).items():
-            if record.get(name) != value:
-                raise RecordError(
-                    f"{path}, trial {trial.number}: {name} is {record.get(name)!r}, and the plan leads to {value!r}"
-                )
-        schedule.score(level_of(trial.reference, record["setting"]) if "setting" in record else float(record["right"]))
-        done += 1
-    return done
-
-
-def _check_same(recorded: Any, plan: dict[str, Any], path: Path) -> None:
-    if recorded == plan:
-        return
-    for key, value in plan.items():
-        was = recorded.get(key) if isinstance(recorded, dict) else None
-        if was != value:
-            raise RecordError(f"{path} was begun with another plan: {key} was {was!r}, and now is {value!r}")
-    raise RecordError(f"{path} was begun with another plan")
-
-
-def _begun(plan: Plan, subject: str) -> dict[str, Any]:
+def _begun(plan: Plan, subject: str, simulated: bool) -> dict[str, Any]:
     version = importlib.metadata.version("jaxgrasp")
-    head = {"record": "begun", "format": FORMAT, "subject": subject, "software": version, "at": _now()}
-    return {**head, "plan": _plain(plan.table())}
-
-
-def _plain(value: Any) -> Any:
-    """As JSON gives it back: tuples are lists."""
-    if isinstance(value, dict):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(one) for one in value]
-    return value
+    head = {"record": "begun", "format": FORMAT, "subject": subject, "simulated": simulated, "software": version}
+    head |= {"at": _now()}
+    return {**head, "plan": plan.table()}
 
 
 def _known(value: float) -> float | None:

@@ -1,0 +1,120 @@
+"""What is on record of a person: read, and led through the plan again, so that nothing else passes for it."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.psychophysics.plan import Plan, plan_of
+from jaxgrasp.psychophysics.running.records import FORMAT, RecordError, read_records
+from jaxgrasp.psychophysics.schedule import Schedule
+from jaxgrasp.psychophysics.trial import Trial, level_of
+
+TrialRecord = dict[str, Any]
+
+
+def read_experiment(path: Path) -> tuple[Plan, bool, list[TrialRecord]]:
+    """The plan of a person's file, whether an observer was simulated, and the trials: those that the plan leads to.
+
+    Raises:
+        RecordError: for a file that is none of these, by the trial and the field.
+    """
+    first, *rest = _records(path)
+    plan = _plan(first, path)
+    return plan, first["simulated"], replay(Schedule(plan, path.stem), path.stem, [first, *rest], path)
+
+
+def replay(schedule: Schedule, subject: str, records: list[dict[str, Any]], path: Path) -> list[TrialRecord]:
+    """Lead a schedule to where records end; the trials, which must be what it would have asked."""
+    if not records:
+        return []
+    if records[0].get("subject") != subject:
+        raise RecordError(f"{path} is of subject {records[0].get('subject')!r}: expected {subject!r}")
+    trials = [record for record in records if record["record"] == "trial"]
+    for record in trials:
+        trial = schedule.next()
+        if trial is None:
+            raise RecordError(f"{path} has more trials than the plan")
+        for name, value in asdict(trial).items():
+            if record.get(name) != value:
+                raise RecordError(
+                    f"{path}, trial {trial.number}: {name} is {record.get(name)!r}, and the plan leads to {value!r}"
+                )
+        schedule.score(_score(trial, record, path))
+    return trials
+
+
+def check_plan(records: list[dict[str, Any]], plan: Plan, simulated: bool, path: Path) -> None:
+    """Raise RecordError unless a file was begun with this plan, and by a person or an observer alike."""
+    if not records:
+        return
+    recorded, now = _plan(records[0], path).table(), plan.table()
+    for key, value in now.items():
+        if recorded[key] != value:
+            raise RecordError(f"{path} was begun with another plan: {key} was {recorded[key]!r}, and now is {value!r}")
+    if records[0]["simulated"] != simulated:
+        names = ("a person", "a simulated observer")
+        raise RecordError(f"{path} was begun by {names[not simulated]}: expected {names[simulated]}")
+
+
+def _records(path: Path) -> list[dict[str, Any]]:
+    records = read_records(path)[0]
+    if not records:
+        raise RecordError(f"{path} has no first record of an experiment")
+    return records
+
+
+def _plan(first: dict[str, Any], path: Path) -> Plan:
+    if first["record"] != "begun":
+        raise RecordError(f"{path} has no first record of an experiment")
+    if first.get("format") != FORMAT:
+        raise RecordError(f"{path} has format {first.get('format')!r}: expected {FORMAT}")
+    if not (isinstance(first.get("plan"), dict) and isinstance(first.get("simulated"), bool)):
+        raise RecordError(f"{path} has no plan in its first record")
+    try:
+        return plan_of(first["plan"], "plan")
+    except ValueError as error:
+        raise RecordError(f"{path}: {error}") from None
+
+
+def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
+    """Of an answer, once it is known to be one."""
+    where = f"{path}, trial {trial.number}"
+    if not isinstance(record.get("saturated"), bool):
+        raise RecordError(f"{where}: saturated is {record.get('saturated')!r}: expected true or false")
+    for name in ("felt", "torque", "durations"):
+        if not _is_pair(record.get(name)):
+            raise RecordError(f"{where}: {name} is {record.get(name)!r}: expected two numbers")
+    if trial.task == "setting":
+        setting = record.get("setting")
+        if setting is None or not _is_number(setting) or setting < 0:
+            raise RecordError(f"{where}: setting is {setting!r}: expected a number, 0 or more")
+        return level_of(trial.reference, setting)
+    answer, right = record.get("answer"), record.get("right")
+    if answer not in (1, 2) or isinstance(answer, bool):
+        raise RecordError(f"{where}: answer is {answer!r}: expected 1 or 2")
+    if right is not (answer == trial.stronger):
+        raise RecordError(
+            f"{where}: right is {right!r}, and the answer was {answer} of which {trial.stronger} is right"
+        )
+    return float(right)
+
+
+def _is_pair(value: Any) -> bool:
+    """Two numbers, of which either may not be known."""
+    return isinstance(value, list) and len(value) == 2 and all(one is None or _is_number(one) for one in value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def felt_levels(trials: Iterable[TrialRecord]) -> list[float]:
+    """Differences as they were rendered, by the smaller intensity; those that are known."""
+    found = []
+    for one in trials:
+        first, second = one["felt"]
+        if first is not None and second is not None and min(first, second) > 0:
+            found.append(max(first, second) / min(first, second) - 1)
+    return found

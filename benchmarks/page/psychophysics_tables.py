@@ -5,6 +5,8 @@ from benchmarks.page.tables import NOTHING, table
 LARGER = 100
 """Answers a level from which coverage is judged: ten times one person's at the paper's design."""
 ASKED = (0.93, 0.97)
+NUMBERS = (("bias", "+"), ("spread", ""), ("coverage", ""))
+"""Of a row, with the sign that is shown."""
 
 
 def page(report: dict) -> str:

@@ -157,7 +157,7 @@ def follows(glove: GloveProcess, felt) -> bool:
 
 
 def felt_until(glove: GloveProcess, stimulus: GloveStimulus, intensity: float, is_so) -> Rendered:
-    """What came of an intensity that was felt until something is so; again where a busy machine made the glove let go."""
+    """What came of an intensity, felt until something is so; again where a busy machine made the glove let go."""
     for _ in range(10):
         try:
             arm(glove, stimulus)

@@ -60,6 +60,12 @@ def said(found: Analysis) -> list[str]:
     word, other = ("left out", "counted") if settings.saturated == "exclude" else ("counted", "left out")
     for cell in (*found.pooled, *found.cells):
         lines.append(f"{cell.subject:>8} at {cell.reference:g} {unit}: {_threshold(cell, unit, other)}")
+    for group in found.groups:
+        lines.append(
+            f"{'persons':>8} at {group.reference:g} {unit}: mean {_number(group.mean)}, deviation "
+            f"{_number(group.deviation)}, standard error {_number(group.error)}, of the {group.persons} of {group.of} "
+            "who have a threshold"
+        )
     for one in found.matched:
         lines.append(
             f"{one.subject:>8} at {one.reference:g} {unit}: {one.settings} settings, error {one.error:+.3g} {unit} "
@@ -97,12 +103,14 @@ def _differences(found: Analysis, unit: str) -> list[str]:
     lines = []
     if found.line is not None:
         lines.append(
-            f"JND of {EVERYONE} = {found.line.limit:.3f} x reference + {found.line.floor:.3g} {unit} (least squares)"
+            f"JND of {EVERYONE}: limit {found.line.limit:.3f} \N{PLUS-MINUS SIGN} {found.line.limit_deviation:.3f} x "
+            f"reference, floor {found.line.floor:+.3g} \N{PLUS-MINUS SIGN} {found.line.floor_deviation:.2g} {unit}"
         )
     if found.comparison is not None:
         within, between = found.comparison.within, found.comparison.between
         lines.append(
-            f"references differ: repeated measures F[{within.between:g}, {within.within:g}] = {within.f:.2f}, "
+            f"between references, {len(found.comparison.subjects)} of {len(found.subjects)} persons: "
+            f"repeated measures F[{within.between:g}, {within.within:g}] = {within.f:.2f}, "
             f"p = {within.p_value:.4f} ({within.corrected_p_value:.4f} corrected, epsilon {within.sphericity:.2f}), "
             f"partial eta squared {within.eta_squared:.2f}; as if of different persons "
             f"F[{between.between:g}, {between.within:g}] = {between.f:.2f}, p = {between.p_value:.4f}"
@@ -111,12 +119,14 @@ def _differences(found: Analysis, unit: str) -> list[str]:
             first, second = (found.comparison.references[k] for k in pair.groups)
             lines.append(
                 f"  {first:g} less {second:g} {unit}: {pair.difference:+.3f}, p = {pair.p_value:.4f} (Holm), "
-                f"d = {pair.effect:.2f}"
+                f"d_z = {pair.effect:.2f}"
             )
     return lines
 
 
 def _number(value: float) -> str:
+    if math.isnan(value):
+        return "none"
     return f"{value:.3g}" if math.isfinite(value) else "without bound"
 
 

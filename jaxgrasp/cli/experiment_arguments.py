@@ -118,10 +118,11 @@ class Power:
     """TOML file of the plan, of constant stimuli; the paper's where not given."""
     reference: float | None = None
     """Which one of its references; the first where not given."""
-    wanted: float = 0.02
-    """Standard error of the mean threshold over persons: of the Weber fraction, or of the intensity in detection."""
-    between: float = 0.035
-    """Standard deviation of the persons' own thresholds; the paper prints 0.035 to 0.052."""
+    wanted: float | None = None
+    """Standard error of the mean threshold over persons: of the Weber fraction, 0.02 where not given; in detection, of
+    the intensity."""
+    between: float | None = None
+    """Standard deviation of the persons' own thresholds; 0.035 where not given, of the paper's 0.035 to 0.052."""
     most_subjects: int = 100
     """That can be had."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()

@@ -50,11 +50,12 @@ class TerminalPerson(Person):
 
 def typed(prompt: str) -> str:
     """A line from the keyboard; KeyboardInterrupt where there are no more."""
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        import termios
+    if sys.stdin.isatty():
+        with contextlib.suppress(ImportError):
+            import termios
 
-        # What was typed ahead answers nothing that was felt.
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            # What was typed ahead answers nothing that was felt.
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
     try:
         return input(prompt)
     except EOFError:

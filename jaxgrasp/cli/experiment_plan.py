@@ -16,6 +16,14 @@ from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
 
 SHOWN = 6
+POSTURES = {
+    "weight": "lifted by the knuckles to its 4 cm",
+    "stiffness": "squeezed by the knuckles to 1 cm",
+    "torque": "whatever the posture",
+}
+WANTED = 0.02
+BETWEEN = 0.035
+"""Of Weber fractions: what the paper prints at 2 N."""
 
 
 def plan_command(arguments: PlanCommand) -> int:
@@ -28,7 +36,7 @@ def plan_command(arguments: PlanCommand) -> int:
         print(f"written: {arguments.write}")
     model = load_glove(arguments.glove) if arguments.glove else lrp_hand_master()
     print("\n".join(summary(plan)))
-    print(f"rendered by {model.name}:")
+    print(f"rendered by {model.name}, {POSTURES[plan.stimulus.kind]}:")
     print("\n".join(predicted(plan, predicted_stimulus(plan, model))))
     return 0
 
@@ -37,6 +45,7 @@ def power_command(arguments: Power) -> int:
     """Simulate, and say the designs that take the fewest trials."""
     check_positive(arguments, "wanted", "most_subjects")
     check_not_negative(arguments, "between")
+    observer = observer_of(arguments.observer)
     plan = read_plan(arguments.file)
     if not isinstance(plan.procedure, ConstantStimuli):
         raise ValueError(f"procedure.method is {plan.method!r}: expected constant-stimuli, of which power is simulated")
@@ -45,18 +54,21 @@ def power_command(arguments: Power) -> int:
         known = ", ".join(f"{one:g}" for one in plan.session.references)
         raise ValueError(f"reference is {reference:g}: expected one of {known}")
     levels = np.array(plan.procedure.levels)
+    check_notices(observer, plan)
+    wanted, between = _precision(arguments, plan)
     print(
-        f"standard error {arguments.wanted:g} of the mean threshold at {reference:g} {plan.stimulus.unit}, levels "
+        f"standard error {wanted:g} of the mean threshold at {reference:g} {plan.stimulus.unit}, levels "
         f"{', '.join(f'{level:g}' for level in levels)}"
     )
     found = cheapest(
-        arguments.wanted,
-        observer_of(arguments.observer),
+        wanted,
+        observer,
         reference,
         levels,
-        between=arguments.between,
+        between=between,
         most_subjects=arguments.most_subjects,
     )
+    print("\n".join(line for line in predicted(plan, predicted_stimulus(plan, lrp_hand_master())) if "WARNING" in line))
     if not found:
         print(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
         return 0
@@ -67,6 +79,20 @@ def power_command(arguments: Power) -> int:
             f"{100 * one.outside:17.1f}%"
         )
     return 0
+
+
+def _precision(arguments: Power, plan: Plan) -> tuple[float, float]:
+    """What is wanted, and how persons differ; of an intensity, nobody but the user knows either."""
+    if plan.is_detection and (arguments.wanted is None or arguments.between is None):
+        raise ValueError(f"wanted and between are needed in detection, in {plan.stimulus.unit}")
+    wanted = WANTED if arguments.wanted is None else arguments.wanted
+    return wanted, BETWEEN if arguments.between is None else arguments.between
+
+
+def check_notices(observer: Observer, plan: Plan) -> None:
+    """Raise ValueError for an observer who notices anything at all in a plan of detection."""
+    if plan.is_detection and not observer.absolute > 0:
+        raise ValueError(f"absolute is {observer.absolute}: expected the observer's threshold [{plan.stimulus.unit}]")
 
 
 def read_plan(path: Path | None) -> Plan:
@@ -116,5 +142,5 @@ def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:
 
 
 def _line(one: Rendered, unit: str) -> str:
-    felt = f"SATURATES, about {one.felt:.3g} {unit} is left" if one.saturated else "rendered whole"
+    felt = f"SATURATES, feels like {one.felt:.3g} {unit}" if one.saturated else "rendered whole"
     return f"  {one.intensity:8.4g} {unit}: torques up to {one.torque:.4f} N\N{MIDDLE DOT}m, {felt}"

@@ -7,13 +7,15 @@ from contextlib import ExitStack
 from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson, typed
-from jaxgrasp.cli.experiment_plan import observer_of, predicted, predicted_stimulus, read_plan, summary
+from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.glove.calibrate import load_model
+from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import check_records, run_experiment
-from jaxgrasp.psychophysics.stimulus import Stimulus, StimulusLostError
+from jaxgrasp.psychophysics.stimulus import NotFeltError, Stimulus, StimulusLostError
 
 FIRST, FULL = 0.05, 1.0
 PATIENCE = 5.0
@@ -32,11 +34,12 @@ def run_command(arguments: RunExperiment) -> int:
         )
     plan = read_plan(arguments.file)
     observer = observer_of(arguments.observer)
-    path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, simulated=arguments.simulate)
-    print("\n".join(summary(plan)))
     person: Person = TerminalPerson(plan)
     if arguments.simulate:
+        check_notices(observer, plan)
         person = SimulatedPerson(observer, plan.seed, arguments.subject)
+    path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, observer=person.observer)
+    print("\n".join(summary(plan)))
     try:
         with ExitStack() as stack:
             stimulus, arm = _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, stack)
@@ -55,7 +58,8 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
             return run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=resume)
         except StimulusLostError as error:
             print(f"\n{error}: this trial does not count")
-            arm()
+            if not isinstance(error, NotFeltError):
+                arm()
             resume = True
 
 
@@ -70,18 +74,18 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
 def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimulus, Arm]:
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
     set_up_jax("float64")
-    from jaxgrasp.glove.loop.glove_process import GloveProcess
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.stimuli import GloveStimulus
 
     files = {"model": arguments.glove, "calibration": arguments.calibration}
     options = {name: str(one.resolve()) for name, one in files.items() if one is not None}
     model, _ = load_model(options)
-    felt = felt_object(plan.stimulus, model)
-    print("compiling", flush=True)
     glove = stack.enter_context(
         GloveProcess(arguments.port or "", len(model.joints), **options, baud=arguments.baud, scale=FIRST)
     )
+    _check_linked(glove, arguments.port or "")
+    print("compiling", flush=True)
+    felt = felt_object(plan.stimulus, model)
     stimulus = GloveStimulus(felt, model, glove)
     stack.callback(stimulus.close)
     print("\n".join(predicted(plan, stimulus)))
@@ -96,6 +100,16 @@ def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimu
     arm(FIRST, "Enter arms the glove at a twentieth of its torque ")
     arm(FULL, "Enter arms it at all ")
     return stimulus, lambda: arm(FULL, "Enter arms it again ")
+
+
+def _check_linked(glove: GloveProcess, port: str) -> None:
+    """Before anything takes long: raise OSError unless a glove answers there."""
+    end = time.perf_counter() + PATIENCE
+    while (state := glove.state()) is None or state.link < LinkState.LINKED:
+        if time.perf_counter() > end or not glove.is_alive():
+            why = next((event["trouble"] for event in reversed(glove.events()) if event["trouble"]), "it says nothing")
+            raise OSError(f"no glove answers at {port}: {why}; `jaxgrasp glove ports` lists the ports")
+        time.sleep(0.02)
 
 
 def _until_it_does(arm: Callable[[], None]) -> None:

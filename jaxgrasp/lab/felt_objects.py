@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool
 
 from jaxgrasp.contact.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.contact.kinematics import joint_torques, pose_hand
@@ -56,6 +57,10 @@ class FeltObject(eqx.Module):
     def postures(self) -> Float[np.ndarray, "P channels"]:
         """Angles that a person goes through who feels it [rad]."""
 
+    def is_alone(self, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
+        """Whether nothing but the intensity is felt there, such as the end of a travel."""
+        return jnp.asarray(True)
+
 
 class Lifted(FeltObject):
     """A weight [N] on the pads of some fingers."""
@@ -83,6 +88,9 @@ class Lifted(FeltObject):
         grasp = Grasp(points, up, jnp.full(len(self.links), FRICTION), squeeze)
         wrench = jnp.zeros(6).at[2].set(load)
         return _resisting(self.hand, self.worn, self.links, frames, grasp, wrench, jnp.eye(6)[:, 2:3])
+
+    def is_alone(self, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
+        return self.height(angles) <= TRAVEL
 
     def postures(self) -> Float[np.ndarray, "P channels"]:
         return _within(self, lambda angles: (self.height(angles) > ENGAGED) & (self.height(angles) <= TRAVEL))
@@ -202,6 +210,12 @@ def resistance_and_slope(
 
     slope, torques = jax.jacfwd(both, has_aux=True)(jnp.asarray(angles))
     return torques, slope
+
+
+@jax.jit
+def is_alone(felt: FeltObject, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
+    """Compiled once for all instants."""
+    return felt.is_alone(angles)
 
 
 @jax.jit

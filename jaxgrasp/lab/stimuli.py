@@ -12,10 +12,10 @@ from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, resistance_and_slope, resistances
+from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, is_alone, resistance_and_slope, resistances
 from jaxgrasp.lab.haptic_loop import run_loop
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered, StimulusLostError
+from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 
 RATE = 100.0
 """Of laws [Hz]."""
@@ -49,10 +49,11 @@ class GloveStimulus(PredictedGloveStimulus):
         self._glove = glove
         self._ends = threading.Event()
         self._lock = threading.Lock()
-        self._clipped, self._most, self._armed = 0.0, 0.0, True
+        self._forget()
         # All is compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go.
         self.predict(0.0)
         resistance_and_slope(felt, self._postures[0], 0.0)
+        is_alone(felt, self._postures[0])
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -65,21 +66,23 @@ class GloveStimulus(PredictedGloveStimulus):
         self._check_armed()
         with self._lock:
             self._intensity = intensity
-            self._clipped, self._most, self._armed = 0.0, 0.0, True
+            self._forget()
 
     def end(self) -> Rendered:
         """Let it end.
 
         Raises:
             StimulusLostError: where the glove was not armed all the time.
+            NotFeltError: where there was something to be felt, and the hand never did what it takes.
         """
         with self._lock:
-            intensity, clipped, most, armed = self._intensity, self._clipped, self._most, self._armed
+            found, armed = Rendered(self._intensity, self._intensity * self._share, self._most, self._cut), self._armed
             self._intensity = 0.0
         if not (armed and self._holds()):
             raise StimulusLostError("the glove let go while it was felt")
-        foreseen = self.predict(intensity)
-        return Rendered(intensity, foreseen.felt if clipped > 0 else intensity, most, clipped > 0)
+        if found.intensity > 0 and not found.torque > 0:
+            raise NotFeltError("no finger has felt it")
+        return found
 
     def wait_until_armed(self, patience: float) -> None:
         """Return once the glove is armed.
@@ -98,6 +101,12 @@ class GloveStimulus(PredictedGloveStimulus):
         """No more laws."""
         self._ends.set()
         self._thread.join()
+
+    def _forget(self) -> None:
+        """What came of an intensity: its largest torque, the least share of the torques that was left, whether any was
+        cut, and whether the glove was armed throughout.
+        """
+        self._most, self._share, self._cut, self._armed = 0.0, 1.0, False, True
 
     def _check_armed(self) -> None:
         if not self._holds():
@@ -119,7 +128,6 @@ class GloveStimulus(PredictedGloveStimulus):
         state = self._glove.state()
         if state is not None:
             with self._lock:
-                self._clipped = max(self._clipped, state.clipped)
                 self._armed = self._armed and _is_armed(state)
         return state
 
@@ -128,8 +136,11 @@ class GloveStimulus(PredictedGloveStimulus):
             intensity = self._intensity
         found = resistance_and_slope(self._felt, angles, intensity)
         torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
-        with self._lock:
-            self._most = max(self._most, float(torques.max()))
+        if is_alone(self._felt, angles):
+            now_felt = rendered(1.0, torques[None], self._limits)
+            with self._lock:
+                self._most, self._share = max(self._most, now_felt.torque), min(self._share, now_felt.felt)
+                self._cut = self._cut or now_felt.saturated
         valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
         return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
 

@@ -30,7 +30,7 @@ from jaxgrasp.psychophysics.procedures.staircase import Staircase
 from jaxgrasp.psychophysics.recomputed import recomputed
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import run_experiment
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, Rendered, Stimulus, StimulusLostError
+from jaxgrasp.psychophysics.stimulus import IdealStimulus, NotFeltError, Rendered, Stimulus, StimulusLostError
 
 __all__ = [
     "Adaptive",
@@ -44,6 +44,7 @@ __all__ = [
     "IdealStimulus",
     "Matching",
     "Model",
+    "NotFeltError",
     "Observer",
     "Person",
     "Plan",

@@ -8,6 +8,10 @@ class StimulusLostError(OSError):
     """What was to be felt was not, or not all the time: the trial does not count, and is to be asked again."""
 
 
+class NotFeltError(StimulusLostError):
+    """There was something to be felt, and a person did not do what it takes: it is to be asked again."""
+
+
 @dataclass(frozen=True)
 class Rendered:
     """What came of an intensity."""

@@ -49,14 +49,20 @@ def _answers(found: Analysis, unit: str) -> str:
     settings, model = found.settings, found.settings.model
     assert model is not None
     note = (
-        f"All persons together: hit ratios with {percentage(settings.coverage)} intervals (Wilson's), the function of "
+        f"All persons' answers together, as if one person's: hit ratios with {percentage(settings.coverage)} "
+        f"intervals (Wilson's), the function of "
         f"largest likelihood where the method has one ({text(model.shape)}), and the threshold at a hit ratio "
         f"of {model.criterion:g} with its interval."
     )
     figure = figure_html("psychometric", figures.psychometric(found.pooled, model, unit))
-    head = ["who", f"reference [{text(unit)}]", "threshold", "interval", "JND", "trials", "fit", "what it means"]
+    head = ["who", f"reference [{text(unit)}]", "threshold", "interval", "JND", "trials", "cut", "the other way", "fit"]
+    head.append("what it means")
     rows = [_row(cell) for cell in (*found.pooled, *found.cells)]
-    return f'<p class="note">{note}</p>{figure}{table(head, rows)}{_detection(found)}'
+    about = (
+        "Cut: trials in which the device cut a torque; the other way: the threshold with these where they are left "
+        "out, and without them where they are counted."
+    )
+    return f'<p class="note">{note}</p>{figure}{table(head, rows)}<p class="note">{about}</p>{_detection(found)}'
 
 
 def _row(cell: Cell) -> list[str]:
@@ -69,24 +75,28 @@ def _row(cell: Cell) -> list[str]:
         f"{number(one.low)} to {number(one.high)}",
         number(cell.weber.jnd) if cell.weber is not None else "",
         str(int(cell.counts.trials.sum())),
+        str(cell.saturated or ""),
+        number(cell.with_others.value) if cell.with_others is not None else "",
         fit,
         "" if one.finding is Finding.FOUND else f'<span class="wide">{text(one.finding.advice)}</span>',
     ]
 
 
 def _detection(found: Analysis) -> str:
+    if not any(cell.sensitivities for cell in found.pooled):
+        return ""
     rows = [
         [
             f"{cell.reference:g}",
             f"{level:g}",
-            number(view.d_prime),
+            number(round(view.d_prime, 6)),
             f"{number(view.low)} to {number(view.high)}",
-            number(view.lean, 2),
+            number(round(view.lean, 6), 2),
         ]
         for cell in found.pooled
         for level, view in cell.sensitivities
     ]
-    head = ["reference", "level", "d\N{PRIME}", "interval", "lean to the second"]
+    head = ["reference", "level", "d\N{PRIME}", "interval", "criterion c (towards the second)"]
     return f"<details><summary>Signal detection: d\N{PRIME} and bias</summary>{table(head, rows)}</details>"
 
 
@@ -99,7 +109,16 @@ def _references(found: Analysis) -> str:
     ]
     if not drawn:
         return '<p class="note">No reference has a threshold.</p>'
-    return f'<div class="three">{"".join(drawn)}</div>{_variance(found)}'
+    return f'<div class="three">{"".join(drawn)}</div>{_groups(found)}{_variance(found)}'
+
+
+def _groups(found: Analysis) -> str:
+    rows = [
+        [f"{g.reference:g}", number(g.mean), number(g.deviation), number(g.error), f"{g.persons} of {g.of}"]
+        for g in found.groups
+    ]
+    head = ["reference", "mean of persons' thresholds", "deviation", "standard error", "persons with a threshold"]
+    return table(head, rows)
 
 
 def _variance(found: Analysis) -> str:
@@ -126,7 +145,7 @@ def _variance(found: Analysis) -> str:
         ]
         for pair in comparison.pairs
     ]
-    below = table(["references", "difference", "p (Holm)", "Cohen's d"], pairs)
+    below = table(["references", "difference", "p (Holm)", "d<sub>z</sub>"], pairs)
     return table(head, rows) + below
 
 

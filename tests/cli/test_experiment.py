@@ -65,7 +65,7 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
     assert "33 trials are in" in capsys.readouterr().out
     assert main(["experiment", "analyse", "jaxgrasp-experiment"]) == 0
     said = capsys.readouterr().out
-    assert "all at 1 N: " in said and "JND of all = " in said
+    assert "all at 1 N: " in said and "JND of all: limit " in said and " persons at 1 N: mean" in said
     found = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
     assert [cell["counts"]["trials"] for cell in found["pooled"]] == [[12] * 4] * 2
     assert (folder / "jaxgrasp-experiment" / "report.html").stat().st_size > 10**6
@@ -84,10 +84,26 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
 def test_power(folder, capsys):
     assert main(["experiment", "power", "--wanted", "0.03"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    totals = [int(line.split()[2]) for line in lines[2:]]
+    assert "WARNING: 5 of 15 stimuli need more torque" in lines[1]
+    totals = [int(line.split()[2]) for line in lines[3:]]
     assert totals == sorted(totals) and len(totals) >= 3
     assert main(["experiment", "power", "--wanted", "0.0001"]) == 0
     assert "no design" in capsys.readouterr().out
+
+
+def test_detection_needs_to_be_told(folder, capsys):
+    """What is wanted of an intensity, and an observer who does not notice everything."""
+    (folder / "plan.toml").write_text("[session]\nreferences = [0]\n[procedure]\nlevels = [0.1, 0.2, 0.4]")
+    for arguments, message in (
+        (["power", "plan.toml", "--absolute", "0.15"], "wanted and between are needed in detection, in N"),
+        (["power", "plan.toml"], "absolute is 0.0: expected the observer's threshold [N]"),
+        (["run", "plan.toml", "--subject", "S1", "--simulate"], "absolute is 0.0"),
+        (["run", "plan.toml", "--subject", "S1", "--port", "nowhere"], "no glove answers at nowhere"),
+    ):
+        assert main(["experiment", *arguments]) == 1
+        assert message in capsys.readouterr().err
+    options = ["--absolute", "0.15", "--wanted", "0.02", "--between", "0.03"]
+    assert main(["experiment", "power", "plan.toml", *options]) == 0
 
 
 @pytest.mark.parametrize(

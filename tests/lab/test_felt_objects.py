@@ -13,7 +13,7 @@ from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.lab.felt_objects import ENGAGED, SQUEEZED, TRAVEL, felt_object, resistance_and_slope, resistances
 from jaxgrasp.lab.stimuli import GloveStimulus, PredictedGloveStimulus
 from jaxgrasp.psychophysics.plan import Plan, StimulusPlan
-from jaxgrasp.psychophysics.stimulus import Rendered, StimulusLostError
+from jaxgrasp.psychophysics.stimulus import NotFeltError, Rendered, StimulusLostError
 
 MODEL = lrp_hand_master()
 ALL_FOUR = ("index", "middle", "ring", "little")
@@ -137,14 +137,26 @@ def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
     with Simulator() as simulator, GloveProcess(simulator.port, 14, scale=1.0, ramp=0.05, oldest=0.05) as glove:
         stimulus = GloveStimulus(felt, MODEL, glove)
         try:
-            for posture in (np.asarray(felt.start), lifted):
-                simulator.order(bend=posture.tolist(), lasts=0.2)
-                time.sleep(0.5)
-                found = felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
-                assert not found.saturated
+            bent(simulator, np.asarray(felt.start))
+            with pytest.raises(NotFeltError, match="no finger has felt it"):
+                felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
+            bent(simulator, lifted)
+            found = felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
+            assert not found.saturated and found.felt == 2.0
             assert found.torque > 0.07
+            # The end of the travel is no part of the weight, however hard it is.
+            past = lifted + 0.4 * (lifted != np.asarray(felt.start))
+            found = felt_until(glove, stimulus, 2.0, lambda: bent(simulator, past))
+            assert felt.height(past) > TRAVEL and not found.saturated and found.felt == 2.0
         finally:
             stimulus.close()
+
+
+def bent(simulator: Simulator, posture: np.ndarray) -> bool:
+    """Once its person has come there."""
+    simulator.order(bend=posture.tolist(), lasts=0.2)
+    time.sleep(0.5)
+    return True
 
 
 def follows(glove: GloveProcess, felt) -> bool:
@@ -164,6 +176,8 @@ def felt_until(glove: GloveProcess, stimulus: GloveStimulus, intensity: float, i
             stimulus.begin(intensity)
             so = is_so()
             found = stimulus.end()
+        except NotFeltError:
+            raise
         except StimulusLostError:
             continue
         assert so

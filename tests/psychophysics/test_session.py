@@ -83,7 +83,9 @@ def test_rests_and_feedback(folder):
     assert person.rests == [9, 16] and [number for number, _ in person.heard] == list(range(1, 19))
     silent = replace(SHORT, session=replace(SHORT.session, feedback=False))
     other = Watched(silent)
-    run_experiment(silent, "S2", folder, IdealStimulus(), other)
+    run_experiment(silent, "S2", folder / "silent", IdealStimulus(), other)
+    with pytest.raises(RecordError, match=r"S1.jsonl was begun with another plan: session was .* and now is"):
+        run_experiment(silent, "S3", folder, IdealStimulus(), other)
     assert [number for number, _ in other.heard] == [1, 2], "practice has feedback"
 
 
@@ -258,10 +260,11 @@ def test_lines_through_answers_that_chose_their_levels(folder):
 
 
 def test_what_was_too_brief_to_be_felt_is_said(folder):
-    class Present(Watched):
-        is_simulated = False
-
-    run(SHORT, folder, Present(SHORT))
+    person = Watched(SHORT)
+    person.observer = None
+    run(SHORT, folder, person)
+    with pytest.raises(RecordError, match="was begun by a person, and now it is a simulated observer"):
+        run(SHORT, folder, resume=True)
     notes = analyse(load_experiment(folder)).notes
     assert any("S1: 16 trials had an interval of less than 0.3 s" in note for note in notes)
     (folder / "S1.jsonl").unlink()

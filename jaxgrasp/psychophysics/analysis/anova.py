@@ -44,7 +44,7 @@ class Pair:
     p_value: float
     """Corrected for how many comparisons there are."""
     effect: float
-    """Cohen's d: by the pooled deviation, or by the differences' own where subjects are the same."""
+    """Cohen's d, by the pooled deviation; where subjects are the same d_z, by that of their differences."""
 
 
 def one_way(groups: Sequence[np.ndarray]) -> Anova:

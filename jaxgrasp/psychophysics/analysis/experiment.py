@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.special import ndtri
 
 from jaxgrasp.psychophysics.analysis.anova import Anova, Pair, compare_conditions, one_way, repeated_measures
 from jaxgrasp.psychophysics.analysis.counts import Counts, count
@@ -23,6 +24,9 @@ from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_thr
 from jaxgrasp.psychophysics.running.history import TrialRecord, read_experiment
 from jaxgrasp.psychophysics.running.records import RecordError, subjects
 from jaxgrasp.psychophysics.running.session import EVERYONE
+
+FEWEST = 3
+"""Persons in an analysis of variance."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,22 @@ class Cell:
 
 
 @dataclass(frozen=True)
+class Group:
+    """Thresholds of all persons at one reference, each found from that person's own answers."""
+
+    reference: float
+    persons: int
+    """Who have one."""
+    of: int
+    """Who were asked."""
+    mean: float
+    deviation: float
+    """Standard, over persons."""
+    error: float
+    """Standard, of the mean."""
+
+
+@dataclass(frozen=True)
 class Trace:
     """One staircase."""
 
@@ -110,7 +130,10 @@ class Analysis:
     cells: tuple[Cell, ...]
     """Of each person at each reference."""
     pooled: tuple[Cell, ...]
-    """Of all persons at each reference."""
+    """Of all persons' answers at each reference, as if they were one person's: its interval leaves out how persons
+    differ."""
+    groups: tuple[Group, ...]
+    """What persons' own thresholds have in common: what papers print, and power is reckoned for."""
     matched: tuple[Matched, ...]
     traces: tuple[Trace, ...]
     comparison: Comparison | None
@@ -128,11 +151,11 @@ def load_experiment(folder: Path) -> Answers:
     """
     plan, trials, simulated = None, {}, []
     for path in subjects(folder):
-        own, is_simulated, trials[path.stem] = read_experiment(path)
+        own, observer, trials[path.stem] = read_experiment(path)
         if plan is not None and own != plan:
             raise RecordError(f"{path} was made with another plan than the others in {folder}")
         plan = own
-        if is_simulated:
+        if observer is not None:
             simulated.append(path.stem)
     if plan is None:
         raise ValueError(f"{folder} has no records: expected files that `jaxgrasp experiment run` wrote")
@@ -156,14 +179,16 @@ def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analy
     if plan.method == "matching":
         found = tuple(_matched(who, reference, own, settings) for who, own in real.items() for reference in references)
         notes = notes_on(plan, real, answers.simulated)
-        return Analysis(plan, settings, people, (), (), found, (), None, None, tuple(notes))
-    cells = tuple(_cell(who, reference, own, settings) for who, own in real.items() for reference in references)
+        return Analysis(plan, settings, people, (), (), (), found, (), None, None, tuple(notes))
+    cells = tuple(_cell(plan, who, reference, own, settings) for who, own in real.items() for reference in references)
     everyone = [one for own in real.values() for one in own]
-    pooled = tuple(_cell(EVERYONE, reference, everyone, settings) for reference in references)
+    pooled = tuple(_cell(plan, EVERYONE, reference, everyone, settings) for reference in references)
+    groups = tuple(_group(cells, reference) for reference in references)
     notes = notes_on(plan, real, answers.simulated)
     comparison = _comparison(plan, people, cells, notes)
     traces = tuple(_traces(plan, real))
-    return Analysis(plan, settings, people, cells, pooled, (), traces, comparison, _line(pooled), tuple(notes))
+    line = _line(pooled)
+    return Analysis(plan, settings, people, cells, pooled, groups, (), traces, comparison, line, tuple(notes))
 
 
 def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
@@ -187,7 +212,16 @@ def _matched(who: str, reference: float, trials: Iterable[TrialRecord], settings
     return matched(who, reference, [one["setting"] for one in used], settings.coverage, len(own) - len(clean))
 
 
-def _cell(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
+def _group(cells: tuple[Cell, ...], reference: float) -> Group:
+    values = np.array([cell.threshold.value for cell in cells if cell.reference == reference])
+    known = values[np.isfinite(values)]
+    mean = float(known.mean()) if len(known) else np.nan
+    deviation = float(known.std(ddof=1)) if len(known) > 1 else np.nan
+    error = deviation / float(np.sqrt(max(len(known), 1)))
+    return Group(reference, len(known), len(values), mean, deviation, error)
+
+
+def _cell(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
     own = [one for one in trials if one["reference"] == reference]
     clean = [one for one in own if not one["saturated"]]
     used, others = (clean, own) if settings.saturated == "exclude" else (own, clean)
@@ -195,8 +229,13 @@ def _cell(who: str, reference: float, trials: Iterable[TrialRecord], settings: A
     found = _threshold(counts, settings)
     with_others = _threshold(counted(others), settings) if len(clean) < len(own) else None
     fraction = weber(found, reference) if reference > 0 and found.finding is Finding.FOUND else None
-    fit = goodness(counts, settings.model) if found.function is not None and found.finding is Finding.FOUND else None
-    views = tuple((float(level), _view(used, level)) for level in counts.levels)
+    fit: Goodness | None = None
+    views: tuple[tuple[float, Sensitivity], ...] = ()
+    # Where levels follow the answers, these are no independent draws at each level, and a few of them say nothing.
+    if plan.method == "constant-stimuli":
+        views = tuple((float(level), _view(used, level)) for level in counts.levels)
+        if found.function is not None and found.finding is Finding.FOUND:
+            fit = goodness(counts, settings.model)
     return Cell(who, reference, counts, found, fraction, fit, views, len(own) - len(clean), with_others)
 
 
@@ -221,7 +260,7 @@ def _view(trials: list[TrialRecord], level: float) -> Sensitivity:
 
 def _comparison(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
     references = plan.session.references
-    if len(references) < 2 or len(people) < 2:
+    if len(references) < 2 or len(people) < FEWEST:
         return None
     values = np.array([[_of(cells, who, r).threshold.value for r in references] for who in people])
     whole = np.all(np.isfinite(values), axis=1)
@@ -230,8 +269,8 @@ def _comparison(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], no
         if missing:
             notes.append(f"{who} has no threshold at {', '.join(missing)}, and is left out of the analysis of variance")
     kept = tuple(who for who, is_whole in zip(people, whole, strict=True) if is_whole)
-    if len(kept) < 2:
-        notes.append("no analysis of variance: fewer than two persons have a threshold at every reference")
+    if len(kept) < FEWEST:
+        notes.append(f"no analysis of variance: {len(kept)} persons have a threshold at every reference, of {FEWEST}")
         return None
     table = values[whole]
     try:
@@ -248,11 +287,17 @@ def _of(cells: tuple[Cell, ...], who: str, reference: float) -> Cell:
 
 
 def _line(pooled: tuple[Cell, ...]) -> WeberLine | None:
-    """Through JNDs of all persons together, where there are two at least."""
-    known = [cell.weber for cell in pooled if cell.weber is not None]
+    """Through JNDs of all persons together, each by its own interval, where there are two at least."""
+    known = [
+        cell.weber
+        for cell in pooled
+        if cell.weber is not None and np.isfinite(cell.weber.jnd_high - cell.weber.jnd_low)
+    ]
     if len(known) < 2:
         return None
-    return weber_line(np.array([one.reference for one in known]), np.array([one.jnd for one in known]))
+    z = float(ndtri((1 + pooled[0].threshold.coverage) / 2))
+    spreads = np.array([(one.jnd_high - one.jnd_low) / (2 * z) for one in known])
+    return weber_line(np.array([one.reference for one in known]), np.array([one.jnd for one in known]), spreads)
 
 
 def _traces(plan: Plan, trials: dict[str, list[TrialRecord]]) -> Iterable[Trace]:

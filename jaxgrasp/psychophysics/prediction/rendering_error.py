@@ -14,7 +14,10 @@ Values = Float[np.ndarray, "..."] | float
 
 @dataclass(frozen=True)
 class RenderingError:
-    """Of a device, in the stimulus' unit. It is taken for noise that each of the two stimuli of a trial has anew.
+    """Of a device. It is taken for noise that each of the two stimuli of a trial has anew.
+
+    ``quantum``, ``pretension``, ``stiction`` and ``limit`` are in the stimulus' unit; ``friction`` and ``lag`` are
+    shares of the stimulus, and ``motions`` a number.
 
     Raises:
         ValueError: for numbers that are negative or not finite, but an infinite limit.

@@ -14,15 +14,15 @@ from jaxgrasp.psychophysics.trial import Trial, level_of
 TrialRecord = dict[str, Any]
 
 
-def read_experiment(path: Path) -> tuple[Plan, bool, list[TrialRecord]]:
-    """The plan of a person's file, whether an observer was simulated, and the trials: those that the plan leads to.
+def read_experiment(path: Path) -> tuple[Plan, dict[str, float] | None, list[TrialRecord]]:
+    """The plan of a person's file, the observer who was simulated, if any, and the trials that the plan leads to.
 
     Raises:
         RecordError: for a file that is none of these, by the trial and the field.
     """
     first, *rest = _records(path)
     plan = _plan(first, path)
-    return plan, first["simulated"], replay(Schedule(plan, path.stem), path.stem, [first, *rest], path)
+    return plan, first["observer"], replay(Schedule(plan, path.stem), path.stem, [first, *rest], path)
 
 
 def replay(schedule: Schedule, subject: str, records: list[dict[str, Any]], path: Path) -> list[TrialRecord]:
@@ -45,17 +45,29 @@ def replay(schedule: Schedule, subject: str, records: list[dict[str, Any]], path
     return trials
 
 
-def check_plan(records: list[dict[str, Any]], plan: Plan, simulated: bool, path: Path) -> None:
-    """Raise RecordError unless a file was begun with this plan, and by a person or an observer alike."""
+def check_plan(records: list[dict[str, Any]], plan: Plan, observer: dict[str, float] | None, path: Path) -> None:
+    """Raise RecordError unless a file was begun with this plan, and by a person or this observer alike."""
     if not records:
         return
-    recorded, now = _plan(records[0], path).table(), plan.table()
-    for key, value in now.items():
+    _check_same(_plan(records[0], path), plan, path)
+    was = records[0]["observer"]
+    if was != observer:
+        names = ["a person" if one is None else f"a simulated observer, {one}" for one in (was, observer)]
+        raise RecordError(f"{path} was begun by {names[0]}, and now it is {names[1]}")
+
+
+def check_other(path: Path, plan: Plan) -> None:
+    """Raise RecordError where another person's file was begun with another plan: an experiment has one."""
+    records = read_records(path)[0]
+    if records:
+        _check_same(_plan(records[0], path), plan, path)
+
+
+def _check_same(was: Plan, now: Plan, path: Path) -> None:
+    recorded = was.table()
+    for key, value in now.table().items():
         if recorded[key] != value:
             raise RecordError(f"{path} was begun with another plan: {key} was {recorded[key]!r}, and now is {value!r}")
-    if records[0]["simulated"] != simulated:
-        names = ("a person", "a simulated observer")
-        raise RecordError(f"{path} was begun by {names[not simulated]}: expected {names[simulated]}")
 
 
 def _records(path: Path) -> list[dict[str, Any]]:
@@ -70,7 +82,7 @@ def _plan(first: dict[str, Any], path: Path) -> Plan:
         raise RecordError(f"{path} has no first record of an experiment")
     if first.get("format") != FORMAT:
         raise RecordError(f"{path} has format {first.get('format')!r}: expected {FORMAT}")
-    if not (isinstance(first.get("plan"), dict) and isinstance(first.get("simulated"), bool)):
+    if not (isinstance(first.get("plan"), dict) and isinstance(first.get("observer", 0), dict | None)):
         raise RecordError(f"{path} has no plan in its first record")
     try:
         return plan_of(first["plan"], "plan")

@@ -2,6 +2,7 @@
 
 import hashlib
 from abc import ABC, abstractmethod
+from dataclasses import asdict
 from typing import Literal
 
 import numpy as np
@@ -17,8 +18,8 @@ Move = Literal["up", "down", "reference", "comparison", "done"]
 class Person(ABC):
     """Feels stimuli and answers."""
 
-    is_simulated = False
-    """Whether answers are nobody's: the records say so."""
+    observer: dict[str, float] | None = None
+    """Of a simulated one, whose answers are nobody's: the records say so."""
 
     @abstractmethod
     def feel(self, trial: Trial, interval: int) -> None:
@@ -44,9 +45,8 @@ class Person(ABC):
 class SimulatedPerson(Person):
     """An observer whose answers follow from a seed, the person's code and the trial's number alone."""
 
-    is_simulated = True
-
     def __init__(self, observer: Observer, seed: int, subject: str) -> None:
+        self.observer = asdict(observer)
         self._observer, self._seed, self._subject = observer, seed, subject
         self._adjusting, self._target = 0, 0.0
         self._before: Move = "done"

@@ -13,9 +13,9 @@ from typing import Any
 
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.running.history import check_plan, replay
+from jaxgrasp.psychophysics.running.history import check_other, check_plan, replay
 from jaxgrasp.psychophysics.running.person import Person
-from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, read_records
+from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, read_records, subjects
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus, StimulusLostError
 from jaxgrasp.psychophysics.trial import Trial, intensity, level_of
@@ -55,12 +55,12 @@ def run_experiment(
         StimulusLostError: where a stimulus was not felt as it should have been; that trial is not on record.
         OSError: for records that cannot be written.
     """
-    path = check_records(plan, subject, folder, resume=resume, simulated=person.is_simulated)
+    path = check_records(plan, subject, folder, resume=resume, observer=person.observer)
     there = path.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    with Journal(path, _begun(plan, subject, person.is_simulated)) as journal:
+    with Journal(path, _begun(plan, subject, person.observer)) as journal:
         schedule = Schedule(plan, subject)
-        check_plan(journal.records, plan, person.is_simulated, path)
+        check_plan(journal.records, plan, person.observer, path)
         done = len(replay(schedule, subject, journal.records, path))
         if there:
             journal.append({"record": "resumed", "at": _now(), "trials": done})
@@ -77,7 +77,7 @@ def run_experiment(
         return done
 
 
-def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, simulated: bool) -> Path:
+def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, observer: dict[str, float] | None) -> Path:
     """The file of a person's records, which are not there, or can be gone on with.
 
     Raises:
@@ -88,12 +88,14 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, simul
         raise ValueError(f"subject is {subject!r}: expected a code of letters, digits, - and _, and no name")
     if subject == EVERYONE:
         raise ValueError(f"subject is {subject!r}, which stands for all persons together: expected another code")
+    for other in subjects(folder):
+        check_other(other, plan)
     path = folder / f"{subject}{SUFFIX}"
     if path.exists():
         if not resume:
             raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
         records = read_records(path)[0]
-        check_plan(records, plan, simulated, path)
+        check_plan(records, plan, observer, path)
         replay(Schedule(plan, subject), subject, records, path)
     return path
 
@@ -169,9 +171,9 @@ def _setting(
     return intensity(trial.reference, level), (reference, setting), (first, time.perf_counter() - begun)
 
 
-def _begun(plan: Plan, subject: str, simulated: bool) -> dict[str, Any]:
+def _begun(plan: Plan, subject: str, observer: dict[str, float] | None) -> dict[str, Any]:
     version = importlib.metadata.version("jaxgrasp")
-    head = {"record": "begun", "format": FORMAT, "subject": subject, "simulated": simulated, "software": version}
+    head = {"record": "begun", "format": FORMAT, "subject": subject, "observer": observer, "software": version}
     head |= {"at": _now()}
     return {**head, "plan": plan.table()}
 

@@ -259,19 +259,28 @@ def _view(trials: list[TrialRecord], level: float) -> Sensitivity:
 
 
 def _comparison(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
-    references = plan.session.references
-    if len(references) < 2 or len(people) < FEWEST:
+    """Of the references at which enough persons have a threshold, among the persons who have one at each of these."""
+    if len(plan.session.references) < 2 or len(people) < FEWEST:
         return None
-    values = np.array([[_of(cells, who, r).threshold.value for r in references] for who in people])
+    every = np.array([[_of(cells, who, r).threshold.value for r in plan.session.references] for who in people])
+    found = np.isfinite(every).sum(0)
+    usable = found >= FEWEST
+    for reference, known in zip(plan.session.references, found, strict=True):
+        if known < FEWEST:
+            notes.append(f"{reference:g} {plan.stimulus.unit} is not in the analysis of variance: {known} thresholds")
+    references = tuple(r for r, is_usable in zip(plan.session.references, usable, strict=True) if is_usable)
+    values = every[:, usable]
     whole = np.all(np.isfinite(values), axis=1)
-    for who, row in zip(people, values, strict=True):
-        missing = [f"{r:g}" for r, value in zip(references, row, strict=True) if not np.isfinite(value)]
-        if missing:
-            notes.append(f"{who} has no threshold at {', '.join(missing)}, and is left out of the analysis of variance")
-    kept = tuple(who for who, is_whole in zip(people, whole, strict=True) if is_whole)
-    if len(kept) < FEWEST:
-        notes.append(f"no analysis of variance: {len(kept)} persons have a threshold at every reference, of {FEWEST}")
+    left_out = [who for who, is_whole in zip(people, whole, strict=True) if not is_whole]
+    kept = tuple(who for who in people if who not in left_out)
+    if len(references) < 2 or len(kept) < FEWEST:
+        notes.append(f"no analysis of variance: it takes two references and {FEWEST} persons with a threshold at each")
         return None
+    if left_out:
+        notes.append(
+            f"{', '.join(left_out)}: not in the analysis of variance for want of a threshold; who feels least is the "
+            "likelier to be left out, which makes means too small"
+        )
     table = values[whole]
     try:
         return Comparison(

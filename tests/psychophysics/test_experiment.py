@@ -1,0 +1,81 @@
+"""A whole experiment analysed: persons, all of them, and references; what cannot be said is not."""
+
+import numpy as np
+import pytest
+
+from jaxgrasp.psychophysics.analysis.anova import repeated_measures
+from jaxgrasp.psychophysics.analysis.experiment import AnalysisSettings, Answers, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.psychometric import Shape
+from jaxgrasp.psychophysics.observer import Observer
+from jaxgrasp.psychophysics.plan import Plan, SessionPlan
+from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.running.person import SimulatedPerson
+from jaxgrasp.psychophysics.running.session import run_experiment
+from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered
+
+LONG = ConstantStimuli(series=30)
+PLAN = Plan(session=SessionPlan((1.0, 2.0, 4.0), practice=2), procedure=LONG)
+SETTINGS = AnalysisSettings(model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0)))
+OBSERVER = Observer(0.08, 0.08)
+
+
+def answers_of(folder, people: int, stimulus=None, plan: Plan = PLAN, observers=None) -> Answers:
+    for k in range(people):
+        observer = observers[k] if observers else OBSERVER
+        person = SimulatedPerson(observer, plan.seed, f"S{k}")
+        run_experiment(plan, f"S{k}", folder, stimulus or IdealStimulus(), person)
+    return load_experiment(folder)
+
+
+def test_what_is_there_is_found(folder):
+    """Weber fractions of persons and of all, the line through JNDs, and that references differ."""
+    found = analyse(answers_of(folder, 6), SETTINGS)
+    for cell in found.pooled:
+        truth = OBSERVER.jnd(cell.reference) / cell.reference
+        assert cell.threshold.low < truth < cell.threshold.high and cell.weber.fraction == cell.threshold.value
+        assert cell.counts.trials.tolist() == [6 * 60] * 4
+    for group in found.groups:
+        own = [cell.threshold.value for cell in found.cells if cell.reference == group.reference]
+        assert group.mean == pytest.approx(np.nanmean(own)) and group.persons == 6 == group.of
+        assert group.error == pytest.approx(np.nanstd(own, ddof=1) / np.sqrt(6))
+    assert abs(found.line.limit - 0.08) < 2.5 * found.line.limit_deviation < 0.1
+    assert abs(found.line.floor - 0.08) < 2.5 * found.line.floor_deviation < 0.1
+    table = np.array([[c.threshold.value for c in found.cells if c.subject == who] for who in found.subjects])
+    assert found.comparison.within == repeated_measures(table) and found.comparison.within.p_value < 0.01
+    assert len(found.comparison.pairs) == 3 and found.comparison.references == (1.0, 2.0, 4.0)
+
+
+def test_a_reference_without_thresholds_is_left_out(folder):
+    class Weak(PredictedStimulus):
+        def predict(self, intensity):
+            return Rendered(intensity, min(intensity, 3.9), intensity, intensity > 3.9)
+
+    found = analyse(answers_of(folder, 4, Weak()), SETTINGS)
+    assert found.comparison.references == (1.0, 2.0)
+    assert any("4 N is not in the analysis of variance: 0 thresholds" in note for note in found.notes)
+    assert [cell.saturated for cell in found.pooled] == [0, 0, 4 * 240]
+    assert found.groups[2].persons == 0 and np.isnan(found.groups[2].mean)
+    (cell,) = [cell for cell in found.pooled if cell.saturated]
+    assert np.isnan(cell.threshold.value) and cell.with_others is not None
+    assert any("differences of 0.163 on average were felt as" in note for note in found.notes)
+
+
+def test_who_has_none_is_named(folder):
+    """A person who guesses is left out by name, and it is said what that does."""
+    observers = [OBSERVER] * 4 + [Observer(5.0)]
+    found = analyse(answers_of(folder, 5, observers=observers), SETTINGS)
+    assert found.comparison.subjects == ("S0", "S1", "S2", "S3")
+    assert any(note.startswith("S4: not in the analysis of variance") for note in found.notes)
+
+
+def test_too_few_are_not_compared(folder):
+    assert analyse(answers_of(folder, 2), SETTINGS).comparison is None
+
+
+def test_missing_trials_are_said(folder):
+    answers = answers_of(folder, 1)
+    part = {"S0": answers.trials["S0"][:300]}
+    notes = analyse(Answers(answers.plan, part), SETTINGS).notes
+    assert any("S0 at" in note and "58 of 240 trials" in note for note in notes)
+    assert any("no trial" in note for note in notes)

@@ -10,18 +10,13 @@ import numpy as np
 
 from jaxgrasp.cli.experiment_arguments import Analyse
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.psychophysics.analysis.experiment import (
-    EVERYONE,
-    Analysis,
-    AnalysisSettings,
-    Cell,
-    analyse,
-    load_experiment,
-)
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.psychometric import Shape
 from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.running.session import EVERYONE
 
 
 def analyse_command(arguments: Analyse) -> int:

@@ -10,9 +10,10 @@ from jaxgrasp.psychophysics.analysis.anova import (
     repeated_measures,
     rounding_interval,
 )
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.counts import Counts, count
 from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, AnalysisSettings, Answers, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model

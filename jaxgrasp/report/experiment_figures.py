@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from jaxgrasp.psychophysics.analysis.cell import Cell
 from jaxgrasp.psychophysics.analysis.counts import ratio_intervals
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, Cell, Trace
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Trace
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.report.figures import axis, layout
 from jaxgrasp.report.look import INK, MUTED

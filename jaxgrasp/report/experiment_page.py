@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, Cell
+from jaxgrasp.psychophysics.analysis.cell import Cell
+from jaxgrasp.psychophysics.analysis.experiment import Analysis
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.report import experiment_figures as figures
 from jaxgrasp.report.bundle import page_html

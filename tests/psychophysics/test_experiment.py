@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxgrasp.psychophysics.analysis.anova import repeated_measures
-from jaxgrasp.psychophysics.analysis.experiment import AnalysisSettings, Answers, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
+from jaxgrasp.psychophysics.analysis.experiment import Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.psychometric import Shape
 from jaxgrasp.psychophysics.observer import Observer

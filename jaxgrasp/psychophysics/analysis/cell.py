@@ -1,0 +1,90 @@
+"""Answers of one person, or of all, at one reference: their threshold, and what else they say."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from jaxgrasp.psychophysics.analysis.counts import Counts, count
+from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
+from jaxgrasp.psychophysics.analysis.finding import Finding
+from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
+from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
+from jaxgrasp.psychophysics.analysis.weber import Weber, weber
+from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.running.history import TrialRecord
+
+
+@dataclass(frozen=True)
+class AnalysisSettings:
+    """How answers are analysed."""
+
+    method: Method = "likelihood"
+    model: Model | None = None
+    """Where None, a Weibull function; for staircases and adaptive procedures that of an unbiased comparison, since a
+    steepness of its own is biased where levels follow the answers."""
+    interval: Interval | None = None
+    """As the method has it, where None."""
+    coverage: float = 0.95
+    saturated: Literal["include", "exclude"] = "exclude"
+    """Trials in which a torque was cut."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Answers of a person, or of all, at one reference."""
+
+    subject: str
+    reference: float
+    counts: Counts
+    threshold: Threshold
+    weber: Weber | None
+    """None in detection, and where there is no threshold."""
+    fit: Goodness | None
+    """None where no psychometric function was fitted."""
+    sensitivities: tuple[tuple[float, Sensitivity], ...]
+    """By level."""
+    saturated: int
+    """Trials in which a torque was cut."""
+    with_others: Threshold | None
+    """The threshold with saturated trials where these are left out, and without them where they are not; None where
+    there are none."""
+
+
+def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
+    own = [one for one in trials if one["reference"] == reference]
+    clean = [one for one in own if not one["saturated"]]
+    used, others = (clean, own) if settings.saturated == "exclude" else (own, clean)
+    counts = counted(used)
+    found = _threshold(counts, settings)
+    with_others = _threshold(counted(others), settings) if len(clean) < len(own) else None
+    fraction = weber(found, reference) if reference > 0 and found.finding is Finding.FOUND else None
+    fit: Goodness | None = None
+    views: tuple[tuple[float, Sensitivity], ...] = ()
+    # Where levels follow the answers, these are no independent draws at each level, and a few of them say nothing.
+    if plan.method == "constant-stimuli":
+        views = tuple((float(level), _view(used, level)) for level in counts.levels)
+        if found.function is not None and found.finding is Finding.FOUND:
+            fit = goodness(counts, settings.model)
+    return Cell(who, reference, counts, found, fraction, fit, views, len(own) - len(clean), with_others)
+
+
+def counted(trials: Iterable[TrialRecord]) -> Counts:
+    """Answers of choices by level."""
+    own = list(trials)
+    return count(np.array([one["level"] for one in own]), np.array([one["right"] for one in own], bool))
+
+
+def _threshold(counts: Counts, settings: AnalysisSettings) -> Threshold:
+    return threshold(
+        counts, settings.method, model=settings.model, interval=settings.interval, coverage=settings.coverage
+    )
+
+
+def _view(trials: list[TrialRecord], level: float) -> Sensitivity:
+    there = [one for one in trials if one["level"] == level]
+    first = [one["right"] for one in there if one["first"] > one["second"]]
+    second = [one["right"] for one in there if one["first"] < one["second"]]
+    return sensitivity(sum(first), len(first), sum(second), len(second))

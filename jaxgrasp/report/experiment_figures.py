@@ -19,13 +19,21 @@ def colour(place: int) -> str:
     return COLOURS[min(place, len(COLOURS) - 1)]
 
 
-def psychometric(cells: tuple[Cell, ...], model: Model, unit: str) -> dict:
-    """Hit ratios with their intervals, the fitted functions, and the thresholds at the criterion."""
+def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons: bool = False) -> dict:
+    """Hit ratios with their intervals, the fitted functions, and the thresholds at the criterion.
+
+    Args:
+        cells: one for each reference, or for each person.
+        model: of the functions.
+        unit: of the references.
+        of_persons: name them by the person.
+    """
     traces: list[dict] = []
     for k, cell in enumerate(cells):
         if not len(cell.counts.levels):
             continue
         name = f"{cell.reference:g} {unit}" if cell.reference > 0 else "detection"
+        name = cell.subject if of_persons else name
         traces.append(_ratios(cell, name, colour(k)))
         if cell.threshold.function is not None:
             levels = np.linspace(0, 1.1 * cell.counts.levels.max(), POINTS)

@@ -63,7 +63,21 @@ def _answers(found: Analysis, unit: str) -> str:
         "Cut: trials in which the device cut a torque; the other way: the threshold with these where they are left "
         "out, and without them where they are counted."
     )
-    return f'<p class="note">{note}</p>{figure}{table(head, rows)}<p class="note">{about}</p>{_detection(found)}'
+    return f'<p class="note">{note}</p>{figure}{table(head, rows)}<p class="note">{about}</p>{_persons(found, unit)}{_detection(found)}'
+
+
+def _persons(found: Analysis, unit: str) -> str:
+    """A figure for each reference, where levels are the same for all."""
+    model = found.settings.model
+    if found.plan.method != "constant-stimuli" or len(found.subjects) < 2 or model is None:
+        return ""
+    drawn = []
+    for k, reference in enumerate(found.plan.session.references):
+        own = tuple(cell for cell in found.cells if cell.reference == reference)
+        name = f"{reference:g} {unit}" if reference > 0 else "detection"
+        figure = figures.psychometric(own, model, unit, of_persons=True)
+        drawn.append(f"<h3>{text(name)}</h3>{figure_html(f'persons-{k}', figure)}")
+    return f"<h3>Each person</h3>{''.join(drawn)}"
 
 
 def _row(cell: Cell) -> list[str]:

@@ -38,6 +38,11 @@ def test_figures_show_what_was_found(folder):
     points = [one for one in figures["psychometric"]["data"] if one["mode"] == "markers" and "error_y" in one]
     for cell, shown in zip(found.pooled, points):
         assert shown["x"] == cell.counts.levels.tolist() and shown["y"] == pytest.approx(cell.counts.ratios)
+    for k, reference in enumerate(PLAN.session.references):
+        shown = [one for one in figures[f"persons-{k}"]["data"] if "error_y" in one]
+        own = [cell for cell in found.cells if cell.reference == reference]
+        assert [one["name"] for one in shown] == [cell.subject for cell in own]
+        assert all(one["y"] == pytest.approx(cell.counts.ratios) for one, cell in zip(shown, own))
     jnds = figures["jnd"]["data"][0]
     assert jnds["y"] == pytest.approx([cell.weber.jnd for cell in found.pooled if cell.weber])
     assert found.comparison is None or "analysis of variance" in page

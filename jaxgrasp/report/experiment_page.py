@@ -63,7 +63,8 @@ def _answers(found: Analysis, unit: str) -> str:
         "Cut: trials in which the device cut a torque; the other way: the threshold with these where they are left "
         "out, and without them where they are counted."
     )
-    return f'<p class="note">{note}</p>{figure}{table(head, rows)}<p class="note">{about}</p>{_persons(found, unit)}{_detection(found)}'
+    below = f'<p class="note">{about}</p>{_persons(found, unit)}{_detection(found)}'
+    return f'<p class="note">{note}</p>{figure}{table(head, rows)}{below}'
 
 
 def _persons(found: Analysis, unit: str) -> str:
@@ -73,7 +74,9 @@ def _persons(found: Analysis, unit: str) -> str:
         return ""
     drawn = []
     for k, reference in enumerate(found.plan.session.references):
-        own = tuple(cell for cell in found.cells if cell.reference == reference)
+        own = tuple(cell for cell in found.cells if cell.reference == reference and len(cell.counts.levels))
+        if not own:
+            continue
         name = f"{reference:g} {unit}" if reference > 0 else "detection"
         figure = figures.psychometric(own, model, unit, of_persons=True)
         drawn.append(f"<h3>{text(name)}</h3>{figure_html(f'persons-{k}', figure)}")

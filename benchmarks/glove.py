@@ -7,9 +7,7 @@ simulated device holds, by its own clock, behind a pseudo-terminal that is as sl
 run takes half an hour and wants a quiet machine; the rest takes some minutes.
 """
 
-import argparse
 import ctypes
-import json
 import os
 import random
 import signal
@@ -23,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.machine import machine
 from benchmarks.page import glove_tables
+from benchmarks.sections import run_sections
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.child import Child
@@ -355,21 +353,5 @@ SECTIONS: dict[str, Callable[[Plan], Any]] = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
-    parser.add_argument("--quick", action="store_true", help="a few of everything: a test, not a measurement")
-    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="made again; all")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    plan, path = QUICK if options.quick else Plan(), options.out / f"{NAME}.json"
-    report = json.loads(path.read_text()) if path.exists() else {}
-    report |= {"machine": machine(), "plan": plan._asdict()}
-    for name in options.sections:
-        report[name] = SECTIONS[name](plan)
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (options.out / f"{NAME}.md").write_text(glove_tables.page(report))
-
-
 if __name__ == "__main__":
-    main()
+    run_sections(__doc__, NAME, SECTIONS, (Plan(), QUICK), glove_tables.page)

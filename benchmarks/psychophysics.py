@@ -7,17 +7,14 @@ with Weber fractions as it prints them; differences of 5 to 30 %; 10 answers a l
 ten times as many answers. Some minutes; no times are measured.
 """
 
-import argparse
-import json
 import random
 from dataclasses import asdict
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.machine import machine
 from benchmarks.page import psychophysics_tables
+from benchmarks.sections import run_sections
 from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import WEBER
 from jaxgrasp.psychophysics.analysis.counts import count
@@ -176,21 +173,5 @@ def _row(method: str, one: Recovery, **where) -> dict:
 SECTIONS = {"recovery": recovery, "misfit": misfit, "procedures": procedures, "power": power, "device": device}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
-    parser.add_argument("--quick", action="store_true", help="a few of everything: a test, not a measurement")
-    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="made again; all")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    effort, path = QUICK if options.quick else Effort(), options.out / f"{NAME}.json"
-    report = json.loads(path.read_text()) if path.exists() else {}
-    report |= {"machine": machine(), "effort": effort._asdict()}
-    for name in options.sections:
-        report[name] = SECTIONS[name](effort)
-    path.write_text(json.dumps(report, indent=1) + "\n")
-    (options.out / f"{NAME}.md").write_text(psychophysics_tables.page(report))
-
-
 if __name__ == "__main__":
-    main()
+    run_sections(__doc__, NAME, SECTIONS, (Effort(), QUICK), psychophysics_tables.page, named="effort")

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxgrasp.cli.experiment_arguments import Analyse
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_shape
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
@@ -41,8 +41,7 @@ def analyse_command(arguments: Analyse) -> int:
 
 def _model(arguments: Analyse, plan: Plan) -> Model:
     """Lines know nothing of lapses."""
-    follows_answers = plan.method in ("staircase", "adaptive")
-    shape = arguments.shape or ("difference" if follows_answers else "weibull")
+    shape = arguments.shape or suited_shape(plan)
     most = arguments.lapse if arguments.method in ("likelihood", "posterior") else 0.0
     return Model(Shape(shape), arguments.criterion, 0.5, (0.0, most))
 
@@ -139,8 +138,6 @@ def _plain(value: Any) -> Any:
     """As JSON has it: arrays are lists, and what is not finite is null."""
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
     if isinstance(value, np.ndarray):

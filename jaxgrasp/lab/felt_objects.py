@@ -17,7 +17,7 @@ from jaxgrasp.contact.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.contact.kinematics import joint_torques, pose_hand
 from jaxgrasp.force.distribution import closed_form
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
+from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, HandFrames, Pose
@@ -84,7 +84,7 @@ class Lifted(FeltObject):
         share = jnp.clip(height / ENGAGED, 0, 1)
         load = intensity * share**2 * (3 - 2 * share) + STOP * jnp.maximum(height - TRAVEL, 0)
         up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), points.shape)
-        squeeze = jnp.full(len(self.links), 1.0) * load / len(self.links)
+        squeeze = jnp.full(len(self.links), load / len(self.links))
         grasp = Grasp(points, up, jnp.full(len(self.links), FRICTION), squeeze)
         wrench = jnp.zeros(6).at[2].set(load)
         return _resisting(self.hand, self.worn, self.links, frames, grasp, wrench, jnp.eye(6)[:, 2:3])
@@ -204,12 +204,7 @@ def resistance_and_slope(
 ) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
     """Torques against flexion [N.m], and their exact derivative by the angles [N.m/rad]."""
 
-    def both(angles: Array) -> tuple[Array, Array]:
-        torques = felt.resistance(angles, intensity)
-        return torques, torques
-
-    slope, torques = jax.jacfwd(both, has_aux=True)(jnp.asarray(angles))
-    return torques, slope
+    return with_slope(lambda at: felt.resistance(at, intensity), angles)
 
 
 @jax.jit

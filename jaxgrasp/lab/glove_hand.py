@@ -1,5 +1,7 @@
 """A virtual hand that a glove moves: its flexions come from the glove, the rest stays as it is."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -64,9 +66,17 @@ def resistance_and_slope(
 ) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
     """The same, and its exact derivative by the flexions [N.m/rad], for whoever answers between two ticks."""
 
+    return with_slope(lambda angles: resistance(scene, worn, angles, wrist, placed), flexions)
+
+
+def with_slope(
+    torques_at: Callable[[Array], Array], angles: Float[AnyArray, "channels"]
+) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
+    """Torques at some angles, and their derivative by these, computed together."""
+
     def both(angles: Array) -> tuple[Array, Array]:
-        torques = resistance(scene, worn, angles, wrist, placed)
+        torques = torques_at(angles)
         return torques, torques
 
-    slope, torques = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
+    slope, torques = jax.jacfwd(both, has_aux=True)(jnp.asarray(angles))
     return torques, slope

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.tick_times import TickTimes
@@ -63,9 +64,14 @@ class Haptics:
             self.placed = self._carried.placed
         self._before = now, posture, frames
         found = resistance_and_slope(self.scene, self._worn, angles, wrist, self.placed)
-        torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
-        valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
-        return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
+        return law_of(now, angles, found)
+
+
+def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array, Array]) -> TorqueLaw:
+    """Torques and their derivative, computed for a time and angles, as a law: valid if all its numbers are finite."""
+    torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
+    valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
+    return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
 
 
 def warm_up(haptics: Haptics, wrist: Pose) -> None:

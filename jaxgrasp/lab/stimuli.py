@@ -3,7 +3,6 @@
 import threading
 import time
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -13,7 +12,7 @@ from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, is_alone, resistance_and_slope, resistances
-from jaxgrasp.lab.haptic_loop import run_loop
+from jaxgrasp.lab.haptic_loop import law_of, run_loop
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 
@@ -134,15 +133,13 @@ class GloveStimulus(PredictedGloveStimulus):
     def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         with self._lock:
             intensity = self._intensity
-        found = resistance_and_slope(self._felt, angles, intensity)
-        torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
+        law = law_of(now, angles, resistance_and_slope(self._felt, angles, intensity))
         if is_alone(self._felt, angles):
-            now_felt = rendered(1.0, torques[None], self._limits)
+            now_felt = rendered(1.0, law.torques[None], self._limits)
             with self._lock:
                 self._most, self._share = max(self._most, now_felt.torque), min(self._share, now_felt.felt)
                 self._cut = self._cut or now_felt.saturated
-        valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
-        return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
+        return law
 
 
 def _is_armed(state: GloveState) -> bool:

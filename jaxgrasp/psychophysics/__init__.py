@@ -11,7 +11,7 @@ from jaxgrasp.psychophysics.analysis.anova import (
     rounding_interval,
 )
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
-from jaxgrasp.psychophysics.analysis.counts import Counts, count
+from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled
 from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
@@ -73,6 +73,7 @@ __all__ = [
     "load_plan",
     "one_way",
     "one_way_of_summaries",
+    "pooled",
     "precision",
     "recomputed",
     "repeated_measures",

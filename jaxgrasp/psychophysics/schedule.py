@@ -4,7 +4,7 @@ import random
 
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure
-from jaxgrasp.psychophysics.trial import Presentation, Task, Trial, intensity
+from jaxgrasp.psychophysics.trial import Presentation, Trial, intensity
 
 
 class Schedule:
@@ -50,11 +50,6 @@ class Schedule:
             self._practice.pop(0)
         else:
             self._procedure.score(value)
-
-    @property
-    def task(self) -> Task:
-        """What is asked."""
-        return self._procedure.task
 
     def _begin(self) -> Procedure:
         return self._plan.procedure.begin(self._generator(f"session {self._session}"))

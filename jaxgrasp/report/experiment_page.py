@@ -70,7 +70,7 @@ def _answers(found: Analysis, unit: str) -> str:
 def _persons(found: Analysis, unit: str) -> str:
     """A figure for each reference, where levels are the same for all."""
     model = found.settings.model
-    if found.plan.method != "constant-stimuli" or len(found.subjects) < 2 or model is None:
+    if found.plan.procedure.follows_answers or len(found.subjects) < 2 or model is None:
         return ""
     drawn = []
     for k, reference in enumerate(found.plan.session.references):

@@ -11,6 +11,7 @@ from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.psychometric import Shape
 from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, weber
 from jaxgrasp.psychophysics.plan import Plan
@@ -53,6 +54,12 @@ class Cell:
     there are none."""
 
 
+def suited_shape(plan: Plan) -> Shape:
+    """Of the psychometric function, where nobody asks for one."""
+    # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
+    return Shape.DIFFERENCE if plan.procedure.follows_answers else Shape.WEIBULL
+
+
 def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
     own = [one for one in trials if one["reference"] == reference]
     clean = [one for one in own if not one["saturated"]]
@@ -64,7 +71,7 @@ def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord
     fit: Goodness | None = None
     views: tuple[tuple[float, Sensitivity], ...] = ()
     # Where levels follow the answers, these are no independent draws at each level, and a few of them say nothing.
-    if plan.method == "constant-stimuli":
+    if not plan.procedure.follows_answers:
         views = tuple((float(level), _view(used, level)) for level in counts.levels)
         if found.function is not None and found.finding is Finding.FOUND:
             fit = goodness(counts, settings.model)

@@ -4,12 +4,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, cell_of
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, cell_of, suited_shape
 from jaxgrasp.psychophysics.analysis.comparison import Comparison, Group, comparison_of, group_of, line_of
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.matching import Matched, matched
 from jaxgrasp.psychophysics.analysis.notes import notes_on
-from jaxgrasp.psychophysics.analysis.psychometric import Shape
 from jaxgrasp.psychophysics.analysis.weber import WeberLine
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
@@ -117,16 +116,14 @@ def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analy
 
 def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
     """What suits the procedure, where nothing was asked for."""
-    follows_answers = plan.method in ("staircase", "adaptive")
-    if follows_answers and settings.method not in ("likelihood", "posterior"):
+    if plan.procedure.follows_answers and settings.method not in ("likelihood", "posterior"):
         raise ValueError(
             f"method is {settings.method!r}, and levels of the procedure {plan.method!r} follow the answers: expected "
             "likelihood or posterior, which allow for that"
         )
     if settings.model is not None:
         return settings
-    # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
-    return replace(settings, model=Model(Shape.DIFFERENCE if follows_answers else Shape.WEIBULL))
+    return replace(settings, model=Model(suited_shape(plan)))
 
 
 def _matched(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Matched:

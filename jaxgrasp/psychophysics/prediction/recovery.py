@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Real
 from scipy.special import chdtri
 
+from jaxgrasp.psychophysics.analysis.bootstrap import percentile_interval
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model
 from jaxgrasp.psychophysics.analysis.threshold import line_estimates
 
@@ -32,11 +33,10 @@ def by_likelihood(
     grid = Likelihood(levels, model)
     counts = np.full(len(levels), float(trials))
     where = np.log(truth)
-    profiles, estimates = grid.profiles(hits, counts), np.zeros(len(hits))
-    estimates = grid.peaks(profiles)
+    profiles = grid.profiles(hits, counts)
     at_truth = np.array([np.interp(where, np.log(grid.thresholds), profile) for profile in profiles])
     covered = 2 * (profiles.max(1) - at_truth) <= chdtri(1, 0.05)
-    found = {"likelihood": summed(estimates, covered, levels, truth)}
+    found = {"likelihood": summed(grid.peaks(profiles), covered, levels, truth)}
     weights = grid.posteriors(hits, counts)
     below = np.cumsum(weights, 1) - 0.5 * weights
     medians = np.array([np.exp(np.interp(0.5, row, np.log(grid.thresholds))) for row in below])
@@ -65,7 +65,7 @@ def by_bootstrap(
     covered = np.zeros(len(hits), bool)
     for k, row in enumerate(hits):
         drawn = estimator(rng.binomial(trials, row / trials, (resamples, len(levels))).astype(float))
-        low, high = np.quantile(np.where(np.isnan(drawn), np.inf, drawn), [0.025, 0.975], method="nearest")
+        low, high = percentile_interval(drawn, 0.95)
         covered[k] = low <= truth <= high
     return summed(estimates, covered, levels, truth)
 

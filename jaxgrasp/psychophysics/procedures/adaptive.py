@@ -22,6 +22,8 @@ MOST_LEVELS = 500
 class Adaptive(Settings):
     """Levels and prior are even on a logarithmic scale from low to high."""
 
+    follows_answers = True
+
     low: float = 0.02
     """Smallest level, and smallest threshold thought of."""
     high: float = 0.8

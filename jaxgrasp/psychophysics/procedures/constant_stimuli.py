@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from jaxgrasp.paper.tables import DIFFERENCES
 from jaxgrasp.paper.weight_perception import REPEATS, SERIES
-from jaxgrasp.psychophysics.procedures.procedure import Procedure, Settings, check_count, check_level, shuffled
+from jaxgrasp.psychophysics.procedures.procedure import Listed, Procedure, Settings, check_count, check_level, shuffled
 from jaxgrasp.psychophysics.trial import Presentation
 
 
@@ -33,25 +33,16 @@ class ConstantStimuli(Settings):
             raise ValueError(f"repeats is {self.repeats}: expected an even number, half of them with each order")
 
     def begin(self, rng: random.Random) -> Procedure:
-        return _Session(self, rng)
+        presentations: list[Presentation] = []
+        for series in range(self.series):
+            orders = (True, False) * (self.repeats // 2)
+            presentations += shuffled(
+                (Presentation(level, first, series) for level in self.levels for first in orders), rng
+            )
+        return Listed(presentations)
 
     def extremes(self) -> tuple[float, float]:
         return min(self.levels), max(self.levels)
 
     def most_trials(self) -> int:
         return self.series * self.repeats * len(self.levels)
-
-
-class _Session(Procedure):
-    def __init__(self, settings: ConstantStimuli, rng: random.Random) -> None:
-        self._left = []
-        for series in range(settings.series):
-            orders = (True, False) * (settings.repeats // 2)
-            all_of_it = [Presentation(level, first, series) for level in settings.levels for first in orders]
-            self._left += shuffled(all_of_it, rng)
-
-    def next(self) -> Presentation | None:
-        return self._left[0] if self._left else None
-
-    def score(self, value: float) -> None:
-        self._left.pop(0)

@@ -3,8 +3,8 @@
 import random
 from dataclasses import dataclass
 
-from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure, Settings, check_count, check_level
-from jaxgrasp.psychophysics.trial import Presentation, Task
+from jaxgrasp.psychophysics.procedures.procedure import Coin, Listed, Procedure, Settings, check_count, check_level
+from jaxgrasp.psychophysics.trial import Presentation
 
 
 @dataclass(frozen=True)
@@ -26,27 +26,15 @@ class Matching(Settings):
             raise ValueError(f"start is {self.start:g}: expected at least step, {self.step:g}, and less than 1")
 
     def begin(self, rng: random.Random) -> Procedure:
-        return _Session(self, rng)
+        above = Coin(rng)
+        sides = [above.toss() for _ in range(self.trials)]
+        # Half of the distance at least, so that no start tells where the match is.
+        away = [self.start * (0.5 + 0.5 * rng.random()) for _ in sides]
+        starts = (Presentation(d if up else -d, False) for up, d in zip(sides, away, strict=True))
+        return Listed(starts, "setting")
 
     def extremes(self) -> tuple[float, float]:
         return -self.start, self.start
 
     def most_trials(self) -> int:
         return self.trials
-
-
-class _Session(Procedure):
-    task: Task = "setting"
-
-    def __init__(self, settings: Matching, rng: random.Random) -> None:
-        above = Coin(rng)
-        sides = [above.toss() for _ in range(settings.trials)]
-        # Half of the distance at least, so that no start tells where the match is.
-        away = [settings.start * (0.5 + 0.5 * rng.random()) for _ in sides]
-        self._left = [Presentation(d if up else -d, False) for up, d in zip(sides, away, strict=True)]
-
-    def next(self) -> Presentation | None:
-        return self._left[0] if self._left else None
-
-    def score(self, value: float) -> None:
-        self._left.pop(0)

@@ -2,6 +2,7 @@
 
 import random
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Iterable
 from typing import TypeVar
 
@@ -28,8 +29,25 @@ class Procedure(ABC):
         """Of what was presented: 1 for a right answer, 0 for a wrong one; of a setting, its level."""
 
 
+class Listed(Procedure):
+    """A session that is decided before its first answer."""
+
+    def __init__(self, presentations: Iterable[Presentation], task: Task = "choice") -> None:
+        self.task = task
+        self._left = deque(presentations)
+
+    def next(self) -> Presentation | None:
+        return self._left[0] if self._left else None
+
+    def score(self, value: float) -> None:
+        self._left.popleft()
+
+
 class Settings(ABC):
     """What a plan says of a procedure."""
+
+    follows_answers = False
+    """Whether levels depend on the answers before."""
 
     @abstractmethod
     def begin(self, rng: random.Random) -> Procedure:

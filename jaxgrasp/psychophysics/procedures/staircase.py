@@ -12,6 +12,8 @@ from jaxgrasp.psychophysics.trial import Presentation
 class Staircase(Settings):
     """1-up-n-down on a logarithmic scale; several of them take turns at random."""
 
+    follows_answers = True
+
     start: float = 0.4
     """Level of the first trial."""
     low: float = 0.01

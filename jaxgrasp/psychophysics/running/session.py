@@ -6,7 +6,7 @@ import importlib.metadata
 import math
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -133,14 +133,20 @@ def _felt(trial: Trial, interval: int, stimulus: Stimulus, person: Person) -> tu
     """What came of one interval, and how long it was felt [s]."""
     begun = time.perf_counter()
     stimulus.begin(trial.first if interval == 1 else trial.second)
-    try:
+    with _let_go_of(stimulus):
         person.feel(trial, interval)
+    return stimulus.end(), time.perf_counter() - begun
+
+
+@contextlib.contextmanager
+def _let_go_of(stimulus: Stimulus) -> Iterator[None]:
+    """Whoever leaves must not be held by a stimulus, and is told why they left rather than how it ended."""
+    try:
+        yield
     except BaseException:
-        # Whoever leaves must not be held by it, and is told why they left rather than how it ended.
         with contextlib.suppress(StimulusLostError):
             stimulus.end()
         raise
-    return stimulus.end(), time.perf_counter() - begun
 
 
 def _setting(
@@ -153,7 +159,7 @@ def _setting(
     level, begun = trial.level, time.perf_counter()
     stimulus.begin(trial.second)
     shows, setting = "comparison", None
-    try:
+    with _let_go_of(stimulus):
         while (move := person.adjust(trial, intensity(trial.reference, level))) != "done":
             if move in ("up", "down"):
                 level = max(level + (settings.step if move == "up" else -settings.step), -1.0)
@@ -161,10 +167,6 @@ def _setting(
             setting = ended if shows == "comparison" else setting
             shows = "reference" if move == "reference" else "comparison"
             stimulus.begin(trial.reference if shows == "reference" else intensity(trial.reference, level))
-    except BaseException:
-        with contextlib.suppress(StimulusLostError):
-            stimulus.end()
-        raise
     ended = stimulus.end()
     # Who says "done" at the reference means what was last felt beside it.
     setting = ended if shows == "comparison" or setting is None else setting

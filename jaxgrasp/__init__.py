@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
     from jaxgrasp.model.held import Held, HeldCylinder
+    from jaxgrasp.model.limits import Limits
     from jaxgrasp.model.paths import Lift, Shake, Turn
     from jaxgrasp.model.solution import Route, Solution, Verdict
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
@@ -95,6 +96,7 @@ _HOME = {
     "Kept": "contact.deepest",
     "LevelError": "contact.filling",
     "Lift": "model.paths",
+    "Limits": "model.limits",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
     "MujocoGrasp": "interop.mujoco_contacts",

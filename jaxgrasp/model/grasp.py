@@ -34,6 +34,12 @@ class Grasp(eqx.Module):
 
     An absent contact carries exactly zero force and has zero derivative, whatever its other fields hold.
     """
+    torsion: Float[AnyArray, "*batch n"] | None
+    """Torsional friction gamma >= 0 [m] of soft fingers; 0 for hard ones, ``None`` means that all are hard.
+
+    A soft finger exerts a moment m about its normal too, within |f_t|^2 / mu^2 + m^2 / gamma^2 <= (f.a)^2: friction
+    resists sliding and turning together. One that has no friction has no torsional friction either.
+    """
 
     # Rather than converters of the fields, whose shapes would go unchecked.
     def __init__(
@@ -43,9 +49,11 @@ class Grasp(eqx.Module):
         friction: Float[AnyArray, "*batch n"] | Lists,
         squeeze: Float[AnyArray, "*batch n"] | Lists,
         present: Float[AnyArray, "*batch n"] | Lists | None = None,
+        torsion: Float[AnyArray, "*batch n"] | Lists | None = None,
     ):
         self.points = from_lists("points", points)
         self.normals = from_lists("normals", normals)
         self.friction = from_lists("friction", friction)
         self.squeeze = from_lists("squeeze", squeeze)
         self.present = from_lists("present", present)
+        self.torsion = from_lists("torsion", torsion)

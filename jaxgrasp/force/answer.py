@@ -5,8 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual, sixes
-from jaxgrasp.force.lanes import Frame, Lanes, certificate_out, forces_out, multiplier_out
+from jaxgrasp.force import dual, fours, sixes
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.lanes import Frame, Lanes, certificate_out, forces_out, moments_out, multiplier_out
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns, unstretched
@@ -28,12 +29,13 @@ class Answer(NamedTuple):
     rank: Array
     certificate: Array
     undecided: Array
+    moments: Array | None
 
 
 class Outcome(NamedTuple):
     """What a stage found in the lanes' own coordinates, before units."""
 
-    forces: Vec
+    forces: Four
     multiplier: Six
     verdict: Array
     steps: Array
@@ -58,8 +60,9 @@ def write(
     linear, angular = multiplier_out(*unknowns.twist(outcome.multiplier), frame)
     one = jnp.ones((1, size), error.dtype)
     certificate = _certificate(frame, outcome, verdict, rest, one)
+    moments = moments_out(lanes, outcome.forces.spin, frame)
     return Answer(
-        forces=jnp.stack([c * one for c in forces_out(outcome.forces, frame)]).transpose(2, 1, 0),
+        forces=jnp.stack([c * one for c in forces_out(outcome.forces.linear, frame)]).transpose(2, 1, 0),
         multiplier=_rows((*linear, *angular), one),
         verdict=_row(verdict, size).astype(jnp.int32),
         residual=_row(error, size),
@@ -69,6 +72,7 @@ def write(
         rank=_row(rank(frame, unknowns), size).astype(jnp.int32),
         certificate=certificate,
         undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),
+        moments=None if moments is None else (moments * one).T,
     )
 
 
@@ -87,7 +91,7 @@ class Measured(NamedTuple):
     """Sum of the normal forces."""
 
 
-def measure(lanes: Lanes, forces: Vec, unknowns: Unknowns) -> Measured:
+def measure(lanes: Lanes, forces: Four, unknowns: Unknowns) -> Measured:
     """What the forces leave of the wrench, their objective, and their backward error
 
     |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as the unknowns see it: the larger.
@@ -96,12 +100,13 @@ def measure(lanes: Lanes, forces: Vec, unknowns: Unknowns) -> Measured:
     cannot be measured against that.
     """
     plain = unstretched(lanes.force.x)
-    push = jnp.maximum(vec.norm(forces), lanes.squeeze)
+    push = jnp.maximum(fours.norm(forces), lanes.squeeze)
+    spins = None if lanes.lever is None else vec.scale(lanes.lever, lanes.normals)
     objective, total_push, *through, fx, fy, fz, tx, ty, tz = vec.totals(
         dual.spread(lanes, forces),
-        vec.dot(forces, lanes.normals),
-        plain.reach(lanes.arms) * push,
-        unknowns.reach(lanes.arms) * push,
+        vec.dot(forces.linear, lanes.normals),
+        plain.reach(lanes.arms, spins) * push,
+        unknowns.reach(lanes.arms, spins) * push,
         *dual.wrench_terms(lanes, forces),
     )
     force, torque = vec.sub(lanes.force, Vec(fx, fy, fz)), vec.sub(lanes.torque, Vec(tx, ty, tz))

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, sixes
+from jaxgrasp.force import cones, fours, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Lanes, read
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -63,11 +64,12 @@ def _needed(lanes: Lanes, direction: Array) -> Array:
     centre = _middle(lanes.arms, can_move)
     linear = vec.add(linear, vec.cross(angular, centre))
     torque = vec.sub(lanes.torque, vec.cross(centre, lanes.force))
-    velocity = vec.add(linear, vec.cross(angular, vec.sub(lanes.arms, centre)))
-    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(velocity, lanes.normals))
+    spin = None if lanes.lever is None else lanes.lever * vec.dot(angular, lanes.normals)
+    velocity = Four(vec.add(linear, vec.cross(angular, vec.sub(lanes.arms, centre))), spin)
+    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(velocity.linear, lanes.normals))
     work = vec.dot(lanes.force, linear) + vec.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True)
-    sides = cones.split(velocity, lanes.normals, lanes.friction)
-    reach = vec.norm(cones.project(velocity, lanes.normals, lanes.friction, sides))
+    sides = cones.split(velocity, lanes.cone)
+    reach = fours.norm(cones.project(velocity, lanes.cone, sides))
     largest = jnp.max(jnp.where(can_move, reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)

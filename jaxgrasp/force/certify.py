@@ -19,10 +19,12 @@ from jaxgrasp.numerics import vec
 def proves_infeasible(lanes: Lanes, frame: Frame, direction: Six, unknowns: Unknowns) -> Array:
     """Whether ``direction`` (in the unknowns) shows that the load is out of any sensible force's reach."""
     twist = dual.twist_at(lanes, direction, unknowns)
-    push = cones.support(twist, lanes.normals, lanes.friction)
+    push = cones.push(twist, lanes.cone)
     can_move = lanes.weights > 0
-    largest = jnp.max(jnp.where(can_move, push, 0), 0, keepdims=True)
-    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
+    held = lanes.squeeze * vec.dot(twist.linear, lanes.normals)
+    endless, bounded = cones.work_of(push, lanes.cone)
+    largest = jnp.max(jnp.where(can_move, endless, 0), 0, keepdims=True)
+    fixed = jnp.where(can_move, bounded, held)
     work = sixes.inner(dual.load(lanes, unknowns), direction) - vec.totals(fixed)[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
     size = sixes.length(sixes.six(*unknowns.twist(direction)))

@@ -138,7 +138,7 @@ def _safer(grasp: Grasp, safety: AnyArray) -> Grasp:
         there = there & (jnp.asarray(grasp.present) > 0.5)
     divisor = jnp.asarray(safety, friction.dtype)[..., None]
     safe = jnp.where(there, jnp.where(there, friction, 0) / divisor, friction)
-    return Grasp(grasp.points, grasp.normals, safe, grasp.squeeze, grasp.present)
+    return eqx.tree_at(lambda g: g.friction, grasp, safe)
 
 
 class ForceSplit(NamedTuple):
@@ -148,6 +148,9 @@ class ForceSplit(NamedTuple):
     """Manipulation forces ``(..., n, 3)`` [N]: they balance the wrench."""
     internal: Array
     """Squeezing forces less their own resultant ``(..., n, 3)`` [N]: they balance to zero."""
+    external_moments: Array | None = None
+    """Likewise what soft fingers exert about their normals ``(..., n)`` [N.m]; None where all contacts are hard."""
+    internal_moments: Array | None = None
 
 
 def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> ForceSplit:
@@ -156,12 +159,11 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     name, weights = read_sharing(sharing)
     if weights is None:
         weights = squeeze if name == "squeeze" else jnp.ones_like(squeeze)
-    relaxed = Grasp(grasp.points, grasp.normals, grasp.friction, jnp.zeros_like(squeeze), grasp.present)
+    relaxed = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(squeeze))
     wrench = jnp.asarray(wrench)
-    return ForceSplit(
-        external=closed_form(relaxed, wrench, weights).forces,
-        internal=closed_form(grasp, jnp.zeros_like(wrench), weights).forces,
-    )
+    external = closed_form(relaxed, wrench, weights)
+    internal = closed_form(grasp, jnp.zeros_like(wrench), weights)
+    return ForceSplit(external.forces, internal.forces, external.moments, internal.moments)
 
 
 def _distribute(

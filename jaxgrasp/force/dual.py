@@ -4,17 +4,20 @@ For a multiplier (a virtual twist) the best force of each contact is a projectio
 
     f_i = P_i(s_i a_i + k_i (linear + angular x r_i)),
 
-and the dual value is concave, once continuously differentiable, with gradient w - G f. Everything here is
-in the coordinates of ``lanes.py``; ``unknowns`` says what the six numbers of a multiplier stand for there.
+of soft fingers in four components (``fours.py``), and the dual value is concave, once continuously differentiable,
+with gradient w - G f. Everything here is in the coordinates of ``lanes.py``; ``unknowns`` says what the six numbers of
+a multiplier stand for there.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones
-from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force import cones, fours
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.lanes import Lanes, squeezing
 from jaxgrasp.force.sixes import Six, inner
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
@@ -35,10 +38,10 @@ def solve(factors: tuple[list[list[Array]], list[Array]], right: Six) -> Six:
 class Forces(NamedTuple):
     """The best forces for a multiplier, and what they came from."""
 
-    twist: Vec
+    twist: Four
     """The multiplier's velocity at each contact, less the toll along its normal."""
     sides: cones.Split
-    forces: Vec
+    forces: Four
 
 
 class Value(NamedTuple):
@@ -51,29 +54,33 @@ class Value(NamedTuple):
     """Sum of the normal forces: how large the numbers are that the gradient is a difference of."""
 
 
-def twist_at(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Vec:
+def twist_at(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Four:
     """Velocity of the multiplier, as a twist, at each contact."""
     linear, angular = unknowns.twist(multiplier)
-    return vec.add(linear, vec.cross(angular, lanes.arms))
+    spin = None if lanes.lever is None else lanes.lever * vec.dot(angular, lanes.normals)
+    return Four(vec.add(linear, vec.cross(angular, lanes.arms)), spin)
 
 
 def best_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Forces:
     twist = twist_at(lanes, multiplier, unknowns)
     if lanes.toll is not None:
-        twist = vec.sub(twist, vec.scale(lanes.toll, lanes.normals))
-    target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
-    sides = cones.split(target, lanes.normals, lanes.friction)
-    return Forces(twist, sides, cones.project(target, lanes.normals, lanes.friction, sides))
+        twist = twist._replace(linear=vec.sub(twist.linear, vec.scale(lanes.toll, lanes.normals)))
+    target = fours.add(squeezing(lanes), fours.scale(lanes.weights, twist))
+    sides = cones.split(target, lanes.cone)
+    return Forces(twist, sides, cones.project(target, lanes.cone, sides))
 
 
-def residual(lanes: Lanes, forces: Vec, unknowns: Unknowns) -> Six:
+def residual(lanes: Lanes, forces: Four, unknowns: Unknowns) -> Six:
     """w - G f."""
     return _unbalanced(lanes, unknowns, vec.totals(*wrench_terms(lanes, forces)))
 
 
-def wrench_terms(lanes: Lanes, forces: Vec) -> tuple[Array, ...]:
+def wrench_terms(lanes: Lanes, forces: Four) -> tuple[Array, ...]:
     """What each contact adds to the wrench: force, then torque."""
-    return (*forces, *vec.cross(lanes.arms, forces))
+    torque = vec.cross(lanes.arms, forces.linear)
+    if forces.spin is not None and lanes.lever is not None:
+        torque = vec.add(torque, vec.scale(lanes.lever * forces.spin, lanes.normals))
+    return (*forces.linear, *torque)
 
 
 def _unbalanced(lanes: Lanes, unknowns: Unknowns, wrench: list[Array]) -> Six:
@@ -83,7 +90,7 @@ def _unbalanced(lanes: Lanes, unknowns: Unknowns, wrench: list[Array]) -> Six:
 
 def evaluate(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Value:
     best = best_forces(lanes, multiplier, unknowns)
-    jacobian = cones.derivative(lanes.normals, lanes.friction, best.sides)
+    jacobian = cones.derivative(lanes.cone, best.sides)
     sums = vec.totals(*_value_terms(lanes, best)) + vec.stacked_totals(*_curvature_terms(lanes, jacobian))
     value, gradient, push = _value(lanes, multiplier, unknowns, sums[:VALUE_TERMS])
     return Value(value, gradient, _curvature_of(sums[VALUE_TERMS:], unknowns), push)
@@ -94,9 +101,9 @@ def dual_value(lanes: Lanes, best: Forces, multiplier: Six, unknowns: Unknowns) 
     return _value(lanes, multiplier, unknowns, vec.totals(*_value_terms(lanes, best)))[0]
 
 
-def total_push(lanes: Lanes, forces: Vec) -> Array:
+def total_push(lanes: Lanes, forces: Four) -> Array:
     """Sum of the normal forces."""
-    return vec.totals(vec.dot(forces, lanes.normals))[0]
+    return vec.totals(vec.dot(forces.linear, lanes.normals))[0]
 
 
 VALUE_TERMS = 8
@@ -104,8 +111,8 @@ VALUE_TERMS = 8
 
 def _value_terms(lanes: Lanes, best: Forces) -> tuple[Array, ...]:
     # w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing.
-    own = spread(lanes, best.forces) - vec.dot(best.twist, best.forces)
-    return own, vec.dot(best.forces, lanes.normals), *wrench_terms(lanes, best.forces)
+    own = spread(lanes, best.forces) - fours.dot(best.twist, best.forces)
+    return own, vec.dot(best.forces.linear, lanes.normals), *wrench_terms(lanes, best.forces)
 
 
 def _value(lanes: Lanes, multiplier: Six, unknowns: Unknowns, sums: list[Array]) -> tuple[Array, Six, Array]:
@@ -113,49 +120,50 @@ def _value(lanes: Lanes, multiplier: Six, unknowns: Unknowns, sums: list[Array])
     return inner(load(lanes, unknowns), multiplier) + own, _unbalanced(lanes, unknowns, wrench), push
 
 
-def spread(lanes: Lanes, forces: Vec) -> Array:
+def spread(lanes: Lanes, forces: Four) -> Array:
     """|f - s a|^2 / 2k of each contact; 0 where k is 0."""
-    apart = vec.sub(forces, vec.scale(lanes.squeeze, lanes.normals))
-    return vec.safe_divide(vec.dot(apart, apart), 2 * lanes.weights)
+    apart = fours.sub(forces, squeezing(lanes))
+    return vec.safe_divide(fours.dot(apart, apart), 2 * lanes.weights)
 
 
-def pull(lanes: Lanes, best: Forces, unit: Array) -> Vec:
+def pull(lanes: Lanes, best: Forces, unit: Array) -> Four:
     """(f - s a) / k of each contact, and what it tends to as k falls to 0; the squeeze with it, where that is 0 too.
 
     ``unit`` is what one unit of weight means in squeeze where both are the same number to the user.
     """
-    moves, held = lanes.weights > 0, vec.scale(lanes.squeeze, lanes.normals)
-    apart = vec.scale(1 / jnp.where(moves, lanes.weights, 1), vec.sub(best.forces, held))
-    along = vec.scale(vec.dot(best.twist, lanes.normals), lanes.normals)
-    still = vec.where(lanes.friction > 0, best.twist, along)
+    moves = lanes.weights > 0
+    apart = fours.scale(1 / jnp.where(moves, lanes.weights, 1), fours.sub(best.forces, squeezing(lanes)))
+    along = fours.along(vec.dot(best.twist.linear, lanes.normals), lanes.normals, best.twist)
+    still = fours.where(lanes.friction > 0, best.twist, along)
     # At s = k = 0 the force is k times a projection.
-    target, own = relaxed_target(lanes, best.twist, unit), vec.scale(unit, lanes.normals)
-    sides = cones.split(target, lanes.normals, lanes.friction)
-    relaxed = vec.sub(cones.project(target, lanes.normals, lanes.friction, sides), own)
-    return vec.where(moves, apart, vec.where(lanes.squeeze > 0, still, relaxed))
+    target, own = relaxed_target(lanes, best.twist, unit), fours.along(unit, lanes.normals, best.twist)
+    sides = cones.split(target, lanes.cone)
+    relaxed = fours.sub(cones.project(target, lanes.cone, sides), own)
+    return fours.where(moves, apart, fours.where(lanes.squeeze > 0, still, relaxed))
 
 
-def relaxed_target(lanes: Lanes, twist: Vec, unit: Array) -> Vec:
+def relaxed_target(lanes: Lanes, twist: Four, unit: Array) -> Four:
     """s a + k v where s and k grow from 0 together, as by method B; for each unit of weight."""
-    return vec.add(vec.scale(unit, lanes.normals), twist)
+    return fours.add(fours.along(unit, lanes.normals, twist), twist)
 
 
-def spread_by(lanes: Lanes, forces: Vec, pull: Vec) -> Array:
+def spread_by(lanes: Lanes, forces: Four, pull: Four) -> Array:
     """The same as ``spread`` in value, with the derivative by k that it has at k = 0 too, from above.
 
     Stationary in ``pull``, so that only forces, squeeze and weights move it.
     """
-    apart = vec.sub(forces, vec.scale(lanes.squeeze, lanes.normals))
-    return vec.dot(pull, apart) - lanes.weights * vec.dot(pull, pull) / 2
+    apart = fours.sub(forces, squeezing(lanes))
+    return fours.dot(pull, apart) - lanes.weights * fours.dot(pull, pull) / 2
 
 
 def price_of_nothing(lanes: Lanes) -> Array:
     """The objective of no force at all: what gaps are measured against where the optimum's own is small."""
-    return vec.totals(spread(lanes, Vec(*(jnp.zeros_like(c) for c in lanes.normals))))[0]
+    held = squeezing(lanes)
+    return vec.totals(spread(lanes, fours.sub(held, held)))[0]
 
 
 def curvature(lanes: Lanes, jacobian: Lower, unknowns: Unknowns) -> Lower:
-    """Sum of k G D G^T over contacts, for a symmetric 3x3 matrix D of each: lower triangle, 6x6."""
+    """Sum of k G D G^T over contacts, for a symmetric matrix D of each, 3x3 or 4x4: lower triangle, 6x6."""
     return _curvature_of(vec.stacked_totals(*_curvature_terms(lanes, jacobian)), unknowns)
 
 
@@ -164,11 +172,28 @@ def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:
     d = [[k * jacobian[max(i, j)][min(i, j)] for j in range(3)] for i in range(3)]
     columns = [vec.cross(r, Vec(d[0][j], d[1][j], d[2][j])) for j in range(3)]  # [r]x D, column by column
     mixed = [Vec(columns[0][i], columns[1][i], columns[2][i]) for i in range(3)]  # its rows
+    own = None
+    if lanes.lever is not None:
+        mixed, own = _with_spin(lanes, vec.scale(lanes.lever, lanes.normals), jacobian[3], mixed)
     angular = [vec.cross(r, row) for row in mixed]  # rows of [r]x D [r]x^T
+    if own is not None:
+        angular = [vec.add(row, more) for row, more in zip(angular, own, strict=True)]
     terms = [d[i][j] for i in range(3) for j in range(i + 1)]
     terms += [mixed[i][j] for i in range(3) for j in range(3)]
     terms += [angular[i][j] for i in range(3) for j in range(i + 1)]
     return terms
+
+
+def _with_spin(lanes: Lanes, a: Vec, last: Sequence[Array], mixed: list[Vec]) -> tuple[list[Vec], list[Vec]]:
+    """What moments about the normals add, with ``a`` the normals times the levers and (c, d) the last row of k D.
+
+    To the torques by forces a c^T. To the torques by torques a (r x c)^T, which follows from that, and the rest.
+    """
+    *row, diagonal = [lanes.weights * entry for entry in last]
+    c = Vec(*row)
+    turned = vec.add(vec.cross(lanes.arms, c), vec.scale(diagonal, a))
+    mixed = [vec.add(m, vec.scale(part, c)) for m, part in zip(mixed, a, strict=True)]
+    return mixed, [vec.scale(part, a) for part in turned]
 
 
 def _curvature_of(sums: list[Array], unknowns: Unknowns) -> Lower:

@@ -13,15 +13,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual, sixes
+from jaxgrasp.force import dual, fours, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Lanes, read
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.numerics import vec
-from jaxgrasp.numerics.vec import Vec
 
 
 def dual_value(
@@ -87,14 +86,14 @@ def _evaluate(grasp, wrench, multiplier, weights, *, sharing: str) -> tuple[Arra
     lanes, valid = read(flat.problem)
     value, best = _value_and_forces(lanes, flat.twist.T)
     value = jnp.where(valid, value, jnp.nan)[0]
-    forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best]).transpose(2, 1, 0)
+    forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best.linear]).transpose(2, 1, 0)
     return value.reshape(flat.batch), forces.reshape(flat.batch + forces.shape[1:])
 
 
-def _value_and_forces(lanes: Lanes, multiplier: Six) -> tuple[Array, Vec]:
+def _value_and_forces(lanes: Lanes, multiplier: Six) -> tuple[Array, Four]:
     one = jnp.ones_like(lanes.force.x)
     plain = unstretched(one)
     best = dual.best_forces(lanes, multiplier, plain)
     work = sixes.inner(dual.load(lanes, plain), multiplier)
-    own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - vec.dot(best.twist, best.forces)
+    own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - fours.dot(best.twist, best.forces)
     return work + jnp.sum(own, 0, keepdims=True), best.forces

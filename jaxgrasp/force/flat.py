@@ -54,13 +54,15 @@ def flatten(
     if sharing != "given":
         weights = squeeze if sharing == "squeeze" else jnp.ones(np.shape(points)[:-1])
     contacts = {"friction": friction, "squeeze": squeeze, "present": grasp.present, "sharing": weights}
+    contacts["torsion"] = grasp.torsion
     given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
     given = {"points": (points, (n, 3)), "normals": (normals, (n, 3))}
     given |= {name: (array, (n,)) for name, array in contacts.items()}
     if free is not None:
         given["free"] = (free, (6, _directions(free)))
     given |= {name: (array, (6,)) for name, array in {"wrench": wrench, **twist}.items()}
-    dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values(), *([] if free is None else [free]))
+    optional = [array for array in (free, grasp.torsion) if array is not None]
+    dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values(), *optional)
     arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = _broadcast(leading)
@@ -77,6 +79,12 @@ def flatten(
     extra = [flat.pop(name) for name in twist]
     problem = Problem(present=flat.pop("present", None), weights=flat.pop("sharing"), **flat)
     return Flat(problem, extra[0] if extra else None, batch)
+
+
+def refuse_soft_fingers(grasp: Grasp) -> None:
+    """Raise where a grasp has torsional friction, for what knows hard fingers only."""
+    if grasp.torsion is not None:
+        raise ValueError("torsion is given: expected None here, where only hard fingers are known")
 
 
 def _contacts(points: AnyArray) -> int:

@@ -11,17 +11,21 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force import cones, dual, fours, pseudo_inverse
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.guide import Mixing, directions_in, guided, mixing
 from jaxgrasp.force.lanes import (
     Frame,
     Lanes,
     Problem,
     forces_out,
+    moments_out,
     multiplier_in,
     multiplier_out,
     principal,
     read,
+    scaled,
+    squeezing,
     turn,
 )
 from jaxgrasp.force.sixes import Six
@@ -60,6 +64,7 @@ class Tangent(NamedTuple):
     forces: Array
     multiplier: Array
     objective: Array
+    moments: Array | None
 
 
 def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: bool) -> Tangent:
@@ -82,22 +87,23 @@ def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: b
     _, unbalanced = jax.jvp(rest, (data,), (data_moved,))
     turned = _solve(_curvature(lanes, at, unknowns, constrained), unbalanced)
 
-    def outputs(data: _Data, multiplier: Six) -> tuple[Vec, Array, tuple[Vec, Vec]]:
+    def outputs(data: _Data, multiplier: Six) -> tuple[Four, Array | None, Array, tuple[Vec, Vec]]:
         unknowns = held.unknowns(data)
         f, pull = _forces(data.lanes, multiplier, unknowns, unit, constrained)
-        return f, vec.totals(dual.spread_by(data.lanes, f, pull))[0], unknowns.twist(multiplier)
+        moments = moments_out(data.lanes, f.spin, frame)
+        return f, moments, vec.totals(dual.spread_by(data.lanes, f, pull))[0], unknowns.twist(multiplier)
 
     _, tangents = jax.jvp(outputs, (data, at), (data_moved, turned))
     return _out(frame, answered, *tangents)
 
 
-def _forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns, unit: Array, constrained: bool) -> tuple[Vec, Vec]:
+def _forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns, unit: Array, constrained: bool) -> tuple[Four, Four]:
     """The forces of a multiplier, and the pull (f - s a) / k of each contact."""
     if not constrained:
         return pseudo_inverse.free_forces(lanes, multiplier, unknowns), dual.twist_at(lanes, multiplier, unknowns)
     best = dual.best_forces(lanes, multiplier, unknowns)
     apex = _about_apex(lanes, best.twist, unit)
-    return vec.where(_relaxed(lanes), apex, best.forces), dual.pull(lanes, best, unit)
+    return fours.where(_relaxed(lanes), apex, best.forces), dual.pull(lanes, best, unit)
 
 
 def _relaxed(lanes: Lanes) -> Array:
@@ -105,13 +111,12 @@ def _relaxed(lanes: Lanes) -> Array:
     return (lanes.squeeze == 0) & (lanes.weights == 0)
 
 
-def _about_apex(lanes: Lanes, twist: Vec, unit: Array) -> Vec:
+def _about_apex(lanes: Lanes, twist: Four, unit: Array) -> Four:
     """s a + k v on its cone, for s and k about 0, linearised where both are equal: as method B moves them."""
     seen = lax.stop_gradient(dual.relaxed_target(lanes, twist, unit))
-    side = cones.derivative(lanes.normals, lanes.friction, cones.split(seen, lanes.normals, lanes.friction))
-    side = lax.stop_gradient(side)
-    target = vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
-    return Vec(*symmetric.multiply(side, target))
+    side = lax.stop_gradient(cones.derivative(lanes.cone, cones.split(seen, lanes.cone)))
+    target = fours.add(squeezing(lanes), fours.scale(lanes.weights, twist))
+    return fours.of_components(symmetric.multiply(side, fours.components(target)))
 
 
 def _constants(problem: Problem) -> _Constants:
@@ -129,24 +134,19 @@ def _in_frame(problem: Problem, frame: Frame) -> _Data:
     lanes, _ = read(problem)
     weight = jnp.where(frame.weight > 0, frame.weight, 1)
     moved = vec.sub(lanes.torque, vec.cross(frame.centre, lanes.force))
-    scaled = lanes._replace(
-        arms=vec.scale(1 / frame.length, vec.sub(lanes.arms, frame.centre)),
-        squeeze=lanes.squeeze / frame.load,
-        weights=lanes.weights / weight,
-        force=vec.scale(1 / frame.load, lanes.force),
-        torque=vec.scale(1 / (frame.load * frame.length), moved),
-    )
+    there = scaled(lanes, frame, vec.sub(lanes.arms, frame.centre), lanes.weights / weight, moved)
     assert frame.axes is not None
     free = None if problem.free is None else directions_in(problem.free, frame)
-    return _Data(turn(scaled, frame.axes), free)
+    return _Data(turn(there, frame.axes), free)
 
 
 def _curvature(lanes: Lanes, at: Six, unknowns: Unknowns, constrained: bool) -> symmetric.Lower:
     if constrained:
         sides = dual.best_forces(lanes, at, unknowns).sides
-        return dual.curvature(lanes, cones.derivative(lanes.normals, lanes.friction, sides), unknowns)
+        return dual.curvature(lanes, cones.derivative(lanes.cone, sides), unknowns)
     one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
-    return dual.curvature(lanes, [[one], [zero, one], [zero, zero, one]], unknowns)
+    size = 3 if lanes.lever is None else 4
+    return dual.curvature(lanes, [[zero] * i + [one] for i in range(size)], unknowns)
 
 
 def _solve(curvature: symmetric.Lower, right: Six) -> Six:
@@ -161,11 +161,14 @@ def _solve(curvature: symmetric.Lower, right: Six) -> Six:
     return x + semidefinite.solve(factors, right - jnp.sum(full * x, 1))
 
 
-def _out(frame: Frame, answered: Array, forces: Vec, objective: Array, twist: tuple[Vec, Vec]) -> Tangent:
+def _out(
+    frame: Frame, answered: Array, forces: Four, moments: Array | None, objective: Array, twist: tuple[Vec, Vec]
+) -> Tangent:
     unit = vec.safe_divide(frame.load, frame.weight) * frame.load
     linear, angular = multiplier_out(*twist, frame)
     return Tangent(
-        forces=jnp.stack([jnp.where(answered, c, 0) for c in forces_out(forces, frame)]).transpose(2, 1, 0),
+        forces=jnp.stack([jnp.where(answered, c, 0) for c in forces_out(forces.linear, frame)]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
         objective=jnp.where(answered, unit * objective, 0)[0],
+        moments=None if moments is None else jnp.where(answered, moments, 0).T,
     )

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.force.flat import refuse_soft_fingers
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
@@ -21,6 +22,7 @@ def lagrange_forces(
         wrench: what the contacts must exert ``(..., 6)``.
         weights: sharing weights ``(..., n)``; all one (method A) where not given.
     """
+    refuse_soft_fingers(grasp)
     points, normals = jnp.asarray(grasp.points), jnp.asarray(grasp.normals)
     squeeze, wrench = jnp.asarray(grasp.squeeze), jnp.asarray(wrench)
     *batch, n, _ = points.shape

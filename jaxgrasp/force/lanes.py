@@ -16,6 +16,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.force.cones import Cone
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.numerics import doubled, symmetric, vec
@@ -37,6 +39,10 @@ class Problem(eqx.Module):
     """Twists along which a guide lets the object move; None for an object that no guide holds."""
     start: Float[Array, "B 6"] | None = None
     """A multiplier to climb the dual from; None for the closed form's."""
+    torsion: Float[Array, "#B n"] | None = None
+    """Torsional friction; None where all contacts are hard fingers."""
+    normal_min: Float[Array, "#B n"] | None = None
+    normal_max: Float[Array, "#B n"] | None = None
 
     @property
     def size(self) -> int:
@@ -55,6 +61,16 @@ class Lanes(NamedTuple):
     torque: Vec
     toll: Array | None = None
     """What a unit of normal force costs, in questions of how little is enough; None where it costs nothing."""
+    lever: Array | None = None
+    """Of soft fingers: moment for each unit of ``Four.spin``; 0 for hard ones, None where all are hard."""
+    least: Array | None = None
+    """Of the normal force; None where none is bounded, and so for ``most``."""
+    most: Array | None = None
+
+    @property
+    def cone(self) -> Cone:
+        """What each contact may exert."""
+        return Cone(self.normals, self.friction, self.least, self.most)
 
 
 class Frame(NamedTuple):
@@ -70,6 +86,11 @@ class Frame(NamedTuple):
     axes: tuple[Vec, Vec, Vec] | None = None
 
 
+def squeezing(lanes: Lanes) -> Four:
+    """The squeezing forces s a."""
+    return Four(vec.scale(lanes.squeeze, lanes.normals), None if lanes.lever is None else 0 * lanes.lever)
+
+
 def read(problem: Problem) -> tuple[Lanes, Array]:
     """Batch-last copies, and which lanes hold usable data.
 
@@ -83,7 +104,17 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     largest = tolerances(points.x.dtype).largest
     # One sum meets a NaN, or what is too large to be squared, in any of its terms.
     size = vec.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
-    good = (size <= largest) & (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
+    good = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
+    torsion, least, most = (
+        None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
+    )
+    if torsion is not None:
+        size, good = size + jnp.abs(torsion), good & (torsion >= 0)
+    if least is not None:
+        size, good = size + jnp.abs(least), good & (least >= 0)
+    if most is not None:
+        good = good & (most >= (0 if least is None else least))
+    good = good & (size <= largest)
     there = None
     if problem.present is not None:
         present = problem.present.T
@@ -101,16 +132,29 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     kept = Vec(*map(keep, normals))
     # From what was kept, so that no derivative meets what was not.
     inverse = 1 / jnp.sqrt(jnp.where(use, vec.dot(kept, kept), 1))
+    least = None if least is None else keep(least)
+    most = None if most is None else jnp.where(use, most, jnp.inf)
     lanes = Lanes(
         arms=Vec(*map(keep, points)),
         normals=vec.scale(inverse, kept),
         friction=keep(friction),
-        squeeze=keep(squeeze),
+        squeeze=_allowed(keep(squeeze), keep(weights), least, most),
         weights=keep(weights),
         force=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
         torque=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
+        lever=None if torsion is None else vec.safe_divide(keep(torsion), keep(friction)),
+        least=least,
+        most=most,
     )
     return lanes, valid
+
+
+def _allowed(squeeze: Array, weights: Array, least: Array | None, most: Array | None) -> Array:
+    """The squeeze; of contacts that cannot move, which hold theirs, within the bounds of the normal force."""
+    for bound, cut in ((least, jnp.maximum), (most, jnp.minimum)):
+        if bound is not None:
+            squeeze = jnp.where(weights > 0, squeeze, cut(squeeze, bound))
+    return squeeze
 
 
 def _components(array: Array) -> Vec:
@@ -136,7 +180,10 @@ def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
         moved = vec.sub(lanes.torque, vec.cross(first, lanes.force))
     torque = vec.sub(moved, vec.cross(rest, lanes.force))
     centre = vec.add(first, rest)
-    square, reach = vec.totals(k * vec.dot(arms, arms), k * vec.taxicab(arms))
+    size2, size = vec.dot(arms, arms), vec.taxicab(arms)
+    if lanes.lever is not None:
+        size2, size = size2 + lanes.lever**2, size + lanes.lever
+    square, reach = vec.totals(k * size2, k * size)
     length = vec.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
     blur = tolerances(length.dtype).rank * jnp.sqrt(vec.dot(centre, centre))
@@ -147,16 +194,24 @@ def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
     sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (weight, load)))
     sound = sound & ((reach <= blur) | (reach >= smallest))
     load = jnp.where(load > 0, load, 1)
-    normalised = Lanes(
-        arms=vec.scale(1 / length, arms),
+    frame = Frame(centre, length, weight, load, sound)
+    return scaled(lanes, frame, arms, k, torque), frame
+
+
+def scaled(lanes: Lanes, frame: Frame, arms: Vec, weights: Array, torque: Vec) -> Lanes:
+    """The lanes in a frame's units, with these arms, weights and torque about its centre."""
+    return Lanes(
+        arms=vec.scale(1 / frame.length, arms),
         normals=lanes.normals,
         friction=lanes.friction,
-        squeeze=lanes.squeeze / load,
-        weights=k,
-        force=vec.scale(1 / load, lanes.force),
-        torque=vec.scale(1 / (load * length), torque),
+        squeeze=lanes.squeeze / frame.load,
+        weights=weights,
+        force=vec.scale(1 / frame.load, lanes.force),
+        torque=vec.scale(1 / (frame.load * frame.length), torque),
+        lever=None if lanes.lever is None else lanes.lever / frame.length,
+        least=None if lanes.least is None else lanes.least / frame.load,
+        most=None if lanes.most is None else lanes.most / frame.load,
     )
-    return normalised, Frame(centre, length, weight, load, sound)
 
 
 def blur(frame: Frame) -> Array:
@@ -165,10 +220,20 @@ def blur(frame: Frame) -> Array:
 
 
 def inertia(lanes: Lanes) -> list[list[Array]]:
-    """Sum of k (|r|^2 I - r r^T) over the contacts: the torque block of G W G^T."""
-    r, kr = lanes.arms, vec.scale(lanes.weights, lanes.arms)
-    xx, yy, zz, xy, xz, yz = vec.totals(kr.x * r.x, kr.y * r.y, kr.z * r.z, kr.x * r.y, kr.x * r.z, kr.y * r.z)
-    return [[yy + zz], [-xy, xx + zz], [-xz, -yz, xx + yy]]
+    """Sum of k (|r|^2 I - r r^T), of soft fingers + k l^2 a a^T, over the contacts: the torque block of G W G^T."""
+    xx, yy, zz, xy, xz, yz = _moments(lanes.arms, lanes.weights)
+    matrix = [[yy + zz], [-xy, xx + zz], [-xz, -yz, xx + yy]]
+    if lanes.lever is None:
+        return matrix
+    xx, yy, zz, xy, xz, yz = _moments(lanes.normals, lanes.weights * lanes.lever**2)
+    spins = [[xx], [xy, yy], [xz, yz, zz]]
+    return [[p + q for p, q in zip(*rows, strict=True)] for rows in zip(matrix, spins, strict=True)]
+
+
+def _moments(a: Vec, weights: Array) -> list[Array]:
+    """Sums of weights a a^T."""
+    b = vec.scale(weights, a)
+    return vec.totals(b.x * a.x, b.y * a.y, b.z * a.z, b.x * a.y, b.x * a.z, b.y * a.z)
 
 
 def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
@@ -197,6 +262,11 @@ def forces_out(forces: Vec, frame: Frame) -> Vec:
     """Forces in the user's axes and units."""
     turned = forces if frame.axes is None else vec.rotate_back(frame.axes, forces)
     return vec.scale(frame.load, turned)
+
+
+def moments_out(lanes: Lanes, spin: Array | None, frame: Frame) -> Array | None:
+    """Moments about the normals in the user's units; None where all contacts are hard."""
+    return None if spin is None or lanes.lever is None else frame.load * frame.length * lanes.lever * spin
 
 
 def multiplier_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual, elastic, sixes
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
+from jaxgrasp.force import dual, elastic, fours, sixes
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read, squeezing
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.numerics import vec
@@ -36,6 +37,8 @@ class Limit(NamedTuple):
     """``(B, n)`` [N]: normal forces at the limit."""
     lean: Array
     """``(B, n, 3)``: tangential forces at the limit, relative to the largest that friction allows."""
+    twirl: Array | None
+    """``(B, n)``: moments likewise; None where all contacts are hard."""
 
 
 class _Touch(NamedTuple):
@@ -43,7 +46,7 @@ class _Touch(NamedTuple):
 
     normal: Six
     press: Array
-    lean: Vec
+    lean: Four
 
 
 def bare(problem: Problem) -> Bare:
@@ -53,8 +56,7 @@ def bare(problem: Problem) -> Bare:
     weights = can_move.astype(lanes.weights.dtype)
     lanes = lanes._replace(weights=weights, squeeze=jnp.where(can_move, 0, lanes.squeeze))
     lanes, frame = principal(lanes)
-    held = vec.scale(lanes.squeeze, lanes.normals)
-    load = dual.residual(lanes, held, unstretched(lanes.force.x))
+    load = dual.residual(lanes, squeezing(lanes), unstretched(lanes.force.x))
     return Bare(loaded(lanes, load), frame, valid & frame.sound)
 
 
@@ -74,7 +76,7 @@ def limit_of(there: Bare, last: Lanes, before: Lanes, path: elastic.Path, size: 
     now, then = _touch(last, path.point, path.price), _touch(before, path.point_before, path.price_before)
     normal = now.normal + share * (now.normal - then.normal)
     press = now.press + share * (now.press - then.press)
-    lean = vec.add(now.lean, vec.scale(share, vec.sub(now.lean, then.lean)))
+    lean = fours.add(now.lean, fours.scale(share, fours.sub(now.lean, then.lean)))
     frame, one = there.frame, jnp.ones_like(size)
     assert frame.axes is not None
     linear, angular = sixes.parts(vec.safe_divide(normal, size))
@@ -84,7 +86,8 @@ def limit_of(there: Bare, last: Lanes, before: Lanes, path: elastic.Path, size: 
         centre=jnp.concatenate([c * one for c in frame.centre]).T,
         normal=sixes.six(linear, angular).T,
         press=(frame.load * press * one).T,
-        lean=jnp.stack([c * one for c in vec.rotate_back(frame.axes, lean)]).transpose(2, 1, 0),
+        lean=jnp.stack([c * one for c in vec.rotate_back(frame.axes, lean.linear)]).transpose(2, 1, 0),
+        twirl=None if lean.spin is None else (lean.spin * one).T,
     )
 
 
@@ -92,8 +95,8 @@ def _touch(lanes: Lanes, point: Six, price: Array) -> _Touch:
     best = dual.best_forces(lanes, point, unstretched(price))
     sides = best.sides
     used = jnp.where(sides.inside, vec.safe_divide(sides.size, lanes.friction * sides.along), 1)
-    press = vec.dot(best.forces, lanes.normals)
-    return _Touch(vec.safe_divide(point, price), press, vec.scale(used, sides.tangent))
+    press = vec.dot(best.forces.linear, lanes.normals)
+    return _Touch(vec.safe_divide(point, price), press, fours.scale(used, sides.tangent))
 
 
 def work_along(problem: Problem, wrench: Array, limit: Limit) -> Array:
@@ -108,9 +111,12 @@ def work_along(problem: Problem, wrench: Array, limit: Limit) -> Array:
     velocity = vec.add(linear, vec.cross(angular, vec.sub(lanes.arms, centre)))
     along = vec.dot(velocity, lanes.normals)
     across = vec.sub(velocity, vec.scale(along, lanes.normals))
+    slide = vec.dot(lean, across)
+    if lanes.lever is not None and limit.twirl is not None:
+        slide = slide + limit.twirl.T * lanes.lever * vec.dot(angular, lanes.normals)
     can_move = lanes.weights > 0
     press = jnp.where(can_move, limit.press.T, lanes.squeeze)
-    push = along + jnp.where(can_move, lanes.friction * vec.dot(lean, across), 0)
+    push = along + jnp.where(can_move, lanes.friction * slide, 0)
     force, torque = sixes.parts(wrench.T)
     asked = vec.dot(linear, force) + vec.dot(angular, vec.sub(torque, vec.cross(centre, force)))
     return (jnp.sum(press * push, 0, keepdims=True) - asked)[0]

@@ -11,13 +11,13 @@ from jax import Array, lax
 
 from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.answer import measure
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
-from jaxgrasp.numerics.vec import Vec
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
@@ -183,7 +183,7 @@ def is_within(
     return balanced & (jnp.abs(sixes.inner(point, gradient)) <= gap * scale)
 
 
-def is_optimal(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, best: Vec, slack: float = 1.0) -> Array:
+def is_optimal(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, best: Four, slack: float = 1.0) -> Array:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
     found = measure(lanes, best, unknowns)
     rest = unknowns.wrench(*sixes.parts(found.rest))

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force import cones, dual, fours, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range, proof
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
 from jaxgrasp.force.newton import has_converged, is_within
@@ -21,9 +22,7 @@ from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
-from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.tiles import over_tiles
-from jaxgrasp.numerics.vec import Vec
 
 MAX_STEPS = 256
 TILE = 128
@@ -67,7 +66,7 @@ def _tile(solver: Any, problem: Problem) -> Answer:
     metric, unknowns = whitened(problem, lanes, frame)
     start = pseudo_inverse.closed_multiplier(lanes, unknowns, metric)
     free = pseudo_inverse.free_forces(lanes, start, unknowns)
-    inside = jnp.all(cones.contains(free, lanes.normals, lanes.friction), 0, keepdims=True)
+    inside = jnp.all(cones.contains(free, lanes.cone), 0, keepdims=True)
     missed, beyond = out_of_range(lanes, frame, unknowns)
     point, steps = _search(solver, lanes, unknowns, start)
     tolerance = float(max(solver.rtol, solver.atol))
@@ -76,7 +75,7 @@ def _tile(solver: Any, problem: Problem) -> Answer:
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
     outcome = Outcome(
-        forces=vec.where(inside, free, forces),
+        forces=fours.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
         verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
         steps=jnp.where(inside, 0, steps),
@@ -119,7 +118,7 @@ def _descent(point: Six, lane: tuple[Lanes, Unknowns]) -> Array:
     return jnp.sum(unknowns.idle() * point**2) / 2 - value[0]
 
 
-def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, tolerance: float) -> tuple[Vec, Array]:
+def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, tolerance: float) -> tuple[Four, Array]:
     """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
     best = dual.best_forces(lanes, point, unknowns)
     rest = dual.residual(lanes, best.forces, unknowns)

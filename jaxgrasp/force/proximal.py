@@ -10,17 +10,16 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import dual
+from jaxgrasp.force import dual, fours
 from jaxgrasp.force.answer import Outcome
 from jaxgrasp.force.certify import proof
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Frame, Lanes
 from jaxgrasp.force.newton import Proximal, ascend, is_optimal
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics import vec
-from jaxgrasp.numerics.vec import Vec
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
@@ -63,7 +62,7 @@ def proximal_optimum(
     _, search = lax.while_loop(unfinished, fall, (start, search))
     best, good = _judge(lanes, unknowns, metric, search.point, LAST_SLACK)
     verdict = jnp.where(~search.decided & good, Verdict.OPTIMAL, search.verdict)
-    forces = vec.where(optimal | decided, closed.forces, best)
+    forces = fours.where(optimal | decided, closed.forces, best)
     return Outcome(forces, search.point, verdict, search.steps, search.certificate, jnp.zeros_like(decided))
 
 
@@ -86,7 +85,7 @@ def _level(lanes: Lanes, frame: Frame, unknowns: Unknowns, metric: Metric, stren
     )
 
 
-def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, slack: float) -> tuple[Vec, Array]:
+def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, slack: float) -> tuple[Four, Array]:
     """The forces of a multiplier, and whether they are the optimum."""
     best = dual.best_forces(lanes, point, unknowns).forces
     return best, is_optimal(lanes, unknowns, metric, point, best, slack)

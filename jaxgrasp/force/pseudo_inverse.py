@@ -5,8 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual, sixes
-from jaxgrasp.force.lanes import Frame, Lanes, blur, inertia
+from jaxgrasp.force import dual, fours, sixes
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.lanes import Frame, Lanes, blur, inertia, squeezing
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Stretch, Unknowns, unstretched
@@ -51,7 +52,7 @@ def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Stretch]:
 
 def closed_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
-    return _balancing(lanes, vec.scale(lanes.squeeze, lanes.normals), unknowns, metric)
+    return _balancing(lanes, squeezing(lanes), unknowns, metric)
 
 
 def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
@@ -60,16 +61,16 @@ def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     return multiplier + _balancing(lanes, free_forces(lanes, multiplier, unknowns), unknowns, metric)
 
 
-def _balancing(lanes: Lanes, forces: Vec, unknowns: Unknowns, metric: Metric) -> Six:
+def _balancing(lanes: Lanes, forces: Four, unknowns: Unknowns, metric: Metric) -> Six:
     """The multiplier that balances what these forces leave of the wrench."""
     linear, angular = sixes.parts(dual.residual(lanes, forces, unknowns))
     return sixes.six(linear, Vec(*symmetric.solve(metric.factors, angular)))
 
 
-def free_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Vec:
+def free_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Four:
     """Forces of eq. 8 with weights: s a + k (G^T multiplier), whatever friction says."""
     twist = dual.twist_at(lanes, multiplier, unknowns)
-    return vec.add(vec.scale(lanes.squeeze, lanes.normals), vec.scale(lanes.weights, twist))
+    return fours.add(squeezing(lanes), fours.scale(lanes.weights, twist))
 
 
 def whitened_square(metric: Metric, gradient: Six) -> Array:

@@ -15,10 +15,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, pseudo_inverse
+from jaxgrasp.force import cones, dual, fours, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
-from jaxgrasp.force.lanes import Lanes, Problem, principal, read
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.lanes import Lanes, Problem, principal, read, squeezing
 from jaxgrasp.force.outside import write_to_tolerance
 from jaxgrasp.force.unknowns import Stretch
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -107,6 +108,7 @@ def pyramid_optimum(
         ValueError: for an argument that cannot be used, or shapes that do not fit.
         NotImplementedError: when it is differentiated.
     """
+    refuse_soft_fingers(grasp)
     settings = Settings(sides, solver, tol, max_steps)
     _check(settings)
     return _solve(grasp, wrench, sharing, settings)
@@ -163,15 +165,15 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
     solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
     y, twist = (_finite(x, lanes.squeeze.dtype) for x in (found.y, -found.equality))
     moved = vec.scale(jnp.sqrt(lanes.weights), Vec(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
-    forces = vec.add(vec.scale(lanes.squeeze, lanes.normals), moved)
+    forces = fours.add(squeezing(lanes), Four(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
-    sides = cones.split(forces, lanes.normals, lanes.friction)
+    sides = cones.split(forces, lanes.cone)
     outcome = Outcome(
-        forces=cones.project(forces, lanes.normals, lanes.friction, sides),
+        forces=cones.project(forces, lanes.cone, sides),
         multiplier=twist.T,
         verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
         steps=found.steps[None],
-        certificate=jnp.zeros((6, problem.size), forces.x.dtype),
+        certificate=jnp.zeros((6, problem.size), lanes.squeeze.dtype),
         undecided=jnp.zeros((1, problem.size), bool),
     )
     return write_to_tolerance(lanes, frame, unknowns, valid, problem.size, outcome, BALANCE * settings.tol)
@@ -183,14 +185,13 @@ def _finite(array: Array, dtype: jnp.dtype) -> Array:
 
 def _program(lanes: Lanes, unknowns: Stretch, facets: tuple[Array, Array], size: int) -> Program:
     """The programs of all lanes, batch-first."""
-    squeezing = vec.scale(lanes.squeeze, lanes.normals)
     rows, bounds = facets
     contacts, each = rows.shape[1:3]
     # Facets of a contact see its own force alone.
     apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
     program = Program(
         a=_balance(lanes, unknowns),
-        b=dual.residual(lanes, squeezing, unknowns).T,
+        b=dual.residual(lanes, squeezing(lanes), unknowns).T,
         c=apart.reshape(-1, contacts * each, 3 * contacts),
         d=bounds.reshape(-1, contacts * each),
     )

@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, elastic, shells, sixes
+from jaxgrasp.force import cones, dual, elastic, fours, shells, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.guide import restricted, unwhitened
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, certificate_out, forces_out, principal, read
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, certificate_out, forces_out, moments_out, principal, read
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.arrays import AnyArray, Float, Int
@@ -19,7 +20,6 @@ from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.symmetric import Lower
 from jaxgrasp.numerics.tiles import over_chosen
-from jaxgrasp.numerics.vec import Vec
 
 TILE = 32
 
@@ -31,6 +31,8 @@ class Reachable(NamedTuple):
     """[N, N.m] about the frame's origin."""
     forces: Float[Array, "*batch n 3"]
     """Allowed forces that exert it [N]; of all that do, those closest to the squeezing forces."""
+    moments: Float[Array, "*batch n"] | None
+    """About the normals of soft fingers, with those forces [N.m]; None where all contacts are hard."""
     distance: Float[Array, "*batch"]
     """Length of what is missed, wrench asked for less wrench exerted, in the metric asked for."""
     certificate: Float[Array, "*batch 6"]
@@ -103,6 +105,7 @@ def _closest(problem: Problem, inertia: Array | None) -> Reachable:
     answer = Reachable(
         wrench=jnp.where(usable[:, None], problem.wrench, 0),
         forces=jnp.where(solved[:, None, None], solution.forces, 0),
+        moments=None if solution.moments is None else jnp.where(solved[:, None], solution.moments, 0),
         distance=jnp.where(usable, 0, jnp.inf).astype(problem.wrench.dtype),
         certificate=jnp.zeros_like(problem.wrench),
         verdict=solution.verdict,
@@ -141,11 +144,13 @@ def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Rea
     if problem.free is not None:
         rest = elastic.times(whole, sixes.six(*unknowns.twist(across)))
     missed = elastic.wrench_out(frame.load * rest, frame).T
-    stacked = jnp.stack([c * one for c in forces_out(forces, frame)]).transpose(2, 1, 0)
+    moments = moments_out(lanes, forces.spin, frame)
+    stacked = jnp.stack([c * one for c in forces_out(forces.linear, frame)]).transpose(2, 1, 0)
     linear, angular = certificate_out(*unknowns.twist(vec.safe_divide(point, sixes.length(point))), frame)
     return Reachable(
         wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
+        moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
         distance=jnp.where(ok, (frame.load * distance / jnp.sqrt(mass))[0], jnp.inf),
         certificate=jnp.where(ok[:, None], sixes.six(linear, angular).T, 0),
         verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
@@ -168,25 +173,25 @@ def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, A
     return metric, jnp.where(sound, mass, 1), sound
 
 
-def _rescaled(lanes: Lanes, metric: Lower, unknowns: Unknowns, point: Six) -> Vec:
+def _rescaled(lanes: Lanes, metric: Lower, unknowns: Unknowns, point: Six) -> Four:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
     forces = dual.best_forces(lanes, point, unknowns).forces
-    can_move, nothing = lanes.weights > 0, vec.sub(forces, forces)
-    held, free = vec.where(can_move, nothing, forces), vec.where(can_move, forces, nothing)
+    can_move, nothing = lanes.weights > 0, fours.sub(forces, forces)
+    held, free = fours.where(can_move, nothing, forces), fours.where(can_move, forces, nothing)
     asked = dual.residual(lanes, held, unknowns)
     exerted = asked - dual.residual(lanes, forces, unknowns)
     along = elastic.solve_by(metric, exerted)
     square = sixes.inner(exerted, along)
     share = jnp.where(square > 0, vec.safe_divide(sixes.inner(asked, along), square), 1)
-    return vec.add(held, vec.scale(share, free))
+    return fours.add(held, fours.scale(share, free))
 
 
-def _is_closest(lanes: Lanes, metric: Lower, unknowns: Unknowns, forces: Vec, point: Six, distance: Array) -> Array:
+def _is_closest(lanes: Lanes, metric: Lower, unknowns: Unknowns, forces: Four, point: Six, distance: Array) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
     twist = dual.twist_at(lanes, point, unknowns)
     can_move = lanes.weights > 0
-    push = jnp.max(jnp.where(can_move, cones.support(twist, lanes.normals, lanes.friction), 0), 0, keepdims=True)
-    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist, lanes.normals))
+    push = jnp.max(jnp.where(can_move, cones.push(twist, lanes.cone), 0), 0, keepdims=True)
+    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist.linear, lanes.normals))
     work = sixes.inner(dual.load(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
     best = work - push * dual.total_push(lanes, forces)
     size = jnp.sqrt(sixes.inner(point, elastic.times(metric, point)))

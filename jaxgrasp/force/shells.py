@@ -6,6 +6,7 @@ when only the wrenches are mapped, and then the grasp's own work is done once.
 """
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import cache, partial
 from typing import Any
 
@@ -19,6 +20,9 @@ from jaxgrasp.force import implicit, outside, stages
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.solution import Solution
+
+PER_WRENCH = ("wrench", "start")
+"""What each of many wrenches that share a grasp has of its own."""
 
 
 @cache
@@ -77,8 +81,8 @@ def _batched(solve: Callable[[Problem], tuple[Answer, ...]]) -> Callable[[Proble
 def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem, int]:
     """The problem with its mapped axis merged into the batch, and the size that each mapped element had."""
     size = problem.wrench.shape[1 if batched.wrench else 0]
-    contacts = lambda p: (p.points, p.normals, p.friction, p.squeeze, p.present, p.weights, p.free)  # noqa: E731
-    shared = not any(jax.tree.leaves(contacts(batched))) and problem.points.shape[0] == 1
+    contacts = [field.name for field in fields(Problem) if field.name not in PER_WRENCH]
+    shared = not any(jax.tree.leaves([getattr(batched, name) for name in contacts])) and problem.points.shape[0] == 1
 
     def merge(array: Array, is_batched: bool) -> Array:
         own = array if is_batched else array[None]
@@ -87,8 +91,8 @@ def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem,
 
     merged = jax.tree.map(merge, problem, batched)
     if shared:
-        names = ("points", "normals", "friction", "squeeze", "present", "weights", "free")
-        merged = Problem(**{name: getattr(problem, name) for name in names}, wrench=merged.wrench, start=merged.start)
+        own = {name: getattr(problem, name) for name in contacts}
+        merged = Problem(**own, **{name: getattr(merged, name) for name in PER_WRENCH})
     return merged, size
 
 
@@ -96,10 +100,12 @@ def _tangent_solution(solution: Solution, parts: implicit.Tangent) -> Solution:
     """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers."""
     names = Solution.__dataclass_fields__
     leaves = [getattr(parts, name) if hasattr(parts, name) else _still(getattr(solution, name)) for name in names]
-    return jax.tree.unflatten(jax.tree.structure(solution), leaves)
+    return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])
 
 
-def _still(array: Array) -> Array | np.ndarray:
+def _still(array: Array | None) -> Array | np.ndarray | None:
+    if array is None:
+        return None
     if jnp.issubdtype(array.dtype, jnp.floating):
         return jnp.zeros_like(array)
     return np.zeros(array.shape, jax.dtypes.float0)

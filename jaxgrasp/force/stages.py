@@ -15,6 +15,7 @@ from jax import Array, lax
 from jaxgrasp.force import cones, dual, newton, pseudo_inverse, sixes
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range
+from jaxgrasp.force.fours import Four
 from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
 from jaxgrasp.force.newton import ascend
@@ -22,7 +23,6 @@ from jaxgrasp.force.proximal import proximal_optimum
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
-from jaxgrasp.numerics.vec import Vec
 
 TILE = 128
 CAREFUL_TILE = 16
@@ -102,8 +102,8 @@ def _closed_tile(problem: Problem) -> Answer:
     return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CLOSED_FORM)
 
 
-def _closed_verdict(lanes: Lanes, forces: Vec) -> Array:
-    inside = jnp.all(cones.contains(forces, lanes.normals, lanes.friction), 0, keepdims=True)
+def _closed_verdict(lanes: Lanes, forces: Four) -> Array:
+    inside = jnp.all(cones.contains(forces, lanes.cone), 0, keepdims=True)
     return jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
 
 

@@ -60,10 +60,13 @@ class Stretch(NamedTuple):
         zero = Vec(*(jnp.zeros_like(s) for s in self.scales))
         return six(zero, Vec(*((s == 0).astype(s.dtype) for s in self.scales)))
 
-    def reach(self, arms: Vec) -> Array:
-        """How much a unit of force at each contact weighs in ``wrench``."""
+    def reach(self, arms: Vec, spins: Vec | None) -> Array:
+        """How much a unit of force at each contact weighs in ``wrench``; ``spins`` are normals times levers."""
         size2 = vec.dot(arms, arms)
         reach2 = sum(s * s * (size2 - r * r) for s, r in zip(self.scales, arms, strict=True))
+        if spins is not None:
+            turned = vec.times(self.scales, spins)
+            reach2 = reach2 + vec.dot(turned, turned)
         return jnp.sqrt(1 + jnp.maximum(reach2, 0))
 
     def rank(self) -> Array:
@@ -115,12 +118,14 @@ class Guided(NamedTuple):
         used = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
         return jnp.concatenate(used + [zero + 1] * (6 - len(used)))
 
-    def reach(self, arms: Vec) -> Array:
+    def reach(self, arms: Vec, spins: Vec | None) -> Array:
         reach2 = jnp.zeros_like(arms.x)
         for column in self.columns:
             linear, angular = parts(column)
             velocity = vec.add(linear, vec.cross(angular, arms))
             reach2 = reach2 + vec.dot(velocity, velocity)
+            if spins is not None:
+                reach2 = reach2 + vec.dot(angular, spins) ** 2
         return jnp.sqrt(reach2)
 
     def rank(self) -> Array:

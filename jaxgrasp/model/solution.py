@@ -68,7 +68,7 @@ class Route(IntEnum):
 class Solution(eqx.Module):
     """Contact forces and how good they are, for one problem or a batch.
 
-    Differentiate its fields (``forces``, ``multiplier``, ``objective``), not the whole: ``verdict``,
+    Differentiate its fields (``forces``, ``moments``, ``multiplier``, ``objective``), not the whole: ``verdict``,
     ``steps``, ``route`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
     """
 
@@ -92,3 +92,5 @@ class Solution(eqx.Module):
     certificate: Float[Array, "*batch 6"]
     """For INFEASIBLE and NO_CONTACTS: d = (linear, angular) about the frame's origin with w.d > 0 while no
     contact can push along it; the object escapes along -d. Zero otherwise."""
+    moments: Float[Array, "*batch n"] | None = None
+    """What soft fingers exert about their normals [N.m]; ``None`` where the grasp has no torsion."""

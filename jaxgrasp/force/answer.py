@@ -30,6 +30,20 @@ class Answer(NamedTuple):
     certificate: Array
     undecided: Array
     moments: Array | None
+    normal_multiplier: Array | None
+    torque_multiplier: Array | None
+    certificate_rates: Array | None
+
+
+class Joints(NamedTuple):
+    """What limits of joint torques add to an outcome."""
+
+    pull: Four
+    """Velocities of the contacts that the joints' multipliers take off those of the object's."""
+    multiplier: Array
+    """``(j, B)``, in the lane's units of the multiplier."""
+    rates: Array
+    """``(j, B)``: of the certificate, where that is a proof."""
 
 
 class Outcome(NamedTuple):
@@ -42,6 +56,8 @@ class Outcome(NamedTuple):
     certificate: Six
     """A twist; read only where the verdict is INFEASIBLE."""
     undecided: Array
+    joints: Joints | None = None
+    """None where no joint's torque is limited."""
 
 
 def write(
@@ -61,6 +77,7 @@ def write(
     one = jnp.ones((1, size), error.dtype)
     certificate = _certificate(frame, outcome, verdict, rest, one)
     moments = moments_out(lanes, outcome.forces.spin, frame)
+    proven, joints = verdict == Verdict.INFEASIBLE, outcome.joints
     return Answer(
         forces=jnp.stack([c * one for c in forces_out(outcome.forces.linear, frame)]).transpose(2, 1, 0),
         multiplier=_rows((*linear, *angular), one),
@@ -73,7 +90,24 @@ def write(
         certificate=certificate,
         undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),
         moments=None if moments is None else (moments * one).T,
+        normal_multiplier=_normal_prices(lanes, frame, unknowns, outcome, one),
+        torque_multiplier=None if joints is None else (joints.multiplier * _price_unit(frame) * one).T,
+        certificate_rates=None if joints is None else (jnp.where(proven, joints.rates, 0) * one).T,
     )
+
+
+def _normal_prices(lanes: Lanes, frame: Frame, unknowns: Unknowns, outcome: Outcome, one: Array) -> Array | None:
+    if lanes.least is None and lanes.most is None:
+        return None
+    twist = dual.twist_at(lanes, outcome.multiplier, unknowns)
+    if outcome.joints is not None:
+        twist = fours.sub(twist, outcome.joints.pull)
+    return (dual.normal_prices(lanes, twist) * _price_unit(frame) * one).T
+
+
+def _price_unit(frame: Frame) -> Array:
+    """A multiplier of forces in the user's units for one of the lane's."""
+    return vec.safe_divide(frame.load, frame.weight)
 
 
 def rank(frame: Frame, unknowns: Unknowns) -> Array:

@@ -8,38 +8,51 @@ along d by rounding; what the direction then proves is that any solution needs a
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, sixes
+from jaxgrasp.force import cones, dual, fours, sixes, torques
 from jaxgrasp.force.lanes import Frame, Lanes, blur
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.torques import Rows
 from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.numerics import vec
 
 
-def proves_infeasible(lanes: Lanes, frame: Frame, direction: Six, unknowns: Unknowns) -> Array:
-    """Whether ``direction`` (in the unknowns) shows that the load is out of any sensible force's reach."""
-    twist = dual.twist_at(lanes, direction, unknowns)
+def proves_infeasible(
+    lanes: Lanes, frame: Frame, direction: Array, unknowns: Unknowns, rows: Rows | None = None
+) -> Array:
+    """Whether ``direction`` (in the unknowns) shows that the load is out of any sensible force's reach.
+
+    With ``rows``, limits of torques, the rates of their joints stand below the unknowns.
+    """
+    twist = dual.twist_at(lanes, direction[:6], unknowns)
+    work = sixes.inner(dual.load(lanes, unknowns), direction[:6])
+    size = sixes.length(sixes.six(*unknowns.twist(direction[:6])))
+    if rows is not None:
+        rates = direction[6:]
+        twist = fours.sub(twist, torques.pull(rows, rates))
+        work = work - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
+        size = size + sixes.length(rates)
     push = cones.push(twist, lanes.cone)
     can_move = lanes.weights > 0
-    held = lanes.squeeze * vec.dot(twist.linear, lanes.normals)
     endless, bounded = cones.work_of(push, lanes.cone)
     largest = jnp.max(jnp.where(can_move, endless, 0), 0, keepdims=True)
-    fixed = jnp.where(can_move, bounded, held)
-    work = sixes.inner(dual.load(lanes, unknowns), direction) - vec.totals(fixed)[0]
+    held = lanes.squeeze * vec.dot(twist.linear, lanes.normals)
+    work = work - vec.totals(jnp.where(can_move, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
-    size = sixes.length(sixes.six(*unknowns.twist(direction)))
     rounding = 4 * jnp.finfo(work.dtype).eps * size * blur(frame)
     return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
-def proof(lanes: Lanes, frame: Frame, unknowns: Unknowns, rest: Six, run: Six) -> tuple[Array, Six]:
+def proof(
+    lanes: Lanes, frame: Frame, unknowns: Unknowns, rest: Array, run: Array, rows: Rows | None = None
+) -> tuple[Array, Array]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves it, and that direction as a twist.
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
-    by_rest, by_run = (proves_infeasible(lanes, frame, direction, unknowns) for direction in (rest, run))
+    by_rest, by_run = (proves_infeasible(lanes, frame, direction, unknowns, rows) for direction in (rest, run))
     proven = jnp.where(by_rest, rest, run / jnp.maximum(sixes.length(run), 1))
-    return by_rest | by_run, sixes.six(*unknowns.twist(proven))
+    return by_rest | by_run, jnp.concatenate([sixes.six(*unknowns.twist(proven[:6])), proven[6:]])
 
 
 def out_of_range(lanes: Lanes, frame: Frame, unknowns: Unknowns) -> tuple[Array, Six]:

@@ -15,6 +15,7 @@ from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_pre
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution
 
 
@@ -55,6 +56,7 @@ def constrained_optimum(
     sharing: Sharing = "squeeze",
     *,
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
+    limits: Limits | None = None,
     safety: float | AnyArray = 1.0,
     start: Float[AnyArray, "*#batch 6"] | None = None,
     solver: Any = None,
@@ -66,6 +68,8 @@ def constrained_optimum(
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
         sharing: as for [`jaxgrasp.closed_form`][].
         free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
+        limits: what the hand can exert: bounds of normal forces and of joint torques, ``(..., n)`` and ``(..., j)``.
+            Torques cost nothing but a look where none is beyond its limit.
         safety: friction is divided by this, since an optimum on a cone's surface has no margin left: a number
             greater than 0, or one for each problem, an array of the leading axes.
         start: the ``multiplier`` of a problem close by, such as the instant before in a loop that solves one after
@@ -93,7 +97,9 @@ def constrained_optimum(
             f"start is given beside {'free' if solver is None else 'solver'}, which takes none: leave it out"
         )
     divisor = _read_safety(grasp, safety)
-    return _distribute(grasp, wrench, sharing, free, divisor, start, solve=shells.solver(True, solver))
+    if solver is not None and limits is not None:
+        raise ValueError("limits are given beside solver, which knows none: leave one of them out")
+    return _distribute(grasp, wrench, sharing, free, divisor, start, limits, solve=shells.solver(True, solver))
 
 
 def closed_form_and_optimum(
@@ -173,20 +179,21 @@ def _distribute(
     free: AnyArray | None,
     safety: float | AnyArray | None = None,
     start: AnyArray | None = None,
+    limits: Limits | None = None,
     *,
     solve: Callable[[Problem], Any],
 ) -> Any:
     warn_of_lost_precision(grasp, wrench, free)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, free, safety, start, sharing=name, solve=solve)
+    return _run(grasp, wrench, weights, free, safety, start, limits, sharing=name, solve=solve)
 
 
 @partial(jax.jit, static_argnames=("sharing", "solve"))
-def _run(grasp, wrench, weights, free, safety, start, *, sharing: str, solve: Callable[[Problem], Any]) -> Any:
+def _run(grasp, wrench, weights, free, safety, start, limits, *, sharing: str, solve: Callable[[Problem], Any]) -> Any:
     """Flatten the leading axes, solve, and restore them: a Solution, or several."""
     if safety is not None:
         grasp = _safer(grasp, safety)
     beside = {} if start is None else {"start": start}
-    problem, twist, batch = flatten(grasp, wrench, weights, sharing, free=free, **beside)
+    problem, twist, batch = flatten(grasp, wrench, weights, sharing, free=free, limits=limits, **beside)
     problem = eqx.tree_at(lambda p: p.start, problem, twist, is_leaf=lambda x: x is None)
     return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solve(problem))

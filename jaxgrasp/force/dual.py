@@ -62,7 +62,11 @@ def twist_at(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Four:
 
 
 def best_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Forces:
-    twist = twist_at(lanes, multiplier, unknowns)
+    return forces_at(lanes, twist_at(lanes, multiplier, unknowns))
+
+
+def forces_at(lanes: Lanes, twist: Four) -> Forces:
+    """The best forces for velocities of the contacts, wherever these come from."""
     if lanes.toll is not None:
         twist = twist._replace(linear=vec.sub(twist.linear, vec.scale(lanes.toll, lanes.normals)))
     target = fours.add(squeezing(lanes), fours.scale(lanes.weights, twist))
@@ -89,11 +93,29 @@ def _unbalanced(lanes: Lanes, unknowns: Unknowns, wrench: list[Array]) -> Six:
 
 
 def evaluate(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Value:
-    best = best_forces(lanes, multiplier, unknowns)
+    return evaluate_at(lanes, best_forces(lanes, multiplier, unknowns), multiplier, unknowns)
+
+
+def evaluate_at(lanes: Lanes, best: Forces, multiplier: Six, unknowns: Unknowns) -> Value:
+    """The dual at a multiplier whose best forces are known."""
     jacobian = cones.derivative(lanes.cone, best.sides)
     sums = vec.totals(*_value_terms(lanes, best)) + vec.stacked_totals(*_curvature_terms(lanes, jacobian))
     value, gradient, push = _value(lanes, multiplier, unknowns, sums[:VALUE_TERMS])
     return Value(value, gradient, _curvature_of(sums[VALUE_TERMS:], unknowns), push)
+
+
+def normal_prices(lanes: Lanes, twist: Four) -> Array:
+    """Multipliers of the bounds of the normal forces: positive at upper ones, negative at lower ones, zero elsewhere.
+
+    Target less projection is k times a normal of what is allowed: the bound's own, and on a disc's rim the cone's.
+    """
+    sides = forces_at(lanes, twist).sides
+    if sides.bound is None:
+        return jnp.zeros_like(sides.along)
+    holds, height = sides.bound
+    beyond = jnp.maximum(sides.size - lanes.friction * height, 0)
+    price = sides.along - height + lanes.friction * beyond
+    return jnp.where(holds, vec.safe_divide(price, lanes.weights), 0)
 
 
 def dual_value(lanes: Lanes, best: Forces, multiplier: Six, unknowns: Unknowns) -> Array:
@@ -165,6 +187,12 @@ def price_of_nothing(lanes: Lanes) -> Array:
 def curvature(lanes: Lanes, jacobian: Lower, unknowns: Unknowns) -> Lower:
     """Sum of k G D G^T over contacts, for a symmetric matrix D of each, 3x3 or 4x4: lower triangle, 6x6."""
     return _curvature_of(vec.stacked_totals(*_curvature_terms(lanes, jacobian)), unknowns)
+
+
+def bend(lanes: Lanes, best: Forces, velocity: Four) -> Four:
+    """How the best forces change with velocities of the contacts, k D v."""
+    jacobian = cones.derivative(lanes.cone, best.sides)
+    return fours.scale(lanes.weights, fours.of_components(symmetric.multiply(jacobian, fours.components(velocity))))
 
 
 def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:

@@ -11,6 +11,7 @@ from jax import Array
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 
 Sharing = str | AnyArray
 
@@ -42,12 +43,13 @@ def flatten(
     sharing: str,
     *,
     free: AnyArray | None = None,
+    limits: Limits | None = None,
     **twist: AnyArray,
 ) -> Flat:
     """Inputs of any leading axes as a flat batch in one precision.
 
-    ``free`` are the twists that a guide allows; ``twist`` may be one more array of sixes, under the name that its user
-    knows it by.
+    ``free`` are the twists that a guide allows, ``limits`` what the hand can exert; ``twist`` may be one more array of
+    sixes, under the name that its user knows it by.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
@@ -60,8 +62,9 @@ def flatten(
     given |= {name: (array, (n,)) for name, array in contacts.items()}
     if free is not None:
         given["free"] = (free, (6, _directions(free)))
+    given |= _bounds(limits, n)
     given |= {name: (array, (6,)) for name, array in {"wrench": wrench, **twist}.items()}
-    optional = [array for array in (free, grasp.torsion) if array is not None]
+    optional = [array for array in (free, grasp.torsion, *jax.tree.leaves(limits)) if array is not None]
     dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values(), *optional)
     arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
@@ -92,6 +95,24 @@ def _contacts(points: AnyArray) -> int:
     if len(shape) < 2 or shape[-1] != 3 or shape[-2] == 0:
         raise ValueError(f"points has shape {shape}: expected (..., n, 3) with at least one contact")
     return shape[-2]
+
+
+def _bounds(limits: Limits | None, n: int) -> dict[str, tuple[AnyArray | None, tuple[int, ...]]]:
+    """The fields of limits and their last axes."""
+    if limits is None:
+        return {}
+    given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
+    given = {"normal_min": (limits.normal_min, (n,)), "normal_max": (limits.normal_max, (n,))}
+    torque_map, torque_max = limits.torque_map, limits.torque_max
+    if (torque_map is None) != (torque_max is None):
+        lacking = "torque_map" if torque_map is None else "torque_max"
+        raise ValueError(f"{lacking} is None: expected torque_map and torque_max, or neither")
+    if torque_map is None:
+        return given
+    shape = np.shape(torque_map)
+    if len(shape) < 3 or shape[-3] != n or shape[-2] not in (3, 4) or shape[-1] == 0:
+        raise ValueError(f"torque_map has shape {shape}: expected (..., {n}, 3 or 4, joints)")
+    return given | {"torque_map": (torque_map, shape[-3:]), "torque_max": (torque_max, shape[-1:])}
 
 
 def _directions(free: AnyArray) -> int:

@@ -43,6 +43,8 @@ class Problem(eqx.Module):
     """Torsional friction; None where all contacts are hard fingers."""
     normal_min: Float[Array, "#B n"] | None = None
     normal_max: Float[Array, "#B n"] | None = None
+    torque_map: Float[Array, "#B n c j"] | None = None
+    torque_max: Float[Array, "#B j"] | None = None
 
     @property
     def size(self) -> int:
@@ -124,6 +126,8 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
+    if problem.torque_max is not None:
+        valid = valid & jnp.all(problem.torque_max >= 0, 1)[None]
     use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
 
     def keep(array: Array) -> Array:

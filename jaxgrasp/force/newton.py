@@ -4,13 +4,14 @@ One evaluation gives value, gradient and Hessian at the trial point; a lane that
 direction, one that refuses cuts its step. So no lane waits for another's line search.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.force import dual, sixes
 from jaxgrasp.force.answer import measure
+from jaxgrasp.force.dual import Value
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
@@ -18,6 +19,7 @@ from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.symmetric import Lower
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
@@ -34,12 +36,62 @@ class Proximal(NamedTuple):
     centre: Six
 
 
+class Hill(Protocol):
+    """What is climbed: a concave function of a few unknowns in each lane, perhaps with a ridge along some of them."""
+
+    def look(self, point: Array) -> Value:
+        """Value, gradient and minus Hessian."""
+        ...
+
+    def size2(self, gradient: Array) -> Array:
+        """Squared length of a gradient, as the contacts see it."""
+        ...
+
+    def direction(self, at: Value, point: Array, caution: Array) -> Array:
+        """Newton's, damped by the gradient and ``caution`` times more than usual."""
+        ...
+
+    def arrived(self, at: Value, point: Array) -> Array:
+        """Whether the point is the top, as far as rounding lets it be told."""
+        ...
+
+    def onto(self, start: Array, trial: Array) -> Array:
+        """The trial point, stopped at the ridges between it and the start."""
+        ...
+
+
+class Dual(NamedTuple):
+    """The dual as a hill, which has no ridges."""
+
+    lanes: Lanes
+    unknowns: Unknowns
+    metric: Metric
+    proximal: Proximal | None = None
+
+    def look(self, point: Six) -> Value:
+        at = dual.evaluate(self.lanes, point, self.unknowns)
+        return at if self.proximal is None else _pulled(at, point, self.proximal)
+
+    def size2(self, gradient: Six) -> Array:
+        return whitened_square(self.metric, gradient)
+
+    def direction(self, at: Value, point: Six, caution: Array) -> Six:
+        damping = damping_of(self.size2(at.gradient), caution, self.proximal)
+        return dual.solve(symmetric.factor(damped(at.curvature, self.metric, damping)), at.gradient)
+
+    def arrived(self, at: Value, point: Six) -> Array:
+        return has_converged(self.lanes, point, at.gradient, self.size2(at.gradient), at.value, at.push)
+
+    def onto(self, start: Six, trial: Six) -> Six:
+        return trial
+
+
 class Ascent(NamedTuple):
     """Where each lane stands."""
 
-    point: Six
+    point: Array
     value: Array
-    direction: Six
+    direction: Array
     slope: Array
     length: Array
     """Step length to try next."""
@@ -54,19 +106,8 @@ class Ascent(NamedTuple):
     """Unable to move on."""
 
 
-def ascend(
-    lanes: Lanes,
-    unknowns: Unknowns,
-    metric: Metric,
-    start: Six,
-    frozen: Array,
-    limit: int | Array,
-    proximal: Proximal | None = None,
-) -> Ascent:
-    """Maximise the dual (less the proximal pull) from ``start`` in at most ``limit`` evaluations.
-
-    Lanes that are ``frozen`` stay where they are.
-    """
+def ascend(hill: Hill, start: Array, frozen: Array, limit: int | Array) -> Ascent:
+    """Climb from ``start`` in at most ``limit`` evaluations; lanes that are ``frozen`` stay where they are."""
     # A grasp that many wrenches share has one column here; where each lane stands is its own.
     frozen = jnp.broadcast_to(frozen, start[:1].shape)
     zero = jnp.zeros_like(start[:1])
@@ -80,32 +121,30 @@ def ascend(
 
     def advance(carry):
         count, state = carry
-        return count + 1, _advance(lanes, unknowns, metric, proximal, state)
+        return count + 1, _advance(hill, state)
 
     _, state = lax.while_loop(unfinished, advance, (jnp.int32(0), state))
     return state
 
 
-def _advance(lanes: Lanes, unknowns: Unknowns, metric: Metric, proximal: Proximal | None, state: Ascent) -> Ascent:
-    trial = state.point + state.length * state.direction
-    at = dual.evaluate(lanes, trial, unknowns)
-    value, ascent, curvature = at.value, at.gradient, at.curvature
-    if proximal is not None:
-        value, ascent, curvature = _pulled(at, trial, proximal)
-    size2 = whitened_square(metric, ascent)
-    accepted = _is_better(state, trial, value, size2) & ~state.done
+def _advance(hill: Hill, state: Ascent) -> Ascent:
+    trial = hill.onto(state.point, state.point + state.length * state.direction)
+    at = hill.look(trial)
+    size2 = hill.size2(at.gradient)
+    accepted = _is_better(state, trial, at.value, size2) & ~state.done
     caution = _caution(state)
-    direction = _direction(metric, curvature, ascent, _damping(size2, caution, proximal))
-    arrived = has_converged(lanes, trial, ascent, size2, value, at.push)
+    direction = hill.direction(at, trial, caution)
+    arrived = hill.arrived(at, trial)
     leap = ~arrived & _next_arrives(state, size2)
-    length = jnp.where(accepted, 1, state.length * _cut(state, ascent))
+    length = jnp.where(accepted, 1, state.length * _cut(state, at.gradient))
     stuck = ~accepted & ~state.done & (length < SHORTEST_STEP)
+    landed = jnp.where(leap, hill.onto(trial, trial + direction), trial)
 
     return Ascent(
-        point=jnp.where(accepted, jnp.where(leap, trial + direction, trial), state.point),
-        value=jnp.where(accepted, value, state.value),
+        point=jnp.where(accepted, landed, state.point),
+        value=jnp.where(accepted, at.value, state.value),
         direction=jnp.where(accepted, direction, state.direction),
-        slope=jnp.where(accepted, sixes.inner(ascent, direction), state.slope),
+        slope=jnp.where(accepted, sixes.inner(at.gradient, direction), state.slope),
         length=jnp.where(state.done, state.length, length),
         caution=jnp.where(accepted, caution, state.caution),
         size2=jnp.where(accepted, size2, state.size2),
@@ -116,7 +155,7 @@ def _advance(lanes: Lanes, unknowns: Unknowns, metric: Metric, proximal: Proxima
     )
 
 
-def _is_better(state: Ascent, trial: Six, value: Array, size2: Array) -> Array:
+def _is_better(state: Ascent, trial: Array, value: Array, size2: Array) -> Array:
     """Whether the value rises enough, rounding aside.
 
     It is a difference of numbers as large as the multiplier: where that hides the rise, a smaller residual shows it.
@@ -145,7 +184,7 @@ def _caution(state: Ascent) -> Array:
     return jnp.where(shortened, more, jnp.maximum(state.caution / 10, 1))
 
 
-def _cut(state: Ascent, ascent: Six) -> Array:
+def _cut(state: Ascent, ascent: Array) -> Array:
     """How much to shorten a refused step.
 
     The slope along the line falls from positive to negative, and mostly late, beyond the kink that was not
@@ -155,15 +194,14 @@ def _cut(state: Ascent, ascent: Six) -> Array:
     return jnp.clip(2 * vec.safe_divide(state.slope, state.slope + overshot), *CUTS)
 
 
-def _pulled(at: dual.Value, trial: Six, proximal: Proximal):
+def _pulled(at: Value, trial: Six, proximal: Proximal) -> Value:
     """Value, gradient and curvature with the proximal pull."""
     offset, rho = trial - proximal.centre, proximal.strength
-    value = at.value - rho * sixes.inner(offset, offset) / 2
-    gradient = at.gradient - rho * offset
     curvature = [list(row) for row in at.curvature]
     for i in range(6):
         curvature[i][i] = curvature[i][i] + rho
-    return value, gradient, curvature
+    value = at.value - rho * sixes.inner(offset, offset) / 2
+    return Value(value, at.gradient - rho * offset, curvature, at.push)
 
 
 def has_converged(
@@ -190,7 +228,7 @@ def is_optimal(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, bes
     return has_converged(lanes, point, rest, whitened_square(metric, rest), found.objective, found.push, slack)
 
 
-def _damping(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
+def damping_of(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
     """In proportion to the residual, so that a singular Hessian, as of contacts that have let go, gives a direction
     of sensible length.
 
@@ -204,11 +242,11 @@ def _damping(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
     return floor + jnp.minimum(DAMPING * caution * jnp.sqrt(size2), MOST_DAMPING)
 
 
-def _direction(metric: Metric, curvature: symmetric.Lower, gradient: Six, damping: Array) -> Six:
-    """Newton's direction, damped in the metric of the unconstrained problem."""
-    damped = [list(row) for row in curvature]
+def damped(curvature: Lower, metric: Metric, damping: Array) -> list[list[Array]]:
+    """The curvature and so many times the metric of the unconstrained problem."""
+    rows = [list(row) for row in curvature]
     for i in range(3):
-        damped[i][i] = damped[i][i] + damping
+        rows[i][i] = rows[i][i] + damping
         for j in range(i + 1):
-            damped[3 + i][3 + j] = damped[3 + i][3 + j] + damping * metric.inertia[i][j]
-    return dual.solve(symmetric.factor(damped), gradient)
+            rows[3 + i][3 + j] = rows[3 + i][3 + j] + damping * metric.inertia[i][j]
+    return rows

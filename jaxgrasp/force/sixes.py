@@ -19,9 +19,10 @@ def parts(x: Six) -> tuple[Vec, Vec]:
     return Vec(*rows[:3]), Vec(*rows[3:])
 
 
-def inner(a: Six, b: Six) -> Array:
-    return sum(a[i : i + 1] * b[i : i + 1] for i in range(1, 6)) + a[:1] * b[:1]
+def inner(a: Array, b: Array) -> Array:
+    """Of six rows or more."""
+    return sum(a[i : i + 1] * b[i : i + 1] for i in range(1, len(a))) + a[:1] * b[:1]
 
 
-def length(x: Six) -> Array:
+def length(x: Array) -> Array:
     return jnp.sqrt(inner(x, x))

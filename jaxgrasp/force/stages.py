@@ -12,14 +12,14 @@ from functools import partial
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import cones, dual, newton, pseudo_inverse, sixes
+from jaxgrasp.force import cones, dual, fours, limited, newton, pseudo_inverse, sixes
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
-from jaxgrasp.force.newton import ascend
-from jaxgrasp.force.proximal import proximal_optimum
+from jaxgrasp.force.newton import Dual, ascend
+from jaxgrasp.force.proximal import Free, Search, proximal_search
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
@@ -39,9 +39,10 @@ def solve_closed(problem: Problem) -> Answer:
 
 def solve_optimum(problem: Problem) -> Answer:
     """The constrained optimum of a flat batch."""
-    if problem.free is not None:
-        return over_tiles(partial(_whole, constrained=True), problem, problem.size, CAREFUL_TILE)
-    return finish_optimum(problem, first_pass(problem))
+    if problem.free is None:
+        return finish_optimum(problem, first_pass(problem))
+    answer = over_tiles(partial(_whole, constrained=True), problem, problem.size, CAREFUL_TILE)
+    return limited.within_torques(problem, answer)
 
 
 def solve_both(problem: Problem) -> tuple[Answer, Answer]:
@@ -77,7 +78,9 @@ def finish_optimum(problem: Problem, answer: Answer) -> Answer:
 
     # A loop rather than two calls: the stages are one piece of compiled code.
     answer = lax.fori_loop(0, len(STEPS), newton, answer)
-    return over_chosen(partial(_careful_tile, constrained=True), problem, answer, answer.undecided, CAREFUL_TILE)
+    careful = partial(_careful_tile, constrained=True)
+    answer = over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
+    return limited.within_torques(problem, answer)
 
 
 def _newton_width(problem: Problem) -> int:
@@ -118,7 +121,7 @@ def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
     metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
     linear, angular = multiplier_in(prior.multiplier, frame)
     start = sixes.six(linear, angular)
-    ascent = ascend(lanes, unknowns, metric, start, ill, limit)
+    ascent = ascend(Dual(lanes, unknowns, metric), start, ill, limit)
     best = dual.best_forces(lanes, ascent.point, unknowns).forces
     converged = newton.is_optimal(lanes, unknowns, metric, ascent.point, best) & ~ill
     verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)
@@ -145,6 +148,27 @@ def _whole(problem: Problem, constrained: bool) -> Answer:
     missed, direction = out_of_range(lanes, frame, unknowns)
     outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, jnp.zeros_like(missed))
     if constrained:
-        outcome = proximal_optimum(lanes, frame, unknowns, metric, outcome, missed)
+        outcome = _improved(Free(lanes, frame, unknowns, metric), outcome, missed)
     outcome = outcome._replace(verdict=jnp.where(missed, Verdict.INFEASIBLE, outcome.verdict))
     return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
+
+
+def _improved(ground: Free, closed: Outcome, decided: Array) -> Outcome:
+    """The optimum of lanes that are not ``decided`` and whose closed form is not optimal already."""
+    optimal = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
+    kept = optimal | decided
+    begun = Search(
+        point=jnp.where(kept, closed.multiplier, 0),
+        verdict=jnp.where(optimal, closed.verdict, Verdict.NOT_CONVERGED),
+        steps=closed.steps,
+        certificate=closed.certificate,
+        decided=kept,
+    )
+    best, found = proximal_search(ground, begun)
+    return closed._replace(
+        forces=fours.where(kept, closed.forces, best),
+        multiplier=found.point,
+        verdict=found.verdict,
+        steps=found.steps,
+        certificate=found.certificate,
+    )

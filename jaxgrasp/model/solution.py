@@ -16,8 +16,14 @@ class Verdict(IntEnum):
 
     advice: str
 
-    CLOSED_FORM_OPTIMAL = 0, "The closed form lies inside every friction cone, so it is the constrained optimum."
-    OPTIMAL = 1, "The constrained optimum: at least one friction cone holds the forces back from the closed form."
+    CLOSED_FORM_OPTIMAL = (
+        0,
+        "The closed form lies inside every friction cone and limit, so it is the constrained optimum.",
+    )
+    OPTIMAL = (
+        1,
+        "The constrained optimum: at least one friction cone or limit holds the forces back from the closed form.",
+    )
     OUTSIDE_CONES = (
         2,
         "These forces balance the wrench, but a contact slips or pulls: "
@@ -92,5 +98,15 @@ class Solution(eqx.Module):
     certificate: Float[Array, "*batch 6"]
     """For INFEASIBLE and NO_CONTACTS: d = (linear, angular) about the frame's origin with w.d > 0 while no
     contact can push along it; the object escapes along -d. Zero otherwise."""
+    # Where the problem has no such thing, there is no field to fill.
     moments: Float[Array, "*batch n"] | None = None
     """What soft fingers exert about their normals [N.m]; ``None`` where the grasp has no torsion."""
+    normal_multiplier: Float[Array, "*batch n"] | None = None
+    """Which bounds of the normal forces bind, and what they cost: positive at an upper one, negative at a lower one,
+    zero where none binds [units of the multiplier]; ``None`` where no normal force is limited."""
+    torque_multiplier: Float[Array, "*batch j"] | None = None
+    """Likewise for the torques of the joints, positive where a positive torque is at its limit."""
+    certificate_rates: Float[Array, "*batch j"] | None = None
+    """For INFEASIBLE with limited torques: speeds e of the joints [rad/s, or m/s], which belong to the certificate d.
+    Contacts cannot push along d less what the joints move them, J e, and w.d exceeds what the joints can do,
+    sum of torque_max |e|."""

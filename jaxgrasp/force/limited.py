@@ -1,0 +1,148 @@
+"""The optimum within limits of joint torques: nothing where none is broken, more unknowns where some are.
+
+1. The optimum as it is, where its forces break no limit.
+2. Newton's method with the few limits that are broken most, from there on.
+3. The careful pass with all limits, for what that leaves, and a proof where no forces exist.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.force import dual, pseudo_inverse, torques
+from jaxgrasp.force.answer import Answer, Joints, Outcome, write
+from jaxgrasp.force.certify import proof
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.guide import whitened
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, multiplier_in, normalise, principal, read
+from jaxgrasp.force.newton import Hill, Proximal, ascend
+from jaxgrasp.force.proximal import Search, proximal_search
+from jaxgrasp.force.pseudo_inverse import Metric
+from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.torques import Limited, Rows
+from jaxgrasp.force.unknowns import Unknowns
+from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.numerics.tiles import over_chosen
+
+AT_ONCE = 3
+"""Limits that the fast pass takes up."""
+TILE = 32
+CAREFUL_TILE = 16
+STEPS = 40
+
+
+def within_torques(problem: Problem, answer: Answer) -> Answer:
+    """The optimum within the limits of torques, from that without."""
+    if problem.torque_map is None:
+        return answer
+    nothing = jnp.zeros((problem.size, problem.torque_map.shape[-1]), answer.forces.dtype)
+    answer = answer._replace(torque_multiplier=nothing, certificate_rates=nothing)
+    solved = (answer.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (answer.verdict == Verdict.OPTIMAL)
+    broken = solved & jnp.any(_excess(problem, answer) > 0, 1)
+    if problem.free is None:
+        answer = over_chosen(_fast_tile, problem, answer, broken, TILE)
+        broken = broken & answer.undecided
+    return over_chosen(_careful_tile, problem, answer, broken, CAREFUL_TILE)
+
+
+def _excess(problem: Problem, answer: Answer) -> Array:
+    """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it."""
+    assert problem.torque_map is not None and problem.torque_max is not None
+    linear = jnp.where(jnp.isfinite(problem.torque_map), problem.torque_map, 0)
+    forces = answer.forces
+    if problem.torque_map.shape[2] == 4:
+        moments = jnp.zeros_like(forces[..., 0]) if answer.moments is None else answer.moments
+        forces = jnp.concatenate([forces, moments[..., None]], -1)
+    asked = linear * forces[..., None]
+    torque, size = jnp.sum(asked, (1, 2)), jnp.sum(jnp.abs(asked), (1, 2))
+    slack = tolerances(torque.dtype).gradient * size
+    beyond = jnp.abs(torque) - problem.torque_max - slack
+    return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
+
+
+def _fast_tile(problem: Problem, prior: Answer) -> Answer:
+    lanes, valid = read(problem)
+    lanes, frame = normalise(lanes)
+    metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
+    excess = _excess(problem, prior)
+    _, chosen = lax.top_k(excess, min(AT_ONCE, excess.shape[1]))
+    hill = Limited(lanes, unknowns, metric, torques.rows_of(problem, lanes, frame, chosen))
+    start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
+    rates = jnp.zeros((chosen.shape[1], problem.size), start.dtype)
+    ascent = ascend(hill, jnp.concatenate([start, rates]), ill, STEPS)
+    best = hill.forces(ascent.point).forces
+    good = hill.is_optimal(ascent.point, best) & ~ill
+    nothing = jnp.zeros_like(excess)
+    spread = nothing.at[jnp.arange(problem.size)[:, None], chosen]
+    joints = Joints(
+        pull=torques.pull(hill.rows, ascent.point[6:]),
+        multiplier=spread.set((hill.rows.scale * ascent.point[6:]).T).T,
+        rates=nothing.T,
+    )
+    outcome = Outcome(
+        best,
+        ascent.point[:6],
+        jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
+        ascent.steps + prior.steps,
+        jnp.zeros_like(start),
+        ~good,
+        joints,
+    )
+    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
+    # Others may be broken now.
+    undecided = (answer.verdict != Verdict.OPTIMAL) | jnp.any(_excess(problem, answer) > 0, 1)
+    return answer._replace(undecided=undecided)
+
+
+class _Ground(NamedTuple):
+    """Whitened lanes with limits."""
+
+    lanes: Lanes
+    frame: Frame
+    unknowns: Unknowns
+    metric: Metric
+    rows: Rows
+
+    def pulled(self, proximal: Proximal | None) -> Hill:
+        return self._hill(proximal)
+
+    def _hill(self, proximal: Proximal | None = None) -> Limited:
+        return Limited(self.lanes, self.unknowns, self.metric, self.rows, proximal)
+
+    def judge(self, point: Array, slack: float) -> tuple[Four, Array]:
+        best = self._hill().forces(point).forces
+        return best, self._hill().is_optimal(point, best, slack)
+
+    def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
+        forces = self._hill().forces(point).forces
+        beyond = torques.beyond(torques.torques(self.rows, forces), self.rows.bound)
+        rest = jnp.concatenate([dual.residual(self.lanes, forces, self.unknowns), beyond])
+        return proof(self.lanes, self.frame, self.unknowns, rest, point - before, self.rows)
+
+
+def _careful_tile(problem: Problem, prior: Answer) -> Answer:
+    lanes, valid = read(problem)
+    lanes, frame = principal(lanes)
+    metric, unknowns = whitened(problem, lanes, frame)
+    rows = torques.rows_of(problem, lanes, frame, None)
+    start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
+    start = jnp.concatenate([start, jnp.zeros((len(rows.bound), problem.size), start.dtype)])
+    undecided = jnp.zeros((1, problem.size), bool)
+    begun = Search(start, undecided + Verdict.NOT_CONVERGED, undecided + 0, 0 * start, undecided)
+    forces, found = proximal_search(_Ground(lanes, frame, unknowns, metric, rows), begun)
+    joints = Joints(
+        pull=torques.pull(rows, found.point[6:]),
+        multiplier=rows.scale * found.point[6:],
+        rates=rows.scale * found.certificate[6:],
+    )
+    outcome = Outcome(
+        forces,
+        found.point[:6],
+        found.verdict,
+        found.steps + prior.steps,
+        found.certificate[:6],
+        undecided,
+        joints,
+    )
+    return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)

@@ -1,0 +1,180 @@
+"""Limits of joint torques: |R f| <= bound, where the rows of R are what the contact forces ask of the joints.
+
+They tie the contacts together, so that no projection of each contact alone can respect them. The dual gets one more
+unknown for each limit, the speed of its joint at the price of its bound: with the speeds e contact i moves by
+G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth where a speed is zero: a ridge, on which
+all limits that do not bind stay.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force import dual, fours, newton, sixes
+from jaxgrasp.force.answer import measure
+from jaxgrasp.force.dual import Forces, Value
+from jaxgrasp.force.fours import Four
+from jaxgrasp.force.lanes import Frame, Lanes, Problem
+from jaxgrasp.force.newton import Proximal
+from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.force.unknowns import Unknowns
+from jaxgrasp.numerics import semidefinite, symmetric, vec
+from jaxgrasp.numerics.symmetric import Lower
+from jaxgrasp.numerics.vec import Vec
+
+LARGEST_UNROLLED = 10
+"""Unknowns up to which a factorisation is written out: more take long to compile."""
+
+
+class Rows(NamedTuple):
+    """Limits of a few joints in the lanes' coordinates, each row of length 1 as the contacts see it."""
+
+    map: Four
+    """Components ``(q, n, B)``."""
+    bound: Array
+    """``(q, B)``; 1 for rows of zeros, which nothing can break."""
+    scale: Array
+    """``(q, B)``: a row here over the user's."""
+
+
+def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None) -> Rows:
+    """The limits of the ``chosen`` joints of each lane ``(B, q)``; of all joints where not given."""
+    assert problem.torque_map is not None and problem.torque_max is not None
+    maps, bounds = problem.torque_map, problem.torque_max
+    if chosen is not None:
+        maps = jnp.take_along_axis(maps, chosen[:, None, None, :], -1)
+        bounds = jnp.take_along_axis(bounds, chosen, -1)
+    maps, bounds = jnp.transpose(maps, (2, 3, 1, 0)), bounds.T  # (c, q, n, B), (q, B)
+    # What cannot move, or is not bounded, cannot break a limit here.
+    used = (lanes.weights > 0) & jnp.isfinite(bounds)[:, None]
+    maps = jnp.where(used, maps, 0)
+    return _unit_rows(lanes, frame, _in_lane(lanes, frame, maps), bounds)
+
+
+def _in_lane(lanes: Lanes, frame: Frame, maps: Array) -> Four:
+    linear = Vec(*maps[:3])
+    if frame.axes is not None:
+        linear = vec.rotate(frame.axes, linear)
+    if lanes.lever is None:
+        return Four(linear)
+    return Four(linear, frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x)
+
+
+def _unit_rows(lanes: Lanes, frame: Frame, rows: Four, bounds: Array) -> Rows:
+    size = vec.safe_sqrt(jnp.sum(lanes.weights * fours.dot(rows, rows), 1))
+    scale = vec.safe_divide(jnp.ones_like(size), size)
+    bound = jnp.where(scale > 0, scale * jnp.where(scale > 0, bounds, 0) / frame.load, 1)
+    return Rows(fours.scale(scale[:, None], rows), bound, scale)
+
+
+def torques(rows: Rows, forces: Four) -> Array:
+    """R f ``(q, B)``."""
+    return jnp.sum(fours.dot(rows.map, forces), 1)
+
+
+def beyond(torque: Array, bound: Array) -> Array:
+    """What of the torques is beyond their bounds."""
+    return jnp.sign(torque) * jnp.maximum(jnp.abs(torque) - bound, 0)
+
+
+def pull(rows: Rows, rates: Array) -> Four:
+    """R^T e: the velocities of the contacts by the joints."""
+    parts = [jnp.sum(rates[:, None] * c, 0) for c in fours.components(rows.map)]
+    return fours.of_components(parts)
+
+
+class Limited(NamedTuple):
+    """The dual of lanes with limits, as a hill: six unknowns of the object over one rate for each row."""
+
+    lanes: Lanes
+    unknowns: Unknowns
+    metric: Metric
+    rows: Rows
+    proximal: Proximal | None = None
+
+    def forces(self, point: Array) -> Forces:
+        twist = dual.twist_at(self.lanes, point[:6], self.unknowns)
+        return dual.forces_at(self.lanes, fours.sub(twist, pull(self.rows, point[6:])))
+
+    def look(self, point: Array) -> Value:
+        lanes, rows, rates = self.lanes, self.rows, point[6:]
+        best = self.forces(point)
+        at = dual.evaluate_at(lanes, best, point[:6], self.unknowns)
+        value = at.value - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
+        smooth, curvature = torques(rows, best.forces), self._curvature(at.curvature, best)
+        gradient = jnp.concatenate([at.gradient, smooth])
+        if self.proximal is not None:
+            strength, offset = self.proximal.strength, point - self.proximal.centre
+            value, gradient = value - strength * sixes.inner(offset, offset) / 2, gradient - strength * offset
+            curvature = [[*row[:-1], row[-1] + strength] for row in curvature]
+        # With the pull, since that decides too on which side of the ridge it goes up.
+        gradient = jnp.concatenate([gradient[:6], _off_ridge(gradient[6:], rates, rows.bound)])
+        return Value(value, gradient, curvature, at.push)
+
+    def _curvature(self, plain: Lower, best: Forces) -> Lower:
+        """That of the object's unknowns, bordered by the rows'."""
+        rows = self.rows
+        bent = dual.bend(self.lanes, best, rows.map)
+        across = jnp.concatenate([jnp.sum(term, 1)[None] for term in dual.wrench_terms(self.lanes, bent)])  # (6, q, B)
+        products = (p[:, None] * q for p, q in zip(fours.components(rows.map), fours.components(bent), strict=True))
+        own = jnp.sum(sum(products), 2)  # (q, q, B)
+        border = []
+        for i in range(len(rows.bound)):
+            seen = self.unknowns.wrench(*sixes.parts(across[:, i]))
+            border.append([-seen[j : j + 1] for j in range(6)] + [own[i, j][None] for j in range(i + 1)])
+        return [*plain, *border]
+
+    def size2(self, gradient: Array) -> Array:
+        return whitened_square(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
+
+    def direction(self, at: Value, point: Array, caution: Array) -> Array:
+        damping = newton.damping_of(self.size2(at.gradient), caution, self.proximal)
+        rows = newton.damped(at.curvature, self.metric, damping)
+        rows[6:] = [[*row[:-1], row[-1] + damping] for row in rows[6:]]
+        on_ridge = point[6:] == 0
+        free = ~on_ridge | (at.gradient[6:] != 0)
+        first = _solve(rows, at.gradient, free)
+        # What would leave the ridge on its falling side stays there.
+        return _solve(rows, at.gradient, free & ~(on_ridge & (first[6:] * at.gradient[6:] < 0)))
+
+    def arrived(self, at: Value, point: Array) -> Array:
+        size2 = self.size2(at.gradient)
+        return newton.has_converged(self.lanes, point, at.gradient, size2, at.value, at.push)
+
+    def onto(self, start: Array, trial: Array) -> Array:
+        rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
+        return jnp.concatenate([trial[:6], rates])
+
+    def is_optimal(self, point: Array, best: Four, slack: float = 1.0) -> Array:
+        """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
+        found = measure(self.lanes, best, self.unknowns)
+        off = _off_ridge(torques(self.rows, best), point[6:], self.rows.bound)
+        rest = jnp.concatenate([self.unknowns.wrench(*sixes.parts(found.rest)), off])
+        return newton.has_converged(self.lanes, point, rest, self.size2(rest), found.objective, found.push, slack)
+
+
+def _off_ridge(torque: Array, rates: Array, bound: Array) -> Array:
+    """The gradient by the rates: what a torque is beyond its bound, or short of it where the rate is not zero."""
+    return jnp.where(rates == 0, beyond(torque, bound), torque - jnp.sign(rates) * bound)
+
+
+def _solve(rows: Lower, right: Array, free: Array) -> Array:
+    """x with rows x = right, but zero for the rates that are not free."""
+    keep = [None] * 6 + [free[i : i + 1] for i in range(len(free))]
+    held = [
+        [_kept(entry, keep[i], keep[j], float(i == j)) for j, entry in enumerate(row)] for i, row in enumerate(rows)
+    ]
+    right = jnp.concatenate([right[:6], jnp.where(free, right[6:], 0)])
+    size = len(rows)
+    if size <= LARGEST_UNROLLED:
+        return jnp.concatenate(symmetric.solve(symmetric.factor(held), [right[i : i + 1] for i in range(size)]))
+    full = jnp.stack([jnp.concatenate([held[max(i, j)][min(i, j)] for j in range(size)]) for i in range(size)])
+    return semidefinite.solve(semidefinite.factor(full, 0.0), right)
+
+
+def _kept(entry: Array, row: Array | None, column: Array | None, otherwise: float) -> Array:
+    for keep in (row, column):
+        if keep is not None:
+            entry = jnp.where(keep, entry, otherwise)
+    return entry

@@ -5,13 +5,14 @@ tangent, whatever route the solver took. The rule is plain JAX, so it can be tra
 again; frames and scales enter as constants, since the answer does not depend on them.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import cones, dual, fours, pseudo_inverse
+from jaxgrasp.force import cones, dual, fours, pseudo_inverse, torques
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.guide import Mixing, directions_in, guided, mixing
 from jaxgrasp.force.lanes import (
@@ -28,8 +29,8 @@ from jaxgrasp.force.lanes import (
     squeezing,
     turn,
 )
-from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.force.torques import Rows
 from jaxgrasp.force.unknowns import Stretch, Unknowns
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics import semidefinite, symmetric, vec
@@ -42,6 +43,8 @@ class _Data(NamedTuple):
     lanes: Lanes
     directions: Array | None
     """``(B, 6, k)``: the twists that a guide allows."""
+    rows: Rows | None
+    """Limits of joint torques; None where there are none, or the method does not know them."""
 
 
 class _Constants(NamedTuple):
@@ -50,6 +53,8 @@ class _Constants(NamedTuple):
     frame: Frame
     whitened: Stretch | Mixing
     """The unknowns of a free object; how they come out of the free twists of one that a guide holds."""
+    rows: Array | None
+    """Lengths of the limits' rows."""
 
     def unknowns(self, data: _Data) -> Unknowns:
         if isinstance(self.whitened, Stretch):
@@ -65,43 +70,84 @@ class Tangent(NamedTuple):
     multiplier: Array
     objective: Array
     moments: Array | None
+    normal_multiplier: Array | None
+    torque_multiplier: Array | None
+
+
+class _Outputs(NamedTuple):
+    """What is differentiated, in the lanes' coordinates."""
+
+    forces: Four
+    moments: Array | None
+    objective: Array
+    twist: tuple[Vec, Vec]
+    normal_prices: Array | None
+    torque_prices: Array | None
 
 
 def tangent(problem: Problem, moved: Problem, solution: Solution, constrained: bool) -> Tangent:
-    """How forces, multiplier and objective move when the problem moves by ``moved``.
+    """How forces, multipliers and objective move when the problem moves by ``moved``.
 
     Zero where there is no solution to differentiate; on rank-deficient grasps, within the range.
     """
-    held = _constants(problem)
+    held = _constants(problem, constrained)
     frame = held.frame
-    data, data_moved = jax.jvp(lambda p: _in_frame(p, frame), (problem,), (moved,))
-    lanes, unknowns = data.lanes, held.unknowns(data)
+    data, data_moved = jax.jvp(lambda p: _in_frame(p, held), (problem,), (moved,))
     answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
-    at = jnp.where(answered, unknowns.recover(*multiplier_in(solution.multiplier, frame)), 0)
+    at = jnp.where(answered, _multipliers(solution, held, data), 0)
     unit = frame.weight / frame.load
 
-    def rest(data: _Data) -> Six:
+    def rest(data: _Data) -> Array:
         unknowns = held.unknowns(data)
-        return dual.residual(data.lanes, _forces(data.lanes, at, unknowns, unit, constrained)[0], unknowns)
+        forces = _forces(data, at, unknowns, unit, constrained)[0]
+        return _unbalanced(data, at, forces, unknowns)
 
     _, unbalanced = jax.jvp(rest, (data,), (data_moved,))
-    turned = _solve(_curvature(lanes, at, unknowns, constrained), unbalanced)
+    turned = _solve(_curvature(data, at, held.unknowns(data), constrained), unbalanced)
 
-    def outputs(data: _Data, multiplier: Six) -> tuple[Four, Array | None, Array, tuple[Vec, Vec]]:
+    def outputs(data: _Data, at: Array) -> _Outputs:
         unknowns = held.unknowns(data)
-        f, pull = _forces(data.lanes, multiplier, unknowns, unit, constrained)
-        moments = moments_out(data.lanes, f.spin, frame)
-        return f, moments, vec.totals(dual.spread_by(data.lanes, f, pull))[0], unknowns.twist(multiplier)
+        f, pull = _forces(data, at, unknowns, unit, constrained)
+        objective = vec.totals(dual.spread_by(data.lanes, f, pull))[0]
+        bounded = data.lanes.least is not None or data.lanes.most is not None
+        prices = dual.normal_prices(data.lanes, _twist(data, at, unknowns)) if bounded else None
+        rates = None if data.rows is None else data.rows.scale * at[6:]
+        return _Outputs(f, moments_out(data.lanes, f.spin, frame), objective, unknowns.twist(at[:6]), prices, rates)
 
     _, tangents = jax.jvp(outputs, (data, at), (data_moved, turned))
-    return _out(frame, answered, *tangents)
+    return _out(frame, answered, tangents)
 
 
-def _forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns, unit: Array, constrained: bool) -> tuple[Four, Four]:
-    """The forces of a multiplier, and the pull (f - s a) / k of each contact."""
+def _multipliers(solution: Solution, held: _Constants, data: _Data) -> Array:
+    """The solution's multiplier in the unknowns, over those of the limits."""
+    point = held.unknowns(data).recover(*multiplier_in(solution.multiplier, held.frame))
+    if data.rows is None or solution.torque_multiplier is None:
+        return point
+    unit = held.frame.weight / held.frame.load
+    return jnp.concatenate([point, unit * vec.safe_divide(solution.torque_multiplier.T, data.rows.scale)])
+
+
+def _twist(data: _Data, at: Array, unknowns: Unknowns) -> Four:
+    """Velocities of the contacts by the object, less those by the joints."""
+    twist = dual.twist_at(data.lanes, at[:6], unknowns)
+    return twist if data.rows is None else fours.sub(twist, torques.pull(data.rows, at[6:]))
+
+
+def _unbalanced(data: _Data, at: Array, forces: Four, unknowns: Unknowns) -> Array:
+    """What is zero at a solution: the wrench that is left and, of limits that bind, what torques are beyond them."""
+    wrench = dual.residual(data.lanes, forces, unknowns)
+    if data.rows is None:
+        return wrench
+    side = jnp.sign(at[6:])
+    return jnp.concatenate([wrench, jnp.abs(side) * torques.torques(data.rows, forces) - side * data.rows.bound])
+
+
+def _forces(data: _Data, at: Array, unknowns: Unknowns, unit: Array, constrained: bool) -> tuple[Four, Four]:
+    """The forces of multipliers, and the pull (f - s a) / k of each contact."""
+    lanes = data.lanes
     if not constrained:
-        return pseudo_inverse.free_forces(lanes, multiplier, unknowns), dual.twist_at(lanes, multiplier, unknowns)
-    best = dual.best_forces(lanes, multiplier, unknowns)
+        return pseudo_inverse.free_forces(lanes, at, unknowns), dual.twist_at(lanes, at, unknowns)
+    best = dual.forces_at(lanes, _twist(data, at, unknowns))
     apex = _about_apex(lanes, best.twist, unit)
     return fours.where(_relaxed(lanes), apex, best.forces), dual.pull(lanes, best, unit)
 
@@ -119,56 +165,78 @@ def _about_apex(lanes: Lanes, twist: Four, unit: Array) -> Four:
     return fours.of_components(symmetric.multiply(side, fours.components(target)))
 
 
-def _constants(problem: Problem) -> _Constants:
-    """Principal frame and unknowns of the problem."""
+def _constants(problem: Problem, constrained: bool) -> _Constants:
+    """Principal frame, unknowns and lengths of rows of the problem."""
     problem = lax.stop_gradient(problem)
     lanes, _ = read(problem)
     lanes, frame = principal(lanes)
+    limited = constrained and problem.torque_map is not None
+    rows = torques.rows_of(problem, lanes, frame).scale if limited else None
     if problem.free is None:
-        return _Constants(frame, pseudo_inverse.whitened_metric(lanes, frame)[1])
-    return _Constants(frame, mixing(directions_in(problem.free, frame), lanes, frame))
+        return _Constants(frame, pseudo_inverse.whitened_metric(lanes, frame)[1], rows)
+    return _Constants(frame, mixing(directions_in(problem.free, frame), lanes, frame), rows)
 
 
-def _in_frame(problem: Problem, frame: Frame) -> _Data:
+def _in_frame(problem: Problem, held: _Constants) -> _Data:
     """The problem in a given frame; a contact that is absent stays where no derivative reaches it."""
     lanes, _ = read(problem)
+    frame = held.frame
     weight = jnp.where(frame.weight > 0, frame.weight, 1)
     moved = vec.sub(lanes.torque, vec.cross(frame.centre, lanes.force))
     there = scaled(lanes, frame, vec.sub(lanes.arms, frame.centre), lanes.weights / weight, moved)
     assert frame.axes is not None
+    there = turn(there, frame.axes)
     free = None if problem.free is None else directions_in(problem.free, frame)
-    return _Data(turn(there, frame.axes), free)
+    rows = None if held.rows is None else torques.rows_scaled_by(held.rows, problem, there, frame)
+    return _Data(there, free, rows)
 
 
-def _curvature(lanes: Lanes, at: Six, unknowns: Unknowns, constrained: bool) -> symmetric.Lower:
-    if constrained:
-        sides = dual.best_forces(lanes, at, unknowns).sides
-        return dual.curvature(lanes, cones.derivative(lanes.cone, sides), unknowns)
-    one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
-    size = 3 if lanes.lever is None else 4
-    return dual.curvature(lanes, [[zero] * i + [one] for i in range(size)], unknowns)
+def _curvature(data: _Data, at: Array, unknowns: Unknowns, constrained: bool) -> symmetric.Lower:
+    lanes = data.lanes
+    if not constrained:
+        one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
+        size = 3 if lanes.lever is None else 4
+        return dual.curvature(lanes, [[zero] * i + [one] for i in range(size)], unknowns)
+    best = dual.forces_at(lanes, _twist(data, at, unknowns))
+    plain = dual.curvature(lanes, cones.derivative(lanes.cone, best.sides), unknowns)
+    if data.rows is None:
+        return plain
+    # Limits that do not bind stay out of it.
+    binds = [None] * 6 + [(at[i : i + 1] != 0).astype(at.dtype) for i in range(6, len(at))]
+    rows = torques.bordered(lanes, unknowns, data.rows, best, plain)
+    return [[_times(entry, binds[i], binds[j]) for j, entry in enumerate(row)] for i, row in enumerate(rows)]
 
 
-def _solve(curvature: symmetric.Lower, right: Six) -> Six:
+def _times(entry: Array, *factors: Array | None) -> Array:
+    return reduce(lambda product, factor: product if factor is None else product * factor, factors, entry)
+
+
+def _solve(curvature: symmetric.Lower, right: Array) -> Array:
     """x with H x = right, where H may be singular: then some x that fits, since the forces do not see the rest.
 
     What no x fits is left alone: there the forces that are active cannot follow the data.
     """
-    full = jnp.stack([jnp.stack([curvature[max(i, j)][min(i, j)][0] for j in range(6)]) for i in range(6)])
+    size = range(len(curvature))
+    full = jnp.stack([jnp.stack([curvature[max(i, j)][min(i, j)][0] for j in size]) for i in size])
     factors = semidefinite.factor(full, tolerances(right.dtype).singular)
     x = semidefinite.solve(factors, right)
     # Ill-conditioned, it gets its last digits from what it leaves.
     return x + semidefinite.solve(factors, right - jnp.sum(full * x, 1))
 
 
-def _out(
-    frame: Frame, answered: Array, forces: Four, moments: Array | None, objective: Array, twist: tuple[Vec, Vec]
-) -> Tangent:
-    unit = vec.safe_divide(frame.load, frame.weight) * frame.load
-    linear, angular = multiplier_out(*twist, frame)
+def _out(frame: Frame, answered: Array, found: _Outputs) -> Tangent:
+    unit = vec.safe_divide(frame.load, frame.weight)
+    linear, angular = multiplier_out(*found.twist, frame)
+
+    def rows(array: Array | None, factor: Array | float = 1) -> Array | None:
+        return None if array is None else jnp.where(answered, factor * array, 0).T
+
+    forces = forces_out(found.forces.linear, frame)
     return Tangent(
-        forces=jnp.stack([jnp.where(answered, c, 0) for c in forces_out(forces.linear, frame)]).transpose(2, 1, 0),
+        forces=jnp.stack([jnp.where(answered, c, 0) for c in forces]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
-        objective=jnp.where(answered, unit * objective, 0)[0],
-        moments=None if moments is None else jnp.where(answered, moments, 0).T,
+        objective=jnp.where(answered, unit * frame.load * found.objective, 0)[0],
+        moments=rows(found.moments),
+        normal_multiplier=rows(found.normal_prices, unit),
+        torque_multiplier=rows(found.torque_prices, unit),
     )

@@ -6,6 +6,7 @@ G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth whe
 all limits that do not bind stay.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -38,34 +39,42 @@ class Rows(NamedTuple):
     """``(q, B)``: a row here over the user's."""
 
 
-def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None) -> Rows:
+def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None = None) -> Rows:
     """The limits of the ``chosen`` joints of each lane ``(B, q)``; of all joints where not given."""
+    rows, bounds = _in_lane(problem, lanes, frame, chosen)
+    square = fours.dot(rows, rows)
+    # By contacts that can move; where none does, the torque is what it is.
+    seen, whole = jnp.sum(lanes.weights * square, 1), jnp.sum(square, 1)
+    size = vec.safe_sqrt(jnp.where(seen > 0, seen, whole))
+    return _scaled(rows, bounds, vec.safe_divide(jnp.ones_like(size), size))
+
+
+def rows_scaled_by(scale: Array, problem: Problem, lanes: Lanes, frame: Frame) -> Rows:
+    """The limits of all joints with lengths that are known."""
+    return _scaled(*_in_lane(problem, lanes, frame, None), scale)
+
+
+def _scaled(rows: Four, bounds: Array, scale: Array) -> Rows:
+    return Rows(fours.scale(scale[:, None], rows), jnp.where(scale > 0, scale * bounds, 1), scale)
+
+
+def _in_lane(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None) -> tuple[Four, Array]:
+    """Rows and bounds in a lane's axes and loads; rows of zeros for joints that are not bounded."""
     assert problem.torque_map is not None and problem.torque_max is not None
     maps, bounds = problem.torque_map, problem.torque_max
     if chosen is not None:
         maps = jnp.take_along_axis(maps, chosen[:, None, None, :], -1)
         bounds = jnp.take_along_axis(bounds, chosen, -1)
     maps, bounds = jnp.transpose(maps, (2, 3, 1, 0)), bounds.T  # (c, q, n, B), (q, B)
-    # What cannot move, or is not bounded, cannot break a limit here.
-    used = (lanes.weights > 0) & jnp.isfinite(bounds)[:, None]
-    maps = jnp.where(used, maps, 0)
-    return _unit_rows(lanes, frame, _in_lane(lanes, frame, maps), bounds)
-
-
-def _in_lane(lanes: Lanes, frame: Frame, maps: Array) -> Four:
+    there, bounded = vec.dot(lanes.normals, lanes.normals) > 0, jnp.isfinite(bounds)
+    maps = jnp.where(there & bounded[:, None], maps, 0)
     linear = Vec(*maps[:3])
     if frame.axes is not None:
         linear = vec.rotate(frame.axes, linear)
-    if lanes.lever is None:
-        return Four(linear)
-    return Four(linear, frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x)
-
-
-def _unit_rows(lanes: Lanes, frame: Frame, rows: Four, bounds: Array) -> Rows:
-    size = vec.safe_sqrt(jnp.sum(lanes.weights * fours.dot(rows, rows), 1))
-    scale = vec.safe_divide(jnp.ones_like(size), size)
-    bound = jnp.where(scale > 0, scale * jnp.where(scale > 0, bounds, 0) / frame.load, 1)
-    return Rows(fours.scale(scale[:, None], rows), bound, scale)
+    spin = None
+    if lanes.lever is not None:
+        spin = frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x
+    return Four(linear, spin), jnp.where(bounded, bounds, 0) / frame.load
 
 
 def torques(rows: Rows, forces: Four) -> Array:
@@ -102,8 +111,8 @@ class Limited(NamedTuple):
         best = self.forces(point)
         at = dual.evaluate_at(lanes, best, point[:6], self.unknowns)
         value = at.value - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
-        smooth, curvature = torques(rows, best.forces), self._curvature(at.curvature, best)
-        gradient = jnp.concatenate([at.gradient, smooth])
+        curvature = bordered(lanes, self.unknowns, rows, best, at.curvature)
+        gradient = jnp.concatenate([at.gradient, torques(rows, best.forces)])
         if self.proximal is not None:
             strength, offset = self.proximal.strength, point - self.proximal.centre
             value, gradient = value - strength * sixes.inner(offset, offset) / 2, gradient - strength * offset
@@ -111,19 +120,6 @@ class Limited(NamedTuple):
         # With the pull, since that decides too on which side of the ridge it goes up.
         gradient = jnp.concatenate([gradient[:6], _off_ridge(gradient[6:], rates, rows.bound)])
         return Value(value, gradient, curvature, at.push)
-
-    def _curvature(self, plain: Lower, best: Forces) -> Lower:
-        """That of the object's unknowns, bordered by the rows'."""
-        rows = self.rows
-        bent = dual.bend(self.lanes, best, rows.map)
-        across = jnp.concatenate([jnp.sum(term, 1)[None] for term in dual.wrench_terms(self.lanes, bent)])  # (6, q, B)
-        products = (p[:, None] * q for p, q in zip(fours.components(rows.map), fours.components(bent), strict=True))
-        own = jnp.sum(sum(products), 2)  # (q, q, B)
-        border = []
-        for i in range(len(rows.bound)):
-            seen = self.unknowns.wrench(*sixes.parts(across[:, i]))
-            border.append([-seen[j : j + 1] for j in range(6)] + [own[i, j][None] for j in range(i + 1)])
-        return [*plain, *border]
 
     def size2(self, gradient: Array) -> Array:
         return whitened_square(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
@@ -152,6 +148,19 @@ class Limited(NamedTuple):
         off = _off_ridge(torques(self.rows, best), point[6:], self.rows.bound)
         rest = jnp.concatenate([self.unknowns.wrench(*sixes.parts(found.rest)), off])
         return newton.has_converged(self.lanes, point, rest, self.size2(rest), found.objective, found.push, slack)
+
+
+def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> list[Sequence[Array]]:
+    """The curvature of the object's unknowns with that of the rates below it."""
+    bent = dual.bend(lanes, best, rows.map)
+    across = jnp.concatenate([jnp.sum(term, 1)[None] for term in dual.wrench_terms(lanes, bent)])  # (6, q, B)
+    products = (p[:, None] * q for p, q in zip(fours.components(rows.map), fours.components(bent), strict=True))
+    own = jnp.sum(sum(products), 2)  # (q, q, B)
+    border: list[Sequence[Array]] = []
+    for i in range(len(rows.bound)):
+        seen = unknowns.wrench(*sixes.parts(across[:, i]))
+        border.append([-seen[j : j + 1] for j in range(6)] + [own[i, j][None] for j in range(i + 1)])
+    return [*plain, *border]
 
 
 def _off_ridge(torque: Array, rates: Array, bound: Array) -> Array:

@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, fours, sixes
+from jaxgrasp.force import cones, fours, sixes, torques
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Lanes, read
+from jaxgrasp.force.lanes import Frame, Lanes, Problem, read
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
 
@@ -21,12 +22,19 @@ def verify_certificate(
     wrench: Float[AnyArray, "*#batch 6"],
     certificate: Float[AnyArray, "*#batch 6"],
     sharing: Sharing = "squeeze",
+    *,
+    limits: Limits | None = None,
+    rates: Float[AnyArray, "*#batch j"] | None = None,
 ) -> Float[Array, "..."]:
     """The least total force that any allowed forces of this wrench need, as a certificate d proves it [N].
 
     Allowed forces of w do the work w.d = sum of f_i.v_i along d, with v_i = linear + angular x r_i, and none
     does more than |f_i| times the length of v_i's projection on its cone. So the sum of |f_i| is at least
     w.d over the largest of those lengths.
+
+    With ``limits`` contacts whose normal force is bounded do no more than its bounds let them, which is taken off w.d.
+    With limited torques joints may move too, at ``rates`` e: v_i is then less what they move the contact, J_i e, and
+    the sum of torque_max |e|, the most that the joints can do, is taken off.
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -35,29 +43,50 @@ def verify_certificate(
             ``Solution.certificate``.
         sharing: as for [`jaxgrasp.closed_form`][]. Contacts of weight zero hold their squeezing force: its
             work is taken off w.d, and it is not counted in the total.
+        limits: as for [`jaxgrasp.constrained_optimum`][].
+        rates: of the joints ``(..., j)``, such as ``Solution.certificate_rates``; zero where not given.
 
     Returns:
-        The total over the contacts that can move: +inf where no forces at all give the wrench, 0 where d
-        proves nothing or the data are invalid. Numbers far beyond the load prove that no sensible forces
+        The total over the contacts that can move and are not bounded: +inf where no forces at all give the wrench, 0
+        where d proves nothing or the data are invalid. Numbers far beyond the load prove that no sensible forces
         give it; rounding alone makes one of an exact proof.
 
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
     """
+    if rates is not None and (limits is None or limits.torque_map is None):
+        raise ValueError("rates are given without limits of torques: expected limits with a torque_map")
     warn_of_lost_precision(grasp, wrench)
     name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, certificate, weights, sharing=name)
+    return _run(grasp, wrench, certificate, weights, limits, rates, sharing=name)
 
 
 @partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, certificate, weights, *, sharing: str) -> Array:
-    problem, direction, batch = flatten(grasp, wrench, weights, sharing, certificate=certificate)
+def _run(grasp, wrench, certificate, weights, limits, rates, *, sharing: str) -> Array:
+    problem, direction, batch = flatten(grasp, wrench, weights, sharing, limits=limits, certificate=certificate)
     lanes, valid = read(problem)
     assert direction is not None
-    return jnp.where(valid, _needed(lanes, direction.T), 0)[0].reshape(batch)
+    if rates is None or problem.torque_max is None:
+        return jnp.where(valid, _needed(lanes, direction.T), 0)[0].reshape(batch)
+    joints = problem.torque_max.shape[1]
+    speeds = jnp.broadcast_to(jnp.asarray(rates, direction.dtype), (*batch, joints)).reshape(-1, joints).T
+    moved, spent = _by_joints(problem, lanes, speeds)
+    return jnp.where(valid, _needed(lanes, direction.T, moved, spent), 0)[0].reshape(batch)
 
 
-def _needed(lanes: Lanes, direction: Array) -> Array:
+def _by_joints(problem: Problem, lanes: Lanes, rates: Array) -> tuple[Four, Array]:
+    """How joints move the contacts at these rates, and the most that they can do meanwhile."""
+    assert problem.torque_max is not None
+    one = jnp.ones_like(lanes.force.x)
+    # In the user's own frame; joints without a bound have no row, and may not move at all.
+    rows = torques.rows_of(problem, lanes, Frame(lanes.force, one, one, one, one > 0))
+    turned = vec.safe_divide(rates, rows.scale)
+    beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_max.T), 0, keepdims=True)
+    spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)
+    return torques.pull(rows, turned), jnp.where(beyond, jnp.inf, spent)
+
+
+def _needed(lanes: Lanes, direction: Array, moved: Four | None = None, spent: Array | float = 0.0) -> Array:
     linear, angular = sixes.parts(direction)
     can_move = lanes.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
@@ -66,11 +95,14 @@ def _needed(lanes: Lanes, direction: Array) -> Array:
     torque = vec.sub(lanes.torque, vec.cross(centre, lanes.force))
     spin = None if lanes.lever is None else lanes.lever * vec.dot(angular, lanes.normals)
     velocity = Four(vec.add(linear, vec.cross(angular, vec.sub(lanes.arms, centre))), spin)
-    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(velocity.linear, lanes.normals))
-    work = vec.dot(lanes.force, linear) + vec.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True)
-    sides = cones.split(velocity, lanes.cone)
-    reach = fours.norm(cones.project(velocity, lanes.cone, sides))
-    largest = jnp.max(jnp.where(can_move, reach, 0), 0, keepdims=True)
+    if moved is not None:
+        velocity = fours.sub(velocity, moved)
+    endless, bounded = cones.work_of(cones.push(velocity, lanes.cone), lanes.cone)
+    fixed = jnp.where(can_move, bounded, lanes.squeeze * vec.dot(velocity.linear, lanes.normals))
+    work = vec.dot(lanes.force, linear) + vec.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
+    whole = cones.Cone(lanes.normals, lanes.friction)
+    reach = fours.norm(cones.project(velocity, whole, cones.split(velocity, whole)))
+    largest = jnp.max(jnp.where(can_move & (endless > 0), reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)
 

@@ -1,10 +1,11 @@
 """The optimum within limits of joint torques: nothing where none is broken, more unknowns where some are.
 
 1. The optimum as it is, where its forces break no limit.
-2. Newton's method with the few limits that are broken most, from there on.
+2. Newton's method with the few limits that are broken most, from there on; then, for what that leaves, with more.
 3. The careful pass with all limits, for what that leaves, and a proof where no forces exist.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -23,13 +24,23 @@ from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.torques import Limited, Rows
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.tiles import over_chosen
 
-AT_ONCE = 3
-"""Limits that the fast pass takes up."""
+
+class _Pass(NamedTuple):
+    """Fast passes with so many limits at a time, those that bind or are broken most."""
+
+    width: int
+    steps: tuple[int, ...]
+    """Evaluations of each, after which the unfinished are gathered again and choose their limits anew."""
+
+
+FAST = (_Pass(3, (4, 4, 8, 20)), _Pass(6, (10, 30)))
+ROUNDING = 4.0
+"""Torques may be beyond their limits by so many tolerances of forces."""
 TILE = 32
 CAREFUL_TILE = 16
-STEPS = 40
 
 
 def within_torques(problem: Problem, answer: Answer) -> Answer:
@@ -40,10 +51,22 @@ def within_torques(problem: Problem, answer: Answer) -> Answer:
     answer = answer._replace(torque_multiplier=nothing, certificate_rates=nothing)
     solved = (answer.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (answer.verdict == Verdict.OPTIMAL)
     broken = solved & jnp.any(_excess(problem, answer) > 0, 1)
+    answer = answer._replace(undecided=broken)
     if problem.free is None:
-        answer = over_chosen(_fast_tile, problem, answer, broken, TILE)
-        broken = broken & answer.undecided
-    return over_chosen(_careful_tile, problem, answer, broken, CAREFUL_TILE)
+        for passes in FAST:
+            answer = _fast(problem, answer, passes)
+    return over_chosen(_careful_tile, problem, answer, answer.undecided, CAREFUL_TILE)
+
+
+def _fast(problem: Problem, answer: Answer, passes: _Pass) -> Answer:
+    """Newton's method for the undecided, as far as it gets."""
+
+    def newton(stage: Array, answer: Answer) -> Answer:
+        tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps)[stage])
+        return over_chosen(tile, problem, answer, answer.undecided, TILE)
+
+    # A loop rather than several calls: the stages are one piece of compiled code.
+    return lax.fori_loop(0, len(passes.steps), newton, answer)
 
 
 def _excess(problem: Problem, answer: Answer) -> Array:
@@ -54,45 +77,51 @@ def _excess(problem: Problem, answer: Answer) -> Array:
     if problem.torque_map.shape[2] == 4:
         moments = jnp.zeros_like(forces[..., 0]) if answer.moments is None else answer.moments
         forces = jnp.concatenate([forces, moments[..., None]], -1)
-    asked = linear * forces[..., None]
-    torque, size = jnp.sum(asked, (1, 2)), jnp.sum(jnp.abs(asked), (1, 2))
-    slack = tolerances(torque.dtype).gradient * size
-    beyond = jnp.abs(torque) - problem.torque_max - slack
+    torque = jnp.sum(linear * forces[..., None], (1, 2))
+    # Forces are known to what rounds the largest of them.
+    size = jnp.sum(jnp.abs(linear), (1, 2)) * jnp.max(jnp.abs(forces), (1, 2))[:, None]
+    beyond = jnp.abs(torque) - problem.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
 
-def _fast_tile(problem: Problem, prior: Answer) -> Answer:
+def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Answer:
     lanes, valid = read(problem)
     lanes, frame = normalise(lanes)
     metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
-    excess = _excess(problem, prior)
-    _, chosen = lax.top_k(excess, min(AT_ONCE, excess.shape[1]))
+    chosen = _choose(problem, prior, width)
     hill = Limited(lanes, unknowns, metric, torques.rows_of(problem, lanes, frame, chosen))
     start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
-    rates = jnp.zeros((chosen.shape[1], problem.size), start.dtype)
-    ascent = ascend(hill, jnp.concatenate([start, rates]), ill, STEPS)
+    known = jnp.take_along_axis(_binding(prior), chosen, -1).T * frame.weight / frame.load
+    ascent = ascend(hill, jnp.concatenate([start, vec.safe_divide(known, hill.rows.scale)]), ill, limit)
     best = hill.forces(ascent.point).forces
     good = hill.is_optimal(ascent.point, best) & ~ill
-    nothing = jnp.zeros_like(excess)
-    spread = nothing.at[jnp.arange(problem.size)[:, None], chosen]
-    joints = Joints(
-        pull=torques.pull(hill.rows, ascent.point[6:]),
-        multiplier=spread.set((hill.rows.scale * ascent.point[6:]).T).T,
-        rates=nothing.T,
-    )
+    nothing = jnp.zeros_like(_binding(prior))
+    rates = nothing.at[jnp.arange(problem.size)[:, None], chosen].set((hill.rows.scale * ascent.point[6:]).T)
     outcome = Outcome(
-        best,
-        ascent.point[:6],
-        jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
-        ascent.steps + prior.steps,
-        jnp.zeros_like(start),
-        ~good,
-        joints,
+        forces=best,
+        multiplier=ascent.point[:6],
+        verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
+        steps=ascent.steps + prior.steps,
+        certificate=jnp.zeros_like(start),
+        undecided=~good,
+        joints=Joints(torques.pull(hill.rows, ascent.point[6:]), rates.T, nothing.T),
     )
     answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
-    # Others may be broken now.
+    # Limits that were not chosen may be broken now.
     undecided = (answer.verdict != Verdict.OPTIMAL) | jnp.any(_excess(problem, answer) > 0, 1)
     return answer._replace(undecided=undecided)
+
+
+def _binding(answer: Answer) -> Array:
+    assert answer.torque_multiplier is not None
+    return answer.torque_multiplier
+
+
+def _choose(problem: Problem, prior: Answer, width: int) -> Array:
+    """The limits that bind already, and those that are broken most ``(B, width)``."""
+    excess = _excess(problem, prior)
+    interest = jnp.where(_binding(prior) != 0, jnp.inf, excess)
+    return lax.top_k(interest, min(width, excess.shape[1]))[1]
 
 
 class _Ground(NamedTuple):

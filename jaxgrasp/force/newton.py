@@ -4,7 +4,7 @@ One evaluation gives value, gradient and Hessian at the trial point; a lane that
 direction, one that refuses cuts its step. So no lane waits for another's line search.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -36,6 +36,7 @@ class Proximal(NamedTuple):
     centre: Six
 
 
+@runtime_checkable
 class Hill(Protocol):
     """What is climbed: a concave function of a few unknowns in each lane, perhaps with a ridge along some of them."""
 

@@ -5,7 +5,7 @@ its goal however degenerate the cones are. Where no forces exist the multiplier 
 is left of the wrench tends to the shortest one out of reach: the proof.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -39,6 +39,7 @@ class Search(NamedTuple):
     decided: Array
 
 
+@runtime_checkable
 class Ground(Protocol):
     """What the search goes over: a hill, what its points are worth, and what they prove."""
 

@@ -8,6 +8,7 @@
 from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -91,12 +92,11 @@ def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Ans
     chosen = _choose(problem, prior, width)
     hill = Limited(lanes, unknowns, metric, torques.rows_of(problem, lanes, frame, chosen))
     start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
-    known = jnp.take_along_axis(_binding(prior), chosen, -1).T * frame.weight / frame.load
+    known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * frame.weight / frame.load
     ascent = ascend(hill, jnp.concatenate([start, vec.safe_divide(known, hill.rows.scale)]), ill, limit)
     best = hill.forces(ascent.point).forces
     good = hill.is_optimal(ascent.point, best) & ~ill
-    nothing = jnp.zeros_like(_binding(prior))
-    rates = nothing.at[jnp.arange(problem.size)[:, None], chosen].set((hill.rows.scale * ascent.point[6:]).T)
+    rates = jnp.sum(chosen * (hill.rows.scale * ascent.point[6:]).T[..., None], 1)
     outcome = Outcome(
         forces=best,
         multiplier=ascent.point[:6],
@@ -104,7 +104,7 @@ def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Ans
         steps=ascent.steps + prior.steps,
         certificate=jnp.zeros_like(start),
         undecided=~good,
-        joints=Joints(torques.pull(hill.rows, ascent.point[6:]), rates.T, nothing.T),
+        joints=Joints(torques.pull(hill.rows, ascent.point[6:]), rates.T, 0 * rates.T),
     )
     answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
     # Limits that were not chosen may be broken now.
@@ -118,10 +118,17 @@ def _binding(answer: Answer) -> Array:
 
 
 def _choose(problem: Problem, prior: Answer, width: int) -> Array:
-    """The limits that bind already, and those that are broken most ``(B, width)``."""
+    """The limits that bind already, and those that are broken most: a 1 for each at its joint ``(B, width, j)``.
+
+    By sums with ones and zeros, since sorting and gathering take longer for so few.
+    """
     excess = _excess(problem, prior)
     interest = jnp.where(_binding(prior) != 0, jnp.inf, excess)
-    return lax.top_k(interest, min(width, excess.shape[1]))[1]
+    chosen = []
+    for _ in range(min(width, excess.shape[1])):
+        chosen.append(jax.nn.one_hot(jnp.argmax(interest, 1), excess.shape[1], dtype=excess.dtype))
+        interest = jnp.where(chosen[-1] > 0, -jnp.inf, interest)
+    return jnp.stack(chosen, 1)
 
 
 class _Ground(NamedTuple):

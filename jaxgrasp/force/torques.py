@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.force import dual, fours, newton, sixes
 from jaxgrasp.force.answer import measure
@@ -40,7 +40,7 @@ class Rows(NamedTuple):
 
 
 def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None = None) -> Rows:
-    """The limits of the ``chosen`` joints of each lane ``(B, q)``; of all joints where not given."""
+    """The limits of the joints ``chosen`` by a 1 for each row ``(B, q, j)``; of all joints where not given."""
     rows, bounds = _in_lane(problem, lanes, frame, chosen)
     square = fours.dot(rows, rows)
     # By contacts that can move; where none does, the torque is what it is.
@@ -61,20 +61,20 @@ def _scaled(rows: Four, bounds: Array, scale: Array) -> Rows:
 def _in_lane(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None) -> tuple[Four, Array]:
     """Rows and bounds in a lane's axes and loads; rows of zeros for joints that are not bounded."""
     assert problem.torque_map is not None and problem.torque_max is not None
-    maps, bounds = problem.torque_map, problem.torque_max
-    if chosen is not None:
-        maps = jnp.take_along_axis(maps, chosen[:, None, None, :], -1)
-        bounds = jnp.take_along_axis(bounds, chosen, -1)
-    maps, bounds = jnp.transpose(maps, (2, 3, 1, 0)), bounds.T  # (c, q, n, B), (q, B)
+    maps, bounds = jnp.transpose(problem.torque_map, (2, 3, 1, 0)), problem.torque_max.T  # (c, j, n, B), (j, B)
     there, bounded = vec.dot(lanes.normals, lanes.normals) > 0, jnp.isfinite(bounds)
-    maps = jnp.where(there & bounded[:, None], maps, 0)
+    maps, bounds = jnp.where(there & bounded[:, None], maps, 0), jnp.where(bounded, bounds, 0)
+    if chosen is not None:
+        which = jnp.transpose(chosen, (1, 2, 0))  # (q, j, B)
+        maps = jnp.sum(which[:, :, None] * maps[:, None], 2)
+        bounds = jnp.sum(which * bounds, 1)
     linear = Vec(*maps[:3])
     if frame.axes is not None:
         linear = vec.rotate(frame.axes, linear)
     spin = None
     if lanes.lever is not None:
         spin = frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x
-    return Four(linear, spin), jnp.where(bounded, bounds, 0) / frame.load
+    return Four(linear, spin), bounds / frame.load
 
 
 def torques(rows: Rows, forces: Four) -> Array:
@@ -128,11 +128,24 @@ class Limited(NamedTuple):
         damping = newton.damping_of(self.size2(at.gradient), caution, self.proximal)
         rows = newton.damped(at.curvature, self.metric, damping)
         rows[6:] = [[*row[:-1], row[-1] + damping] for row in rows[6:]]
-        on_ridge = point[6:] == 0
-        free = ~on_ridge | (at.gradient[6:] != 0)
-        first = _solve(rows, at.gradient, free)
-        # What would leave the ridge on its falling side stays there.
-        return _solve(rows, at.gradient, free & ~(on_ridge & (first[6:] * at.gradient[6:] < 0)))
+        rates, slope = point[6:], at.gradient[6:]
+        # What is about to meet the ridge goes there by itself: in Newton's step for all it would cut the others short.
+        lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.size2(at.gradient)))
+        on_ridge = rates == 0
+        free = ~lands & (~on_ridge | (slope != 0))
+
+        def without_falling(free: Array) -> tuple[Array, Array]:
+            """Newton's step, and what of it would leave the ridge on its falling side."""
+            step = _solve(rows, at.gradient, free)
+            return step, free & on_ridge & (step[6:] * slope < 0)
+
+        def again(carry):
+            free, (_, falls) = carry
+            return free & ~falls, without_falling(free & ~falls)
+
+        first = free, without_falling(free)
+        _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
+        return jnp.concatenate([step[:6], jnp.where(lands, -rates, step[6:])])
 
     def arrived(self, at: Value, point: Array) -> Array:
         size2 = self.size2(at.gradient)
@@ -153,9 +166,11 @@ class Limited(NamedTuple):
 def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> list[Sequence[Array]]:
     """The curvature of the object's unknowns with that of the rates below it."""
     bent = dual.bend(lanes, best, rows.map)
-    across = jnp.concatenate([jnp.sum(term, 1)[None] for term in dual.wrench_terms(lanes, bent)])  # (6, q, B)
-    products = (p[:, None] * q for p, q in zip(fours.components(rows.map), fours.components(bent), strict=True))
-    own = jnp.sum(sum(products), 2)  # (q, q, B)
+    wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(lanes, bent)))  # (6, q, n, B)
+    pairs = zip(fours.components(rows.map), fours.components(bent), strict=True)
+    # One sum over a stack of both: they share so much work that none should compute it alone.
+    sums = jnp.sum(jnp.concatenate([wrench, sum(p[:, None] * q for p, q in pairs)]), 2)
+    across, own = sums[:6], sums[6:]
     border: list[Sequence[Array]] = []
     for i in range(len(rows.bound)):
         seen = unknowns.wrench(*sixes.parts(across[:, i]))

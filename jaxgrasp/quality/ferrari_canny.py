@@ -104,9 +104,10 @@ def ferrari_canny_at(
     By the envelope theorem the radius moves as the work of the forces ``found.press``, ``found.lean`` along
     ``found.direction`` does, since nearby neither another direction nor other forces change it to first order. So
     ``jax.grad`` of this, at the grasp measured, is the radius's derivative; its value there is ``found.upper`` but for
-    rounding. (On a few grasps in a hundred the search ends without a point of touch to all digits; value and derivative
-    are then as good as the bounds allow, and the value tells by differing from ``found.upper``.) Where several directions are equally hard the derivative is that of one of them. First
-    derivatives only. Zero where the grasp is not closed.
+    rounding. (On a few grasps in a hundred the search ends without the point of touch to all digits; value and
+    derivative are then as good as the bounds, and the value tells, by differing from ``found.upper``.) Where several
+    directions are equally hard the derivative is that of one of them. First derivatives only. Zero where the grasp is
+    not closed.
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.

@@ -16,6 +16,12 @@ ROUNDS = 60
 BALANCED = 1e-13
 """Relative length of a sum of wrenches that counts as nothing: the answer that rests on it is checked for itself."""
 
+SEPARATE = 1e-9
+"""Relative distance of wrenches' hull from zero below which they may surround it but for lost digits."""
+MAKE_BELIEVE = 1e8
+"""Weights, relative to what they make up, that rounding alone may be behind."""
+PRICE = 1e-9
+"""Length that a unit of weight costs where it may be."""
 IDLE = 1e-6
 """Power of a contact along a unit twist, relative to its wrenches, that may be none but for lost digits."""
 
@@ -175,7 +181,7 @@ def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     weights, _ = nnls(np.vstack([points.T, np.ones(len(points))]), np.eye(7)[6])
     nearest = weights @ points / weights.sum()
     size = np.linalg.norm(nearest)
-    if size > BALANCED * np.linalg.norm(points, axis=1).max():
+    if size > SEPARATE * np.linalg.norm(points, axis=1).max():
         return -nearest / size, None
     return np.zeros(6), weights
 
@@ -183,6 +189,10 @@ def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
 def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Weights of points that make up the target; or a unit twist that it works along, and no point does."""
     weights, _ = nnls(points.T, target)
+    if weights.sum() > MAKE_BELIEVE * np.linalg.norm(target):
+        # Of points that span no more than a hyperplane but for rounding, large weights make anything.
+        ones = np.full((1, len(points)), PRICE)
+        weights, _ = nnls(np.vstack([points.T, ones]), np.append(target, 0))
     missed = target - weights @ points
     size = np.linalg.norm(missed)
     if size > BALANCED * (np.linalg.norm(target) + weights @ np.linalg.norm(points, axis=1)):

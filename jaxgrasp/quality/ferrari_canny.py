@@ -3,11 +3,11 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jax import Array
 
-from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.ball import largest_ball
 from jaxgrasp.quality.bodies import Body, Bound, check_bound, check_sides, pyramid
@@ -118,11 +118,13 @@ def ferrari_canny_at(
     Returns:
         ``(...)``.
     """
-    return work(discs(grasp, length, about), *_in_precision(grasp, found.press, found.lean, found.direction))
+    return _worked(grasp, found, length, about)
 
 
-def _in_precision(grasp: Grasp, *arrays: AnyArray) -> list[Array]:
-    return [jnp.asarray(array, jnp.asarray(grasp.points).dtype) for array in arrays]
+@jax.jit
+def _worked(grasp: Grasp, found: Epsilon, length: Length, about: About) -> Array:
+    shapes = discs(grasp, length, about)
+    return work(shapes, *(array.astype(shapes.centres.dtype) for array in (found.press, found.lean, found.direction)))
 
 
 def _of_body(body: Body, tol: float, max_points: int) -> tuple[tuple[float, float], tuple[np.ndarray, ...]]:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -106,8 +107,13 @@ def largest_wrench_at(grasp: Grasp, task: Float[AnyArray, "*#batch 6"], found: L
         task: the task measured.
         found: what ``largest_wrench`` returned, with any bound and any pyramids.
     """
-    dtype = jnp.asarray(grasp.points).dtype
-    press, lean, twist, task = (jnp.asarray(a, dtype) for a in (found.press, found.lean, found.twist, task))
+    return _worked(grasp, task, found)
+
+
+@jax.jit
+def _worked(grasp: Grasp, task: Array, found: LargestWrench) -> Array:
+    dtype = grasp.points.dtype
+    press, lean, twist = (array.astype(dtype) for array in (found.press, found.lean, found.twist))
     shapes = discs(grasp, length=1.0, about=jnp.zeros(3, dtype))
     return work(shapes, press, lean, twist) / jnp.sum(twist * task, -1)
 

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -79,10 +80,14 @@ def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
         found: what ``min_weight`` returned.
     """
-    dtype = jnp.asarray(grasp.points).dtype
-    weights, twist, value = (jnp.asarray(array, dtype) for array in (found.weights, found.twist, found.value))
+    return _worked(grasp, found)
+
+
+@jax.jit
+def _worked(grasp: Grasp, found: MinWeight) -> Array:
+    value, weights, twist, corners = (jnp.asarray(array, grasp.points.dtype) for array in found)
     shapes = discs(grasp)
-    leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, jnp.asarray(found.corners, dtype))
+    leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
     edges = shapes.centres[..., None, :] + leans
     return value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
 

@@ -37,26 +37,31 @@ def singular_values(grasp: Grasp, *, length: Length = None, about: About = None)
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp)
-    return _values(_scaled_matrix(grasp, length, about))
+    return _run(grasp, length, about)
 
 
 def least_singular_value(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The last of [`jaxgrasp.singular_values`][]: 0 where some wrench is out of reach however large the forces."""
     warn_of_lost_precision(grasp)
-    return _values(_scaled_matrix(grasp, length, about))[..., -1]
+    return _run(grasp, length, about)[..., -1]
 
 
 def grasp_volume(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The product of [`jaxgrasp.singular_values`][], sqrt(det G G^T): as the volume of wrenches of unit forces."""
     warn_of_lost_precision(grasp)
-    return jnp.prod(_values(_scaled_matrix(grasp, length, about)), -1)
+    return jnp.prod(_run(grasp, length, about), -1)
 
 
 def grasp_isotropy(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The least of [`jaxgrasp.singular_values`][] over the largest: 1 where all wrenches are as easy to exert."""
     warn_of_lost_precision(grasp)
-    values = _values(_scaled_matrix(grasp, length, about))
+    values = _run(grasp, length, about)
     return safe_divide(values[..., -1], values[..., 0])
+
+
+@jax.jit
+def _run(grasp: Grasp, length: Length, about: About) -> Array:
+    return _values(_scaled_matrix(grasp, length, about))
 
 
 def _scaled_matrix(grasp: Grasp, length: Length, about: About) -> Array:

@@ -101,14 +101,14 @@ def test_seven_frictionless_contacts_can_close_and_no_six_of_them_do():
 @pytest.mark.parametrize("torsion", [False, True])
 def test_random_grasps_are_decided_and_proven(n, torsion):
     found = proven(known.ordinary(n, 60, torsion=torsion))
-    assert found.decided.mean() > 0.98
+    assert found.decided.all()
 
 
 @pytest.mark.parametrize("kind", ["near_collinear", "coincident_some", "low_friction", "zero_friction", "far_frame"])
-def test_nasty_grasps_are_proven_and_seldom_undecided(kind):
+def test_nasty_grasps_are_decided_and_proven(kind):
     problem = P.problems(kind, 5, 60, 1)
     found = proven(Grasp(problem.points, problem.normals, problem.friction, problem.squeeze))
-    assert found.decided.mean() > 0.95
+    assert found.decided.all()
 
 
 @pytest.mark.slow

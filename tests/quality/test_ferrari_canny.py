@@ -94,8 +94,7 @@ def pyramid_edges(grasp: Grasp, sides: int) -> np.ndarray:
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     angles = 2 * np.pi * np.arange(sides) / sides
     across = (
-        np.cos(angles)[:, None] * first[:, None]
-        + np.sin(angles)[:, None] * np.cross(grasp.normals, first)[:, None]
+        np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * np.cross(grasp.normals, first)[:, None]
     )
     forces = np.asarray(grasp.normals)[:, None] + np.asarray(grasp.friction)[:, None, None] * across
     return np.concatenate([forces, np.cross(((grasp.points - about) / length)[:, None], forces)], -1)
@@ -112,9 +111,10 @@ def test_pyramids_with_a_bounded_sum_are_their_hull(sides):
 
 def test_pyramids_with_each_force_bounded_are_their_minkowski_sum():
     batch = closed_ones(3, 2)
-    found = jaxgrasp.ferrari_canny(batch, "linf", sides=3)
+    found = jaxgrasp.ferrari_canny(batch, "linf", sides=4)
+    assert (found.lower > 0).all()
     for index in range(2):
-        edges = pyramid_edges(known.one(batch, index), 3)
+        edges = pyramid_edges(known.one(batch, index), 4)
         choices = [np.concatenate([np.zeros((1, 6)), own]) for own in edges]
         radius = hull_radius(np.array([np.sum(chosen, 0) for chosen in itertools.product(*choices)]))
         np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
@@ -126,7 +126,7 @@ def test_two_soft_fingers(torsion):
 
     Along d = (t, s, 0, 0, 0, s) they work at the rates 2 mu s - t and t: at most mu s, where t = mu s.
     """
-    found = jaxgrasp.ferrari_canny(known.two_fingers(torsion), tol=1e-4)
+    found = jaxgrasp.ferrari_canny(known.two_fingers(torsion), tol=1e-2)
     expected = min(torsion / 0.05, 0.5 / np.sqrt(2 + 0.5**2))
     assert found.lower <= expected * (1 + 1e-12) and expected <= found.upper * (1 + 1e-12)
     np.testing.assert_allclose(found.upper, expected, rtol=1e-9)
@@ -226,6 +226,7 @@ def test_derivatives_are_those_of_the_value(bound, sides):
     grasp = closed_ones(5, 4, torsion=True)
     found = jaxgrasp.ferrari_canny(grasp, bound, sides=sides)
 
+    @jax.jit
     def value(grasp: Grasp):
         return jaxgrasp.ferrari_canny_at(grasp, found)
 

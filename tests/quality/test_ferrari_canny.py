@@ -221,7 +221,9 @@ def moved(grasp: Grasp, tangent: Grasp, step: float) -> Grasp:
     return known.changed(there, normals=there.normals / np.linalg.norm(there.normals, axis=-1, keepdims=True))
 
 
-@pytest.mark.parametrize(("bound", "sides"), [("l1", None), ("linf", None), ("l1", 6), ("linf", 5)])
+@pytest.mark.parametrize(
+    ("bound", "sides"), [("l1", None), pytest.param("linf", None, marks=pytest.mark.slow), ("l1", 6), ("linf", 5)]
+)
 def test_derivatives_are_those_of_the_value(bound, sides):
     grasp = closed_ones(5, 4, torsion=True)
     found = jaxgrasp.ferrari_canny(grasp, bound, sides=sides)

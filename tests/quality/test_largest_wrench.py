@@ -50,7 +50,7 @@ def by_clarabel(grasp: Grasp, task: np.ndarray, bound: str) -> float:
 
 @pytest.mark.parametrize("bound", BOUNDS)
 @pytest.mark.parametrize("torsion", [False, True])
-@pytest.mark.parametrize("n", [3, 6])
+@pytest.mark.parametrize("n", [pytest.param(3, marks=pytest.mark.slow), 6])
 def test_it_is_what_another_solver_finds(n, torsion, bound):
     grasp, task = known.ordinary(n, 6, torsion=torsion), P.problems("ordinary", n, 6, 1).wrench
     found = jaxgrasp.largest_wrench(grasp, task, bound)
@@ -99,7 +99,7 @@ def test_with_a_bounded_sum_it_is_one_over_the_least_squeeze():
     np.testing.assert_allclose(1 / found.upper, jaxgrasp.least_squeeze(grasp, problem.wrench), rtol=2e-6)
 
 
-@pytest.mark.parametrize("bound", BOUNDS)
+@pytest.mark.parametrize("bound", [pytest.param("l1", marks=pytest.mark.slow), "linf"])
 def test_laws(bound):
     grasp, task = known.ordinary(5, 6), P.problems("ordinary", 5, 6, 1).wrench
     plain = jaxgrasp.largest_wrench(grasp, task, bound)

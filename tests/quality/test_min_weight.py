@@ -30,7 +30,7 @@ def by_the_dual(edges: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("sides", [4, 5])
-@pytest.mark.parametrize("n", [3, 5, 10])
+@pytest.mark.parametrize("n", [3, 5, pytest.param(10, marks=pytest.mark.slow)])
 def test_it_is_its_duals_value_and_its_weights_balance(n, sides):
     grasp = known.ordinary(n, 8)
     found = jaxgrasp.min_weight(grasp, sides=sides)

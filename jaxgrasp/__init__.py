@@ -62,6 +62,16 @@ if TYPE_CHECKING:
     from jaxgrasp.prehension.precision_grip import precision_grip
     from jaxgrasp.prehension.scene import Obstacle, Scene
     from jaxgrasp.prehension.tick import Tick, observe
+    from jaxgrasp.quality.closure import ForceClosure, force_closure
+    from jaxgrasp.quality.ferrari_canny import Epsilon, ferrari_canny, ferrari_canny_at
+    from jaxgrasp.quality.largest_wrench import LargestWrench, largest_wrench, largest_wrench_at
+    from jaxgrasp.quality.min_weight import MinWeight, min_weight, min_weight_at
+    from jaxgrasp.quality.singular_values import (
+        grasp_isotropy,
+        grasp_volume,
+        least_singular_value,
+        singular_values,
+    )
     from jaxgrasp.sensitivity.design import Design, raise_worst
     from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix, sensitivity_matrix
     from jaxgrasp.sensitivity.outputs import Output, friction_reserve
@@ -79,8 +89,10 @@ _HOME = {
     "Contributions": "model.squeeze",
     "Cylinder": "contact.shapes",
     "Design": "sensitivity.design",
+    "Epsilon": "quality.ferrari_canny",
     "Evaluation": "batch.evaluation",
     "Fault": "model.faults",
+    "ForceClosure": "quality.closure",
     "ForceSplit": "force.distribution",
     "Grasp": "model.grasp",
     "GraspError": "model.faults",
@@ -94,11 +106,13 @@ _HOME = {
     "Influence": "sensitivity.matrix",
     "Instant": "prehension.carry",
     "Kept": "contact.deepest",
+    "LargestWrench": "quality.largest_wrench",
     "LevelError": "contact.filling",
     "Lift": "model.paths",
     "Limits": "model.limits",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
+    "MinWeight": "quality.min_weight",
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
     "Obstacle": "prehension.scene",
@@ -141,12 +155,17 @@ _HOME = {
     "cylinder_task": "sensitivity.paper_task",
     "dual_value": "force.dual_function",
     "evaluate": "batch.evaluation",
+    "ferrari_canny": "quality.ferrari_canny",
+    "ferrari_canny_at": "quality.ferrari_canny",
     "find_contacts": "contact.detection",
+    "force_closure": "quality.closure",
     "friction_margin": "force.angles",
     "friction_reserve": "sensitivity.outputs",
     "from_mujoco": "interop.mujoco_contacts",
     "grasp_from_contacts": "contact.to_grasp",
+    "grasp_isotropy": "quality.singular_values",
     "grasp_matrix": "model.wrench",
+    "grasp_volume": "quality.singular_values",
     "grip_type": "contact.grip_type",
     "hand_from_mujoco": "interop.mujoco_hand",
     "hand_from_urdf": "interop.urdf_hand",
@@ -154,13 +173,18 @@ _HOME = {
     "joint_torques": "contact.kinematics",
     "keep_deepest": "contact.deepest",
     "lagrange_forces": "force.lagrange",
+    "largest_wrench": "quality.largest_wrench",
+    "largest_wrench_at": "quality.largest_wrench",
     "least_friction": "force.least_friction",
+    "least_singular_value": "quality.singular_values",
     "least_squeeze": "force.least_squeeze",
     "least_squeeze_factor": "force.least_factor",
     "level_errors": "contact.filling",
     "link_contributions": "contact.to_grasp",
     "load_grasps": "batch.sources",
     "load_mesh": "contact.mesh",
+    "min_weight": "quality.min_weight",
+    "min_weight_at": "quality.min_weight",
     "mirrored": "contact.human_hand",
     "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
@@ -178,6 +202,7 @@ _HOME = {
     "sensitivity_matrix": "sensitivity.matrix",
     "sensitivity_trajectory": "sensitivity.trajectory",
     "signed_distance": "contact.shapes",
+    "singular_values": "quality.singular_values",
     "slip_angle": "force.angles",
     "sphere_tree": "contact.filling",
     "split_forces": "force.distribution",

@@ -1,6 +1,6 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import jax
 import numpy as np
@@ -8,11 +8,13 @@ import numpy as np
 from jaxgrasp.batch.blocks import blocks
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
+from jaxgrasp.batch.qualities import measure_all, summarise_qualities
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.methods import METHODS, methods_named
+from jaxgrasp.quality.measures import measures_named
 
 
 @dataclass(frozen=True)
@@ -20,13 +22,14 @@ class Evaluation:
     """Results of every method on N grasps of M contacts in all, with W wrenches each.
 
     ``results[name]`` holds arrays ``(N, W)``, with ``forces`` as ``(M, W, 3)`` in the order of
-    ``sets.points`` and ``certificate`` as ``(N, W, 6)``.
+    ``sets.points`` and ``certificate`` as ``(N, W, 6)``. ``quality`` holds arrays ``(N,)``, by MEASURE.COLUMN.
     """
 
     sets: ContactSets
     results: dict[str, MethodResult]
     summary: Summary
     times: Times
+    quality: dict[str, np.ndarray]
 
 
 def evaluate(
@@ -34,6 +37,7 @@ def evaluate(
     wrenches: AnyArray | None = None,
     *,
     methods: tuple[str, ...] = tuple(METHODS),
+    quality: tuple[str, ...] = (),
     dtype: str | np.dtype | None = None,
     skip_bad: bool = False,
     devices: int | None = None,
@@ -44,23 +48,24 @@ def evaluate(
         grasps: contact sets of any sizes, or one batch of grasps ``(N, n)``.
         wrenches: ``(N, 6)``, ``(N, W, 6)`` or ``(6,)`` [N, N.m]; not needed for contact sets, which hold theirs.
         methods: any of ``"A"``, ``"B"``, ``"A-optimum"``, ``"B-optimum"``; what is not asked for is not computed.
+        quality: measures that no wrench enters, some of ``jaxgrasp.quality.measures.MEASURES``, likewise.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
         skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.
         devices: how many of JAX's local devices to use; all where not given.
 
     Raises:
         GraspError: for the first fault of the data, before anything is computed.
-        ValueError: for an unknown method, or float64 asked for while JAX's 64-bit mode is off.
+        ValueError: for an unknown method or measure, or float64 asked for while JAX's 64-bit mode is off.
     """
     sets = as_sets(grasps, wrenches)
     kind = _precision(sets, dtype)
     sets = sets.astype(kind)
-    engine = Engine(methods_named(methods), devices)
+    engine, measures = Engine(methods_named(methods), devices), measures_named(quality)
     good, kept = usable(sets, skip_bad)
-    results = run(engine, good)
-    return Evaluation(
-        good, results, summarise(good, results, numbers=kept, set_aside=len(sets) - len(kept)), engine.times
-    )
+    results, columns = run(engine, good), measure_all(measures, good)
+    summary = summarise(good, results, numbers=kept, set_aside=len(sets) - len(kept))
+    summary = replace(summary, qualities=summarise_qualities(measures, columns))
+    return Evaluation(good, results, summary, engine.times, columns)
 
 
 def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:

@@ -2,7 +2,8 @@
 
 A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
 ``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; and
-``grasp (N,)``, the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts.
+``grasp (N,)``, the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts;
+and for each measure of quality that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
 """
 
 import json
@@ -19,7 +20,7 @@ from jaxgrasp.batch.npz_file import save_arrays
 from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
-VERSION = 3
+VERSION = 4
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html")
@@ -133,14 +134,20 @@ class ResultFolder:
         replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
 
 
-def arrays_of(results: dict[str, MethodResult], offsets: np.ndarray, grasp: np.ndarray, constrained: set[str]) -> dict:
+def arrays_of(
+    results: dict[str, MethodResult],
+    offsets: np.ndarray,
+    grasp: np.ndarray,
+    constrained: set[str],
+    quality: dict[str, np.ndarray],
+) -> dict:
     """A chunk's results as the arrays of a shard."""
     arrays = {"grasp": grasp, "offsets": offsets}
     for method, result in results.items():
         for field in fields(MethodResult):
             if field.name != "certificate" or method in constrained:
                 arrays[f"{method}.{field.name}"] = getattr(result, field.name)
-    return arrays
+    return arrays | {f"quality.{name}": column for name, column in quality.items()}
 
 
 def _joined(paths: list[Path]) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -12,12 +12,14 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.evaluation import run, usable
+from jaxgrasp.batch.qualities import Columns, measure_all, summarise_qualities
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.methods import METHODS, methods_named
+from jaxgrasp.quality.measures import Measure, measures_named
 
 CHUNK = 16_384
 MOST_WORKERS = 8
@@ -34,6 +36,8 @@ class Plan:
     dtype: str = "float64"
     skip_bad: bool = False
     adjustments: Adjustments = field(default_factory=Adjustments)
+    quality: tuple[str, ...] = ()
+    """Measures of quality, by name."""
 
     def identity(self, name: str, source: GraspSource) -> dict:
         """What must be equal for results to belong to the same evaluation."""
@@ -43,6 +47,7 @@ class Plan:
             "fingerprint": source.fingerprint,
             "grasps": len(source),
             "methods": list(self.methods),
+            "quality": list(self.quality),
             "chunk": self.chunk,
             "dtype": self.dtype,
             "skip_bad": self.skip_bad,
@@ -80,7 +85,7 @@ def evaluate_stream(
     Memory holds a few chunks, whatever the source's size. ``progress`` is told of every finished chunk.
     """
     begun = time.perf_counter()
-    methods = methods_named(plan.methods)
+    methods, measures = methods_named(plan.methods), measures_named(plan.quality)
     engine = Engine(methods)
     resumed = folder.done if folder else 0
     summary = from_json(folder.summary) if folder and folder.summary else None
@@ -90,11 +95,11 @@ def evaluate_stream(
     if folder:
         folder.begin()
     constrained = {method.name for method in methods if method.constrained}
-    task = partial(_evaluate_chunk, plan, engine, _rows_per_shape(source, plan), checked)
+    task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked)
     for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine)):
         summary = chunk.summary if summary is None else summary.merged(chunk.summary)
         if folder:
-            arrays = arrays_of(chunk.results, chunk.offsets, chunk.grasps, constrained)
+            arrays = arrays_of(chunk.results, chunk.offsets, chunk.grasps, constrained, chunk.quality)
             folder.add(arrays, chunk.start, chunk.stop, to_json(summary))
         progress(chunk.stop - chunk.start)
     if summary is None:
@@ -114,19 +119,27 @@ class _Chunk:
     """Numbers in the input of those that were not set aside."""
     offsets: np.ndarray
     results: dict[str, MethodResult]
+    quality: Columns
     summary: Summary
 
 
 def _evaluate_chunk(
-    plan: Plan, engine: Engine, rows_per_shape: int, checked: bool, start: int, raw: ContactSets
+    plan: Plan,
+    engine: Engine,
+    measures: tuple[Measure, ...],
+    rows_per_shape: int,
+    checked: bool,
+    start: int,
+    raw: ContactSets,
 ) -> _Chunk:
     sets, kept = plan.adjustments.apply(raw), np.arange(len(raw))
     if not checked:
         sets, kept = usable(sets, plan.skip_bad, start)
     sets = sets.astype(np.dtype(plan.dtype))
-    results = run(engine, sets, rows_per_shape)
+    results, columns = run(engine, sets, rows_per_shape), measure_all(measures, sets)
     summary = summarise(sets, results, numbers=start + kept, set_aside=len(raw) - len(kept))
-    return _Chunk(start, start + len(raw), start + kept, sets.offsets, results, summary)
+    summary = replace(summary, qualities=summarise_qualities(measures, columns))
+    return _Chunk(start, start + len(raw), start + kept, sets.offsets, results, columns, summary)
 
 
 def _workers(engine: Engine) -> int:

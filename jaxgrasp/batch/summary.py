@@ -7,6 +7,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.worst import KEPT, worst_cases
 from jaxgrasp.model.methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
@@ -84,6 +85,8 @@ class Summary:
     comparisons: dict[str, Comparison]
     worst: list[dict] = field(default_factory=list)
     """The problems whose closed form is furthest from its optimum, worst first, with their data."""
+    qualities: dict[str, QualitySummary] = field(default_factory=dict)
+    """Measures of quality that were asked for."""
 
     def merged(self, other: "Summary") -> "Summary":
         sizes = np.zeros(max(len(self.sizes), len(other.sizes)), int)
@@ -99,6 +102,7 @@ class Summary:
             {name: own.merged(other.methods[name]) for name, own in self.methods.items()},
             {name: own.merged(other.comparisons[name]) for name, own in self.comparisons.items()},
             ranked[:KEPT],
+            {name: own.merged(other.qualities[name]) for name, own in self.qualities.items()},
         )
 
 

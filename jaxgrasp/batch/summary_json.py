@@ -3,6 +3,7 @@
 import numpy as np
 
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.summary import Comparison, MethodSummary, Summary
 from jaxgrasp.model.solution import Route, Verdict
 
@@ -19,6 +20,7 @@ def to_json(summary: Summary) -> dict:
         "methods": {name: _method_to_json(method) for name, method in summary.methods.items()},
         "comparisons": {name: _comparison_to_json(c) for name, c in summary.comparisons.items()},
         "worst": summary.worst,
+        "qualities": {name: quality.to_json() for name, quality in summary.qualities.items()},
     }
 
 
@@ -29,6 +31,7 @@ def from_json(data: dict) -> Summary:
         sizes=np.array(data["sizes"], int),
         methods={name: _method_from_json(method) for name, method in data["methods"].items()},
         comparisons={name: _comparison_from_json(c) for name, c in data["comparisons"].items()},
+        qualities={name: QualitySummary.from_json(quality) for name, quality in data["qualities"].items()},
     )
 
 

@@ -4,6 +4,7 @@ import math
 
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.qualities import quality_line
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
@@ -39,6 +40,8 @@ def summary_text(summary: Summary, times: Times, seconds: float) -> str:
         lines.append(f"{'time per grasp and wrench':30}" + "".join(f"{_duration(cost):>14}" for cost in costs))
     if summary.comparisons:
         lines += ["", *_comparison_lines(summary)]
+    if summary.qualities:
+        lines += ["", *(quality_line(name, quality) for name, quality in summary.qualities.items())]
     lines += ["", _closing(summary, times, seconds)]
     return "\n".join(lines)
 

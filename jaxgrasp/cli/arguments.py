@@ -28,6 +28,9 @@ class Evaluate(Data):
 
     methods: tuple[MethodName, ...] = ("A", "B", "A-optimum", "B-optimum")
     """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
+    quality: str = ""
+    """Measures of the grasps whatever they hold, with commas between them: force-closure, ferrari-canny-l1,
+    ferrari-canny-linf, min-weight, least-singular-value, volume, isotropy. Balls cost up to a second a grasp."""
     friction: tuple[float, ...] = ()
     """Friction for all contacts, in place of the file's; several values are evaluated one after another."""
     squeeze: tuple[float, ...] = ()

@@ -18,6 +18,7 @@ from jaxgrasp.cli.arguments import Evaluate
 from jaxgrasp.cli.data import data_path, opened
 from jaxgrasp.cli.machine import provenance, set_up_jax
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.quality.measures import measures_named
 
 
 def evaluate_command(arguments: Evaluate) -> int:
@@ -26,6 +27,7 @@ def evaluate_command(arguments: Evaluate) -> int:
         raise ValueError(f"chunk is {arguments.chunk}: expected a number of grasps, 1 or more")
     for name in ("friction", "squeeze"):
         _check_values(name, getattr(arguments, name))
+    measures_named(_asked(arguments))
     set_up_jax(arguments.dtype)
     sweeping = len(arguments.friction) > 1 or len(arguments.squeeze) > 1
     for friction, squeeze in product(arguments.friction or (None,), arguments.squeeze or (None,)):
@@ -39,6 +41,10 @@ def evaluate_command(arguments: Evaluate) -> int:
     return 0
 
 
+def _asked(arguments: Evaluate) -> tuple[str, ...]:
+    return tuple(name for part in arguments.quality.split(",") if (name := part.strip()))
+
+
 def _check_values(name: str, values: tuple[float, ...]) -> None:
     for index, value in enumerate(values):
         if not (math.isfinite(value) and value >= 0):
@@ -48,7 +54,8 @@ def _check_values(name: str, values: tuple[float, ...]) -> None:
 
 
 def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> None:
-    plan = Plan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments)
+    quality = _asked(arguments)
+    plan = Plan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments, quality)
     path = data_path(arguments)
     with opened(arguments, adjustments) as source:
         folder = ResultFolder(out, plan.identity(path.name, source), arguments.resume)

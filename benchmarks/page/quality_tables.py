@@ -1,0 +1,75 @@
+"""The page of the measures of quality in Markdown, from the report that the JSON holds too."""
+
+from itertools import groupby
+
+from benchmarks.page.tables import table
+
+
+def page(report: dict) -> str:
+    parts = ["# Measures of quality: cost, bounds, pyramids", _preface(report)]
+    if "times" in report:
+        parts += [
+            "## Time for one grasp",
+            "Milliseconds a call after compiling: the median, and the largest in brackets. Balls to a relative "
+            "distance of their bounds of 1e-3, largest wrenches 1e-6.",
+            _by_size(report["times"], "measure", lambda row: f"{_ms(row['median'])} ({_ms(row['largest'])})"),
+        ]
+    if "gaps" in report:
+        parts += [
+            "## Distance of the bounds by points",
+            "Relative to the upper bound: the median, and the largest in brackets; then milliseconds a grasp. The "
+            "search ends before at 1e-4.",
+            table(["bound", "n", "points", "distance", "ms"], [_gap(row) for row in report["gaps"]]),
+        ]
+    if "pyramids" in report:
+        parts += [
+            "## What pyramids miss",
+            "By how much their ball is smaller than the cones', relative to it: the median, and the largest in "
+            "brackets; 100 % where no pyramid's forces close the grasp, though the cones' do.",
+            table(["bound", "n", *_sides(report)], _short_rows(report["pyramids"])),
+        ]
+    if "decisions" in report:
+        parts += [
+            "## Force closure decided",
+            "Closed / open / undecided.",
+            _by_size(report["decisions"], "kind", lambda row: f"{row['closed']} / {row['open']} / {row['undecided']}"),
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _preface(report: dict) -> str:
+    facts = report["machine"]
+    return (
+        f"Made by `python -m benchmarks.quality`. {facts['processor']}, one thread, {facts['system']}, "
+        f"Python {facts['python']}, jax {facts['versions']['jax']}, scipy {facts['versions']['scipy']}.\n\n"
+        f"{report['plan']['grasps']} ordinary grasps of each size that are closed (`benchmarks/problems.py`)."
+    )
+
+
+def _by_size(rows: list[dict], name: str, show) -> str:
+    sizes = sorted({row["n"] for row in rows})
+    names = list(dict.fromkeys(row[name] for row in rows))
+    cells = {(row[name], row["n"]): show(row) for row in rows}
+    body = [[label, *(cells[label, n] for n in sizes)] for label in names]
+    return table([name, *(f"n = {n}" for n in sizes)], body)
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g}"
+
+
+def _gap(row: dict) -> list[str]:
+    distance = f"{row['median']:.0e} ({row['largest']:.0e})"
+    return [row["bound"], str(row["n"]), str(row["points"]), distance, _ms(row["seconds"])]
+
+
+def _sides(report: dict) -> list[str]:
+    return [f"{sides} sides" for sides in sorted({row["sides"] for row in report["pyramids"]})]
+
+
+def _short_rows(rows: list[dict]) -> list[list[str]]:
+    shown = []
+    for (bound, n), own in groupby(rows, key=lambda row: (row["bound"], row["n"])):
+        cells = [f"{100 * row['median']:.2g} % ({100 * row['largest']:.2g} %)" for row in own]
+        shown.append([bound, str(n), *cells])
+    return shown

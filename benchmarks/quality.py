@@ -1,0 +1,140 @@
+"""Measures of quality: what each costs, how bounds of the balls of wrenches close, and what pyramids miss.
+
+    python -m benchmarks.quality --out benchmarks/results
+
+Ordinary grasps that are closed. Writes quality.json and quality.md.
+"""
+
+import os
+
+# One thread, decided before JAX and BLAS start their pools.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+import jaxgrasp
+from benchmarks import problems as P
+from benchmarks.page import quality_tables
+from benchmarks.sections import run_sections
+from jaxgrasp import Grasp
+
+NAME = "quality"
+SIDES = (4, 8, 16)
+KINDS = ("ordinary", "near_collinear", "low_friction", "zero_friction", "far_frame", "combined")
+
+
+class Plan(NamedTuple):
+    """How much of everything."""
+
+    sizes: tuple[int, ...] = (3, 5, 10, 20)
+    grasps: int = 8
+    points: tuple[int, ...] = (25, 50, 100, 200, 400)
+    decided: int = 200
+
+
+def closed_grasps(n: int, count: int) -> tuple[Grasp, np.ndarray]:
+    """The first closed ones among ordinary grasps, and their wrenches."""
+    problem = P.problems("ordinary", n, 12 * count, seed=7)
+    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+    kept = np.flatnonzero(jaxgrasp.force_closure(grasp).closed)[:count]
+    return jax.tree.map(lambda array: array[kept], grasp), problem.wrench[kept]
+
+
+def alone(grasp: Grasp, index: int) -> Grasp:
+    return jax.tree.map(lambda array: array[index], grasp)
+
+
+def spent(measure: Callable, grasp: Grasp, *others: np.ndarray) -> list[float]:
+    """Seconds for each grasp, one call after the other; a first call compiles."""
+    count, took = len(grasp.points), []
+    measure(alone(grasp, 0), *(other[0] for other in others))
+    for index in range(count):
+        start = time.perf_counter()
+        jax.block_until_ready(measure(alone(grasp, index), *(other[index] for other in others)))
+        took.append(time.perf_counter() - start)
+    return took
+
+
+def times(plan: Plan) -> list[dict]:
+    rows = []
+    for n in plan.sizes:
+        grasp, wrench = closed_grasps(n, plan.grasps)
+        calls: dict[str, tuple] = {
+            "force_closure": (jaxgrasp.force_closure,),
+            "ferrari_canny, l1": (jaxgrasp.ferrari_canny,),
+            "ferrari_canny, l1, 8 sides": (partial(jaxgrasp.ferrari_canny, sides=8),),
+            "ferrari_canny, linf": (partial(jaxgrasp.ferrari_canny, bound="linf"),),
+            "ferrari_canny, linf, 8 sides": (partial(jaxgrasp.ferrari_canny, bound="linf", sides=8),),
+            "largest_wrench, l1": (partial(jaxgrasp.largest_wrench, bound="l1"), wrench),
+            "largest_wrench, linf": (jaxgrasp.largest_wrench, wrench),
+            "min_weight, 4 sides": (jaxgrasp.min_weight,),
+            "singular_values": (jaxgrasp.singular_values,),
+        }
+        for name, (measure, *others) in calls.items():
+            took = spent(measure, grasp, *others)
+            rows.append({"n": n, "measure": name, "median": float(np.median(took)), "largest": max(took)})
+    return rows
+
+
+def gaps(plan: Plan) -> list[dict]:
+    """How far apart the bounds are when a number of points is all that a search may take."""
+    rows = []
+    for n in plan.sizes:
+        grasp, _ = closed_grasps(n, plan.grasps)
+        for bound in ("l1", "linf"):
+            for points in plan.points:
+                start = time.perf_counter()
+                found = jaxgrasp.ferrari_canny(grasp, bound, tol=1e-4, max_points=points)
+                seconds = (time.perf_counter() - start) / plan.grasps
+                gap = 1 - found.lower / found.upper
+                figures = {"median": float(np.median(gap)), "largest": float(gap.max()), "seconds": seconds}
+                rows.append({"n": n, "bound": bound, "points": points, **figures})
+    return rows
+
+
+def pyramids(plan: Plan) -> list[dict]:
+    """How much smaller than the cones' the pyramids' balls are, relative to the cones'."""
+    rows = []
+    for n in plan.sizes:
+        grasp, _ = closed_grasps(n, plan.grasps)
+        for bound in ("l1", "linf"):
+            exact = jaxgrasp.ferrari_canny(grasp, bound)
+            for sides in SIDES:
+                found = jaxgrasp.ferrari_canny(grasp, bound, sides=sides)
+                short = 1 - found.upper / exact.upper
+                figures = {"median": float(np.median(short)), "largest": float(short.max())}
+                rows.append({"n": n, "bound": bound, "sides": sides, **figures})
+    return rows
+
+
+def decisions(plan: Plan) -> list[dict]:
+    """Of all kinds of grasps: how many are closed, open and undecided."""
+    rows = []
+    for kind in KINDS:
+        for n in plan.sizes:
+            problem = P.problems(kind, n, plan.decided, seed=7)
+            found = jaxgrasp.force_closure(Grasp(problem.points, problem.normals, problem.friction, problem.squeeze))
+            closed, undecided = int(found.closed.sum()), int((~found.decided).sum())
+            counts = {"closed": closed, "open": plan.decided - closed - undecided, "undecided": undecided}
+            rows.append({"kind": kind, "n": n, **counts})
+    return rows
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    sections = {"times": times, "gaps": gaps, "pyramids": pyramids, "decisions": decisions}
+    plans = Plan(), Plan(sizes=(3, 5), grasps=2, points=(25, 50), decided=10)
+    run_sections(__doc__, NAME, sections, plans, quality_tables.page)
+
+
+if __name__ == "__main__":
+    main()

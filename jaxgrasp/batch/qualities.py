@@ -1,0 +1,69 @@
+"""Measures of quality of contact sets, and what is said of them as a whole."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.quality.measures import UNDECIDED, Measure
+
+Columns = dict[str, np.ndarray]
+"""``(N,)`` each, by ``MEASURE.COLUMN``."""
+
+
+def measure_all(measures: tuple[Measure, ...], sets: ContactSets) -> Columns:
+    """Every measure of every grasp; they do not look at wrenches."""
+    if not measures:
+        return {}
+    grasp = sets.padded(max(1, sets.largest))
+    return {
+        f"{measure.name}.{column}": values for measure in measures for column, values in measure.columns(grasp).items()
+    }
+
+
+@dataclass
+class QualitySummary:
+    """One measure over all grasps."""
+
+    values: LogHistogram
+    """Of its first column; numbers below zero count as zero."""
+    undecided: int = 0
+
+    def merged(self, other: "QualitySummary") -> "QualitySummary":
+        return QualitySummary(self.values.merged(other.values), self.undecided + other.undecided)
+
+    def to_json(self) -> dict:
+        return {"values": self.values.to_json(), "undecided": self.undecided}
+
+    @classmethod
+    def from_json(cls, data: dict) -> "QualitySummary":
+        return cls(LogHistogram.from_json(data["values"]), data["undecided"])
+
+
+def summarise_qualities(measures: tuple[Measure, ...], columns: Columns) -> dict[str, QualitySummary]:
+    """Of one chunk, by the measures' names."""
+    summaries = {}
+    for measure in measures:
+        values = next(array for name, array in columns.items() if name.startswith(f"{measure.name}."))
+        unknown = values == UNDECIDED if values.dtype == np.int8 else np.zeros(len(values), bool)
+        summaries[measure.name] = QualitySummary(LogHistogram.of(np.maximum(values, 0)), int(unknown.sum()))
+    return summaries
+
+
+def quality_line(name: str, summary: QualitySummary) -> str:
+    """What a person reads of one measure."""
+    values = summary.values
+    if name == "force-closure":
+        closed = int(values.counts.sum())
+        text = f"{name:22}{_share(closed, values.total)} closed"
+        return text + (f", {_share(summary.undecided, values.total)} undecided" if summary.undecided else "")
+    shown = "  ".join(f"{label} {values.quantile(share):.3g}" for label, share in _QUANTILES)
+    return f"{name:22}{shown}" + (f"  {_share(values.zeros, values.total)} none" if values.zeros else "")
+
+
+_QUANTILES = (("5%", 0.05), ("median", 0.5), ("95%", 0.95), ("largest", 1.0))
+
+
+def _share(count: int, total: int) -> str:
+    return f"{100 * count / max(1, total):.1f} %"

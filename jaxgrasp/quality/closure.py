@@ -1,0 +1,234 @@
+"""Whether contacts can hold their object against any disturbance, proven either way."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.quality.bodies import Body
+from jaxgrasp.quality.discs import About, Length
+from jaxgrasp.quality.reading import Read, read
+
+ROUNDS = 60
+"""Times that wrenches are added to those in sight of a question; it is decided within ten, near its limit later."""
+BALANCED = 1e-13
+"""Relative length of a sum of wrenches that counts as nothing: the answer that rests on it is checked for itself."""
+
+SEPARATE = 1e-9
+"""Relative distance of wrenches' hull from zero below which they may surround it but for lost digits."""
+MAKE_BELIEVE = 1e8
+"""Weights, relative to what they make up, that rounding alone may be behind."""
+PRICE = 1e-9
+"""Length that a unit of weight costs where it may be."""
+IDLE = 1e-6
+"""Power of a contact along a unit twist, relative to its wrenches, that may be none but for lost digits."""
+
+
+class ForceClosure(NamedTuple):
+    """What was found out about a batch of grasps, and the proof."""
+
+    closed: np.ndarray
+    """``(...)``: whether forces within friction balance any wrench; false too where that is undecided."""
+    decided: np.ndarray
+    """``(...)``: whether there is a proof; where not, rounding of the data decides."""
+    margin: np.ndarray
+    """``(...)``: where closed, a radius > 0 that the L1 ball of ``ferrari_canny`` has at least (it is often much
+    larger); elsewhere the largest power of a contact along the twist, scaled to unit size, zero or less."""
+    twist: np.ndarray
+    """``(..., 6)``: where not closed, a velocity (linear, angular) about the frame's origin along which no contact can
+    work: so the object can move; its size is one in scaled units, elsewhere zero."""
+    forces: np.ndarray
+    """``(..., n, 3)``: where closed, forces strictly inside the friction cones that balance each other; their normal
+    forces sum to 1. Zeros elsewhere."""
+    moments: np.ndarray
+    """``(..., n)`` [m]: moments of soft fingers about their normals, per newton, that belong to the forces."""
+
+
+class Decision(NamedTuple):
+    """Of one grasp, in scaled units."""
+
+    closed: bool
+    decided: bool
+    margin: float
+    twist: np.ndarray
+    press: np.ndarray
+    lean: np.ndarray
+
+
+def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -> ForceClosure:
+    """Whether a grasp can exert any wrench, if only its forces may be large enough, with a proof of either answer.
+
+    A grasp is closed if its discs' matrix has rank 6 and forces strictly inside the cones balance each other: then
+    small changes of these exert any small wrench. It is open if a twist exists along which no contact can work. A
+    frictionless contact is a ray, and any positive normal force of it is strictly inside.
+
+    What rounding of the data, in their own precision, might turn over is undecided: a twist that
+    contacts can work along by rounding alone counts as a proof that the grasp is open, since data a rounding
+    away are open; but forces are a proof only where they outweigh rounding. So two hard contacts, and contacts whose
+    wrenches miss a direction, are open.
+
+    The answer depends on no length and no point; the size of the margin does, as that of
+    [`jaxgrasp.ferrari_canny`][].
+
+    Args:
+        grasp: contacts ``(..., n)``, concrete.
+        length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.ferrari_canny`][].
+        about: where torques are taken, ``(..., 3)`` [m]; likewise.
+
+    Raises:
+        GraspError: for the first entry that is not usable, before anything is computed.
+        TypeError: for traced arrays.
+    """
+    given = read(grasp, length, about)
+    shape = given.present.shape
+    closed, decided, margin = np.zeros(shape[:-1], bool), np.zeros(shape[:-1], bool), np.zeros(shape[:-1])
+    twists, press, lean = np.zeros((*shape[:-1], 6)), np.zeros(shape), np.zeros((*shape, 3))
+    for index, own, body in given.bodies():
+        found = decide(body)
+        closed[index], decided[index], margin[index] = found.closed, found.decided, found.margin
+        twists[index] = unscaled(found.twist, given, index)
+        press[index][own], lean[index][own] = found.press, found.lean
+    forces, moments = forces_of(given, press, lean)
+    return ForceClosure(closed, decided, margin, twists, forces, moments)
+
+
+def unscaled(twist: np.ndarray, given: Read, index: tuple[int, ...]) -> np.ndarray:
+    """A scaled twist as a velocity (linear, angular) about the frame's origin."""
+    angular = twist[3:] / given.shapes.length[index]
+    return np.concatenate([twist[:3] - np.cross(angular, given.shapes.about[index]), angular])
+
+
+def forces_of(given: Read, press: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton."""
+    exerted = press[..., None] * given.shapes.centres + np.einsum("...njk,...nk->...nj", given.shapes.spans, lean)
+    moment = np.einsum("...j,...j->...", given.shapes.spans[..., 3:, 2], given.shapes.centres[..., :3])
+    return exerted[..., :3], moment * lean[..., 2] * np.asarray(given.shapes.length)[..., None]
+
+
+def decide(body: Body) -> Decision:
+    """Force closure of one grasp."""
+    count = len(body.centres)
+    if not count:
+        return _open(np.eye(6)[0], body, True)
+    generators = np.concatenate([body.centres.T, *body.spans], 1)
+    axes, sizes, _ = np.linalg.svd(generators)
+    if len(sizes) < 6 or sizes[5] <= body.rounding * sizes[0]:
+        return _open(axes[:, 5], body, True)
+    return _separate_or_balance(body, axes / sizes)
+
+
+class _InSight(NamedTuple):
+    """Wrenches of unit normal force that the search has met, and whose they are."""
+
+    points: np.ndarray
+    owner: np.ndarray
+    lean: np.ndarray
+
+
+def _separate_or_balance(body: Body, whitening: np.ndarray) -> Decision:
+    """By a growing set of the contacts' wrenches: a twist that keeps away from all, or a balance of some.
+
+    The search, but not the proof, is in coordinates where the discs' matrix is a rotation: contacts almost on a line
+    keep their digits.
+    """
+    white = replace(body, centres=body.centres @ whitening, spans=np.einsum("jm,njk->nmk", whitening, body.spans))
+    sight = _first_wrenches(white)
+    for _ in range(ROUNDS):
+        twist, weights = _least_of_hull(sight.points)
+        if weights is not None:
+            twist, weights = _towards(sight.points, -white.centres.sum(0))
+        if weights is not None:
+            return _balance(body, sight, weights, whitening) or _undecided(body)
+        for tried in (twist, _without_idle(white, twist)):
+            plain = whitening @ tried
+            plain /= np.linalg.norm(plain)
+            if body.supports(plain[None])[0].max() <= body.slack:
+                return _open(plain, body, True)
+        values, lean = (array[0] for array in white.supports(twist[None]))
+        seen = np.flatnonzero(values > 0)
+        reached = white.centres[seen] + np.einsum("njk,nk->nj", white.spans[seen], lean[seen])
+        sight = _InSight(*(np.concatenate(pair) for pair in zip(sight, (reached, seen, lean[seen]))))
+    return _undecided(body)
+
+
+def _first_wrenches(body: Body) -> _InSight:
+    """Each disc's, at both ends of every column of its span."""
+    count = len(body.centres)
+    lean = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (count, 1))
+    owner = np.repeat(np.arange(count), 6)
+    return _InSight(body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], lean), owner, lean)
+
+
+def _without_idle(body: Body, twist: np.ndarray) -> np.ndarray:
+    """The twist without what is left in it of wrenches that it should not move at all.
+
+    Where two contacts hold each other, a twist that opens the grasp turns about the line between them: no power
+    is allowed, either way, and a search meets this but for digits that it loses where they barely hold.
+    """
+    along, across = body.centres @ twist, np.einsum("njk,j->nk", body.spans, twist)
+    idle = np.abs(along) + np.linalg.norm(across, axis=1) <= IDLE * body.size
+    axes, sizes, _ = np.linalg.svd(np.concatenate([body.centres[idle].T, *body.spans[idle]], 1), full_matrices=False)
+    axes = axes[:, sizes > IDLE * np.max(sizes, initial=0)]
+    left = twist - axes @ (axes.T @ twist)
+    size = np.linalg.norm(left)
+    return left / size if size > IDLE else twist
+
+
+def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """A unit twist that all points work against; or weights with which they balance, where they have 0 among them."""
+    weights, _ = nnls(np.vstack([points.T, np.ones(len(points))]), np.eye(7)[6])
+    nearest = weights @ points / weights.sum()
+    size = np.linalg.norm(nearest)
+    if size > SEPARATE * np.linalg.norm(points, axis=1).max():
+        return -nearest / size, None
+    return np.zeros(6), weights
+
+
+def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Weights of points that make up the target; or a unit twist that it works along, and no point does."""
+    weights, _ = nnls(points.T, target)
+    if weights.sum() > MAKE_BELIEVE * np.linalg.norm(target):
+        # Of points that span no more than a hyperplane but for rounding, large weights make anything.
+        ones = np.full((1, len(points)), PRICE)
+        weights, _ = nnls(np.vstack([points.T, ones]), np.append(target, 0))
+    missed = target - weights @ points
+    size = np.linalg.norm(missed)
+    if size > BALANCED * (np.linalg.norm(target) + weights @ np.linalg.norm(points, axis=1)):
+        return missed / size, None
+    return np.zeros(6), weights
+
+
+def _balance(body: Body, sight: _InSight, weights: np.ndarray, whitening: np.ndarray) -> Decision | None:
+    """One newton at every contact and what makes up for it, if that is proven to be strictly inside.
+
+    The forces (press, lean) of all contacts may move by ``room`` each and stay inside. In white coordinates such
+    moves make up for any wrench of their own length, and lengths are at most those in plain ones over the least
+    singular value of the discs' matrix.
+    """
+    count = len(body.centres)
+    press = 1 + np.bincount(sight.owner, weights, count)
+    lean = np.zeros((count, 3))
+    np.add.at(lean, sight.owner, weights[:, None] * sight.lean)
+    smooth = np.any(body.spans != 0, (1, 2))
+    total = press.sum()
+    press, lean = press / total, np.where(smooth[:, None], lean, 0) / total
+    missed = (press @ body.centres + np.einsum("njk,nk->j", body.spans, lean)) @ whitening
+    room = np.min(press - np.linalg.norm(lean, axis=1)) / np.sqrt(2)
+    least_size = 1 / np.linalg.norm(whitening, axis=0).max()
+    radius = least_size * (room - np.linalg.norm(missed)) - body.slack
+    if radius <= 0:
+        return None
+    return Decision(True, True, radius / (1 + np.sqrt(count) * room), np.zeros(6), press, lean)
+
+
+def _open(twist: np.ndarray, body: Body, decided: bool) -> Decision:
+    values, _ = body.supports(twist[None])
+    count = len(body.centres)
+    margin = min(float(values.max(initial=-np.inf)), 0.0) if count else 0.0
+    return Decision(False, decided, margin, twist, np.zeros(count), np.zeros((count, 3)))
+
+
+def _undecided(body: Body) -> Decision:
+    return _open(np.zeros(6), body, False)

@@ -1,0 +1,213 @@
+"""How large a wrench of a given direction bounded normal forces exert, between two proven bounds."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.optimize import OptimizeResult, linprog
+from scipy.sparse import csr_array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.faults import Fault, GraspError
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.quality.bodies import Body, Bound, check_bound, check_sides, pyramid
+from jaxgrasp.quality.closure import forces_of, unscaled
+from jaxgrasp.quality.discs import discs, work
+from jaxgrasp.quality.reading import Read, check_tolerance, read
+
+ROUNDS = 60
+"""Linear programs for one grasp; most need about ten."""
+FEASIBLE = 1e-10
+"""What HiGHS is asked for, the least it takes."""
+BALANCED = 1e-9
+"""By how much the forces of the lower bound may miss their wrench, relative to it; they miss it by rounding."""
+
+
+class LargestWrench(NamedTuple):
+    """How large a multiple of a task the grasps of a batch exert, and what bounds it."""
+
+    lower: np.ndarray
+    """``(...)``: the ``forces`` exert this multiple."""
+    upper: np.ndarray
+    """``(...)``: none exert more, as the twist proves."""
+    twist: np.ndarray
+    """``(..., 6)``: (linear, angular) about the frame's origin, of power 1 on the task: allowed forces work along it
+    at most at the rate ``upper``."""
+    forces: np.ndarray
+    """``(..., n, 3)``."""
+    moments: np.ndarray
+    """``(..., n)`` [m]: of soft fingers about their normals."""
+    press: np.ndarray
+    """``(..., n)``: normal forces."""
+    lean: np.ndarray
+    """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times press."""
+
+
+def largest_wrench(
+    grasp: Grasp,
+    task: Float[AnyArray, "*#batch 6"],
+    bound: Bound = "linf",
+    *,
+    sides: int | None = None,
+    tol: float = 1e-6,
+) -> LargestWrench:
+    """The largest alpha for which forces inside the friction cones exert alpha times the task.
+
+    Their normal forces have a sum of at most 1 (``"l1"``: then it is 1 over [`jaxgrasp.least_squeeze`][] of the task)
+    or are at most 1 each (``"linf"``). For another limit of the forces multiply alpha by it. Neither a length nor a
+    point matters here: torques are not compared with forces.
+
+    The cones are approached from inside by wrenches that the answers of one linear program after the other, and
+    their multipliers, call for: a twist d with d.task = 1 along which forces work at most at the rate h(d), so that
+    no alpha is larger. The lower bound's forces exert their wrench, the upper bound holds, within rounding of the
+    data, which is added to the upper one.
+
+    Args:
+        grasp: contacts ``(..., n)``, concrete; a batch is a loop.
+        task: the wrench ``(..., 6)``, not zero [N, N.m]; its leading axes broadcast to the grasps'.
+        bound: what is bounded.
+        sides: as for [`jaxgrasp.ferrari_canny`][].
+        tol: relative distance of the bounds at which the search ends.
+
+    Raises:
+        GraspError: for the first entry that is not usable, before anything is computed.
+        ValueError: for an unknown bound, or other options that cannot be used.
+        TypeError: for traced arrays.
+    """
+    check_bound(bound)
+    check_sides(sides)
+    check_tolerance(tol)
+    given = read(grasp)
+    tasks = _scaled_tasks(task, given)
+    shape = given.present.shape
+    lower, upper, twists = np.zeros(shape[:-1]), np.zeros(shape[:-1]), np.zeros((*shape[:-1], 6))
+    press, lean = np.zeros(shape), np.zeros((*shape, 3))
+    corners = None if sides is None else pyramid(sides, given.soft)
+    for index, own, body in given.bodies():
+        size = np.linalg.norm(tasks[index])
+        found = _along(replace(body, bound=bound, corners=corners), tasks[index] / size, tol)
+        lower[index], upper[index] = found.lower / size, found.upper / size
+        twists[index] = unscaled(found.twist / size, given, index)
+        press[index][own], lean[index][own] = found.press, found.lean
+    return LargestWrench(lower, upper, twists, *forces_of(given, press, lean), press, lean)
+
+
+def largest_wrench_at(grasp: Grasp, task: Float[AnyArray, "*#batch 6"], found: LargestWrench) -> Float[Array, "..."]:
+    """The largest multiple near a grasp and task that ``largest_wrench`` has measured, for derivatives by both.
+
+    As the envelope theorem has it, the work of the forces found along the twist found, over that of the task.
+    First derivatives only; where several twists bound the answer, those of one. Its value is that of ``found.lower``
+    and ``found.upper`` within their distance.
+
+    Args:
+        grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
+        task: the task measured.
+        found: what ``largest_wrench`` returned, with any bound and any pyramids.
+    """
+    return _worked(grasp, task, found)
+
+
+@jax.jit
+def _worked(grasp: Grasp, task: Array, found: LargestWrench) -> Array:
+    dtype = grasp.points.dtype
+    press, lean, twist = (array.astype(dtype) for array in (found.press, found.lean, found.twist))
+    shapes = discs(grasp, length=1.0, about=jnp.zeros(3, dtype))
+    return work(shapes, press, lean, twist) / jnp.sum(twist * task, -1)
+
+
+def _scaled_tasks(task: AnyArray, given: Read) -> np.ndarray:
+    """``(..., 6)`` about the contacts' middle."""
+    array = np.asarray(task, np.float64)
+    wanted = (*given.batch, 6)
+    try:
+        tasks = np.broadcast_to(array, wanted)
+    except ValueError:
+        expected = f"a shape that broadcasts to {wanted}, as points imply"
+        raise GraspError(Fault("task", (), f"an array of shape {array.shape}", expected)) from None
+    for index in np.argwhere(~(np.isfinite(tasks).all(-1) & (tasks != 0).any(-1))):
+        place = tuple(map(int, index))
+        raise GraspError(Fault("task", place, str(tasks[place]), "six finite numbers, not all zero [N, N.m]"))
+    torque = tasks[..., 3:] - np.cross(given.shapes.about, tasks[..., :3])
+    return np.concatenate([tasks[..., :3], torque / given.shapes.length[..., None]], -1)
+
+
+class _Along(NamedTuple):
+    """Of one grasp, in scaled units."""
+
+    lower: float
+    upper: float
+    twist: np.ndarray
+    press: np.ndarray
+    lean: np.ndarray
+
+
+def _along(body: Body, task: np.ndarray, tol: float) -> _Along:
+    count = len(body.centres)
+    best = _Along(0.0, np.inf, task, np.zeros(count), np.zeros((count, 3)))
+    directions, owner, lean = task[None], np.zeros(0, int), np.zeros((0, 3))
+    if not count:
+        return best._replace(upper=0.0)
+    directions = np.concatenate([directions, np.eye(6), -np.eye(6)])
+    for _ in range(ROUNDS):
+        _, new = body.supports(directions)
+        owner = np.concatenate([owner, np.tile(np.arange(count), len(directions))])
+        lean = np.concatenate([lean, new.reshape(-1, 3)])
+        points = body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], lean)
+        program = _program(body, task, points, owner)
+        if program.status != 0:
+            return best
+        twist, weights = program.eqlin.marginals, np.maximum(program.x[:-1], 0)
+        best = _better(best, body, task, twist, weights, points, owner, lean)
+        if best.lower >= (1 - tol) * best.upper or best.upper <= body.slack:
+            break
+        directions = twist[None]
+    return best
+
+
+def _program(body: Body, task: np.ndarray, points: np.ndarray, owner: np.ndarray) -> OptimizeResult:
+    """Maximise alpha: weights of points sum up to alpha task, and those that a bound counts to 1 at most."""
+    columns = np.arange(len(points))
+    rows = np.zeros(len(points), int) if body.bound == "l1" else owner
+    counted = csr_array((np.ones(len(points)), (rows, columns)), (rows.max() + 1, len(points) + 1))
+    return linprog(
+        -np.eye(len(points) + 1)[-1],
+        A_ub=counted,
+        b_ub=np.ones(counted.shape[0]),
+        A_eq=np.concatenate([points.T, -task[:, None]], 1),
+        b_eq=np.zeros(6),
+        method="highs-ds",
+        options={"primal_feasibility_tolerance": FEASIBLE, "dual_feasibility_tolerance": FEASIBLE},
+    )
+
+
+def _better(
+    best: _Along,
+    body: Body,
+    task: np.ndarray,
+    twist: np.ndarray,
+    weights: np.ndarray,
+    points: np.ndarray,
+    owner: np.ndarray,
+    lean: np.ndarray,
+) -> _Along:
+    """What a program's answer proves, by arithmetic alone."""
+    power = twist @ task
+    if power > 0:
+        twist = twist / power
+        upper = float(body.reach(twist[None]).height[0]) + body.slack * np.linalg.norm(twist)
+        if upper < best.upper:
+            best = best._replace(upper=float(upper), twist=twist)
+    count = len(body.centres)
+    press = np.bincount(owner, weights, count)
+    used = press.sum() if body.bound == "l1" else press.max()
+    weights = weights / max(used, 1)
+    exerted = weights @ points
+    lower = float(exerted @ task)
+    if lower > best.lower and np.linalg.norm(exerted - lower * task) <= BALANCED * lower:
+        leaning = np.zeros((count, 3))
+        np.add.at(leaning, owner, weights[:, None] * lean)
+        best = best._replace(lower=lower, press=np.bincount(owner, weights, count), lean=leaning)
+    return best

@@ -1,0 +1,97 @@
+"""How evenly the places of the contacts let forces make up wrenches: singular values of the grasp matrix."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force.flat import warn_of_lost_precision
+from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.wrench import grasp_matrix
+from jaxgrasp.numerics.vec import safe_divide
+from jaxgrasp.quality.discs import About, Length, discs
+
+
+def singular_values(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "... 6"]:
+    """The six singular values of the scaled grasp matrix, largest first.
+
+    The matrix is that of eq. 1 for the present contacts, about ``about`` and with its torque rows divided by
+    ``length``: it maps forces of any direction, so neither friction nor normals count, nor do moments of soft
+    fingers. The least value is the smallest wrench that forces of length 1 (all together, the root of the sum of
+    their squares) exert at worst. A larger length makes all of them smaller or leaves them.
+
+    Differentiable once, also where values are zero; where several are equal, the derivative of each is that of one
+    choice among them, and that of their sum or product is exact.
+
+    Source: Roa and Suarez, Grasp quality measures: review and performance, Autonomous Robots 38, 2015.
+
+    Args:
+        grasp: contacts ``(..., n)``.
+        length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.ferrari_canny`][].
+        about: where torques are taken, ``(..., 3)`` [m]; likewise.
+
+    Returns:
+        ``(..., 6)``; zeros, within rounding, for directions that no force reaches.
+
+    Raises:
+        NotImplementedError: when differentiated twice.
+    """
+    warn_of_lost_precision(grasp)
+    return _run(grasp, length, about)
+
+
+def least_singular_value(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
+    """The last of [`jaxgrasp.singular_values`][]: 0 where some wrench is out of reach however large the forces."""
+    warn_of_lost_precision(grasp)
+    return _run(grasp, length, about)[..., -1]
+
+
+def grasp_volume(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
+    """The product of [`jaxgrasp.singular_values`][], sqrt(det G G^T): as the volume of wrenches of unit forces."""
+    warn_of_lost_precision(grasp)
+    return jnp.prod(_run(grasp, length, about), -1)
+
+
+def grasp_isotropy(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
+    """The least of [`jaxgrasp.singular_values`][] over the largest: 1 where all wrenches are as easy to exert."""
+    warn_of_lost_precision(grasp)
+    values = _run(grasp, length, about)
+    return safe_divide(values[..., -1], values[..., 0])
+
+
+@jax.jit
+def _run(grasp: Grasp, length: Length, about: About) -> Array:
+    return _values(_scaled_matrix(grasp, length, about))
+
+
+def _scaled_matrix(grasp: Grasp, length: Length, about: About) -> Array:
+    """``(..., 6, 3n)``, or wider by zeros, so that there are six singular values."""
+    frame = discs(grasp, length, about)
+    there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    points = jnp.where(there[..., None], grasp.points, frame.about[..., None, :])
+    matrix = grasp_matrix((points - frame.about[..., None, :]) / frame.length[..., None, None])
+    matrix = jnp.where(jnp.repeat(there, 3, -1)[..., None, :], matrix, 0)
+    missing = max(0, 6 - matrix.shape[-1])
+    return jnp.pad(matrix, [(0, 0)] * (matrix.ndim - 1) + [(0, missing)])
+
+
+@jax.custom_jvp
+def _values(matrix: Array) -> Array:
+    return _decomposed(matrix)[1]
+
+
+@_values.defjvp
+def _values_move(primals, tangents):
+    left, values, right = _decomposed(*primals)
+    return values, jnp.einsum("...ik,...ij,...kj->...k", left, tangents[0], right)
+
+
+@jax.custom_jvp
+def _decomposed(matrix: Array) -> tuple[Array, Array, Array]:
+    left, values, right = jnp.linalg.svd(matrix, full_matrices=False)
+    return left, values, right
+
+
+@_decomposed.defjvp
+def _no_second_derivative(primals, tangents):
+    raise NotImplementedError("singular values have first derivatives only")

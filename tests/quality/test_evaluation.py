@@ -1,0 +1,97 @@
+"""Measures of quality in evaluations: the functions' own numbers, in one go, in chunks and resumed."""
+
+import json
+
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp.batch.evaluation import evaluate
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.shards import ResultFolder
+from jaxgrasp.batch.sources import MemorySource
+from jaxgrasp.batch.stream import Plan, evaluate_stream
+from jaxgrasp.batch.summary_json import from_json, to_json
+from jaxgrasp.batch.summary_text import summary_text
+from jaxgrasp.cli.main import main
+from jaxgrasp.quality.measures import CLOSED, MEASURES, measures_named
+from tests.batch.conftest import make_sets
+
+SIZES = [3, 5, 2, 4, 5, 3]
+SOME = ("min-weight", "force-closure")
+
+
+@pytest.fixture(scope="module")
+def sets():
+    return make_sets(SIZES)
+
+
+def test_every_measure_is_its_functions(sets):
+    found = evaluate(sets, methods=("B",), quality=tuple(MEASURES)).quality
+    for index in range(len(SIZES)):
+        grasp = sets.grasp(index)
+        closure, ball = jaxgrasp.force_closure(grasp), jaxgrasp.ferrari_canny(grasp, "linf")
+        assert (found["force-closure.closed"][index] == CLOSED) == closure.closed
+        np.testing.assert_allclose(found["force-closure.margin"][index], closure.margin, rtol=1e-6, atol=1e-15)
+        assert found["ferrari-canny-linf.lower"][index] <= ball.upper
+        np.testing.assert_allclose(found["ferrari-canny-linf.upper"][index], ball.upper, rtol=1e-6, atol=1e-15)
+        np.testing.assert_allclose(found["min-weight.value"][index], jaxgrasp.min_weight(grasp).value, rtol=1e-8)
+        volume = jaxgrasp.grasp_volume(grasp)
+        np.testing.assert_allclose(found["volume.value"][index], volume, rtol=1e-9, atol=1e-12)
+
+
+def test_nothing_is_computed_or_written_that_was_not_asked_for(sets, folder):
+    plain = evaluate(sets, methods=("B",))
+    assert plain.quality == {} and plain.summary.qualities == {}
+    out = ResultFolder(folder / "out", Plan(("B",)).identity("x", MemorySource(sets)), False)
+    evaluate_stream(MemorySource(sets), Plan(("B",)), out)
+    assert not any(name.startswith("quality") for name in np.load(folder / "out" / "results.npz"))
+
+
+def test_chunks_and_a_resumed_run_give_the_same_columns(sets, folder):
+    source, plan = MemorySource(sets), Plan(("B",), chunk=2, quality=SOME)
+    whole = evaluate(sets, methods=("B",), quality=SOME)
+
+    class Stop(Exception):
+        pass
+
+    def stop(_):
+        raise Stop
+
+    with pytest.raises(Stop):
+        evaluate_stream(source, plan, ResultFolder(folder, plan.identity("x", source), False), stop)
+    other = Plan(("B",), chunk=2, quality=("volume",))
+    with pytest.raises(GraspFileError, match="its results have quality = .*min-weight"):
+        ResultFolder(folder, other.identity("x", source), True)
+    again = ResultFolder(folder, plan.identity("x", source), True)
+    assert again.done == 2
+    outcome = evaluate_stream(source, plan, again)
+    written = np.load(folder / "results.npz")
+    for name, column in whole.quality.items():
+        np.testing.assert_allclose(written[f"quality.{name}"], column, rtol=1e-9, atol=1e-12)
+    kept = from_json(json.loads(json.dumps(to_json(whole.summary)))).qualities
+    for name, own in outcome.summary.qualities.items():
+        np.testing.assert_array_equal(own.values.counts, kept[name].values.counts)
+        assert own.values.total == len(SIZES) and own.undecided == kept[name].undecided == 0
+    text = summary_text(outcome.summary, outcome.times, 1.0)
+    share = 100 * np.mean(whole.quality["force-closure.closed"] == CLOSED)
+    assert f"force-closure         {share:.1f} % closed" in text and "min-weight" in text
+
+
+def test_names_are_taken_once_in_the_tables_order_and_unknown_ones_refused():
+    assert [m.name for m in measures_named(("volume", "force-closure", "volume"))] == ["force-closure", "volume"]
+    with pytest.raises(ValueError, match="quality 'epsilon' is unknown: expected some of force-closure, ferrari"):
+        measures_named(("epsilon",))
+
+
+def test_the_command_line_takes_names_with_commas_and_refuses_unknown_ones(folder, sets, capsys):
+    jaxgrasp.save_grasps(folder / "grasps.npz", sets)
+    common = ["evaluate", "grasps.npz", "--methods", "B", "--no-report"]
+    assert main([*common, "--quality", "volume,nonsense"]) == 1
+    assert "quality 'nonsense' is unknown: expected some of" in capsys.readouterr().err
+    assert not (folder / "jaxgrasp-results").exists()
+    assert main([*common, "--quality", "volume, isotropy"]) == 0
+    shown = capsys.readouterr().out
+    assert "volume" in shown and "isotropy" in shown
+    written = np.load(folder / "jaxgrasp-results" / "results.npz")
+    assert written["quality.isotropy.value"].shape == (len(SIZES),)

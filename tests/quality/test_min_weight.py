@@ -1,0 +1,108 @@
+"""The min-weight: against its dual program, known values, laws, and derivatives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import jaxgrasp
+from tests.quality import known
+from tests.quality.test_ferrari_canny import pyramid_edges
+
+
+def by_the_dual(edges: np.ndarray) -> float:
+    """The least e such that some twist works at a rate <= e along every edge, and e less their mean rate is 1 / m.
+
+    With d and e the multipliers of balance and of the weights' sum, m times the primal's l.
+    """
+    count = len(edges)
+    mean = edges.mean(0)
+    found = linprog(
+        np.eye(7)[6],
+        A_ub=np.column_stack([edges, -np.ones(count)]),
+        b_ub=np.zeros(count),
+        A_eq=np.append(-mean, 1.0)[None],
+        b_eq=[1.0],
+        bounds=[(None, None)] * 7,
+    )
+    return found.fun
+
+
+@pytest.mark.parametrize("sides", [4, 5])
+@pytest.mark.parametrize("n", [3, 5, pytest.param(10, marks=pytest.mark.slow)])
+def test_it_is_its_duals_value_and_its_weights_balance(n, sides):
+    grasp = known.ordinary(n, 8)
+    found = jaxgrasp.min_weight(grasp, sides=sides)
+    for index in range(8):
+        edges = pyramid_edges(known.one(grasp, index), sides)
+        np.testing.assert_allclose(found.value[index], by_the_dual(edges.reshape(-1, 6)), rtol=1e-6, atol=1e-8)
+        balance = np.einsum("nk,nkj->j", found.weights[index], edges)
+        assert np.abs(balance).max() < 1e-10
+    np.testing.assert_allclose(found.weights.sum((1, 2)), 1, rtol=1e-10)
+    np.testing.assert_allclose(found.weights.min((1, 2)) * n * sides, found.value, rtol=1e-8, atol=1e-12)
+    assert (found.value <= 1 + 1e-12).all()
+
+
+def test_equal_weights_balance_where_all_is_symmetric_and_nothing_does_on_one_side():
+    np.testing.assert_allclose(jaxgrasp.min_weight(known.on_axes(0.5)).value, 1, rtol=1e-12)
+    assert jaxgrasp.min_weight(known.star([0, 50, 100], 0.3)).value < 0
+    nobody = known.changed(known.triangle(), present=np.zeros(3))
+    for grasp in (known.star([0], 0.5), nobody):
+        found = jaxgrasp.min_weight(grasp)
+        assert found.value == -np.inf and not found.weights.any()
+        assert np.isfinite(
+            jax.grad(
+                lambda p, g=grasp, f=found: jnp.sum(jaxgrasp.min_weight_at(known.changed(known.of_jax(g), points=p), f))
+            )(jnp.asarray(grasp.points))
+        ).all()
+
+
+def test_above_zero_it_means_closed():
+    grasp = known.ordinary(5, 40, torsion=True)
+    found = jaxgrasp.min_weight(grasp, sides=4)
+    closed = jaxgrasp.ferrari_canny(grasp, sides=4, tol=0.5).lower > 0
+    np.testing.assert_array_equal(found.value > 1e-9, closed)
+
+
+def test_neither_place_nor_unit_nor_padding_matters():
+    grasp = known.ordinary(5, 6)
+    plain = jaxgrasp.min_weight(grasp).value
+    for other in (
+        known.changed(grasp, points=grasp.points + [1.0, 2.0, 3.0]),
+        known.changed(grasp, points=100 * grasp.points),
+        known.padded(grasp),
+    ):
+        np.testing.assert_allclose(jaxgrasp.min_weight(other).value, plain, rtol=1e-7, atol=1e-9)
+
+
+def test_derivatives_are_those_of_the_value():
+    grasp = known.ordinary(5, 6)
+    found = jaxgrasp.min_weight(grasp)
+    points, friction = jnp.asarray(grasp.points), jnp.asarray(grasp.friction)
+    rng = np.random.default_rng(0)
+    tangent = 0.03 * rng.normal(size=points.shape), rng.normal(size=friction.shape)
+
+    @jax.jit
+    def of(points, friction):
+        return jaxgrasp.min_weight_at(known.changed(known.of_jax(grasp), points=points, friction=friction), found)
+
+    value, forward = jax.jvp(of, (points, friction), tangent)
+    np.testing.assert_allclose(value, found.value, rtol=1e-9)
+    slopes = jax.grad(lambda *a: jnp.sum(of(*a)), argnums=(0, 1))(points, friction)
+    product = sum(np.sum(np.asarray(a) * b, tuple(range(1, b.ndim))) for a, b in zip(slopes, tangent))
+    np.testing.assert_allclose(product, forward, rtol=1e-9)
+    step = 1e-5
+    ends = [
+        jaxgrasp.min_weight(
+            known.changed(grasp, points=grasp.points + s * tangent[0], friction=grasp.friction + s * tangent[1])
+        ).value
+        for s in (step, -step)
+    ]
+    np.testing.assert_allclose(forward, (ends[0] - ends[1]) / (2 * step), rtol=1e-5)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_bad_sides_are_named():
+    with pytest.raises(ValueError, match=r"sides is 2.5: expected a whole number"):
+        jaxgrasp.min_weight(known.triangle(), sides=2.5)

@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
     from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
     from jaxgrasp.interop.urdf_hand import hand_from_urdf
+    from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
+    from jaxgrasp.literature.kerr_roth import kerr_roth
+    from jaxgrasp.literature.methods import LITERATURE_METHODS, Method
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
@@ -94,11 +97,15 @@ _HOME = {
     "Influence": "sensitivity.matrix",
     "Instant": "prehension.carry",
     "Kept": "contact.deepest",
+    "LITERATURE_METHODS": "literature.methods",
     "LevelError": "contact.filling",
     "Lift": "model.paths",
     "Limits": "model.limits",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
+    "Method": "literature.methods",
+    "MethodAnswer": "literature.answer",
+    "MethodStatus": "literature.answer",
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
     "Obstacle": "prehension.scene",
@@ -153,6 +160,7 @@ _HOME = {
     "human_hand": "contact.human_hand",
     "joint_torques": "contact.kinematics",
     "keep_deepest": "contact.deepest",
+    "kerr_roth": "literature.kerr_roth",
     "lagrange_forces": "force.lagrange",
     "least_friction": "force.least_friction",
     "least_squeeze": "force.least_squeeze",

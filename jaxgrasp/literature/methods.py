@@ -1,0 +1,34 @@
+"""One table of all methods of the literature, so that they can be run on one batch and compared."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from jaxgrasp.literature.answer import MethodAnswer
+from jaxgrasp.literature.kerr_roth import kerr_roth
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method, and what has to be known to compare it with another."""
+
+    title: str
+    solve: Callable[..., MethodAnswer]
+    measure: str
+    """What its objective is, with the unit."""
+    friction: Literal["pyramids", "cones"]
+    """What it takes for friction: forces in the ``"cones"`` are the problem itself."""
+    takes_limits: bool = False
+
+    def __call__(self, grasp: Grasp, wrench: AnyArray, limits: Limits, **options: Any) -> MethodAnswer:
+        """Run it, with the limits if it knows any."""
+        return self.solve(grasp, wrench, **({"limits": limits} if self.takes_limits else {}), **options)
+
+
+LITERATURE_METHODS = {
+    "kerr_roth": Method("Kerr, Roth 1986", kerr_roth, "least distance to a plane [N]", "pyramids", True),
+}
+"""By the name of their function in ``jaxgrasp``, in the order in which the paper names them."""

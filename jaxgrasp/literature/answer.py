@@ -18,8 +18,8 @@ class MethodStatus(IntEnum):
     SOLVED = 0, "These forces balance the wrench within the method's own constraints, and are best by its own measure."
     INFEASIBLE = (
         1,
-        "No forces within the method's constraints give this wrench. Pyramids inside the cones, limits, or a demand for "
-        "strictly positive normal forces may be what forbids it: see whether constrained_optimum finds any.",
+        "No forces within the method's constraints give this wrench. Pyramids inside the cones, limits, or a demand to "
+        "stay strictly inside the cones may be what forbids it: see whether constrained_optimum finds any.",
     )
     UNBOUNDED = (
         2,

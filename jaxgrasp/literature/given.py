@@ -35,9 +35,8 @@ class Given(NamedTuple):
     def answer(self, forces, status, objective, iterations) -> MethodAnswer:
         """Results of the flat batch ``(B, ...)`` with the leading axes restored and invalid problems marked."""
         status = np.where(self.valid, status, MethodStatus.INVALID_DATA).astype(int)
-        there = (
-            self.present[..., None] & np.isin(status, (MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES))[:, None, None]
-        )
+        has_forces = np.isin(status, (MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES))
+        there = self.present[..., None] & has_forces[:, None, None]
         forces = np.where(there, forces, 0.0)
         objective = np.where(there.any((1, 2)), objective, 0.0)
         shaped = (np.asarray(x).reshape(self.batch + np.shape(x)[1:]) for x in (forces, status, objective, iterations))
@@ -78,7 +77,7 @@ def read(grasp: Grasp, wrench: AnyArray, limits: Limits | None = None, throw: bo
     return _harmless(flat, ~bad.ravel(), batch)
 
 
-TAILS = {
+TAILS: dict[str, tuple[str | int, ...]] = {
     "points": ("n", 3),
     "normals": ("n", 3),
     "friction": ("n",),
@@ -102,7 +101,8 @@ def _fields(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> dict[str, 
     """Every field as float64 with the right last axes."""
     n = np.shape(grasp.points)[-2]
     limits = Limits() if limits is None else limits
-    joints = np.shape(limits.torque_map)[-1] if np.ndim(limits.torque_map) else 0
+    mapped = np.zeros((n, 3, 0)) if limits.torque_map is None else np.asarray(limits.torque_map)
+    sizes = {"n": n, "j": mapped.shape[-1] if mapped.ndim else 0}
     if limits.torque_max is not None and limits.torque_map is None:
         raise ValueError("torque_max is given without torque_map: torques are known by the map alone")
     given = {
@@ -114,12 +114,12 @@ def _fields(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> dict[str, 
         "wrench": wrench,
         "normal_min": np.zeros(n) if limits.normal_min is None else limits.normal_min,
         "normal_max": np.full(n, np.inf) if limits.normal_max is None else limits.normal_max,
-        "torque_map": np.zeros((n, 3, 0)) if limits.torque_map is None else limits.torque_map,
-        "torque_max": np.full(joints, np.inf) if limits.torque_max is None else limits.torque_max,
+        "torque_map": mapped,
+        "torque_max": np.full(sizes["j"], np.inf) if limits.torque_max is None else limits.torque_max,
     }
     fields = {name: np.asarray(array, float) for name, array in given.items()}
     for name, array in fields.items():
-        tail = tuple({"n": n, "j": joints}.get(axis, axis) for axis in TAILS[name])
+        tail = tuple(axis if isinstance(axis, int) else sizes[axis] for axis in TAILS[name])
         if array.ndim < len(tail) or array.shape[len(_lead(name, array)) :] != tail:
             raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, tail))})")
     return fields

@@ -46,8 +46,10 @@ if TYPE_CHECKING:
     from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
     from jaxgrasp.interop.urdf_hand import hand_from_urdf
     from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
+    from jaxgrasp.literature.cheng_orin import cheng_orin
     from jaxgrasp.literature.kerr_roth import kerr_roth
     from jaxgrasp.literature.methods import LITERATURE_METHODS, Method
+    from jaxgrasp.literature.orin_oh import orin_oh
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
@@ -138,6 +140,7 @@ _HOME = {
     "check_pose": "contact.limits",
     "check_posture": "contact.limits",
     "check_shape": "contact.shapes",
+    "cheng_orin": "literature.cheng_orin",
     "clamp_posture": "contact.limits",
     "close_hand": "contact.closing",
     "closed_form": "force.distribution",
@@ -173,6 +176,7 @@ _HOME = {
     "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
     "observe": "prehension.tick",
+    "orin_oh": "literature.orin_oh",
     "parallel_jaw": "contact.parallel_jaw",
     "pose_hand": "contact.kinematics",
     "power_grip": "prehension.power_grip",

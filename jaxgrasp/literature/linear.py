@@ -39,23 +39,23 @@ class Size(NamedTuple):
 
 def solve_plain(program: Program) -> Optimum:
     """By the dual simplex method, on the program as it stands."""
-    found = _highs(program.cost, program.rows, program.bounds, program.equal, program.right, (None, None))
+    found = highs(program.cost, program.rows, program.bounds, program.equal, program.right, (None, None))
     if found.status in (OPTIMAL, STOPPED, INFEASIBLE):
-        return _optimum(found.status, found.x, found.fun, found.nit)
+        return optimum(found.status, found.x, found.fun, found.nit)
     # Whether there is any point at all decides what is unbounded.
-    bare = _highs(np.zeros_like(program.cost), program.rows, program.bounds, program.equal, program.right, (None, None))
+    bare = highs(np.zeros_like(program.cost), program.rows, program.bounds, program.equal, program.right, (None, None))
     if bare.status == INFEASIBLE:
-        return _optimum(INFEASIBLE, None, 0.0, found.nit)
-    return _optimum(found.status, None, 0.0, found.nit)
+        return optimum(INFEASIBLE, None, 0.0, found.nit)
+    return optimum(found.status, None, 0.0, found.nit)
 
 
-def _highs(cost, rows, bounds, equal, right, within):
+def highs(cost, rows, bounds, equal, right, within):
     from scipy.optimize import linprog
 
     return linprog(cost, rows, bounds, equal, right, bounds=within, method="highs-ds")
 
 
-def _optimum(code: int, x: np.ndarray | None, value: float | None, pivots: int) -> Optimum:
+def optimum(code: int, x: np.ndarray | None, value: float | None, pivots: int) -> Optimum:
     status = {
         OPTIMAL: MethodStatus.SOLVED,
         INFEASIBLE: MethodStatus.INFEASIBLE,

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from jaxgrasp.literature.answer import MethodAnswer
+from jaxgrasp.literature.cheng_orin import cheng_orin
 from jaxgrasp.literature.kerr_roth import kerr_roth
+from jaxgrasp.literature.orin_oh import orin_oh
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -30,5 +32,7 @@ class Method:
 
 LITERATURE_METHODS = {
     "kerr_roth": Method("Kerr, Roth 1986", kerr_roth, "least distance to a plane [N]", "pyramids", True),
+    "orin_oh": Method("Orin, Oh 1981", orin_oh, "weighted effort and largest load", "pyramids", True),
+    "cheng_orin": Method("Cheng, Orin 1990", cheng_orin, "weighted effort and largest load", "pyramids", True),
 }
 """By the name of their function in ``jaxgrasp``, in the order in which the paper names them."""

@@ -114,7 +114,8 @@ def balanced(problem: Posed) -> Balance:
     # Once more, so that the wrench is balanced to rounding however close to a line the contacts are.
     particular = particular + inverse @ rest
     rest = np.linalg.norm(problem.wrench - problem.balance @ particular)
-    reached = bool(rest <= REACH * np.linalg.norm(problem.wrench))
+    # The load is one, so that a wrench of a few roundings is none.
+    reached = bool(rest <= max(REACH * np.linalg.norm(problem.wrench), 64 * np.finfo(float).eps))
     return Balance(particular, right[rank:].T, inverse, reached)
 
 

@@ -48,7 +48,10 @@ if TYPE_CHECKING:
     from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
     from jaxgrasp.literature.cheng_orin import cheng_orin
     from jaxgrasp.literature.kerr_roth import kerr_roth
+    from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
+    from jaxgrasp.literature.kumar_waldron import kumar_waldron
     from jaxgrasp.literature.methods import LITERATURE_METHODS, Method
+    from jaxgrasp.literature.nakamura import nakamura
     from jaxgrasp.literature.orin_oh import orin_oh
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
@@ -164,6 +167,8 @@ _HOME = {
     "joint_torques": "contact.kinematics",
     "keep_deepest": "contact.deepest",
     "kerr_roth": "literature.kerr_roth",
+    "kuhn_tucker": "literature.kuhn_tucker",
+    "kumar_waldron": "literature.kumar_waldron",
     "lagrange_forces": "force.lagrange",
     "least_friction": "force.least_friction",
     "least_squeeze": "force.least_squeeze",
@@ -175,6 +180,7 @@ _HOME = {
     "mirrored": "contact.human_hand",
     "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
+    "nakamura": "literature.nakamura",
     "observe": "prehension.tick",
     "orin_oh": "literature.orin_oh",
     "parallel_jaw": "contact.parallel_jaw",

@@ -13,7 +13,6 @@ infeasible program shows as an unbounded dual. A modern solver removes the balan
 manifold gain in 1990 is little now.
 """
 
-
 from jaxgrasp.literature.answer import MethodAnswer
 from jaxgrasp.literature.compact import solve_compact_dual
 from jaxgrasp.literature.given import read

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
     from jaxgrasp.interop.urdf_hand import hand_from_urdf
     from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
+    from jaxgrasp.literature.buss import buss
     from jaxgrasp.literature.cheng_orin import cheng_orin
     from jaxgrasp.literature.kerr_roth import kerr_roth
     from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
@@ -135,6 +136,7 @@ _HOME = {
     "Turn": "model.paths",
     "VariedCurves": "sensitivity.trajectory",
     "Verdict": "model.solution",
+    "buss": "literature.buss",
     "carry": "prehension.carry",
     "carrying": "model.task",
     "check_clear": "contact.limits",

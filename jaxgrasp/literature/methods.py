@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from jaxgrasp.literature.answer import MethodAnswer
+from jaxgrasp.literature.buss import buss
 from jaxgrasp.literature.cheng_orin import cheng_orin
 from jaxgrasp.literature.kerr_roth import kerr_roth
 from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
@@ -36,6 +37,7 @@ class Method:
 LITERATURE_METHODS = {
     "kerr_roth": Method("Kerr, Roth 1986", kerr_roth, "least distance to a plane [N]", "pyramids", True),
     "nakamura": Method("Nakamura et al. 1989", nakamura, "norm of internal forces [N]", "cones"),
+    "buss": Method("Buss et al. 1996, 1998", buss, "effort tr P + margin tr P^-1 [N]", "cones"),
     "orin_oh": Method("Orin, Oh 1981", orin_oh, "weighted effort and largest load", "pyramids", True),
     "cheng_orin": Method("Cheng, Orin 1990", cheng_orin, "weighted effort and largest load", "pyramids", True),
     "kumar_waldron": Method("Kumar, Waldron 1988", kumar_waldron, "largest interaction force [N]", "cones"),

@@ -53,7 +53,10 @@ def solve_all(given: Given, solve: Callable[[Scaled, Array], Outcome], unit: int
 
 
 def scale(given: Given) -> tuple[Scaled, np.ndarray]:
-    """The problems scaled, as arrays of JAX's current precision, and their loads: squeezing forces, force, and torque over the radius [N]."""
+    """The problems scaled, as arrays of JAX's current precision, and their loads [N].
+
+    A load is the sum of squeezing forces, force, and torque over the radius.
+    """
     present = given.present.astype(float)
     count = np.maximum(present.sum(-1), 1)
     centre = given.points.sum(1) / count[:, None]

@@ -9,6 +9,7 @@ from benchmarks import references as R
 from jaxgrasp import (
     Grasp,
     MethodStatus,
+    buss,
     closed_form,
     constrained_optimum,
     kuhn_tucker,
@@ -130,14 +131,8 @@ def test_kumar_waldron_adds_the_least_pull_towards_the_centroid(problem, loose):
     towards = problem.points.mean(1, keepdims=True) - problem.points
     tried = np.concatenate([[0], np.logspace(0, 7, 4000)])
     for i in range(COUNT):
-        along = [
-            in_cones(
-                problem._replace(normals=problem.normals[i], friction=problem.friction[i]),
-                balancing[i] + x * towards[i],
-                0,
-            )
-            for x in tried
-        ]
+        one = problem._replace(normals=problem.normals[i], friction=problem.friction[i])
+        along = [in_cones(one, balancing[i] + x * towards[i], 0) for x in tried]
         works = tried[np.array(along)]
         assert (len(works) > 0) == (answer.status[i] == MethodStatus.SOLVED) or len(works) == 0
         moved = answer.forces[i] - balancing[i]
@@ -166,10 +161,82 @@ def test_kumar_waldron_with_safety_keeps_a_margin(problem):
     assert in_cones(tighter, answer.forces, 1e-6)[good].all()
 
 
+def definite(forces: np.ndarray, problem: P.Problems) -> np.ndarray:
+    """The eigenvalues of every contact's matrix P ``(B, n, 3)``."""
+    along = problem.friction * np.sum(forces * problem.normals, -1)
+    across = np.linalg.norm(np.cross(problem.normals, forces), axis=-1)
+    return np.stack([along - across, along, along + across], -1)
+
+
+def trade(forces: np.ndarray, problem: P.Problems, effort: float, margin: float) -> np.ndarray:
+    eigenvalues = definite(forces, problem)
+    assert (eigenvalues > 0).all()
+    return np.sum(effort * eigenvalues + margin / eigenvalues, (1, 2))
+
+
+@pytest.mark.parametrize("effort, margin", [(1.0, 1.0), (1.0, 30.0), (5.0, 0.1)])
+def test_buss_cannot_be_bettered_by_internal_forces(problem, effort, margin):
+    """The trade is convex, so a slope of zero along every internal force proves the optimum."""
+    answer = buss(grasp_of(problem), problem.wrench, effort=effort, margin=margin)
+    assert (answer.status == MethodStatus.SOLVED).all()
+    now = trade(answer.forces, problem, effort, margin)
+    np.testing.assert_allclose(answer.objective, now, rtol=1e-8)
+    rng = np.random.default_rng(0)
+    room = definite(answer.forces, problem).min((1, 2))
+    for _ in range(20):
+        loose = grasp_of(problem, squeeze=np.zeros((COUNT, N)))
+        internal = rng.normal(size=(COUNT, N, 3))
+        internal = internal - np.asarray(closed_form(loose, exact(problem, internal), "uniform").forces)
+        step = 1e-3 * (room / np.abs(internal).max((1, 2)))[:, None, None] * internal
+        ends = [trade(answer.forces + way * step, problem, effort, margin) for way in (-1, 1)]
+        slope, bend = (ends[1] - ends[0]) / 2, ends[0] + ends[1] - 2 * now
+        # How far the minimum along this line is from where it should be, in steps.
+        assert (np.abs(slope) <= 1e-2 * bend + 1e-11 * now).all()
+
+
+def exact(problem: P.Problems, forces: np.ndarray) -> np.ndarray:
+    return P.exact_wrench(problem.points, forces)
+
+
+def test_buss_trades_effort_for_margin(problem):
+    answers = [buss(grasp_of(problem), problem.wrench, margin=margin) for margin in (0.1, 1.0, 10.0)]
+    least = np.array([definite(answer.forces, problem).min((1, 2)) for answer in answers])
+    effort = np.array([definite(answer.forces, problem).sum((1, 2)) for answer in answers])
+    assert (np.diff(effort, axis=0) > 0).all() and (np.diff(least, axis=0).mean(-1) > 0).all()
+
+
+def test_buss_scales_where_the_margin_does(problem):
+    one = buss(grasp_of(problem), problem.wrench)
+    larger = buss(grasp_of(problem, squeeze=100 * problem.squeeze), 100 * problem.wrench, margin=1e4)
+    np.testing.assert_allclose(larger.forces, 100 * one.forces, rtol=1e-6, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_both_flows_of_buss_end_at_one_place(problem):
+    dikin = buss(grasp_of(problem), problem.wrench, margin=30.0)
+    plain = buss(grasp_of(problem), problem.wrench, margin=30.0, flow="gradient", max_steps=20_000)
+    both = plain.status == MethodStatus.SOLVED
+    assert both.mean() > 0.5
+    np.testing.assert_allclose(plain.objective[both], dikin.objective[both], rtol=1e-6)
+    assert plain.iterations[both].mean() > 3 * dikin.iterations[both].mean()
+
+
+def test_buss_needs_room_inside_the_cones():
+    slippery = P.problems("zero_friction", N, COUNT, seed=3)
+    answer = buss(grasp_of(slippery), slippery.wrench)
+    assert not (answer.status == MethodStatus.SOLVED).any()
+    hopeless = P.problems("infeasible", N, COUNT, seed=3)
+    assert (buss(grasp_of(hopeless), hopeless.wrench).status == MethodStatus.INFEASIBLE).all()
+
+
 @pytest.mark.parametrize(
     "method, options, message",
     [
         (nakamura, {"max_rounds": 0}, "max_rounds is 0"),
+        (buss, {"margin": 0.0}, "margin is 0.0"),
+        (buss, {"effort": float("inf")}, "effort is inf"),
+        (buss, {"flow": "newton"}, "flow is 'newton'"),
+        (buss, {"max_steps": 0}, "max_steps is 0"),
         (kumar_waldron, {"safety": 0.5}, "safety is 0.5"),
         (kuhn_tucker, {"sharing": "even"}, "sharing is 'even'"),
         (kuhn_tucker, {"sides": 2}, "sides is 2"),

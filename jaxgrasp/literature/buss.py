@@ -14,7 +14,8 @@ lower s in P + s I > 0 until s < 0, or until their multipliers prove that it can
 
 How it fails: a contact without friction, or one that can carry no force, leaves nothing strictly inside the cones:
 then there is no start (INFEASIBLE, or NOT_CONVERGED without a proof), though allowed forces may exist. The gradient
-flow crawls; either flow ends where its value falls no more, which leaves forces right to about a millionth. The trade-off has a unit, so that what is a fair margin for one load is none for a larger one.
+flow crawls; either flow ends where its value falls no more, which leaves forces right to about a millionth. The
+trade-off has a unit, so that what is a fair margin for one load is none for a larger one.
 """
 
 from functools import partial

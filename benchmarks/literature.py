@@ -52,7 +52,7 @@ SEED, SIZES, SIDES = 0, (3, 5, 10), 8
 BOUND = 3.0
 """Largest normal force allowed, in units of the largest that the optimum by method A needs."""
 OUTSIDE = 1e-6
-"""Relative distance from its cone at which a force counts as outside."""
+"""Relative distance from its cone at which a force counts as outside, and relative size at which it counts at all."""
 SECONDS, STEP = 4.0, 0.01
 """Of the cylinder's task: one turn there and back, and an instant."""
 
@@ -105,12 +105,10 @@ def calls(case: Case) -> dict[str, Callable]:
         "method A, optimum": partial(constrained_optimum, grasp, wrench, "uniform"),
         "method B, optimum": partial(constrained_optimum, grasp, wrench, "squeeze"),
     }
-    theirs = {
-        method.title: partial(
-            method, grasp, wrench, case.limits, **({"sides": SIDES} if method.friction == "pyramids" else {})
-        )
-        for method in LITERATURE_METHODS.values()
-    }
+    theirs = {}
+    for method in LITERATURE_METHODS.values():
+        options = {"sides": SIDES} if method.friction == "pyramids" else {}
+        theirs[method.title] = partial(method, grasp, wrench, case.limits, **options)
     name = LITERATURE_METHODS["kuhn_tucker"].title
     theirs[f"{name}, F_3"] = theirs.pop(name)
     theirs[f"{name}, F_2"] = partial(kuhn_tucker, grasp, wrench, sharing="uniform", sides=SIDES)
@@ -125,9 +123,8 @@ def read_answers(found) -> Answers:
     forces = np.asarray(found.forces)
     if hasattr(found, "verdict"):
         verdicts = [Verdict(int(v)) for v in found.verdict]
-        return Answers(
-            forces, np.array([v.solved or v == Verdict.OUTSIDE_CONES for v in verdicts]), [v.name for v in verdicts]
-        )
+        given = np.array([v.solved or v == Verdict.OUTSIDE_CONES for v in verdicts])
+        return Answers(forces, given, [v.name for v in verdicts])
     statuses = [MethodStatus(int(s)) for s in found.status]
     given = np.array([s in (MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES) for s in statuses])
     return Answers(forces, given, [s.name for s in statuses])
@@ -137,13 +134,17 @@ def judged(case: Case, answers: Answers, least: dict[str, np.ndarray]) -> dict:
     """How good a method's forces are, over the problems for which it has any."""
     problem, given = case.problem, answers.given
     here = R.centred(problem, np.ones_like(problem.squeeze))
+    size = R.norm(answers.forces)
+    largest = np.maximum(size.max(-1), problem.squeeze.max(-1))
     off = R.norm(answers.forces - R.project(np.asarray(answers.forces, R.Wide), here.normals, here.friction)).max(-1)
-    violation = off / np.maximum(R.norm(answers.forces).max(-1), problem.squeeze.max(-1))
-    margins = np.degrees(np.min(friction_margin(grasp_of(problem), answers.forces), -1))
+    violation = off / largest
+    # A force of a few roundings points anywhere.
+    pressing = np.where((size > OUTSIDE * largest[:, None])[..., None], answers.forces, 0)
+    margins = np.degrees(np.min(friction_margin(grasp_of(problem), pressing), -1))
     loaded = given & np.isfinite(margins)
     excess = {
-        name: (objective(problem, answers.forces, name) - best) / scale_of(problem, best, name)
-        for name, best in least.items()
+        sharing: (objective(problem, answers.forces, sharing) - best) / scale_of(problem, best, sharing)
+        for sharing, best in least.items()
     }
     counts = {word: answers.words.count(word) for word in dict.fromkeys(answers.words)}
     return {
@@ -212,14 +213,17 @@ def compact_rows(count: int, repeats: int) -> list[dict]:
         given = read(grasp_of(problem), problem.wrench)
         programs = [load_program(posed(given, i), 1.0, 1.0, SIDES, "inscribed") for i in range(count)]
         solvers = {"plain": solve_plain, "compact dual": solve_compact_dual}
-        spent = interleaved(
-            {k: lambda s=s, p=programs: [s(one) for one in p] for k, s in solvers.items()}, repeats, 10.0
-        )
+        loops = {form: partial(_each, solve, programs) for form, solve in solvers.items()}
+        spent = interleaved(loops, repeats, 10.0)
         for (form, solve), size in zip(solvers.items(), sizes_of(programs[0]), strict=True):
             pivots = float(np.mean([solve(program).pivots for program in programs]))
             took = spent[form] / count * 1e6
             rows.append({"n": n, "form": form, **size._asdict(), "pivots": pivots, "microseconds": took})
     return rows
+
+
+def _each(solve: Callable, programs: list[Program]) -> list:
+    return [solve(program) for program in programs]
 
 
 def overhead(repeats: int) -> float:

@@ -45,7 +45,7 @@ def _preface(report: dict) -> str:
         "instants). Each method minimises a measure of its own: what lies above the optimum of F_2 (eq. 5) or F_3 "
         "(eq. 13), in the median and relative to it or to what no force would cost, is no error but the price of "
         "another aim; it is negative where forces leave the cones. Margins are atan(mu) less the slip angle of the "
-        "worst contact. Residuals are backward errors; violations are distances from the cone, relative to the "
+        "worst contact that carries more than a millionth of the largest force. Residuals are backward errors; violations are distances from the cone, relative to the "
         "largest force or squeeze; outside are answers with one above 1e-6. Problems without an answer count in no "
         "column but the last."
     )

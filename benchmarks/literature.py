@@ -53,7 +53,7 @@ BOUND = 3.0
 """Largest normal force allowed, in units of the largest that the optimum by method A needs."""
 OUTSIDE = 1e-6
 """Relative distance from its cone at which a force counts as outside, and relative size at which it counts at all."""
-SECONDS, STEP = 4.0, 0.01
+SECONDS, STEP = 4.0, 0.02
 """Of the cylinder's task: one turn there and back, and an instant."""
 
 
@@ -236,9 +236,9 @@ def overhead(repeats: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the three files")
-    parser.add_argument("--count", type=int, default=200, help="ordinary problems of each size")
+    parser.add_argument("--count", type=int, default=100, help="ordinary problems of each size")
     parser.add_argument("--step", type=float, default=STEP, help="of the cylinder's task [s]")
-    parser.add_argument("--repeats", type=int, default=5, help="turns of each method")
+    parser.add_argument("--repeats", type=int, default=3, help="turns of each method")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     options.out.mkdir(parents=True, exist_ok=True)

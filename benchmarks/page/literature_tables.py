@@ -40,14 +40,14 @@ def _preface(report: dict) -> str:
         f"{1e3 * setting['step']:.0f} ms. Times are medians of turns in one process, for the whole batch in one call, "
         "checks of the data included; the linear and quadratic programs are a loop on the host, and of each "
         f"{report['overhead_microseconds']:,.0f} µs are SciPy's own. Pyramids have {setting['sides']} inscribed sides. "
-        "Methods that need or take bounds may press with "
-        f"{setting['bound']:.0f} times the largest normal force of method A's optimum (for the cylinder: of all its "
-        "instants). Each method minimises a measure of its own: what lies above the optimum of F_2 (eq. 5) or F_3 "
-        "(eq. 13), in the median and relative to it or to what no force would cost, is no error but the price of "
-        "another aim; it is negative where forces leave the cones. Margins are atan(mu) less the slip angle of the "
-        "worst contact that carries more than a millionth of the largest force. Residuals are backward errors; violations are distances from the cone, relative to the "
-        "largest force or squeeze; outside are answers with one above 1e-6. Problems without an answer count in no "
-        "column but the last."
+        f"Methods that take bounds may press with {setting['bound']:.0f} times the largest normal force of method A's "
+        "optimum (for the cylinder: of all its instants).\n\n"
+        "Each method minimises a measure of its own: what lies above the optimum of F_2 (eq. 5) or F_3 (eq. 13), in "
+        "the median and relative to it or to what no force would cost, is no error but the price of another aim; it is "
+        "negative where forces leave the cones. Margins are atan(mu) less the slip angle of the worst contact that "
+        "carries more than a millionth of the largest force. Residuals are backward errors; violations are distances "
+        "from the cone, relative to the largest force or squeeze; outside are answers with one above 1e-6. Problems "
+        "without an answer count in no column but the last."
     )
 
 

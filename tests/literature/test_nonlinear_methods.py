@@ -134,7 +134,8 @@ def test_kumar_waldron_adds_the_least_pull_towards_the_centroid(problem, loose):
         one = problem._replace(normals=problem.normals[i], friction=problem.friction[i])
         along = [in_cones(one, balancing[i] + x * towards[i], 0) for x in tried]
         works = tried[np.array(along)]
-        assert (len(works) > 0) == (answer.status[i] == MethodStatus.SOLVED) or len(works) == 0
+        # An interval may lie between two strengths that are tried.
+        assert answer.status[i] == MethodStatus.SOLVED or not len(works)
         moved = answer.forces[i] - balancing[i]
         strength = np.sum(moved * towards[i]) / np.sum(towards[i] ** 2)
         np.testing.assert_allclose(moved, strength * towards[i], atol=1e-7)
@@ -248,12 +249,12 @@ def test_bad_arguments_raise(problem, method, options, message, unchecked):
         method(grasp_of(problem), problem.wrench, **options)
 
 
-@pytest.mark.parametrize("method, power", [(nakamura, 1), (kumar_waldron, 1), (kuhn_tucker, 1)])
-def test_forces_scale_with_the_load_and_turn_with_the_frame(problem, method, power):
+@pytest.mark.parametrize("method", [nakamura, kumar_waldron, kuhn_tucker])
+def test_forces_scale_with_the_load_and_turn_with_the_frame(problem, method):
     """Circular cones know no axes; pyramids turn where the axes change places."""
     one = method(grasp_of(problem), problem.wrench)
     larger = method(grasp_of(problem, squeeze=1e3 * problem.squeeze), 1e3 * problem.wrench)
-    np.testing.assert_allclose(larger.objective, 1e3**power * one.objective, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(larger.objective, 1e3 * one.objective, rtol=1e-6, atol=1e-6)
     turned = grasp_of(problem, points=np.roll(problem.points, 1, -1), normals=np.roll(problem.normals, 1, -1))
     wrench = np.concatenate([np.roll(problem.wrench[:, :3], 1, -1), np.roll(problem.wrench[:, 3:], 1, -1)], -1)
     other = method(turned, wrench)

@@ -45,6 +45,15 @@ if TYPE_CHECKING:
     from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
     from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
     from jaxgrasp.interop.urdf_hand import hand_from_urdf
+    from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
+    from jaxgrasp.literature.buss import buss
+    from jaxgrasp.literature.cheng_orin import cheng_orin
+    from jaxgrasp.literature.kerr_roth import kerr_roth
+    from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
+    from jaxgrasp.literature.kumar_waldron import kumar_waldron
+    from jaxgrasp.literature.methods import LITERATURE_METHODS, Method
+    from jaxgrasp.literature.nakamura import nakamura
+    from jaxgrasp.literature.orin_oh import orin_oh
     from jaxgrasp.model.faults import Fault, GraspError, check_grasp
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
@@ -106,12 +115,16 @@ _HOME = {
     "Influence": "sensitivity.matrix",
     "Instant": "prehension.carry",
     "Kept": "contact.deepest",
+    "LITERATURE_METHODS": "literature.methods",
     "LargestWrench": "quality.largest_wrench",
     "LevelError": "contact.filling",
     "Lift": "model.paths",
     "Limits": "model.limits",
     "Link": "model.hand",
     "Mesh": "contact.mesh",
+    "Method": "literature.methods",
+    "MethodAnswer": "literature.answer",
+    "MethodStatus": "literature.answer",
     "MinWeight": "quality.min_weight",
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
@@ -137,6 +150,7 @@ _HOME = {
     "Turn": "model.paths",
     "VariedCurves": "sensitivity.trajectory",
     "Verdict": "model.solution",
+    "buss": "literature.buss",
     "carry": "prehension.carry",
     "carrying": "model.task",
     "check_clear": "contact.limits",
@@ -145,6 +159,7 @@ _HOME = {
     "check_pose": "contact.limits",
     "check_posture": "contact.limits",
     "check_shape": "contact.shapes",
+    "cheng_orin": "literature.cheng_orin",
     "clamp_posture": "contact.limits",
     "close_hand": "contact.closing",
     "closed_form": "force.distribution",
@@ -172,6 +187,9 @@ _HOME = {
     "human_hand": "contact.human_hand",
     "joint_torques": "contact.kinematics",
     "keep_deepest": "contact.deepest",
+    "kerr_roth": "literature.kerr_roth",
+    "kuhn_tucker": "literature.kuhn_tucker",
+    "kumar_waldron": "literature.kumar_waldron",
     "lagrange_forces": "force.lagrange",
     "largest_wrench": "quality.largest_wrench",
     "largest_wrench_at": "quality.largest_wrench",
@@ -188,7 +206,9 @@ _HOME = {
     "mirrored": "contact.human_hand",
     "monitor": "prehension.monitor",
     "multiplier_forces": "force.dual_function",
+    "nakamura": "literature.nakamura",
     "observe": "prehension.tick",
+    "orin_oh": "literature.orin_oh",
     "parallel_jaw": "contact.parallel_jaw",
     "pose_hand": "contact.kinematics",
     "power_grip": "prehension.power_grip",

@@ -1,0 +1,83 @@
+"""Kerr and Roth: the forces that stay farthest from every constraint, by a linear program.
+
+J. Kerr and B. Roth, "Analysis of multifingered hands", Int. J. Robotics Research 4(4), 1986: friction cones as tangent
+planes, joint torques bounded; internal forces are chosen such that the least distance to any of these planes is
+largest.
+
+Known from descriptions in later work; ours are: distances measured in the space of all contact forces (each row has
+unit length there) rather than of internal force magnitudes, pyramids whose facets may also lie on the cone, and that
+a bound on normal forces counts as a plane like any other.
+
+How it fails, apart from pyramids being none of nature's: without a bound on every normal force the distance grows
+without end, and with one the hand squeezes as hard as the bound allows, however light the object (the paper's own
+objection). Forces jump where another plane becomes the closest, and where several forces are equally far from all
+planes the simplex method picks any. A contact without friction has a distance of zero, and then so has the grasp.
+"""
+
+import numpy as np
+
+from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.given import read
+from jaxgrasp.literature.linear import Program, solve_plain
+from jaxgrasp.literature.posed import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
+
+
+def kerr_roth(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    *,
+    limits: Limits,
+    sides: int = 8,
+    pyramid: Pyramid = "inscribed",
+    throw: bool = True,
+) -> MethodAnswer:
+    """Forces as far as can be from slipping and from every limit, over friction pyramids.
+
+    Args:
+        grasp: contacts ``(..., n)``, concrete; leading axes broadcast against the wrench's and the limits'.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        limits: of normal forces and joint torques; together they must bound every force, or the answer is UNBOUNDED.
+        sides: facets of each pyramid, 3 or more.
+        pyramid: ``"inscribed"``, edges on the cone: forces are ones that friction allows; or ``"circumscribed"``,
+            facets on the cone: forces may slip, by up to mu (1 / cos(pi / sides) - 1).
+        throw: whether bad values raise; if not, their problem's status is INVALID_DATA.
+
+    Returns:
+        A MethodAnswer whose objective is the least distance to any plane [N], and whose iterations are pivots.
+
+    Raises:
+        ValueError: for an argument that cannot be used, or limits without any bound from above.
+        GraspError: for data that cannot be used, naming the entry.
+    """
+    check_pyramid(sides, pyramid)
+    if limits.normal_max is None and limits.torque_max is None:
+        raise ValueError("limits bound nothing from above: expected normal_max, or torque_map with torque_max")
+    return solve_each(read(grasp, wrench, limits, throw), lambda problem: _solve(problem, sides, pyramid))
+
+
+def _solve(problem: Posed, sides: int, pyramid: Pyramid) -> Found:
+    """Over internal forces z and the distance d >= 0: rows (p + N z) + d <= bounds."""
+    balance = balanced(problem)
+    if not balance.reached:
+        return Found(MethodStatus.INFEASIBLE)
+    rows, bounds = constraint_rows(problem, sides, pyramid)
+    internal = np.column_stack([rows @ balance.basis, np.ones(len(rows))])
+    unknowns = internal.shape[1]
+    cost = np.zeros(unknowns)
+    cost[-1] = -1.0
+    program = Program(
+        cost=cost,
+        equal=np.zeros((0, unknowns)),
+        right=np.zeros(0),
+        rows=np.concatenate([internal, cost[None]]),
+        bounds=np.append(bounds - rows @ balance.particular, 0.0),
+    )
+    found = solve_plain(program)
+    if found.x is None:
+        return Found(found.status, iterations=found.pivots)
+    forces = balance.particular + balance.basis @ found.x[:-1]
+    return Found(found.status, forces, problem.load * found.x[-1], found.pivots)

@@ -1,0 +1,112 @@
+"""Orin and Oh: least effort and even load, weighted against each other, by a linear program.
+
+D. E. Orin and S. Y. Oh, "Control of force distribution in robotic mechanisms containing closed kinematic chains",
+ASME J. Dynamic Systems, Measurement, and Control 103(2), 1981: for legs on the ground, a weighted sum of the energy
+that is consumed and of how unevenly the load is shared, under friction pyramids and bounds.
+
+Known from descriptions in later work; ours are the two terms. Energy: the sum of joint torques by size where a torque
+map is known, since a motor that holds still heats by its torque; else the sum of normal forces. Load: the largest
+normal force.
+
+How it fails: the optimum is a vertex, so that forces lie on as many planes as they can, without any margin, and jump
+from vertex to vertex as the load turns; it is often not unique, and then the simplex method picks any.
+"""
+
+import numpy as np
+
+from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.given import read
+from jaxgrasp.literature.linear import Optimum, Program, solve_plain
+from jaxgrasp.literature.posed import Balance, Found, Posed, balanced, solve_each
+from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
+
+
+def orin_oh(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    *,
+    limits: Limits | None = None,
+    energy: float = 1.0,
+    balance: float = 1.0,
+    sides: int = 8,
+    pyramid: Pyramid = "inscribed",
+    throw: bool = True,
+) -> MethodAnswer:
+    """Forces of least energy x (sum of efforts) + balance x (largest normal force), over friction pyramids.
+
+    Args:
+        grasp: contacts ``(..., n)``, concrete; leading axes broadcast against the wrench's and the limits'.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        limits: of normal forces and joint torques. A torque map, with or without bounds, makes the efforts the sizes
+            of all joint torques [N.m]; without one they are the normal forces [N].
+        energy: weight of the efforts, zero or more [1/(N.m), or 1/N].
+        balance: weight of the largest normal force, zero or more [1/N].
+        sides: facets of each pyramid, 3 or more.
+        pyramid: ``"inscribed"``, edges on the cone: forces are ones that friction allows; or ``"circumscribed"``,
+            facets on the cone: forces may slip, by up to mu (1 / cos(pi / sides) - 1).
+        throw: whether bad values raise; if not, their problem's status is INVALID_DATA.
+
+    Returns:
+        A MethodAnswer whose objective is the weighted sum, and whose iterations are pivots.
+
+    Raises:
+        ValueError: for an argument that cannot be used.
+        GraspError: for data that cannot be used, naming the entry.
+    """
+    check_pyramid(sides, pyramid)
+    check_weights(energy, balance)
+
+    def solve(problem: Posed) -> Found:
+        program = load_program(problem, energy, balance, sides, pyramid)
+        return forces_of(problem, balanced(problem), solve_plain(program))
+
+    return solve_each(read(grasp, wrench, limits, throw), solve)
+
+
+def check_weights(energy: float, balance: float) -> None:
+    """Raise for weights that pose no problem."""
+    for name, weight in (("energy", energy), ("balance", balance)):
+        if not 0 <= weight < np.inf:
+            raise ValueError(f"{name} is {weight}: expected a finite number, zero or more")
+    if energy == balance == 0:
+        raise ValueError("energy and balance are both 0: expected at least one above 0")
+
+
+def load_program(problem: Posed, energy: float, balance: float, sides: int, pyramid: Pyramid) -> Program:
+    """The program in forces, torques' sizes where there is a map, and the largest normal force."""
+    rows, bounds = constraint_rows(problem, sides, pyramid)
+    contacts, joints = len(problem.there), len(problem.torque_rows)
+    normals = np.zeros((contacts, 3 * contacts))
+    for i, normal in enumerate(problem.normals):
+        normals[i, 3 * i : 3 * i + 3] = normal
+    torques, sizes = problem.torque_rows, np.eye(joints)
+    nothing = np.zeros((joints, 1))
+    efforts = np.zeros(3 * contacts) if joints else energy * normals.sum(0)
+    return Program(
+        cost=np.concatenate([efforts, np.full(joints, energy), [balance]]),
+        equal=np.concatenate([problem.balance, np.zeros((6, joints + 1))], 1),
+        right=problem.wrench,
+        rows=np.block(
+            [
+                [rows, np.zeros((len(rows), joints + 1))],
+                [torques, -sizes, nothing],
+                [-torques, -sizes, nothing],
+                [normals, np.zeros((contacts, joints)), np.full((contacts, 1), -1.0)],
+            ]
+        ),
+        bounds=np.concatenate([bounds, np.zeros(2 * joints + contacts)]),
+    )
+
+
+def forces_of(problem: Posed, balance: Balance, found: Optimum) -> Found:
+    """The forces of an optimum, which HiGHS balances to its tolerance, balanced to rounding."""
+    if not balance.reached:
+        return Found(MethodStatus.INFEASIBLE, iterations=found.pivots)
+    if found.x is None:
+        return Found(found.status, iterations=found.pivots)
+    forces = found.x[: 3 * len(problem.there)]
+    forces = forces + balance.inverse @ (problem.wrench - problem.balance @ forces)
+    return Found(found.status, forces, problem.load * found.value, found.pivots)

@@ -5,7 +5,6 @@ tangent, whatever route the solver took. The rule is plain JAX, so it can be tra
 again; frames and scales enter as constants, since the answer does not depend on them.
 """
 
-from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -191,37 +190,35 @@ def _in_frame(problem: Problem, held: _Constants) -> _Data:
     return _Data(there, free, rows)
 
 
-def _curvature(data: _Data, at: Array, unknowns: Unknowns, constrained: bool) -> symmetric.Lower:
+def _curvature(data: _Data, at: Array, unknowns: Unknowns, constrained: bool) -> Array:
+    """Minus the Hessian by the unknowns and by the limits that bind, ``(k, k, B)``."""
     lanes = data.lanes
     if not constrained:
         one, zero = jnp.ones_like(lanes.weights), jnp.zeros_like(lanes.weights)
         size = 3 if lanes.lever is None else 4
-        return dual.curvature(lanes, [[zero] * i + [one] for i in range(size)], unknowns)
+        return _full(dual.curvature(lanes, [[zero] * i + [one] for i in range(size)], unknowns))
     best = dual.forces_at(lanes, _twist(data, at, unknowns))
     plain = dual.curvature(lanes, cones.derivative(lanes.cone, best.sides), unknowns)
     if data.rows is None:
-        return plain
-    # Limits that do not bind stay out of it.
-    binds = [None] * 6 + [(at[i : i + 1] != 0).astype(at.dtype) for i in range(6, len(at))]
-    rows = torques.bordered(lanes, unknowns, data.rows, best, plain)
-    return [[_times(entry, binds[i], binds[j]) for j, entry in enumerate(row)] for i, row in enumerate(rows)]
+        return _full(plain)
+    binds = (at[6:] != 0).astype(at.dtype)
+    return torques.whole(torques.bordered(lanes, unknowns, data.rows, best, plain), binds)
 
 
-def _times(entry: Array, *factors: Array | None) -> Array:
-    return reduce(lambda product, factor: product if factor is None else product * factor, factors, entry)
+def _full(lower: symmetric.Lower) -> Array:
+    size = range(len(lower))
+    return jnp.stack([jnp.stack([lower[max(i, j)][min(i, j)][0] for j in size]) for i in size])
 
 
-def _solve(curvature: symmetric.Lower, right: Array) -> Array:
+def _solve(curvature: Array, right: Array) -> Array:
     """x with H x = right, where H may be singular: then some x that fits, since the forces do not see the rest.
 
     What no x fits is left alone: there the forces that are active cannot follow the data.
     """
-    size = range(len(curvature))
-    full = jnp.stack([jnp.stack([curvature[max(i, j)][min(i, j)][0] for j in size]) for i in size])
-    factors = semidefinite.factor(full, tolerances(right.dtype).singular)
+    factors = semidefinite.factor(curvature, tolerances(right.dtype).singular)
     x = semidefinite.solve(factors, right)
     # Ill-conditioned, it gets its last digits from what it leaves.
-    return x + semidefinite.solve(factors, right - jnp.sum(full * x, 1))
+    return x + semidefinite.solve(factors, right - jnp.sum(curvature * x, 1))
 
 
 def _out(frame: Frame, answered: Array, found: _Outputs) -> Tangent:

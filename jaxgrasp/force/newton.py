@@ -4,7 +4,7 @@ One evaluation gives value, gradient and Hessian at the trial point; a lane that
 direction, one that refuses cuts its step. So no lane waits for another's line search.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array, lax
@@ -40,19 +40,19 @@ class Proximal(NamedTuple):
 class Hill(Protocol):
     """What is climbed: a concave function of a few unknowns in each lane, perhaps with a ridge along some of them."""
 
-    def look(self, point: Array) -> Value:
-        """Value, gradient and minus Hessian."""
+    def look(self, point: Array) -> Any:
+        """Value, gradient, minus Hessian and the sum of normal forces, by the names that ``dual.Value`` has."""
         ...
 
     def size2(self, gradient: Array) -> Array:
         """Squared length of a gradient, as the contacts see it."""
         ...
 
-    def direction(self, at: Value, point: Array, caution: Array) -> Array:
+    def direction(self, at: Any, point: Array, caution: Array) -> Array:
         """Newton's, damped by the gradient and ``caution`` times more than usual."""
         ...
 
-    def arrived(self, at: Value, point: Array) -> Array:
+    def arrived(self, at: Any, point: Array) -> Array:
         """Whether the point is the top, as far as rounding lets it be told."""
         ...
 

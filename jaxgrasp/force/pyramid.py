@@ -135,8 +135,8 @@ def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: Settings)
 def _run(grasp, wrench, weights, *, sharing: str, settings: Settings) -> Solution:
     problem, _, batch = flatten(grasp, wrench, weights, sharing)
     answer = _answers(problem, settings)
-    fields = {name: getattr(answer, name) for name in Solution.__dataclass_fields__}
-    return Solution(**{name: x.reshape(batch + x.shape[1:]) for name, x in fields.items()})
+    solution = Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))

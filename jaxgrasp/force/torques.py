@@ -6,7 +6,6 @@ G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth whe
 all limits that do not bind stay.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from jax import Array, lax
 
 from jaxgrasp.force import dual, fours, newton, sixes
 from jaxgrasp.force.answer import measure
-from jaxgrasp.force.dual import Forces, Value
+from jaxgrasp.force.dual import Forces
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Frame, Lanes, Problem
 from jaxgrasp.force.newton import Proximal
@@ -93,6 +92,26 @@ def pull(rows: Rows, rates: Array) -> Four:
     return fours.of_components(parts)
 
 
+class Bordered(NamedTuple):
+    """A symmetric matrix of the object's unknowns and the rates."""
+
+    plain: Lower
+    """Of the six."""
+    across: Array
+    """``(6, q, B)``."""
+    own: Array
+    """``(q, q, B)``: of the rates."""
+
+
+class Hillside(NamedTuple):
+    """The dual at a point: value, gradient and minus Hessian, as ``dual.Value``."""
+
+    value: Array
+    gradient: Array
+    curvature: Bordered
+    push: Array
+
+
 class Limited(NamedTuple):
     """The dual of lanes with limits, as a hill: six unknowns of the object over one rate for each row."""
 
@@ -106,7 +125,7 @@ class Limited(NamedTuple):
         twist = dual.twist_at(self.lanes, point[:6], self.unknowns)
         return dual.forces_at(self.lanes, fours.sub(twist, pull(self.rows, point[6:])))
 
-    def look(self, point: Array) -> Value:
+    def look(self, point: Array) -> Hillside:
         lanes, rows, rates = self.lanes, self.rows, point[6:]
         best = self.forces(point)
         at = dual.evaluate_at(lanes, best, point[:6], self.unknowns)
@@ -116,18 +135,18 @@ class Limited(NamedTuple):
         if self.proximal is not None:
             strength, offset = self.proximal.strength, point - self.proximal.centre
             value, gradient = value - strength * sixes.inner(offset, offset) / 2, gradient - strength * offset
-            curvature = [[*row[:-1], row[-1] + strength] for row in curvature]
+            curvature = _raised(curvature, strength)
         # With the pull, since that decides too on which side of the ridge it goes up.
         gradient = jnp.concatenate([gradient[:6], _off_ridge(gradient[6:], rates, rows.bound)])
-        return Value(value, gradient, curvature, at.push)
+        return Hillside(value, gradient, curvature, at.push)
 
     def size2(self, gradient: Array) -> Array:
         return whitened_square(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
 
-    def direction(self, at: Value, point: Array, caution: Array) -> Array:
+    def direction(self, at: Hillside, point: Array, caution: Array) -> Array:
         damping = newton.damping_of(self.size2(at.gradient), caution, self.proximal)
-        rows = newton.damped(at.curvature, self.metric, damping)
-        rows[6:] = [[*row[:-1], row[-1] + damping] for row in rows[6:]]
+        plain = newton.damped(at.curvature.plain, self.metric, damping)
+        matrix = at.curvature._replace(plain=plain, own=_plus_identity(at.curvature.own, damping))
         rates, slope = point[6:], at.gradient[6:]
         # What is about to meet the ridge goes there by itself: in Newton's step for all it would cut the others short.
         lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.size2(at.gradient)))
@@ -136,7 +155,7 @@ class Limited(NamedTuple):
 
         def without_falling(free: Array) -> tuple[Array, Array]:
             """Newton's step, and what of it would leave the ridge on its falling side."""
-            step = _solve(rows, at.gradient, free)
+            step = _solve(matrix, at.gradient, free)
             return step, free & on_ridge & (step[6:] * slope < 0)
 
         def again(carry):
@@ -147,7 +166,7 @@ class Limited(NamedTuple):
         _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
         return jnp.concatenate([step[:6], jnp.where(lands, -rates, step[6:])])
 
-    def arrived(self, at: Value, point: Array) -> Array:
+    def arrived(self, at: Hillside, point: Array) -> Array:
         size2 = self.size2(at.gradient)
         return newton.has_converged(self.lanes, point, at.gradient, size2, at.value, at.push)
 
@@ -163,19 +182,34 @@ class Limited(NamedTuple):
         return newton.has_converged(self.lanes, point, rest, self.size2(rest), found.objective, found.push, slack)
 
 
-def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> list[Sequence[Array]]:
-    """The curvature of the object's unknowns with that of the rates below it."""
+def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> Bordered:
+    """The curvature of the object's unknowns and of the rates."""
     bent = dual.bend(lanes, best, rows.map)
     wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(lanes, bent)))  # (6, q, n, B)
     pairs = zip(fours.components(rows.map), fours.components(bent), strict=True)
     # One sum over a stack of both: they share so much work that none should compute it alone.
     sums = jnp.sum(jnp.concatenate([wrench, sum(p[:, None] * q for p, q in pairs)]), 2)
-    across, own = sums[:6], sums[6:]
-    border: list[Sequence[Array]] = []
-    for i in range(len(rows.bound)):
-        seen = unknowns.wrench(*sixes.parts(across[:, i]))
-        border.append([-seen[j : j + 1] for j in range(6)] + [own[i, j][None] for j in range(i + 1)])
-    return [*plain, *border]
+    return Bordered(plain, -unknowns.wrenches(sums[:6]), sums[6:])
+
+
+def whole(matrix: Bordered, keep: Array) -> Array:
+    """All of a matrix, ``(6 + q, 6 + q, B)``, with zeros in rows and columns of rates that are not kept ``(q, B)``."""
+    size = range(6)
+    corner = jnp.stack([jnp.concatenate([matrix.plain[max(i, j)][min(i, j)] for j in size]) for i in size])
+    across = matrix.across * keep
+    own = matrix.own * keep * keep[:, None]
+    return jnp.concatenate(
+        [jnp.concatenate([corner, across], 1), jnp.concatenate([jnp.swapaxes(across, 0, 1), own], 1)]
+    )
+
+
+def _plus_identity(matrix: Array, factor: Array) -> Array:
+    return matrix + factor * jnp.eye(len(matrix), dtype=matrix.dtype)[..., None]
+
+
+def _raised(matrix: Bordered, strength: Array) -> Bordered:
+    plain = [[*row[:-1], row[-1] + strength] for row in matrix.plain]
+    return matrix._replace(plain=plain, own=_plus_identity(matrix.own, strength))
 
 
 def _off_ridge(torque: Array, rates: Array, bound: Array) -> Array:
@@ -183,22 +217,15 @@ def _off_ridge(torque: Array, rates: Array, bound: Array) -> Array:
     return jnp.where(rates == 0, beyond(torque, bound), torque - jnp.sign(rates) * bound)
 
 
-def _solve(rows: Lower, right: Array, free: Array) -> Array:
-    """x with rows x = right, but zero for the rates that are not free."""
-    keep = [None] * 6 + [free[i : i + 1] for i in range(len(free))]
-    held = [
-        [_kept(entry, keep[i], keep[j], float(i == j)) for j, entry in enumerate(row)] for i, row in enumerate(rows)
-    ]
-    right = jnp.concatenate([right[:6], jnp.where(free, right[6:], 0)])
-    size = len(rows)
-    if size <= LARGEST_UNROLLED:
-        return jnp.concatenate(symmetric.solve(symmetric.factor(held), [right[i : i + 1] for i in range(size)]))
-    full = jnp.stack([jnp.concatenate([held[max(i, j)][min(i, j)] for j in range(size)]) for i in range(size)])
-    return semidefinite.solve(semidefinite.factor(full, 0.0), right)
-
-
-def _kept(entry: Array, row: Array | None, column: Array | None, otherwise: float) -> Array:
-    for keep in (row, column):
-        if keep is not None:
-            entry = jnp.where(keep, entry, otherwise)
-    return entry
+def _solve(matrix: Bordered, right: Array, free: Array) -> Array:
+    """x with matrix x = right, but zero for the rates that are not free."""
+    keep = free.astype(right.dtype)
+    right = jnp.concatenate([right[:6], keep * right[6:]])
+    size = len(right)
+    full = whole(matrix, keep)
+    if size > LARGEST_UNROLLED:
+        return semidefinite.solve(semidefinite.factor(full, 0.0), right)
+    rows = [[full[i, j][None] for j in range(i + 1)] for i in range(size)]
+    for i in range(6, size):
+        rows[i][i] = rows[i][i] + (1 - keep[i - 6 : i - 5])
+    return jnp.concatenate(symmetric.solve(symmetric.factor(rows), [right[i : i + 1] for i in range(size)]))

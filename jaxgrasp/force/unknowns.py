@@ -36,6 +36,10 @@ class Stretch(NamedTuple):
         """The work that a wrench does for each of the unknowns."""
         return six(force, vec.times(self.scales, torque))
 
+    def wrenches(self, several: Array) -> Array:
+        """``wrench`` of several ``(6, q, B)``."""
+        return jnp.concatenate([several[:3], jnp.stack(self.scales) * several[3:]])
+
     def curvature(self, plain: list[list[Array]]) -> Lower:
         """A symmetric matrix of twists as one of the unknowns."""
         s = self.scales
@@ -93,6 +97,10 @@ class Guided(NamedTuple):
     def wrench(self, force: Vec, torque: Vec) -> Six:
         given = six(force, torque)
         return self._padded([inner(column, given) for column in self.columns])
+
+    def wrenches(self, several: Array) -> Array:
+        seen = jnp.stack([jnp.sum(column[:, None] * several, 0) for column in self.columns])
+        return jnp.concatenate([seen, jnp.zeros((6 - len(seen), *seen.shape[1:]), seen.dtype)])
 
     def curvature(self, plain: list[list[Array]]) -> Lower:
         bent = [

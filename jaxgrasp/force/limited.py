@@ -56,6 +56,8 @@ def within_torques(problem: Problem, answer: Answer) -> Answer:
     if problem.free is None:
         for passes in FAST:
             answer = _fast(problem, answer, passes)
+            if passes.width >= problem.torque_map.shape[-1]:
+                break
     return over_chosen(_careful_tile, problem, answer, answer.undecided, CAREFUL_TILE)
 
 

@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from jaxgrasp.model.grasp import Grasp
     from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
     from jaxgrasp.model.held import Held, HeldCylinder
+    from jaxgrasp.model.limit_faults import check_limits
     from jaxgrasp.model.limits import Limits
     from jaxgrasp.model.paths import Lift, Shake, Turn
     from jaxgrasp.model.solution import Route, Solution, Verdict
@@ -155,6 +156,7 @@ _HOME = {
     "carrying": "model.task",
     "check_clear": "contact.limits",
     "check_grasp": "model.faults",
+    "check_limits": "model.limit_faults",
     "check_mesh": "contact.mesh",
     "check_pose": "contact.limits",
     "check_posture": "contact.limits",

@@ -9,6 +9,8 @@ import numpy as np
 from jaxgrasp.model.grasp import Grasp
 
 UNIT_TOLERANCE = 1e-6
+OPTIONAL = ("present", "torsion")
+"""Fields of a Grasp that may be None."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,8 @@ class GraspError(ValueError):
 def check_grasp(grasp: Grasp) -> Grasp:
     """Raise unless the concrete ``grasp`` is usable, and return it unchanged.
 
-    Checked, in this order: shapes, dtypes, finite values, unit normals (to 1e-6), friction and squeeze
-    not negative. Entries of absent contacts are not looked at, since no method reads them.
+    Checked, in this order: shapes, dtypes, finite values, unit normals (to 1e-6), friction, squeeze and torsion
+    not negative, no torsion without friction. Entries of absent contacts are not looked at, since no method reads them.
 
     Raises:
         GraspError: naming the field, the first bad index, the value and what was expected.
@@ -48,8 +50,8 @@ def check_grasp(grasp: Grasp) -> Grasp:
     for fault in (*shape_faults(grasp), *dtype_faults(grasp)):
         raise GraspError(fault)
     fields = {name: np.asarray(getattr(grasp, name)) for name in ("points", "normals", "friction", "squeeze")}
-    present = None if grasp.present is None else np.asarray(grasp.present)
-    for fault in value_faults(**fields, present=present):
+    fields |= {name: np.asarray(given) for name in OPTIONAL if (given := getattr(grasp, name)) is not None}
+    for fault in value_faults(**fields):
         raise GraspError(fault)
     return grasp
 
@@ -60,17 +62,17 @@ def shape_faults(grasp: Grasp) -> Iterator[Fault]:
     if len(shape) < 2 or shape[-1] != 3:
         yield Fault("points", (), f"an array of shape {shape}", "a shape (..., n, 3)")
         return
-    wanted = {"normals": shape, "friction": shape[:-1], "squeeze": shape[:-1], "present": shape[:-1]}
+    wanted = {"normals": shape, "friction": shape[:-1], "squeeze": shape[:-1]} | dict.fromkeys(OPTIONAL, shape[:-1])
     for name, expected in wanted.items():
         array = getattr(grasp, name)
-        if not (name == "present" and array is None) and np.shape(array) != expected:
+        if not (name in OPTIONAL and array is None) and np.shape(array) != expected:
             yield Fault(name, (), f"an array of shape {np.shape(array)}", f"the shape {expected} that points imply")
 
 
 def dtype_faults(grasp: Grasp) -> Iterator[Fault]:
     """Fields of a Grasp that hold no floating-point numbers, or of another precision than ``points``."""
     dtype = np.asarray(grasp.points).dtype
-    for name in ("points", "normals", "friction", "squeeze", "present"):
+    for name in ("points", "normals", "friction", "squeeze", *OPTIONAL):
         array = getattr(grasp, name)
         if array is None:
             continue
@@ -86,6 +88,7 @@ def value_faults(
     friction: np.ndarray,
     squeeze: np.ndarray,
     present: np.ndarray | None = None,
+    torsion: np.ndarray | None = None,
 ) -> Iterator[Fault]:
     """Every entry that breaks a rule, field by field; shapes must fit already."""
     if present is not None:
@@ -104,6 +107,11 @@ def value_faults(
         for name, values in (("friction", friction), ("squeeze", squeeze)):
             bad = looked_at & ~(np.isfinite(values) & (values >= 0))
             yield from entries(name, values, bad, "a finite number, zero or more")
+        if torsion is not None:
+            bad = ~(np.isfinite(torsion) & (torsion >= 0))
+            yield from entries("torsion", torsion, looked_at & bad, "a finite length [m], zero or more")
+            slick = (friction == 0) & (torsion > 0)
+            yield from entries("torsion", torsion, looked_at & slick, "0 where friction is 0")
 
 
 def entries(

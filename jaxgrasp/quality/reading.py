@@ -45,11 +45,10 @@ def read(grasp: Grasp, length: Length = None, about: About = None) -> Read:
     """The grasps, checked; computed in float64 whatever JAX's mode and the precision of the data.
 
     Raises:
-        GraspError: for the first entry that is not usable, as ``check_grasp``, torsion, ``length`` and ``about`` too.
+        GraspError: for the first entry that is not usable, as ``check_grasp``, ``length`` and ``about`` too.
         TypeError: for traced arrays, as under ``jit``.
     """
     check_grasp(grasp)
-    _check_torsion(grasp)
     unit, middle = _check_frame(grasp, length, about)
     precision = np.finfo(np.asarray(grasp.points).dtype).eps
     with jax.enable_x64(True):
@@ -62,18 +61,6 @@ def read(grasp: Grasp, length: Length = None, about: About = None) -> Read:
 
 
 _discs = jax.jit(discs)
-
-
-def _check_torsion(grasp: Grasp) -> None:
-    if grasp.torsion is None:
-        return
-    torsion, shape = np.asarray(grasp.torsion), np.shape(grasp.friction)
-    if torsion.shape != shape:
-        expected = f"the shape {shape} that points imply"
-        raise GraspError(Fault("torsion", (), f"an array of shape {torsion.shape}", expected))
-    there = True if grasp.present is None else np.asarray(grasp.present) == 1
-    for fault in entries("torsion", torsion, there & ~(np.isfinite(torsion) & (torsion >= 0)), "zero or more [m]"):
-        raise GraspError(fault)
 
 
 def _check_frame(grasp: Grasp, length: Length, about: About) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -77,7 +77,7 @@ def test_the_first_bad_entry_is_named():
 def test_shapes_that_do_not_fit(field, shape):
     # Built without the constructor's shape check, as unpickled or unchecked data would be.
     grasp = object.__new__(Grasp)
-    for name, array in {**fields(), "present": None, field: np.ones(shape)}.items():
+    for name, array in {**fields(), "present": None, "torsion": None, field: np.ones(shape)}.items():
         object.__setattr__(grasp, name, array)
     with pytest.raises(GraspError) as caught:
         check_grasp(grasp)

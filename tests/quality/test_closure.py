@@ -54,7 +54,6 @@ OPEN = {
     "two hard fingers": known.two_fingers(None),
     "two far away": known.changed(known.two_fingers(None), points=known.two_fingers(None).points + [3.0, 2.0, 1.0]),
     "two soft fingers on one side": known.star([0, 60], 0.5, torsion=0.01),
-    "soft fingers without friction": known.star([0, 180], 0.0, torsion=0.01),
     "three without friction": known.triangle(0.0),
     "six without friction": known.on_axes(0.0),
     "a ball without friction": known.star(np.arange(0, 360, 30), 0.0),
@@ -171,7 +170,7 @@ def test_single_precision_counts_its_own_rounding():
 @pytest.mark.usefixtures("unchecked")
 def test_bad_input_is_named():
     grasp = known.triangle()
-    with pytest.raises(GraspError, match=r"torsion\[1\] is -1.0: expected zero or more"):
+    with pytest.raises(GraspError, match=r"torsion\[1\] is -1.0: expected a finite length"):
         jaxgrasp.force_closure(known.changed(grasp, torsion=np.array([0.0, -1.0, 0.0])))
     with pytest.raises(GraspError, match=r"torsion is an array of shape \(2,\)"):
         jaxgrasp.force_closure(known.changed(grasp, torsion=np.zeros(2)))

@@ -11,7 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.force import outside, shells
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.flat import Sharing, flatten, read_sharing, refuse_soft_fingers, warn_of_lost_precision
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -154,22 +154,25 @@ class ForceSplit(NamedTuple):
     """Manipulation forces ``(..., n, 3)`` [N]: they balance the wrench."""
     internal: Array
     """Squeezing forces less their own resultant ``(..., n, 3)`` [N]: they balance to zero."""
-    external_moments: Array | None = None
-    """Likewise what soft fingers exert about their normals ``(..., n)`` [N.m]; None where all contacts are hard."""
-    internal_moments: Array | None = None
 
 
 def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sharing = "squeeze") -> ForceSplit:
-    """The closed form as external (manipulation) and internal (grasping) forces, eq. 16."""
+    """The closed form as external (manipulation) and internal (grasping) forces, eq. 16; of hard fingers only.
+
+    Raises:
+        ValueError: for soft fingers, a sharing that cannot be used, or shapes that do not fit.
+    """
+    refuse_soft_fingers(grasp)
     squeeze = jnp.asarray(grasp.squeeze)
     name, weights = read_sharing(sharing)
     if weights is None:
         weights = squeeze if name == "squeeze" else jnp.ones_like(squeeze)
     relaxed = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(squeeze))
     wrench = jnp.asarray(wrench)
-    external = closed_form(relaxed, wrench, weights)
-    internal = closed_form(grasp, jnp.zeros_like(wrench), weights)
-    return ForceSplit(external.forces, internal.forces, external.moments, internal.moments)
+    return ForceSplit(
+        external=closed_form(relaxed, wrench, weights).forces,
+        internal=closed_form(grasp, jnp.zeros_like(wrench), weights).forces,
+    )
 
 
 def _distribute(

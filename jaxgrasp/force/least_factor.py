@@ -4,7 +4,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force.distribution import closed_form, split_forces
-from jaxgrasp.force.flat import refuse_soft_fingers
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
@@ -30,9 +29,8 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         where method B's forces balance nothing (out of range, no squeeze, bad data), too.
 
     Raises:
-        ValueError: for shapes that do not fit.
+        ValueError: for soft fingers, or shapes that do not fit.
     """
-    refuse_soft_fingers(grasp)
     split, verdict = split_forces(grasp, wrench), closed_form(grasp, wrench).verdict
     balances = (verdict == Verdict.CLOSED_FORM_OPTIMAL) | (verdict == Verdict.OUTSIDE_CONES)
     friction, normals = jnp.asarray(grasp.friction), jnp.asarray(grasp.normals)

@@ -12,6 +12,12 @@ from benchmarks.problems import exact_wrench
 from jaxgrasp import Grasp, Verdict
 
 COUNT, N = 48, 3
+HARD_ONLY = (
+    jaxgrasp.lagrange_forces,
+    jaxgrasp.pyramid_optimum,
+    jaxgrasp.least_squeeze_factor,
+    jaxgrasp.split_forces,
+)
 KINDS = ("ordinary", "near_collinear", "coincident_some", "low_friction", "some_zero_squeeze", "scales", "combined")
 
 
@@ -170,7 +176,7 @@ def test_forward_reverse_and_differences_agree(method):
         assert np.median(error) < 1e-7 and np.mean(error < 1e-5) >= 0.95
 
 
-@pytest.mark.parametrize("method", [jaxgrasp.lagrange_forces, jaxgrasp.pyramid_optimum, jaxgrasp.least_squeeze_factor])
+@pytest.mark.parametrize("method", HARD_ONLY)
 def test_what_knows_hard_fingers_only_says_so(method):
     with pytest.raises(ValueError, match="torsion is given"):
         method(pinch(), jnp.zeros(6))

@@ -1,0 +1,181 @@
+"""Soft fingers and limited hands: what they cost beside hard fingers without limits, and whether answers are right.
+
+    python -m benchmarks.limited_hands --out benchmarks/results
+
+Writes limited_hands.json and limited_hands.md.
+"""
+
+import os
+
+# One thread, decided before JAX and BLAS start their pools.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxgrasp
+from benchmarks import limited_reference
+from benchmarks.limited_problems import limited_problems
+from benchmarks.page import limited_tables
+from benchmarks.page.clock import interleaved
+from benchmarks.problems import problems
+from benchmarks.sections import run_sections
+from jaxgrasp import Grasp, Limits, Route, Verdict
+
+NAME = "limited_hands"
+KINDS = (
+    "ordinary",
+    "near_collinear",
+    "coincident_some",
+    "low_friction",
+    "zero_friction",
+    "wide_squeeze",
+    "some_zero_squeeze",
+    "infeasible",
+    "scales",
+    "far_frame",
+    "combined",
+)
+BROKEN = (1, 2, 3, 6)
+"""How many limits the optimum without them breaks."""
+LEVER = 0.01
+"""Torsional friction over friction [m]."""
+
+
+class Plan(NamedTuple):
+    """How much of everything."""
+
+    sizes: tuple[int, ...] = (3, 5, 10, 20)
+    joints: int = 20
+    batch: int = 1000
+    repeats: int = 15
+    judged: int = 100
+    tight: tuple[float, ...] = (1.0, 0.5, 0.25)
+
+
+class _Hand(NamedTuple):
+    """Grasps, their wrenches, and a hand whose joints feel about half of the contacts each."""
+
+    grasp: Grasp
+    wrench: jax.Array
+    jacobian: np.ndarray
+    torque: np.ndarray
+    """Of the optimum without limits."""
+
+
+def _hand(n: int, plan: Plan) -> _Hand:
+    p = problems("ordinary", n, plan.batch, seed=5)
+    rng = np.random.default_rng([n, plan.joints])
+    grasp = jax.tree.map(jnp.asarray, Grasp(p.points, p.normals, p.friction, p.squeeze))
+    jacobian = 0.05 * rng.normal(size=(plan.batch, n, 3, plan.joints))
+    jacobian *= rng.uniform(size=(plan.batch, n, 1, plan.joints)) < 0.5
+    forces = np.asarray(jaxgrasp.constrained_optimum(grasp, p.wrench).forces)
+    return _Hand(grasp, jnp.asarray(p.wrench), jacobian, np.abs(np.einsum("bnc,bncj->bj", forces, jacobian)))
+
+
+def _limits(hand: _Hand, broken: int) -> Limits:
+    """Limits of which the optimum without them breaks so many, by up to a tenth."""
+    rng = np.random.default_rng(broken)
+    most = hand.torque * rng.uniform(1.2, 2.5, hand.torque.shape) + 1e-3
+    order = np.argsort(rng.uniform(size=most.shape), 1)[:, :broken]
+    rows = np.arange(len(most))[:, None]
+    most[rows, order] = hand.torque[rows, order] * rng.uniform(0.9, 1.0, order.shape)
+    return Limits(torque_map=jnp.asarray(hand.jacobian), torque_max=jnp.asarray(most))
+
+
+def _solve(hand: _Hand, grasp: Grasp, limits: Limits | None, rows: np.ndarray):
+    own = jax.tree.map(lambda x: x[rows], (grasp, hand.wrench, limits))
+    return lambda: jax.block_until_ready(jaxgrasp.constrained_optimum(own[0], own[1], limits=own[2]))
+
+
+def times(plan: Plan) -> list[dict]:
+    """Each way beside the plain optimum of the same problems, those alone that both solve."""
+    rows = []
+    for n in plan.sizes:
+        hand = _hand(n, plan)
+        g = hand.grasp
+        soft = Grasp(g.points, g.normals, g.friction, g.squeeze, torsion=LEVER * g.friction)
+        plain = {"none": (g, None), "soft fingers": (soft, None), "no limit broken": (g, _limits(hand, 0))}
+        bounds = Limits(normal_min=0.3 * g.squeeze, normal_max=2.0 * g.squeeze)
+        ways = plain | {"normal forces bounded": (g, bounds)}
+        ways |= {f"{count} limits broken": (g, _limits(hand, count)) for count in BROKEN if count <= plan.joints}
+        rows += [_beside_plain(n, name, hand, way, plan) for name, way in ways.items()]
+    return rows
+
+
+def _beside_plain(n: int, name: str, hand: _Hand, way: tuple[Grasp, Limits | None], plan: Plan) -> dict:
+    whole = np.arange(plan.batch)
+    found = jax.device_get(_solve(hand, *way, whole)())
+    solved = np.flatnonzero(found.verdict <= Verdict.OPTIMAL)
+    # One shape for all ways, filled up with the first ones again.
+    solved = np.resize(solved, plan.batch) if len(solved) else whole
+    calls = {"plain": _solve(hand, hand.grasp, None, solved), "this": _solve(hand, *way, solved)}
+    took = interleaved(calls, plan.repeats, 10.0)
+    binds = found.torque_multiplier
+    return {
+        "n": n,
+        "way": name,
+        "microseconds": {key: value / plan.batch * 1e6 for key, value in took.items()},
+        "ratio": took["this"] / took["plain"],
+        "binding": None if binds is None else float((binds != 0).sum(1).mean()),
+        "verdicts": np.bincount(found.verdict, minlength=len(Verdict)).tolist(),
+        "careful": int((found.route == Route.CAREFUL).sum()),
+    }
+
+
+def right(plan: Plan) -> list[dict]:
+    """Verdicts and objectives of every kind against Clarabel, with limits about the witness and tighter ones."""
+    rows = []
+    for kind in KINDS:
+        for tight in plan.tight:
+            made = limited_problems(kind, 4, plan.judged, 11, soft=True, bounded=True, joints=6)
+            made = made._replace(torque_max=tight * made.torque_max)
+            for sharing in ("squeeze", "uniform"):
+                rows.append({"kind": kind, "tight": tight, "sharing": sharing} | _judged(made, sharing))
+    return rows
+
+
+def _judged(made, sharing: str) -> dict:
+    p, weights = made.problem, made.problem.weights(sharing)
+    found = jax.device_get(jaxgrasp.constrained_optimum(made.grasp, p.wrench, weights, limits=made.limits))
+    counts = {"solved": 0, "infeasible": 0, "undecided": 0, "differ": 0, "reference undecided": 0}
+    gap = 0.0
+    for i, verdict in enumerate(found.verdict):
+        theirs = limited_reference.optimum(made.case(i, weights))
+        named = {"Solved": "solved", "PrimalInfeasible": "infeasible"}.get(theirs.status)
+        ours = (
+            "solved" if verdict <= Verdict.OPTIMAL else "infeasible" if verdict == Verdict.INFEASIBLE else "undecided"
+        )
+        counts[ours] += 1
+        counts["reference undecided"] += named is None
+        counts["differ"] += named is not None and ours != "undecided" and named != ours
+        if named == ours == "solved":
+            scale = max(theirs.objective, p.squeeze[i].sum() / 2)
+            gap = max(gap, float(found.objective[i] - theirs.objective) / scale)
+    proofs = np.asarray(
+        jaxgrasp.verify_certificate(
+            made.grasp, p.wrench, found.certificate, weights, limits=made.limits, rates=found.certificate_rates
+        )
+    )
+    load = np.linalg.norm(p.wrench[:, :3], axis=-1) + p.squeeze.sum(-1)
+    proven = (proofs / load)[found.verdict == Verdict.INFEASIBLE]
+    return counts | {"gap": gap, "least_proof": float(min(proven, default=np.inf))}
+
+
+SECTIONS = {"times": times, "right": right}
+QUICK = Plan(sizes=(3,), joints=4, batch=32, repeats=2, judged=4, tight=(1.0,))
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    run_sections(__doc__, NAME, SECTIONS, (Plan(), QUICK), limited_tables.page)
+
+
+if __name__ == "__main__":
+    main()

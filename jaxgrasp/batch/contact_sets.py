@@ -59,6 +59,8 @@ class ContactSets:
         """
         for fault in shape_faults(grasp):
             raise GraspError(fault)
+        if grasp.torsion is not None:
+            raise GraspError(Fault("torsion", (), "given", "None: contact sets hold hard fingers only"))
         points = np.asarray(grasp.points)
         if points.ndim > 3:
             raise GraspError(Fault("points", (), f"an array of shape {points.shape}", "a shape (n, 3) or (N, n, 3)"))

@@ -32,9 +32,46 @@ def stability_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Flo
     return jnp.pi / 2 - angle
 
 
-def friction_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
-    """Friction angle atan(mu) less the slip angle [rad]: negative where a contact slips or pulls (eq. 2)."""
+def friction_margin(
+    grasp: Grasp,
+    forces: Float[AnyArray, "*batch n 3"],
+    moments: Float[AnyArray, "*batch n"] | None = None,
+) -> Float[Array, "*batch n"]:
+    """Friction angle atan(mu) less the slip angle [rad]: negative where a contact slips or pulls (eq. 2).
+
+    ``moments`` of soft fingers count as the tangential force mu / gamma times as large would, beside it: friction
+    resists both together. Where a finger is hard there can be none.
+
+    Raises:
+        ValueError: for moments with a grasp that has no torsion, or soft fingers without.
+    """
     angle = slip_angle(grasp, forces)
+    loaded = jnp.isfinite(angle)
     # An absent contact may have any friction, NaN too.
-    friction = jnp.where(jnp.isfinite(angle), jnp.asarray(grasp.friction), 0)
+    friction = jnp.where(loaded, jnp.asarray(grasp.friction), 0)
+    spin = spin_force(grasp, moments)
+    if spin is not None:
+        force, normal = vec.from_axis(jnp.asarray(forces), -1), vec.from_axis(jnp.asarray(grasp.normals), -1)
+        across = vec.norm(vec.cross(normal, force))
+        both = vec.safe_sqrt(jnp.where(loaded, across**2 + spin**2, 0))
+        angle = jnp.where(loaded, jnp.arctan2(both, jnp.where(loaded, vec.dot(force, normal), 1)), angle)
     return jnp.arctan(friction) - angle
+
+
+def spin_force(grasp: Grasp, moments: Float[AnyArray, "*batch n"] | None) -> Float[Array, "*batch n"] | None:
+    """The tangential forces that use as much friction as moments do [N], mu / gamma times these; None for none.
+
+    Raises:
+        ValueError: for moments with a grasp that has no torsion, or soft fingers without.
+    """
+    if (moments is None) != (grasp.torsion is None):
+        given = "None" if moments is None else "given"
+        raise ValueError(f"moments is {given}: expected those of the soft fingers, and None where torsion is None")
+    if moments is None or grasp.torsion is None:
+        return None
+    torsion = jnp.asarray(grasp.torsion)
+    turns = torsion > 0
+    if grasp.present is not None:
+        turns = turns & (jnp.asarray(grasp.present) > 0.5)
+    ratio = jnp.where(turns, grasp.friction, 0) / jnp.where(turns, torsion, 1)
+    return ratio * jnp.where(turns, jnp.asarray(moments), 0)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.force.angles import spin_force
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.flat import Sharing
 from jaxgrasp.model.arrays import AnyArray, Float, Int
@@ -113,6 +114,9 @@ def _touches(grasp: Grasp, applied: Solution, there: Array, holds: Array) -> Arr
     forces = applied.forces
     along = jnp.sum(forces * grasp.normals, -1)
     across = jnp.linalg.norm(forces - along[..., None] * grasp.normals, axis=-1)
+    spin = spin_force(grasp, applied.moments)
+    if spin is not None:
+        across = jnp.sqrt(across**2 + spin**2)
     broken = jnp.where(along < 0, Touch.PULLS, jnp.where(across > grasp.friction * along, Touch.SLIDES, Touch.HOLDS))
     touches = jnp.where(holds[..., None], Touch.HOLDS, broken)
     return jnp.where(there, touches, Touch.ABSENT).astype(jnp.int32)

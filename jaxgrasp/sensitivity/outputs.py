@@ -19,7 +19,7 @@ QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
     "forces": lambda grasp, solution: solution.forces,
     "slip_angle": lambda grasp, solution: slip_angle(grasp, solution.forces),
     "stability_margin": lambda grasp, solution: stability_margin(grasp, solution.forces),
-    "friction_margin": lambda grasp, solution: friction_margin(grasp, solution.forces),
+    "friction_margin": lambda grasp, solution: friction_margin(grasp, solution.forces, solution.moments),
     "objective": lambda grasp, solution: solution.objective,
 }
 

@@ -186,3 +186,26 @@ def test_what_knows_hard_fingers_only_says_so(method):
 def test_torsion_that_cannot_be_used_is_a_verdict(value):
     found = jaxgrasp.constrained_optimum(pinch(value), jnp.array([0, 0, 2.0, 0, 0, 0]))
     assert found.verdict == Verdict.INVALID_DATA and not np.asarray(found.forces).any()
+
+
+def test_moments_use_up_the_friction_margin():
+    """On the ellipse the margin is zero, whatever the share of the moment in it; and monitor sees the contact slide."""
+    share = np.linspace(0, 1, 9)
+    points, normals = np.zeros((9, 1, 3)), np.broadcast_to([0, 0, 1.0], (9, 1, 3))
+    one = np.ones((9, 1))
+    grasp = Grasp(points, normals, 0.5 * one, one, torsion=0.01 * one)
+    forces = np.stack([0.5 * np.sqrt(1 - share**2), 0 * share, 1 + 0 * share], -1)[:, None]
+    moments = 0.01 * share[:, None]
+    np.testing.assert_allclose(jaxgrasp.friction_margin(grasp, forces, moments), 0, atol=1e-15)
+    assert (np.asarray(jaxgrasp.friction_margin(grasp, forces, 0.9 * moments))[1:] > 0).all()
+    with pytest.raises(ValueError, match="moments is None"):
+        jaxgrasp.friction_margin(grasp, forces)
+    with pytest.raises(ValueError, match="moments is given"):
+        jaxgrasp.friction_margin(Grasp(points, normals, 0.5 * one, one), forces, moments)
+    held = jaxgrasp.monitor(pinch(), jnp.array([0, 0, 0, 0.04, 0, 0]))
+    assert (held.touches == jaxgrasp.Touch.SLIDES).all() and held.hold == jaxgrasp.Hold.SLIPPING
+
+
+def test_files_hold_hard_fingers_only(folder):
+    with pytest.raises(jaxgrasp.GraspError, match="torsion is given: expected None"):
+        jaxgrasp.save_grasps(folder / "soft.npz", pinch(), np.zeros(6))

@@ -7,7 +7,8 @@ from jax import Array
 
 from jaxgrasp.force import dual, fours, sixes
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Frame, Lanes, certificate_out, forces_out, moments_out, multiplier_out
+from jaxgrasp.force.frame import Frame, certificate_out, forces_out, moments_out, multiplier_out
+from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns, unstretched

@@ -9,7 +9,8 @@ from jax import Array
 from jaxgrasp.force import cones, fours, sixes, torques
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, read
+from jaxgrasp.force.frame import Frame
+from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits

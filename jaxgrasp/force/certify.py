@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import cones, dual, fours, sixes, torques
-from jaxgrasp.force.lanes import Frame, Lanes, blur
+from jaxgrasp.force.frame import Frame, blur
+from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.torques import Rows

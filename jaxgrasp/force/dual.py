@@ -5,7 +5,7 @@ For a multiplier (a virtual twist) the best force of each contact is a projectio
     f_i = P_i(s_i a_i + k_i (linear + angular x r_i)),
 
 of soft fingers in four components (``fours.py``), and the dual value is concave, once continuously differentiable,
-with gradient w - G f. Everything here is in the coordinates of ``lanes.py``; ``unknowns`` says what the six numbers of
+with gradient w - G f. Everything here is in the coordinates of ``frame.py``; ``unknowns`` says what the six numbers of
 a multiplier stand for there.
 """
 

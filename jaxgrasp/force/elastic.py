@@ -17,7 +17,8 @@ import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.force import dual, sixes
-from jaxgrasp.force.lanes import Frame, Lanes
+from jaxgrasp.force.frame import Frame
+from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns, unstretched

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, blur, inertia, twist_in
+from jaxgrasp.force.frame import Frame, blur, inertia, twist_in
+from jaxgrasp.force.lanes import Lanes, Problem
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_metric
 from jaxgrasp.force.sixes import Six, parts, six
 from jaxgrasp.force.tolerances import tolerances

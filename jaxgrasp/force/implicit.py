@@ -13,21 +13,9 @@ from jax import Array, lax
 
 from jaxgrasp.force import cones, dual, fours, pseudo_inverse, torques
 from jaxgrasp.force.fours import Four
+from jaxgrasp.force.frame import Frame, forces_out, moments_out, multiplier_in, multiplier_out, principal, scaled, turn
 from jaxgrasp.force.guide import Mixing, directions_in, guided, mixing
-from jaxgrasp.force.lanes import (
-    Frame,
-    Lanes,
-    Problem,
-    forces_out,
-    moments_out,
-    multiplier_in,
-    multiplier_out,
-    principal,
-    read,
-    scaled,
-    squeezing,
-    turn,
-)
+from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.torques import Rows
 from jaxgrasp.force.unknowns import Stretch, Unknowns

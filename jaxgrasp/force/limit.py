@@ -11,7 +11,8 @@ from jax import Array
 
 from jaxgrasp.force import dual, elastic, fours, sixes
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read, squeezing
+from jaxgrasp.force.frame import Frame, principal
+from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.numerics import vec

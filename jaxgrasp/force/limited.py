@@ -16,8 +16,9 @@ from jaxgrasp.force import dual, pseudo_inverse, torques
 from jaxgrasp.force.answer import Answer, Joints, Outcome, write
 from jaxgrasp.force.certify import proof
 from jaxgrasp.force.fours import Four
+from jaxgrasp.force.frame import Frame, multiplier_in, normalise, principal
 from jaxgrasp.force.guide import whitened
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, multiplier_in, normalise, principal, read
+from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.force.newton import Hill, Proximal, ascend
 from jaxgrasp.force.proximal import Search, proximal_search
 from jaxgrasp.force.pseudo_inverse import Metric

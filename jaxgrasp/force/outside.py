@@ -15,8 +15,9 @@ from jaxgrasp.force import cones, dual, fours, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range, proof
 from jaxgrasp.force.fours import Four
+from jaxgrasp.force.frame import Frame, principal
 from jaxgrasp.force.guide import whitened
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, principal, read
+from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.force.newton import has_converged, is_within
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.sixes import Six

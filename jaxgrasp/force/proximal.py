@@ -13,7 +13,8 @@ from jax import Array, lax
 from jaxgrasp.force import dual
 from jaxgrasp.force.certify import proof
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Frame, Lanes
+from jaxgrasp.force.frame import Frame
+from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.newton import Dual, Hill, Proximal, ascend, is_optimal
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.sixes import Six

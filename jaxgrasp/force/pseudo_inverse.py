@@ -7,7 +7,8 @@ from jax import Array
 
 from jaxgrasp.force import dual, fours, sixes
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Frame, Lanes, blur, inertia, squeezing
+from jaxgrasp.force.frame import Frame, blur, inertia
+from jaxgrasp.force.lanes import Lanes, squeezing
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Stretch, Unknowns, unstretched

@@ -19,7 +19,8 @@ from jaxgrasp.force import cones, dual, fours, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, refuse_soft_fingers, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Lanes, Problem, principal, read, squeezing
+from jaxgrasp.force.frame import principal
+from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
 from jaxgrasp.force.outside import write_to_tolerance
 from jaxgrasp.force.unknowns import Stretch
 from jaxgrasp.model.arrays import AnyArray, Float

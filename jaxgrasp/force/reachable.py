@@ -10,8 +10,9 @@ from jax import Array
 from jaxgrasp.force import cones, dual, elastic, fours, shells, sixes
 from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
+from jaxgrasp.force.frame import Frame, certificate_out, forces_out, moments_out, principal
 from jaxgrasp.force.guide import restricted, unwhitened
-from jaxgrasp.force.lanes import Frame, Lanes, Problem, certificate_out, forces_out, moments_out, principal, read
+from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.arrays import AnyArray, Float, Int

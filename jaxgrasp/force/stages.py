@@ -16,8 +16,9 @@ from jaxgrasp.force import cones, dual, fours, limited, newton, pseudo_inverse, 
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range
 from jaxgrasp.force.fours import Four
+from jaxgrasp.force.frame import multiplier_in, normalise, principal
 from jaxgrasp.force.guide import whitened
-from jaxgrasp.force.lanes import Lanes, Problem, multiplier_in, normalise, principal, read
+from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.force.newton import Dual, ascend
 from jaxgrasp.force.proximal import Free, Search, proximal_search
 from jaxgrasp.force.sixes import Six

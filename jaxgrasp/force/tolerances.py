@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Thresholds in the dimensionless coordinates of ``lanes.py``."""
+    """Thresholds in the dimensionless coordinates of ``frame.py``."""
 
     rank: float
     """Spread of the contacts, relative to their radius, below which torque about an axis is out of reach."""

@@ -15,7 +15,8 @@ from jaxgrasp.force import dual, fours, newton, sixes
 from jaxgrasp.force.answer import measure
 from jaxgrasp.force.dual import Forces
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Frame, Lanes, Problem
+from jaxgrasp.force.frame import Frame
+from jaxgrasp.force.lanes import Lanes, Problem
 from jaxgrasp.force.newton import Proximal
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.unknowns import Unknowns

@@ -1,0 +1,172 @@
+"""Frames: a problem's own coordinates, in which everything is of order one, and the way back.
+
+About the weighted centroid of the contacts, G W G^T falls into a scalar and a 3x3 inertia matrix, and nothing is lost
+when the frame lies far away. Lengths are then divided by the weighted radius, weights by their sum, forces by the
+load, so that everything is of order one whatever the units.
+"""
+
+from functools import reduce
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.force.lanes import Lanes
+from jaxgrasp.force.tolerances import tolerances
+from jaxgrasp.numerics import doubled, symmetric, vec
+from jaxgrasp.numerics.vec import Vec
+
+
+class Frame(NamedTuple):
+    """How a lane's coordinates came about, to bring results back."""
+
+    centre: Vec
+    length: Array
+    weight: Array
+    """Sum of the sharing weights; 0 where no contact can carry a force."""
+    load: Array
+    sound: Array
+    """Whether lengths, loads and weights are numbers whose squares keep their digits."""
+    axes: tuple[Vec, Vec, Vec] | None = None
+
+
+def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
+    """Coordinates of order one about the weighted centroid.
+
+    Moving the torque from a frame far away leaves little of its digits: in single arithmetic, contacts 1e-7 off a
+    line ten metres away would have an objective wrong by 1e-7. ``carefully`` keeps them all.
+    """
+    weight, squeeze = vec.totals(lanes.weights, lanes.squeeze)
+    k = lanes.weights / jnp.where(weight > 0, weight, 1)
+    first = Vec(*vec.totals(*vec.scale(k, lanes.arms)))
+    rough = vec.sub(lanes.arms, first)
+    # The first mean is off by rounding of the frame's distance; a second one mends that.
+    rest = Vec(*vec.totals(*vec.scale(k, rough)))
+    arms = vec.sub(rough, rest)
+    if carefully:
+        moved = doubled.minus_cross(lanes.torque, first, lanes.force)
+    else:
+        moved = vec.sub(lanes.torque, vec.cross(first, lanes.force))
+    torque = vec.sub(moved, vec.cross(rest, lanes.force))
+    centre = vec.add(first, rest)
+    size2, size = vec.dot(arms, arms), vec.taxicab(arms)
+    if lanes.lever is not None:
+        size2, size = size2 + lanes.lever**2, size + lanes.lever
+    square, reach = vec.totals(k * size2, k * size)
+    length = vec.safe_sqrt(square)
+    # Contacts that coincide but for rounding have no length of their own.
+    blur = tolerances(length.dtype).rank * jnp.sqrt(vec.dot(centre, centre))
+    length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec.dot(centre, centre)), 1))
+    pull = vec.norm(lanes.force) + vec.norm(torque) / length
+    load = squeeze + pull
+    smallest = tolerances(length.dtype).smallest
+    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (weight, load)))
+    sound = sound & ((reach <= blur) | (reach >= smallest))
+    load = jnp.where(load > 0, load, 1)
+    frame = Frame(centre, length, weight, load, sound)
+    return scaled(lanes, frame, arms, k, torque), frame
+
+
+def scaled(lanes: Lanes, frame: Frame, arms: Vec, weights: Array, torque: Vec) -> Lanes:
+    """The lanes in a frame's units, with these arms, weights and torque about its centre."""
+    return Lanes(
+        arms=vec.scale(1 / frame.length, arms),
+        normals=lanes.normals,
+        friction=lanes.friction,
+        squeeze=lanes.squeeze / frame.load,
+        weights=weights,
+        force=vec.scale(1 / frame.load, lanes.force),
+        torque=vec.scale(1 / (frame.load * frame.length), torque),
+        lever=None if lanes.lever is None else lanes.lever / frame.length,
+        least=None if lanes.least is None else lanes.least / frame.load,
+        most=None if lanes.most is None else lanes.most / frame.load,
+    )
+
+
+def blur(frame: Frame) -> Array:
+    """By how much the frame's distance multiplies the rounding of points: 1 where it is near."""
+    return 1 + jnp.sqrt(vec.dot(frame.centre, frame.centre)) / frame.length
+
+
+def inertia(lanes: Lanes) -> list[list[Array]]:
+    """Sum of k (|r|^2 I - r r^T), of soft fingers + k l^2 a a^T, over the contacts: the torque block of G W G^T."""
+    xx, yy, zz, xy, xz, yz = _moments(lanes.arms, lanes.weights)
+    matrix = [[yy + zz], [-xy, xx + zz], [-xz, -yz, xx + yy]]
+    if lanes.lever is None:
+        return matrix
+    xx, yy, zz, xy, xz, yz = _moments(lanes.normals, lanes.weights * lanes.lever**2)
+    spins = [[xx], [xy, yy], [xz, yz, zz]]
+    return [[p + q for p, q in zip(*rows, strict=True)] for rows in zip(matrix, spins, strict=True)]
+
+
+def _moments(a: Vec, weights: Array) -> list[Array]:
+    """Sums of weights a a^T."""
+    b = vec.scale(weights, a)
+    return vec.totals(b.x * a.x, b.y * a.y, b.z * a.z, b.x * a.y, b.x * a.z, b.y * a.z)
+
+
+def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
+    """The lanes written along ``axes``."""
+    return lanes._replace(
+        arms=vec.rotate(axes, lanes.arms),
+        normals=vec.rotate(axes, lanes.normals),
+        force=vec.rotate(axes, lanes.force),
+        torque=vec.rotate(axes, lanes.torque),
+    )
+
+
+def principal(lanes: Lanes) -> tuple[Lanes, Frame]:
+    """Coordinates of order one, carefully, along the principal axes of inertia.
+
+    Arms that are tiny in one direction then keep their own digits, and the inertia matrix is
+    ill-conditioned by its scales alone, which costs nothing. Forming it in other axes squares the
+    condition number: at a relative spread of 1e-7 the forces would be wrong in the third digit.
+    """
+    lanes, frame = normalise(lanes, carefully=True)
+    axes = symmetric.principal_axes(inertia(lanes))
+    return turn(lanes, axes), frame._replace(axes=axes)
+
+
+def forces_out(forces: Vec, frame: Frame) -> Vec:
+    """Forces in the user's axes and units."""
+    turned = forces if frame.axes is None else vec.rotate_back(frame.axes, forces)
+    return vec.scale(frame.load, turned)
+
+
+def moments_out(lanes: Lanes, spin: Array | None, frame: Frame) -> Array | None:
+    """Moments about the normals in the user's units; None where all contacts are hard."""
+    return None if spin is None or lanes.lever is None else frame.load * frame.length * lanes.lever * spin
+
+
+def multiplier_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+    """A multiplier about the user's origin, in the user's units."""
+    if frame.axes is not None:
+        linear, angular = vec.rotate_back(frame.axes, linear), vec.rotate_back(frame.axes, angular)
+    unit = vec.safe_divide(frame.load, frame.weight)
+    linear, angular = vec.scale(unit, linear), vec.scale(unit / frame.length, angular)
+    return vec.sub(linear, vec.cross(angular, frame.centre)), angular
+
+
+def multiplier_in(multiplier: Array, frame: Frame) -> tuple[Vec, Vec]:
+    """The inverse of ``multiplier_out``, from ``(B, 6)``."""
+    columns = multiplier.T
+    linear, angular = Vec(*(columns[i : i + 1] for i in range(3))), Vec(*(columns[i : i + 1] for i in range(3, 6)))
+    linear, angular = twist_in(linear, angular, frame)
+    unit = frame.weight / frame.load
+    return vec.scale(unit, linear), vec.scale(unit * frame.length, angular)
+
+
+def twist_in(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+    """A twist about the user's origin as one about the lane's centre, along its axes; in the user's units."""
+    linear = vec.add(linear, vec.cross(angular, frame.centre))
+    if frame.axes is not None:
+        linear, angular = vec.rotate(frame.axes, linear), vec.rotate(frame.axes, angular)
+    return linear, angular
+
+
+def certificate_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+    """A direction of wrench space as a twist about the user's origin, of unit size in the lane's coordinates."""
+    if frame.axes is not None:
+        linear, angular = vec.rotate_back(frame.axes, linear), vec.rotate_back(frame.axes, angular)
+    angular = vec.scale(1 / frame.length, angular)
+    return vec.sub(linear, vec.cross(angular, frame.centre)), angular

@@ -52,8 +52,7 @@ class Split(NamedTuple):
 
 
 def split(u: Four, cone: Cone) -> Split:
-    along = vec.dot(u.linear, cone.normal)
-    across = Four(vec.sub(u.linear, vec.scale(along, cone.normal)), u.spin)
+    along, across = _along_and_across(u, cone)
     size = fours.norm(across)
     tangent = fours.of_components([vec.safe_divide(c, size) for c in fours.components(across)])
     # The polar cone first: without friction a pull straight along the normal would pass for inside.
@@ -70,6 +69,12 @@ def split(u: Four, cone: Cone) -> Split:
     return sides._replace(inside=inside & ~holds, polar=polar & ~holds, bound=Bound(holds, height))
 
 
+def _along_and_across(u: Four, cone: Cone) -> tuple[Array, Four]:
+    """The component along the normal, and what is left."""
+    along = vec.dot(u.linear, cone.normal)
+    return along, Four(vec.sub(u.linear, vec.scale(along, cone.normal)), u.spin)
+
+
 def _height(cone: Cone, parts: Split) -> Array:
     """Normal component of the projection on the cone's edge."""
     return (parts.along + cone.friction * parts.size) / (1 + cone.friction**2)
@@ -82,8 +87,7 @@ def _clip(height: Array, cone: Cone) -> Array:
 
 def contains(u: Four, cone: Cone) -> Array:
     """Whether ``u`` is allowed, rounding aside."""
-    along = vec.dot(u.linear, cone.normal)
-    across = Four(vec.sub(u.linear, vec.scale(along, cone.normal)), u.spin)
+    along, across = _along_and_across(u, cone)
     slack = 8 * jnp.finfo(along.dtype).eps
     limit = cone.friction * along + slack * (1 + cone.friction) * jnp.abs(along)
     allowed = (along >= 0) & (fours.dot(across, across) <= limit * limit)
@@ -154,8 +158,7 @@ def _as_long(normal: Vec, like: tuple[Array, ...]) -> tuple[Array, ...]:
 
 def push(direction: Four, cone: Cone) -> Array:
     """Work along ``direction`` of the force that does most, of those of unit normal component."""
-    along = vec.dot(direction.linear, cone.normal)
-    across = Four(vec.sub(direction.linear, vec.scale(along, cone.normal)), direction.spin)
+    along, across = _along_and_across(direction, cone)
     return along + cone.friction * fours.norm(across)
 
 

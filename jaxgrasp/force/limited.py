@@ -19,7 +19,7 @@ from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame, multiplier_in, normalise, principal
 from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Lanes, Problem, read
-from jaxgrasp.force.newton import Hill, Proximal, ascend
+from jaxgrasp.force.newton import Proximal, ascend
 from jaxgrasp.force.proximal import Search, proximal_search
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.tolerances import tolerances
@@ -143,18 +143,15 @@ class _Ground(NamedTuple):
     metric: Metric
     rows: Rows
 
-    def pulled(self, proximal: Proximal | None) -> Hill:
-        return self._hill(proximal)
-
-    def _hill(self, proximal: Proximal | None = None) -> Limited:
+    def pulled(self, proximal: Proximal | None = None) -> Limited:
         return Limited(self.lanes, self.unknowns, self.metric, self.rows, proximal)
 
     def judge(self, point: Array, slack: float) -> tuple[Four, Array]:
-        best = self._hill().forces(point).forces
-        return best, self._hill().is_optimal(point, best, slack)
+        best = self.pulled().forces(point).forces
+        return best, self.pulled().is_optimal(point, best, slack)
 
     def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
-        forces = self._hill().forces(point).forces
+        forces = self.pulled().forces(point).forces
         beyond = torques.beyond(torques.torques(self.rows, forces), self.rows.bound)
         rest = jnp.concatenate([dual.residual(self.lanes, forces, self.unknowns), beyond])
         return proof(self.lanes, self.frame, self.unknowns, rest, point - before, self.rows)

@@ -42,8 +42,10 @@ KINDS = (
     "far_frame",
     "combined",
 )
-BROKEN = (1, 2, 3, 6)
-"""How many limits the optimum without them breaks."""
+BIND = (1, 2, 3, 6)
+"""How many limits bind."""
+BROKEN = (3, 6)
+"""How many limits the optimum without them breaks, whatever binds then."""
 LEVER = 0.01
 """Torsional friction over friction [m]."""
 
@@ -89,6 +91,15 @@ def _limits(hand: _Hand, broken: int) -> Limits:
     return Limits(torque_map=jnp.asarray(hand.jacobian), torque_max=jnp.asarray(most))
 
 
+class _Way(NamedTuple):
+    """What to ask for, and of which problems."""
+
+    grasp: Grasp
+    limits: Limits | None = None
+    bind: int | None = None
+    """Those alone in which so many limits bind."""
+
+
 def _solve(hand: _Hand, grasp: Grasp, limits: Limits | None, rows: np.ndarray):
     own = jax.tree.map(lambda x: x[rows], (grasp, hand.wrench, limits))
     return lambda: jax.block_until_ready(jaxgrasp.constrained_optimum(own[0], own[1], limits=own[2]))
@@ -99,23 +110,34 @@ def times(plan: Plan) -> list[dict]:
     rows = []
     for n in plan.sizes:
         hand = _hand(n, plan)
-        g = hand.grasp
-        soft = Grasp(g.points, g.normals, g.friction, g.squeeze, torsion=LEVER * g.friction)
-        plain = {"none": (g, None), "soft fingers": (soft, None), "no limit broken": (g, _limits(hand, 0))}
-        bounds = Limits(normal_min=0.3 * g.squeeze, normal_max=2.0 * g.squeeze)
-        ways = plain | {"normal forces bounded": (g, bounds)}
-        ways |= {f"{count} limits broken": (g, _limits(hand, count)) for count in BROKEN if count <= plan.joints}
-        rows += [_beside_plain(n, name, hand, way, plan) for name, way in ways.items()]
+        rows += [_beside_plain(n, name, hand, way, plan) for name, way in _ways(hand, plan).items()]
     return rows
 
 
-def _beside_plain(n: int, name: str, hand: _Hand, way: tuple[Grasp, Limits | None], plan: Plan) -> dict:
+def _ways(hand: _Hand, plan: Plan) -> dict[str, _Way]:
+    g = hand.grasp
+    soft = Grasp(g.points, g.normals, g.friction, g.squeeze, torsion=LEVER * g.friction)
+    bounds = Limits(normal_min=0.3 * g.squeeze, normal_max=2.0 * g.squeeze)
+    ways = {
+        "none": _Way(g),
+        "soft fingers": _Way(soft),
+        "normal forces bounded": _Way(g, bounds),
+        "torques limited, none binds": _Way(g, _limits(hand, 0)),
+    }
+    ways |= {f"{count} bind": _Way(g, _limits(hand, count), count) for count in BIND if count <= plan.joints}
+    return ways | {f"{count} broken": _Way(g, _limits(hand, count)) for count in BROKEN if count <= plan.joints}
+
+
+def _beside_plain(n: int, name: str, hand: _Hand, way: _Way, plan: Plan) -> dict:
     whole = np.arange(plan.batch)
-    found = jax.device_get(_solve(hand, *way, whole)())
-    solved = np.flatnonzero(found.verdict <= Verdict.OPTIMAL)
+    found = jax.device_get(_solve(hand, way.grasp, way.limits, whole)())
+    fits = found.verdict <= Verdict.OPTIMAL
+    if way.bind is not None:
+        fits &= (found.torque_multiplier != 0).sum(1) == way.bind
+    solved = np.flatnonzero(fits)
     # One shape for all ways, filled up with the first ones again.
     solved = np.resize(solved, plan.batch) if len(solved) else whole
-    calls = {"plain": _solve(hand, hand.grasp, None, solved), "this": _solve(hand, *way, solved)}
+    calls = {"plain": _solve(hand, hand.grasp, None, solved), "this": _solve(hand, way.grasp, way.limits, solved)}
     took = interleaved(calls, plan.repeats, 10.0)
     binds = found.torque_multiplier
     return {
@@ -123,7 +145,7 @@ def _beside_plain(n: int, name: str, hand: _Hand, way: tuple[Grasp, Limits | Non
         "way": name,
         "microseconds": {key: value / plan.batch * 1e6 for key, value in took.items()},
         "ratio": took["this"] / took["plain"],
-        "binding": None if binds is None else float((binds != 0).sum(1).mean()),
+        "binding": None if binds is None else float((binds != 0).sum(1)[solved].mean()),
         "verdicts": np.bincount(found.verdict, minlength=len(Verdict)).tolist(),
         "careful": int((found.route == Route.CAREFUL).sum()),
     }

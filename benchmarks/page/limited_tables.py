@@ -36,8 +36,9 @@ def _about_times(report: dict) -> str:
     plan = report["plan"]
     return (
         f"Microseconds a problem in a batch of {plan['batch']:,} ordinary ones that have an answer, and how many times "
-        f"the optimum of the same problems by hard fingers without limits, in turns. Hands of {plan['joints']} joints; "
-        "limits that are broken are so by up to a tenth. In brackets how many limits bind in the mean."
+        f"the optimum of the same problems by hard fingers without limits, in turns. Hands of {plan['joints']} joints. "
+        "The optimum without them breaks some limits by up to a tenth; in brackets how many bind in the mean where they "
+        "are kept."
     )
 
 

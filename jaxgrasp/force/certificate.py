@@ -66,6 +66,8 @@ def verify_certificate(
 def _run(grasp, wrench, certificate, weights, limits, rates, *, sharing: str) -> Array:
     problem, direction, batch = flatten(grasp, wrench, weights, sharing, limits=limits, certificate=certificate)
     lanes, valid = read(problem)
+    if problem.torque_map is not None:
+        valid = valid & torques.usable(problem)
     assert direction is not None
     if rates is None or problem.torque_max is None:
         return jnp.where(valid, _needed(lanes, direction.T), 0)[0].reshape(batch)

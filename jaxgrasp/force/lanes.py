@@ -108,9 +108,6 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
-    if problem.torque_map is not None and problem.torque_max is not None:
-        asked = largest >= jnp.sum(jnp.abs(problem.torque_map), (2, 3)).T
-        valid = valid & jnp.all(asked if there is None else asked | ~there, 0) & jnp.all(problem.torque_max >= 0, 1)
     use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
 
     def keep(array: Array) -> Array:

@@ -8,6 +8,7 @@
 from functools import partial
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -38,28 +39,50 @@ class _Pass(NamedTuple):
     """Evaluations of each, after which the unfinished are gathered again and choose their limits anew."""
 
 
-FAST = (_Pass(3, (4, 4, 8, 20)), _Pass(6, (10, 30)))
+FAST = (_Pass(3, (4, 4, 8, 20)), _Pass(6, (10, 30)), _Pass(12, (40,)))
 ROUNDING = 4.0
 """Torques may be beyond their limits by so many tolerances of forces."""
 TILE = 32
 CAREFUL_TILE = 16
 
 
+def without_torques(problem: Problem) -> Problem:
+    """The problem with no limits of torques, so that nothing before them has to carry them about."""
+    return eqx.tree_at(lambda p: (p.torque_map, p.torque_max), problem, (None, None), is_leaf=lambda x: x is None)
+
+
 def within_torques(problem: Problem, answer: Answer) -> Answer:
     """The optimum within the limits of torques, from that without."""
-    if problem.torque_map is None:
+    if problem.torque_map is None or problem.torque_max is None:
         return answer
     nothing = jnp.zeros((problem.size, problem.torque_map.shape[-1]), answer.forces.dtype)
+    # A first look at all; what it suspects is looked at closely where it is gathered.
+    torque = torques.of_forces(problem.torque_map, answer.forces, answer.moments)
+    within = jnp.all(jnp.abs(torque) <= problem.torque_max, 1)
+    strange = ~jnp.all(jnp.isfinite(torque) & (problem.torque_max >= 0), 1)
+    answer = answer._replace(undecided=(_solved(answer) & ~within) | strange)
     answer = answer._replace(torque_multiplier=nothing, certificate_rates=nothing)
-    solved = (answer.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (answer.verdict == Verdict.OPTIMAL)
-    broken = solved & jnp.any(_excess(problem, answer) > 0, 1)
-    answer = answer._replace(undecided=broken)
+    # One question for all, since every pass that asks for itself copies what it may change.
+    return lax.cond(jnp.any(answer.undecided), partial(_within, problem), lambda answer: answer, answer)
+
+
+def _within(problem: Problem, answer: Answer) -> Answer:
+    """Pass after pass, for the undecided."""
+    nothing = answer.certificate_rates
+    assert nothing is not None
+    # The fast ones prove nothing.
+    answer = answer._replace(certificate_rates=None)
     if problem.free is None:
         for passes in FAST:
             answer = _fast(problem, answer, passes)
-            if passes.width >= problem.torque_map.shape[-1]:
+            if passes.width >= nothing.shape[1]:
                 break
+    answer = answer._replace(certificate_rates=nothing)
     return over_chosen(_careful_tile, problem, answer, answer.undecided, CAREFUL_TILE)
+
+
+def _solved(answer: Answer) -> Array:
+    return (answer.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (answer.verdict == Verdict.OPTIMAL)
 
 
 def _fast(problem: Problem, answer: Answer, passes: _Pass) -> Answer:
@@ -74,25 +97,40 @@ def _fast(problem: Problem, answer: Answer, passes: _Pass) -> Answer:
 
 
 def _excess(problem: Problem, answer: Answer) -> Array:
-    """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it."""
+    """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it.
+
+    Of a cleaned problem.
+    """
     assert problem.torque_map is not None and problem.torque_max is not None
-    linear = jnp.where(jnp.isfinite(problem.torque_map), problem.torque_map, 0)
-    forces = answer.forces
-    if problem.torque_map.shape[2] == 4:
-        moments = jnp.zeros_like(forces[..., 0]) if answer.moments is None else answer.moments
-        forces = jnp.concatenate([forces, moments[..., None]], -1)
-    torque = jnp.sum(linear * forces[..., None], (1, 2))
+    torque = torques.of_forces(problem.torque_map, answer.forces, answer.moments)
     # Forces are known to what rounds the largest of them.
-    size = jnp.sum(jnp.abs(linear), (1, 2)) * jnp.max(jnp.abs(forces), (1, 2))[:, None]
+    size = jnp.sum(jnp.abs(problem.torque_map), (1, 2)) * jnp.max(jnp.abs(answer.forces), (1, 2))[:, None]
     beyond = jnp.abs(torque) - problem.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
 
+def _settled(problem: Problem, prior: Answer, excess: Array, valid: Array) -> Array:
+    """Problems that no limit concerns after all."""
+    unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~_solved(prior)
+    return valid[0] & (unsolved | (_solved(prior) & ~jnp.any(excess > 0, 1)))
+
+
+def _merge(settled: Array, prior: Answer, answer: Answer) -> Answer:
+    prior = prior._replace(undecided=jnp.zeros_like(settled))
+    return jax.tree.map(
+        lambda old, new: jnp.where(jnp.expand_dims(settled, range(1, old.ndim)), old, new), prior, answer
+    )
+
+
 def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Answer:
     lanes, valid = read(problem)
+    valid = valid & torques.usable(problem)
+    problem = torques.cleaned(problem)
     lanes, frame = normalise(lanes)
     metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
-    chosen = _choose(problem, prior, width)
+    excess = _excess(problem, prior)
+    settled = _settled(problem, prior, excess, valid)
+    chosen = _choose(excess, prior, width)
     hill = Limited(lanes, unknowns, metric, torques.rows_of(problem, lanes, frame, chosen))
     start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
     known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * frame.weight / frame.load
@@ -111,8 +149,8 @@ def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Ans
     )
     answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
     # Limits that were not chosen may be broken now.
-    undecided = (answer.verdict != Verdict.OPTIMAL) | jnp.any(_excess(problem, answer) > 0, 1)
-    return answer._replace(undecided=undecided)
+    undecided = (answer.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(problem, answer) > 0, 1)
+    return _merge(settled, prior, answer._replace(undecided=undecided & valid[0], certificate_rates=None))
 
 
 def _binding(answer: Answer) -> Array:
@@ -120,12 +158,11 @@ def _binding(answer: Answer) -> Array:
     return answer.torque_multiplier
 
 
-def _choose(problem: Problem, prior: Answer, width: int) -> Array:
+def _choose(excess: Array, prior: Answer, width: int) -> Array:
     """The limits that bind already, and those that are broken most: a 1 for each at its joint ``(B, width, j)``.
 
     By sums with ones and zeros, since sorting and gathering take longer for so few.
     """
-    excess = _excess(problem, prior)
     interest = jnp.where(_binding(prior) != 0, jnp.inf, excess)
     chosen = []
     for _ in range(min(width, excess.shape[1])):
@@ -159,11 +196,12 @@ class _Ground(NamedTuple):
 
 def _careful_tile(problem: Problem, prior: Answer) -> Answer:
     lanes, valid = read(problem)
+    valid = valid & torques.usable(problem)
+    problem = torques.cleaned(problem)
     lanes, frame = principal(lanes)
     metric, unknowns = whitened(problem, lanes, frame)
     rows = torques.rows_of(problem, lanes, frame, None)
-    start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
-    start = jnp.concatenate([start, jnp.zeros((len(rows.bound), problem.size), start.dtype)])
+    start = jnp.zeros((6 + len(rows.bound), problem.size), rows.bound.dtype)
     undecided = jnp.zeros((1, problem.size), bool)
     begun = Search(start, undecided + Verdict.NOT_CONVERGED, undecided + 0, 0 * start, undecided)
     forces, found = proximal_search(_Ground(lanes, frame, unknowns, metric, rows), begun)
@@ -181,4 +219,5 @@ def _careful_tile(problem: Problem, prior: Answer) -> Answer:
         undecided,
         joints,
     )
-    return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
+    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
+    return _merge(_settled(problem, prior, _excess(problem, prior), valid), prior, answer)

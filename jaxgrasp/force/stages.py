@@ -40,9 +40,11 @@ def solve_closed(problem: Problem) -> Answer:
 
 def solve_optimum(problem: Problem) -> Answer:
     """The constrained optimum of a flat batch."""
+    bare = limited.without_torques(problem)
     if problem.free is None:
-        return finish_optimum(problem, first_pass(problem))
-    answer = over_tiles(partial(_whole, constrained=True), problem, problem.size, CAREFUL_TILE)
+        answer = finish_optimum(bare, first_pass(bare))
+    else:
+        answer = over_tiles(partial(_whole, constrained=True), bare, problem.size, CAREFUL_TILE)
     return limited.within_torques(problem, answer)
 
 
@@ -65,7 +67,7 @@ def finish_closed(problem: Problem, answer: Answer) -> Answer:
 
 
 def finish_optimum(problem: Problem, answer: Answer) -> Answer:
-    """The constrained optimum everywhere, from the first pass."""
+    """The constrained optimum everywhere, but for limits of torques, from the first pass."""
     outside = answer.verdict == Verdict.OUTSIDE_CONES
     answer = answer._replace(undecided=answer.undecided | outside)
     if problem.start is not None:
@@ -80,8 +82,7 @@ def finish_optimum(problem: Problem, answer: Answer) -> Answer:
     # A loop rather than two calls: the stages are one piece of compiled code.
     answer = lax.fori_loop(0, len(STEPS), newton, answer)
     careful = partial(_careful_tile, constrained=True)
-    answer = over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
-    return limited.within_torques(problem, answer)
+    return over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
 
 
 def _newton_width(problem: Problem) -> int:

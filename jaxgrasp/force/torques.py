@@ -8,6 +8,7 @@ all limits that do not bind stay.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -19,6 +20,7 @@ from jaxgrasp.force.frame import Frame
 from jaxgrasp.force.lanes import Lanes, Problem
 from jaxgrasp.force.newton import Proximal
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import semidefinite, symmetric, vec
 from jaxgrasp.numerics.symmetric import Lower
@@ -75,6 +77,30 @@ def _in_lane(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None)
     if lanes.lever is not None:
         spin = frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x
     return Four(linear, spin), bounds / frame.load
+
+
+def usable(problem: Problem) -> Array:
+    """Whether the limits of torques are numbers that can be computed with ``(B,)``."""
+    assert problem.torque_map is not None and problem.torque_max is not None
+    asked = jnp.sum(jnp.abs(problem.torque_map), (2, 3)) <= tolerances(problem.torque_map.dtype).largest
+    if problem.present is not None:
+        asked = asked | ~(problem.present > 0.5)
+    return jnp.all(asked, 1) & jnp.all(problem.torque_max >= 0, 1)
+
+
+def cleaned(problem: Problem) -> Problem:
+    """The problem with zeros where its map of torques has no numbers."""
+    given = problem.torque_map
+    return eqx.tree_at(lambda p: p.torque_map, problem, jnp.where(jnp.isfinite(given), given, 0))
+
+
+def of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:
+    """Torques ``(B, j)`` by the user's own map and forces ``(B, n, 3)``, as they came."""
+    if torque_map.shape[2] == 4:
+        spins = jnp.zeros_like(forces[..., 0]) if moments is None else moments
+        forces = jnp.concatenate([forces, spins[..., None]], -1)
+    # A product of matrices: several times faster than a sum over axes in the middle.
+    return jnp.einsum("bncj,bnc->bj", torque_map, forces, precision=lax.Precision.HIGHEST)
 
 
 def torques(rows: Rows, forces: Four) -> Array:
@@ -223,10 +249,12 @@ def _solve(matrix: Bordered, right: Array, free: Array) -> Array:
     keep = free.astype(right.dtype)
     right = jnp.concatenate([right[:6], keep * right[6:]])
     size = len(right)
-    full = whole(matrix, keep)
     if size > LARGEST_UNROLLED:
-        return semidefinite.solve(semidefinite.factor(full, 0.0), right)
-    rows = [[full[i, j][None] for j in range(i + 1)] for i in range(size)]
-    for i in range(6, size):
-        rows[i][i] = rows[i][i] + (1 - keep[i - 6 : i - 5])
+        return semidefinite.solve(semidefinite.factor(whole(matrix, keep), 0.0), right)
+    rows = [list(row) for row in matrix.plain]
+    for i in range(len(keep)):
+        kept = keep[i : i + 1]
+        across = [kept * matrix.across[j, i : i + 1] for j in range(6)]
+        own = [kept * keep[j : j + 1] * matrix.own[j, i : i + 1] for j in range(i)]
+        rows.append([*across, *own, jnp.where(kept > 0, matrix.own[i, i : i + 1], 1)])
     return jnp.concatenate(symmetric.solve(symmetric.factor(rows), [right[i : i + 1] for i in range(size)]))

@@ -37,8 +37,8 @@ def _about_times(report: dict) -> str:
     return (
         f"Microseconds a problem in a batch of {plan['batch']:,} ordinary ones that have an answer, and how many times "
         f"the optimum of the same problems by hard fingers without limits, in turns. Hands of {plan['joints']} joints. "
-        "The optimum without them breaks some limits by up to a tenth; in brackets how many bind in the mean where they "
-        "are kept."
+        "The optimum without them breaks some limits by up to a tenth; in brackets how many bind in the mean, once "
+        "they hold."
     )
 
 

@@ -91,6 +91,7 @@ def usable(problem: Problem) -> Array:
 def cleaned(problem: Problem) -> Problem:
     """The problem with zeros where its map of torques has no numbers."""
     given = problem.torque_map
+    assert given is not None
     return eqx.tree_at(lambda p: p.torque_map, problem, jnp.where(jnp.isfinite(given), given, 0))
 
 

@@ -1,4 +1,4 @@
-"""The constrained optimum of soft fingers and limited hands by Clarabel, one problem at a time: an independent oracle.
+"""Soft fingers and limited hands by Clarabel, one problem at a time, by any objective: an independent oracle.
 
 Written as a second-order cone program with a quadratic objective, in the user's own coordinates; it shares nothing with
 jaxgrasp.
@@ -39,57 +39,127 @@ class Found(NamedTuple):
 
 def optimum(case: Case, tolerance: float = 1e-12) -> Found:
     """The optimum, and what Clarabel calls it; contacts of weight zero hold their squeezing force."""
-    import clarabel
-    from scipy import sparse
+    n, body = len(case.friction), _body(case)
+    loose = case.weights > 0
+    cost = np.repeat(np.where(loose, 1 / np.where(loose, case.weights, 1), 0.0), 4)
+    wanted = np.zeros((n, 4))
+    wanted[:, 0] = case.squeeze
+    held = [(i, c) for i in range(n) for c in range(4) if not loose[i] or (c == 3 and body.lever[i] == 0)]
+    equal = np.zeros((len(held), 4 * n))
+    equal[np.arange(len(held)), [4 * i + c for i, c in held]] = 1
+    cones = _cones(case, body, 0)
+    cones.insert(1, ("zero", equal, np.array([wanted[i, c] for i, c in held])))
+    status, x = _solve(np.diag(cost), -cost * wanted.ravel(), cones, tolerance)
+    objective = float(np.sum(cost.reshape(n, 4) * (x.reshape(n, 4) - wanted) ** 2) / 2)
+    return _found(body, status, x, objective)
 
+
+def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
+    """The least largest force of a contact."""
+    n, body = len(case.friction), _body(case)
+    cones = [*_cones(case, body, 1), _idle(body)]
+    for i in range(n):
+        rows = np.zeros((5, 4 * n + 1))
+        rows[0, -1], rows[1:, 4 * i : 4 * i + 4] = -1, -np.eye(4)
+        cones.append(("cone", rows, np.zeros(5)))
+    status, x = _solve(np.zeros((4 * n + 1,) * 2), np.eye(4 * n + 1)[-1], cones, tolerance)
+    return _found(body, status, x[:-1], x[-1])
+
+
+def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
+    """The least root of the sum of squares of the torques."""
+    n, body = len(case.friction), _body(case)
+    asked = _asked(case, body).reshape(4 * n, -1)
+    cones = [*_cones(case, body, 1), _idle(body)]
+    rows = np.zeros((asked.shape[1] + 1, 4 * n + 1))
+    rows[0, -1], rows[1:, :-1] = -1, -asked.T
+    cones.append(("cone", rows, np.zeros(len(rows))))
+    status, x = _solve(np.zeros((4 * n + 1,) * 2), np.eye(4 * n + 1)[-1], cones, tolerance)
+    return _found(body, status, x[:-1], x[-1])
+
+
+class _Body(NamedTuple):
+    """Unknowns of a contact: normal force, two tangential ones, moment over its lever."""
+
+    axes: np.ndarray
+    """``(n, 3, 3)``; columns: normal, two tangents."""
+    lever: np.ndarray
+    maps: np.ndarray
+    """Their wrenches ``(6, n, 4)``."""
+
+
+def _body(case: Case) -> _Body:
     n = len(case.friction)
-    axes = np.stack([np.stack([a, *tangents(a)], 1) for a in case.normals])  # columns: normal, two tangents
+    axes = np.stack([np.stack([a, *tangents(a)], 1) for a in case.normals])
     torsion = np.zeros(n) if case.torsion is None else case.torsion
     lever = np.where(case.friction > 0, torsion / np.where(case.friction > 0, case.friction, 1), 0.0)
-    loose = case.weights > 0
-    # Unknowns of a contact: normal force, two tangential ones, moment over its lever.
     maps = np.zeros((6, n, 4))
     for i in range(n):
         maps[:3, i, :3] = axes[i]
         maps[3:, i, :3] = np.cross(case.points[i], axes[i], axisb=0, axisc=0)
         maps[3:, i, 3] = lever[i] * case.normals[i]
-    cost = np.repeat(np.where(loose, 1 / np.where(loose, case.weights, 1), 0.0), 4)
-    wanted = np.zeros((n, 4))
-    wanted[:, 0] = case.squeeze
-    a, b, kinds = [maps.reshape(6, -1)], [case.wrench], [clarabel.ZeroConeT(6)]
-    held = [(i, c) for i in range(n) for c in range(4) if not loose[i] or (c == 3 and lever[i] == 0)]
-    if held:
-        rows = np.zeros((len(held), 4 * n))
-        rows[np.arange(len(held)), [4 * i + c for i, c in held]] = 1
-        a, b = [*a, rows], [*b, np.array([wanted[i, c] for i, c in held])]
-        kinds.append(clarabel.ZeroConeT(len(held)))
-    flat, bound = _bounds(case, axes, lever)
-    if len(bound):
-        a, b = [*a, flat], [*b, bound]
-        kinds.append(clarabel.NonnegativeConeT(len(bound)))
+    return _Body(axes, lever, maps)
+
+
+Rows = tuple[str, np.ndarray, np.ndarray]
+
+
+def _idle(body: _Body) -> Rows:
+    """That what stands for nothing is zero, in programs of one more unknown."""
+    held = [4 * i + 3 for i in np.flatnonzero(body.lever == 0)]
+    rows = np.zeros((len(held), 4 * len(body.lever) + 1))
+    rows[np.arange(len(held)), held] = 1
+    return "zero", rows, np.zeros(len(held))
+
+
+def _cones(case: Case, body: _Body, extra: int) -> list[Rows]:
+    """Equilibrium, linear bounds and friction; ``extra`` unknowns follow those of the contacts."""
+    n = len(case.friction)
+    flat, bound = _bounds(case, body)
+    found = [("zero", body.maps.reshape(6, -1), case.wrench), ("linear", flat, bound)]
     for i in range(n):
         rows = np.zeros((4, 4 * n))
         rows[0, 4 * i], rows[1:, 4 * i + 1 : 4 * i + 4] = -case.friction[i], -np.eye(3)
-        a, b = [*a, rows], [*b, np.zeros(4)]
-        kinds.append(clarabel.SecondOrderConeT(4))
+        found.append(("cone", rows, np.zeros(4)))
+    return [(kind, np.pad(rows, [(0, 0), (0, extra)]), right) for kind, rows, right in found]
+
+
+def _solve(quadratic: np.ndarray, linear: np.ndarray, cones: list[Rows], tolerance: float) -> tuple[str, np.ndarray]:
+    import clarabel
+    from scipy import sparse
+
+    kinds = {"zero": clarabel.ZeroConeT, "linear": clarabel.NonnegativeConeT, "cone": clarabel.SecondOrderConeT}
+    cones = [entry for entry in cones if len(entry[2])]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix(np.diag(cost)),
-        -cost * wanted.ravel(),
-        sparse.csc_matrix(np.concatenate(a)),
-        np.concatenate(b),
-        kinds,
+    answer = clarabel.DefaultSolver(
+        sparse.csc_matrix(quadratic),
+        linear,
+        sparse.csc_matrix(np.concatenate([rows for _, rows, _ in cones])),
+        np.concatenate([right for _, _, right in cones]),
+        [kinds[kind](len(right)) for kind, _, right in cones],
         settings,
-    )
-    answer = solver.solve()
-    x = np.asarray(answer.x).reshape(n, 4)
-    objective = float(np.sum(cost.reshape(n, 4) * (x - wanted) ** 2) / 2)
-    return Found(str(answer.status), np.einsum("nij,nj->ni", axes, x[:, :3]), lever * x[:, 3], objective)
+    ).solve()
+    return str(answer.status), np.asarray(answer.x)
 
 
-def _bounds(case: Case, axes: np.ndarray, lever: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _found(body: _Body, status: str, x: np.ndarray, objective: float) -> Found:
+    x = x.reshape(-1, 4)
+    return Found(status, np.einsum("nij,nj->ni", body.axes, x[:, :3]), body.lever * x[:, 3], float(objective))
+
+
+def _asked(case: Case, body: _Body) -> np.ndarray:
+    """Torques that the unknowns ask for ``(n, 4, j)``."""
+    assert case.torque_map is not None
+    asked = np.zeros((len(case.friction), 4, case.torque_map.shape[2]))
+    asked[:, :3] = np.einsum("nki,nkj->nij", body.axes, case.torque_map[:, :3])
+    if case.torque_map.shape[1] == 4:
+        asked[:, 3] = body.lever[:, None] * case.torque_map[:, 3]
+    return asked
+
+
+def _bounds(case: Case, body: _Body) -> tuple[np.ndarray, np.ndarray]:
     """Rows and bounds of what is linear: normal forces and torques."""
     n, rows, bounds = len(case.friction), [], []
     for sign, values in ((1, case.normal_max), (-1, case.normal_min)):
@@ -100,10 +170,7 @@ def _bounds(case: Case, axes: np.ndarray, lever: np.ndarray) -> tuple[np.ndarray
                 rows.append(row.ravel())
                 bounds.append(sign * values[i])
     if case.torque_map is not None:
-        asked = np.zeros((n, 4, case.torque_map.shape[2]))
-        asked[:, :3] = np.einsum("nki,nkj->nij", axes, case.torque_map[:, :3])
-        if case.torque_map.shape[1] == 4:
-            asked[:, 3] = lever[:, None] * case.torque_map[:, 3]
+        asked = _asked(case, body)
         for j in np.flatnonzero(np.isfinite(case.torque_max)):
             rows += [asked[:, :, j].ravel(), -asked[:, :, j].ravel()]
             bounds += [case.torque_max[j]] * 2

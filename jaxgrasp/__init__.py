@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
     from jaxgrasp.model.task import Task, carrying
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
+    from jaxgrasp.objectives.best_forces import OBJECTIVES, BestForces, Objective, best_forces
     from jaxgrasp.prehension.carry import Instant, carry
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
     from jaxgrasp.prehension.motion import Body
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Assessment": "prehension.monitor",
+    "BestForces": "objectives.best_forces",
     "Body": "prehension.motion",
     "Box": "contact.shapes",
     "CYLINDRICAL_POWER_GRIP": "model.squeeze",
@@ -129,6 +131,8 @@ _HOME = {
     "MinWeight": "quality.min_weight",
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
+    "OBJECTIVES": "objectives.best_forces",
+    "Objective": "objectives.best_forces",
     "Obstacle": "prehension.scene",
     "Output": "sensitivity.outputs",
     "Plane": "contact.shapes",
@@ -151,6 +155,7 @@ _HOME = {
     "Turn": "model.paths",
     "VariedCurves": "sensitivity.trajectory",
     "Verdict": "model.solution",
+    "best_forces": "objectives.best_forces",
     "buss": "literature.buss",
     "carry": "prehension.carry",
     "carrying": "model.task",

@@ -1,0 +1,225 @@
+"""Forces by another objective than closeness to the squeezing forces, with what bounds it."""
+
+from functools import partial
+from typing import Any, Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.force import shells
+from jaxgrasp.force.flat import flatten, warn_of_lost_precision
+from jaxgrasp.force.lanes import Problem
+from jaxgrasp.model.arrays import AnyArray, Float, Int
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.objectives import least_maximal, least_torque
+from jaxgrasp.objectives.posed import Units, forces_in, forces_out, pose, unbalanced, units_of
+from jaxgrasp.objectives.search import Found
+
+Objective = Literal["least_norm", "least_maximal_force", "least_torque"]
+OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
+TILE = 32
+CLOSE = 1e-4
+"""Largest distance of value and bound, relative to the value, that is called optimal."""
+NOTHING = 0.45
+"""Likewise where the value is zero but for rounding: a power of that, in units of the load."""
+LOST = 0.4
+"""By how much forces may miss their wrench or their limits, likewise."""
+METHODS: dict[str, Any] = {
+    "least_maximal_force": least_maximal,
+    "least_torque": least_torque,
+}
+
+
+class BestForces(NamedTuple):
+    """The best forces of an objective, and how good any others can be."""
+
+    forces: Float[Array, "*batch n 3"]
+    """Allowed forces that exert the wrench [N]; zero where there are none."""
+    moments: Float[Array, "*batch n"] | None
+    """Of soft fingers about their normals, with those forces [N.m]; None where all contacts are hard."""
+    value: Float[Array, "*batch"]
+    """What these forces achieve, in the objective's units; +inf where there are none."""
+    bound: Float[Array, "*batch"]
+    """What no others are better than: a proof by multipliers, apart from rounding."""
+    verdict: Int[Array, "*batch"]
+    """Code of a [`jaxgrasp.Verdict`][]: OPTIMAL where value and bound are as close as they can be told apart,
+    NOT_CONVERGED where forces exist and that was not reached, else that of the constrained optimum."""
+    certificate: Float[Array, "*batch 6"]
+    """Proof where the verdict is INFEASIBLE, for [`jaxgrasp.verify_certificate`][]."""
+    certificate_rates: Float[Array, "*batch j"] | None
+    """Of the joints, with it; None where no torque is limited."""
+
+
+def best_forces(
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*#batch 6"],
+    objective: Objective,
+    *,
+    limits: Limits | None = None,
+) -> BestForces:
+    """Forces inside the friction cones and limits that exert the wrench, best by an objective.
+
+    The objectives, all of which leave the squeezing forces out of account:
+
+    - ``"least_norm"``: the root of the sum of |f_i|^2 [N];
+    - ``"least_maximal_force"``: the largest |f_i| [N];
+    - ``"least_torque"``: the root of the sum of squares of the joint torques that ``limits.torque_map`` says forces
+      ask for [N.m], ``limits.torque_max`` kept where it is given. Where several forces ask for the least, small ones.
+
+    A moment of a soft finger counts as the tangential force that uses as much friction.
+    Where limits lie within some 1e-8 of what can be exerted at all, value and bound drift apart, as they show.
+    The bound of least torques is proven for forces up to a thousand times the sum of normal forces returned.
+
+    The ``value`` is differentiable once, by everything: it moves as its bound does for the multipliers found. Where
+    several multipliers bound it, the derivative is that of one. Derivatives of the other fields are zero, but for
+    the least norm, whose forces are those of [`jaxgrasp.constrained_optimum`][].
+
+    Args:
+        grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
+        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        objective: one of [`jaxgrasp.OBJECTIVES`][].
+        limits: as for [`jaxgrasp.constrained_optimum`][].
+
+    Raises:
+        ValueError: for an unknown objective, a torque_map that it lacks, or shapes that do not fit.
+        NotImplementedError: when differentiated twice.
+    """
+    _check(objective, limits)
+    warn_of_lost_precision(grasp, wrench)
+    return _run(grasp, wrench, limits, objective=objective)
+
+
+def _check(objective: str, limits: Limits | None) -> None:
+    if objective not in OBJECTIVES:
+        raise ValueError(f"objective is {objective!r}: expected one of {', '.join(OBJECTIVES)}")
+    if objective == "least_torque" and (limits is None or limits.torque_map is None):
+        raise ValueError("torque_map is None: expected limits with a torque_map, since least_torque is about torques")
+
+
+@partial(jax.jit, static_argnames=("objective",))
+def _run(grasp, wrench, limits, *, objective: Objective) -> BestForces:
+    calm = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(jnp.asarray(grasp.squeeze)))
+    problem, _, batch = flatten(calm, wrench, None, "uniform", limits=limits)
+    wide = _wide(problem)
+    found = _least_norm(wide) if objective == "least_norm" else _best(wide, objective)
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), found)
+
+
+def _wide(problem: Problem) -> Problem:
+    """With a grasp that all wrenches share repeated for each."""
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), problem)
+
+
+def _least_norm(problem: Problem) -> BestForces:
+    solution = shells.solver(True)(problem)
+    solved = solution.verdict <= Verdict.OPTIMAL
+    # Half the sum of squares, of derivative zero where it is zero.
+    some = solved & (solution.objective > 0)
+    size = jnp.where(some, jnp.sqrt(2 * jnp.where(some, solution.objective, 1)), 0)
+    value = jnp.where(solved, size, jnp.inf)
+    return _answer(solution, solved, solution.forces, solution.moments, value, value)
+
+
+def _answer(
+    solution: Solution, solved: Array, forces: Array, moments: Array | None, value: Array, bound: Array
+) -> BestForces:
+    verdict = jnp.where(solution.verdict == Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, solution.verdict)
+    return BestForces(
+        forces=jnp.where(solved[:, None, None], forces, 0),
+        moments=None if moments is None else jnp.where(solved[:, None], moments, 0),
+        value=value,
+        bound=bound,
+        verdict=verdict,
+        certificate=solution.certificate,
+        certificate_rates=solution.certificate_rates,
+    )
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _best(problem: Problem, objective: Objective) -> BestForces:
+    return _search(problem, objective)[0]
+
+
+@_best.defjvp
+def _best_moves(objective, primals, tangents):
+    """The envelope theorem: the Lagrangian is stationary in forces and multipliers at the optimum."""
+    best, found = _search(*primals, objective)
+    solved = jnp.isfinite(best.value)
+    units = units_of(_only(primals[0], solved))
+
+    def lagrangian(problem: Problem) -> Array:
+        posed = pose(_only(problem, solved), units)
+        return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
+
+    moved = jax.jvp(lagrangian, primals, tangents)[1]
+    still = jax.tree.map(_still, best)
+    return best, still._replace(value=jnp.where(solved, moved, 0))
+
+
+def _still(array: Array) -> Array | np.ndarray:
+    """Its tangent, where it does not move."""
+    if jnp.issubdtype(array.dtype, jnp.floating):
+        return jnp.zeros_like(array)
+    return np.zeros(array.shape, jax.dtypes.float0)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _search(problem: Problem, objective: Objective) -> tuple[BestForces, Found]:
+    solution = shells.solver(True)(problem)
+    solved = solution.verdict <= Verdict.OPTIMAL
+    tile = partial(_tile, objective=objective)
+    forces, moments, value, bound, close, found = over_tiles(tile, (problem, solution), problem.size, TILE)
+    value, bound = (jnp.where(solved, x, jnp.inf) for x in (value, bound))
+    best = _answer(solution, solved, forces, moments, value, bound)
+    judged = jnp.where(close, Verdict.OPTIMAL, Verdict.NOT_CONVERGED).astype(best.verdict.dtype)
+    return best._replace(verdict=jnp.where(solved, judged, best.verdict)), found
+
+
+@_search.defjvp
+def _no_second_derivative(objective, primals, tangents):
+    raise NotImplementedError("best_forces has first derivatives only")
+
+
+def _tile(given: tuple[Problem, Solution], objective: Objective):
+    problem, solution = given
+    solved = solution.verdict <= Verdict.OPTIMAL
+    problem = _only(problem, solved)
+    units = units_of(problem)
+    posed = pose(problem, units)
+    method = METHODS[objective]
+    found = method.search(posed)
+    # A search that got lost leaves the forces that are known.
+    known = forces_in(posed, units, problem, solution.forces, solution.moments)
+    lost = ~(jnp.maximum(unbalanced(posed, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST)
+    y = jnp.where(lost[:, None, None], known, found.y)
+    value = jnp.where(lost, method.value(posed, known), found.value)
+    close = jnp.abs(value - found.bound) <= CLOSE * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** NOTHING
+    forces, moments = forces_out(posed, units, problem, y)
+    scale = _scale(units, objective)
+    return forces, moments, scale * value, scale * found.bound, close & ~lost, found
+
+
+def _scale(units: Units, objective: Objective) -> Array:
+    """What one unit of ``Posed`` is of the objective."""
+    return units.load * units.torque if objective == "least_torque" else units.load
+
+
+def _only(problem: Problem, solved: Array) -> Problem:
+    """Problems that have an answer; of others nothing but a shape, so that they neither spoil nor delay any."""
+    present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
+    wrench = jnp.where(solved[:, None], problem.wrench, 0)
+    kept = eqx.tree_at(
+        lambda p: (p.present, p.wrench),
+        problem,
+        (jnp.where(solved[:, None], present, 0), wrench),
+        is_leaf=lambda x: x is None,
+    )
+    if problem.torque_max is None:
+        return kept
+    return eqx.tree_at(lambda p: p.torque_max, kept, jnp.where(solved[:, None], problem.torque_max, jnp.inf))

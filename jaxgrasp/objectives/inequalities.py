@@ -1,0 +1,44 @@
+"""What limits add to a cone program: inequalities row.x <= end by name, and their multipliers by the same name."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.numerics.conic import Cones
+from jaxgrasp.objectives.posed import Posed, press_rows
+
+Inequalities = dict[str, tuple[Array, Array]]
+"""Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""
+
+
+def limits_of(posed: Posed, extra: int) -> Inequalities:
+    """Bounds of presses and of torques."""
+    size, n = posed.right.shape[0], posed.columns.shape[2]
+    presses = jnp.broadcast_to(press_rows(posed, extra), (size, n, posed.width + extra))
+    found: Inequalities = {}
+    if posed.least is not None:
+        found["least"] = -presses, -posed.least
+    if posed.most is not None:
+        found["most"] = presses, posed.most
+    if posed.rows is not None and posed.torque_max is not None:
+        torque = jnp.pad(posed.rows.reshape(size, -1, posed.width), [(0, 0), (0, 0), (0, extra)])
+        found["up"] = torque, posed.torque_max
+        found["down"] = -torque, posed.torque_max
+    return found
+
+
+def as_cones(inequalities: Inequalities) -> Cones:
+    """All of them, as cones of one dimension."""
+    rows = jnp.concatenate([rows for rows, _ in inequalities.values()], 1)
+    ends = jnp.concatenate([ends for _, ends in inequalities.values()], 1)
+    holds = jnp.isfinite(ends)
+    return Cones(jnp.where(holds[..., None], rows, 0)[:, :, None], jnp.where(holds, ends, 1)[..., None])
+
+
+def multipliers(inequalities: Inequalities, duals: Array) -> dict[str, Array]:
+    """The duals of ``as_cones``, ``(B, m, 1)``, by name ``(B, m)``; zero of those that are none."""
+    found, first = {}, 0
+    for name, (_, ends) in inequalities.items():
+        last = first + ends.shape[1]
+        found[name] = jnp.where(jnp.isfinite(ends), duals[:, first:last, 0], 0)
+        first = last
+    return found

@@ -1,0 +1,68 @@
+"""The least joint torques, as the root of the sum of their squares.
+
+With the joints' speeds e = the torques, and a twist along which no contact can work, w.d - |e|^2 / 2 bounds half the
+sum of squares.
+"""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.numerics import conic
+from jaxgrasp.numerics.conic import Program
+from jaxgrasp.numerics.vec import safe_sqrt
+from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
+from jaxgrasp.objectives.posed import Posed, absent, friction_cones
+from jaxgrasp.objectives.prices import Prices, asked, push_of, spent
+from jaxgrasp.objectives.search import Found
+
+TIE = 1e-11
+"""Of forces that ask for the same torques the smaller ones, at this price for their squares beside the torques'."""
+REACH = 1e3
+"""The bound is proven for forces up to so many times the sum of presses found."""
+
+
+def search(posed: Posed) -> Found:
+    assert posed.rows is not None
+    inequalities = limits_of(posed, 0)
+    size, _, n, c = posed.columns.shape
+    rows = posed.rows.reshape(size, -1, n * c)
+    price = jnp.maximum(TIE, 10 * jnp.finfo(rows.dtype).eps)
+    squares = jnp.einsum("bji,bjk->bik", rows, rows) + absent(posed, 0) + price * jnp.eye(n * c, dtype=rows.dtype)
+    cones = [friction_cones(posed, 0)] + ([as_cones(inequalities)] if inequalities else [])
+    equations = posed.columns.reshape(size, 6, n * c)
+    best = conic.solve(Program(squares, jnp.zeros_like(squares[:, 0]), equations, posed.right, tuple(cones)))
+    bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
+    y = jnp.where(posed.there[..., None], best.point.reshape(size, n, c), 0)
+    prices = Prices(-best.equality, bounds, _torques(posed, y))
+    press = y[..., 0]
+    return Found(y, value(posed, y), _bound(posed, prices, press), prices, press, best.missed)
+
+
+def _torques(posed: Posed, y: Array) -> Array:
+    assert posed.rows is not None
+    return jnp.einsum("bjnc,bnc->bj", posed.rows, y)
+
+
+def value(posed: Posed, y: Array) -> Array:
+    return jnp.sqrt(jnp.sum(_torques(posed, y) ** 2, -1))
+
+
+def _bound(posed: Posed, prices: Prices, press: Array) -> Array:
+    """What no torques of forces up to ``REACH`` times the sum of ``press`` stay below ``(B,)``."""
+    most = jnp.maximum(jnp.max(push_of(posed, prices).most, -1), 0)
+    return _root(_half(posed, prices) - REACH * jnp.sum(press, -1) * most)
+
+
+def lagrangian(posed: Posed, found: Found) -> Array:
+    """Stationary in the multipliers at the optimum, where it is the value."""
+    work = jnp.sum(found.press * push_of(posed, found.prices).most, -1)
+    return _root(_half(posed, found.prices) - work)
+
+
+def _half(posed: Posed, prices: Prices) -> Array:
+    assert prices.drive is not None
+    return asked(posed, prices) - spent(posed, prices) - jnp.sum(prices.drive**2, -1) / 2
+
+
+def _root(half: Array) -> Array:
+    return safe_sqrt(2 * jnp.maximum(half, 0))

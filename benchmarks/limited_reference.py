@@ -56,6 +56,7 @@ def optimum(case: Case, tolerance: float = 1e-12) -> Found:
 
 def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
     """The least largest force of a contact."""
+    case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
     cones = [*_cones(case, body, 1), _idle(body)]
     for i in range(n):
@@ -63,11 +64,12 @@ def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
         rows[0, -1], rows[1:, 4 * i : 4 * i + 4] = -1, -np.eye(4)
         cones.append(("cone", rows, np.zeros(5)))
     status, x = _solve(np.zeros((4 * n + 1,) * 2), np.eye(4 * n + 1)[-1], cones, tolerance)
-    return _found(body, status, x[:-1], x[-1])
+    return _found(body, status, load * x[:-1], load * x[-1])
 
 
 def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
     """The least root of the sum of squares of the torques."""
+    case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
     asked = _asked(case, body).reshape(4 * n, -1)
     cones = [*_cones(case, body, 1), _idle(body)]
@@ -75,7 +77,14 @@ def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
     rows[0, -1], rows[1:, :-1] = -1, -asked.T
     cones.append(("cone", rows, np.zeros(len(rows))))
     status, x = _solve(np.zeros((4 * n + 1,) * 2), np.eye(4 * n + 1)[-1], cones, tolerance)
-    return _found(body, status, x[:-1], x[-1])
+    return _found(body, status, load * x[:-1], load * x[-1])
+
+
+def _in_units(case: Case) -> tuple[Case, float]:
+    """With forces in units of the load [N], since Clarabel's tolerances are not relative."""
+    load = float(np.linalg.norm(case.wrench[:3])) or 1.0
+    named = {name: getattr(case, name) for name in ("squeeze", "wrench", "normal_min", "normal_max", "torque_max")}
+    return case._replace(**{name: None if x is None else x / load for name, x in named.items()}), load
 
 
 class _Body(NamedTuple):

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
     from jaxgrasp.model.task import Task, carrying
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
-    from jaxgrasp.objectives.best_forces import OBJECTIVES, BestForces, Objective, best_forces
+    from jaxgrasp.objectives.best_forces import OBJECTIVES, BestForces, best_forces
     from jaxgrasp.prehension.carry import Instant, carry
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
     from jaxgrasp.prehension.motion import Body
@@ -132,7 +132,6 @@ _HOME = {
     "MujocoGrasp": "interop.mujoco_contacts",
     "MujocoHand": "interop.mujoco_hand",
     "OBJECTIVES": "objectives.best_forces",
-    "Objective": "objectives.best_forces",
     "Obstacle": "prehension.scene",
     "Output": "sensitivity.outputs",
     "Plane": "contact.shapes",

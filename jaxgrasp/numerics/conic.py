@@ -286,9 +286,9 @@ def _system(program: Program, scalings: list[_Scaling]) -> _System:
 def _raised(matrix: Array) -> Array:
     """With what rounding may have taken from its diagonal, so that it has a factor; solving again takes it back."""
     size = matrix.shape[-1]
-    largest = jnp.max(jnp.einsum("bii->bi", matrix), -1)[:, None, None]
-    floor = 4 * size * jnp.finfo(matrix.dtype).eps * largest + jnp.finfo(matrix.dtype).tiny
-    return matrix + floor * jnp.eye(size, dtype=matrix.dtype)
+    each = jnp.einsum("bii->bi", matrix)
+    floor = 4 * size * jnp.finfo(matrix.dtype).eps * each + jnp.finfo(matrix.dtype).tiny
+    return matrix + floor[..., None] * jnp.eye(size, dtype=matrix.dtype)
 
 
 def _behind(factor: Array, right: Array) -> Array:

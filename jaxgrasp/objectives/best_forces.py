@@ -92,7 +92,13 @@ def best_forces(
     """
     _check(objective, limits)
     warn_of_lost_precision(grasp, wrench)
-    return _run(grasp, wrench, limits, objective=objective)
+    # Each part is compiled by itself, so that the objectives, and their derivatives, share the solver.
+    problem, batch = _flat(grasp, wrench, limits)
+    if objective == "least_norm":
+        found = _least_norm(_solved(problem))
+    else:
+        found = _best(problem, _solved(jax.lax.stop_gradient(problem)), objective)
+    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), found)
 
 
 def _check(objective: str, limits: Limits | None) -> None:
@@ -102,22 +108,20 @@ def _check(objective: str, limits: Limits | None) -> None:
         raise ValueError("torque_map is None: expected limits with a torque_map, since least_torque is about torques")
 
 
-@partial(jax.jit, static_argnames=("objective",))
-def _run(grasp, wrench, limits, *, objective: Objective) -> BestForces:
+def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Problem, tuple[int, ...]]:
+    """Problems without squeezing forces, a grasp that all wrenches share repeated for each."""
     calm = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(jnp.asarray(grasp.squeeze)))
     problem, _, batch = flatten(calm, wrench, None, "uniform", limits=limits)
-    wide = _wide(problem)
-    found = _least_norm(wide) if objective == "least_norm" else _best(wide, objective)
-    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), found)
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), problem), batch
 
 
-def _wide(problem: Problem) -> Problem:
-    """With a grasp that all wrenches share repeated for each."""
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), problem)
+@jax.jit
+def _solved(problem: Problem) -> Solution:
+    return shells.solver(True)(problem)
 
 
-def _least_norm(problem: Problem) -> BestForces:
-    solution = shells.solver(True)(problem)
+@jax.jit
+def _least_norm(solution: Solution) -> BestForces:
     solved = solution.verdict <= Verdict.OPTIMAL
     # Half the sum of squares, of derivative zero where it is zero.
     some = solved & (solution.objective > 0)
@@ -141,25 +145,29 @@ def _answer(
     )
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _best(problem: Problem, objective: Objective) -> BestForces:
-    return _search(problem, objective)[0]
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _best(problem: Problem, solution: Solution, objective: Objective) -> BestForces:
+    return _search(problem, solution, objective)[0]
 
 
 @_best.defjvp
 def _best_moves(objective, primals, tangents):
     """The envelope theorem: the Lagrangian is stationary in forces and multipliers at the optimum."""
     best, found = _search(*primals, objective)
-    solved = jnp.isfinite(best.value)
-    units = units_of(_only(primals[0], solved))
+    still = jax.tree.map(_still, best)
+    return best, still._replace(value=_moved(primals[0], tangents[0], found, jnp.isfinite(best.value), objective))
+
+
+@partial(jax.jit, static_argnames=("objective",))
+def _moved(problem: Problem, tangent: Problem, found: Found, solved: Array, objective: Objective) -> Array:
+    """How the value moves with the problem."""
+    units = units_of(_only(problem, solved))
 
     def lagrangian(problem: Problem) -> Array:
         posed = pose(_only(problem, solved), units)
         return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
 
-    moved = jax.jvp(lagrangian, primals, tangents)[1]
-    still = jax.tree.map(_still, best)
-    return best, still._replace(value=jnp.where(solved, moved, 0))
+    return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
 
 
 def _still(array: Array) -> Array | np.ndarray:
@@ -169,9 +177,18 @@ def _still(array: Array) -> Array | np.ndarray:
     return np.zeros(array.shape, jax.dtypes.float0)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _search(problem: Problem, objective: Objective) -> tuple[BestForces, Found]:
-    solution = shells.solver(True)(problem)
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _search(problem: Problem, solution: Solution, objective: Objective) -> tuple[BestForces, Found]:
+    return _searched(problem, solution, objective)
+
+
+@_search.defjvp
+def _no_second_derivative(objective, primals, tangents):
+    raise NotImplementedError("best_forces has first derivatives only")
+
+
+@partial(jax.jit, static_argnames=("objective",))
+def _searched(problem: Problem, solution: Solution, objective: Objective) -> tuple[BestForces, Found]:
     solved = solution.verdict <= Verdict.OPTIMAL
     tile = partial(_tile, objective=objective)
     forces, moments, value, bound, close, found = over_tiles(tile, (problem, solution), problem.size, TILE)
@@ -179,11 +196,6 @@ def _search(problem: Problem, objective: Objective) -> tuple[BestForces, Found]:
     best = _answer(solution, solved, forces, moments, value, bound)
     judged = jnp.where(close, Verdict.OPTIMAL, Verdict.NOT_CONVERGED).astype(best.verdict.dtype)
     return best._replace(verdict=jnp.where(solved, judged, best.verdict)), found
-
-
-@_search.defjvp
-def _no_second_derivative(objective, primals, tangents):
-    raise NotImplementedError("best_forces has first derivatives only")
 
 
 def _tile(given: tuple[Problem, Solution], objective: Objective):

@@ -9,9 +9,10 @@ from jax import Array
 
 from jaxgrasp.numerics import conic
 from jaxgrasp.numerics.conic import Cones, Program
+from jaxgrasp.numerics.vec import safe_sqrt
 from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
 from jaxgrasp.objectives.posed import Posed, absent, friction_cones
-from jaxgrasp.objectives.prices import Prices, asked, push_of, reach, spent
+from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, reach, spent
 from jaxgrasp.objectives.search import Found
 
 
@@ -27,19 +28,25 @@ def search(posed: Posed) -> Found:
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds)
-    press = jnp.zeros((size, n), y.dtype)
-    return Found(y, value(posed, y), _bound(posed, prices), prices, press, best.missed)
+    shares = best.duals[1][..., 0]
+    return Found(y, value(posed, y), _bound(posed, prices), prices, shares, best.missed)
 
 
 def lagrangian(posed: Posed, found: Found) -> Array:
-    """Stationary in the multipliers at the optimum, where it is the value."""
-    return _bound(posed, found.prices)
+    """Stationary in forces and multipliers at the optimum, where it is the value."""
+    assert found.shares is not None
+    return jnp.sum(found.shares * _sizes(posed, found.y), -1) + constraints(posed, found.prices, found.y)
 
 
 def value(posed: Posed, y: Array) -> Array:
     """Size of the largest force ``(B,)``."""
+    return jnp.max(_sizes(posed, y), -1, initial=0)
+
+
+def _sizes(posed: Posed, y: Array) -> Array:
+    """Of each force ``(B, n)``."""
     lean = posed.friction[..., None] * y[..., 1:]
-    return jnp.max(jnp.sqrt(y[..., 0] ** 2 + jnp.sum(lean**2, -1)), -1, initial=0)
+    return safe_sqrt(y[..., 0] ** 2 + jnp.sum(lean**2, -1))
 
 
 def _bound(posed: Posed, prices: Prices) -> Array:
@@ -52,7 +59,9 @@ def _bound(posed: Posed, prices: Prices) -> Array:
 def _balls(posed: Posed) -> Cones:
     """|f_i| no larger than the last variable."""
     size, _, n, c = posed.columns.shape
-    scale = jnp.concatenate([jnp.ones((size, n, 1)), jnp.broadcast_to(posed.friction[..., None], (size, n, c - 1))], -1)
+    scale = jnp.concatenate(
+        [jnp.ones_like(posed.friction)[..., None], jnp.broadcast_to(posed.friction[..., None], (size, n, c - 1))], -1
+    )
     own = jnp.eye(n * c, dtype=posed.right.dtype).reshape(n, c, n * c) * scale[..., None]
     rows = jnp.zeros((size, n, c + 1, n * c + 1), posed.right.dtype)
     rows = rows.at[..., 0, -1].set(-1).at[..., 1:, :-1].set(-own)

@@ -12,13 +12,13 @@ from jaxgrasp.numerics.conic import Program
 from jaxgrasp.numerics.vec import safe_sqrt
 from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
 from jaxgrasp.objectives.posed import Posed, absent, friction_cones
-from jaxgrasp.objectives.prices import Prices, asked, push_of, spent
+from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, spent
 from jaxgrasp.objectives.search import Found
 
-TIE = 1e-11
+TIE = 1e-13
 """Of forces that ask for the same torques the smaller ones, at this price for their squares beside the torques'."""
 REACH = 1e3
-"""The bound is proven for forces up to so many times the sum of presses found."""
+"""Where no limit bounds a press, the bound is proven up to so many times the sum of presses found."""
 
 
 def search(posed: Posed) -> Found:
@@ -34,8 +34,7 @@ def search(posed: Posed) -> Found:
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point.reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds, _torques(posed, y))
-    press = y[..., 0]
-    return Found(y, value(posed, y), _bound(posed, prices, press), prices, press, best.missed)
+    return Found(y, value(posed, y), _bound(posed, prices, y[..., 0]), prices, None, best.missed)
 
 
 def _torques(posed: Posed, y: Array) -> Array:
@@ -48,15 +47,18 @@ def value(posed: Posed, y: Array) -> Array:
 
 
 def _bound(posed: Posed, prices: Prices, press: Array) -> Array:
-    """What no torques of forces up to ``REACH`` times the sum of ``press`` stay below ``(B,)``."""
-    most = jnp.maximum(jnp.max(push_of(posed, prices).most, -1), 0)
-    return _root(_half(posed, prices) - REACH * jnp.sum(press, -1) * most)
+    """What no torques stay below, of forces within the limits and ``REACH`` ``(B,)``."""
+    farthest = REACH * jnp.sum(press, -1, keepdims=True)
+    if posed.most is not None:
+        farthest = jnp.minimum(farthest, posed.most)
+    gained = jnp.sum(jnp.maximum(push_of(posed, prices).most, 0) * farthest, -1)
+    return _root(_half(posed, prices) - gained)
 
 
 def lagrangian(posed: Posed, found: Found) -> Array:
-    """Stationary in the multipliers at the optimum, where it is the value."""
-    work = jnp.sum(found.press * push_of(posed, found.prices).most, -1)
-    return _root(_half(posed, found.prices) - work)
+    """Stationary in forces and multipliers at the optimum, where it is the value."""
+    half = jnp.sum(_torques(posed, found.y) ** 2, -1) / 2
+    return _root(half + constraints(posed, found.prices._replace(drive=None), found.y))
 
 
 def _half(posed: Posed, prices: Prices) -> Array:

@@ -40,14 +40,29 @@ class Push(NamedTuple):
 
 
 def push_of(posed: Posed, prices: Prices) -> Push:
+    velocity = _velocity(posed, prices)
+    across = safe_sqrt(jnp.sum(velocity[..., 1:] ** 2, -1))
+    return Push(velocity[..., 0], across)
+
+
+def _velocity(posed: Posed, prices: Prices) -> Array:
+    """What each component of y works against ``(B, n, c)``."""
     velocity = jnp.einsum("bxnc,bx->bnc", posed.columns, prices.twist)
     rates = _rates(prices)
     if rates is not None and posed.rows is not None:
         velocity = velocity - jnp.einsum("bjnc,bj->bnc", posed.rows, rates)
-    along = velocity[..., 0] - prices.bounds.get("most", 0) + prices.bounds.get("least", 0)
-    across = safe_sqrt(jnp.sum(velocity[..., 1:] ** 2, -1))
-    there = posed.there
-    return Push(jnp.where(there, along, 0), jnp.where(there, across, 0))
+    along = prices.bounds.get("least", 0) - prices.bounds.get("most", 0)
+    velocity = velocity.at[..., 0].add(along)
+    return jnp.where(posed.there[..., None], velocity, 0)
+
+
+def constraints(posed: Posed, prices: Prices, y: Array) -> Array:
+    """What a Lagrangian adds to the objective of forces y ``(B,)``: nothing at the optimum, where it is stationary.
+
+    The friction cones are not among them: y is in the same cones whatever the problem.
+    """
+    work = jnp.sum(y * _velocity(posed, prices), (1, 2))
+    return asked(posed, prices) - spent(posed, prices) - work
 
 
 def _rates(prices: Prices) -> Array | None:

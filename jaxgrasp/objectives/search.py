@@ -18,7 +18,7 @@ class Found(NamedTuple):
     """``(B,)``: that no forces are better than."""
     prices: Prices
     """What proves it, and how the value moves."""
-    press: Array
-    """``(B, n)``: presses that hold the contacts' constraints in the Lagrangian; zero where it holds none."""
+    shares: Array | None
+    """``(B, n)``: of what contacts bear, in an objective that is about the largest of them."""
     missed: Array
     """``(B,)``: by how much forces miss equations and limits."""

@@ -1,11 +1,17 @@
-"""Forces by an objective: known answers, balance, cones, limits and bounds, bad options."""
+"""Forces by an objective: known answers, an independent oracle, bounds, invariance, derivatives, bad input."""
 
+from functools import partial
+
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxgrasp
+from benchmarks import limited_reference
 from benchmarks.limited_problems import LimitedProblems, limited_problems
-from jaxgrasp import OBJECTIVES, BestForces, Grasp, Verdict, best_forces
+from jaxgrasp import OBJECTIVES, BestForces, Grasp, Limits, Verdict, best_forces
 
 COUNT, N, JOINTS = 24, 4, 5
 KINDS = ("ordinary", "low_friction", "some_zero_squeeze", "coincident_some", "far_frame", "combined")
@@ -82,6 +88,172 @@ def test_forces_are_allowed_and_worth_what_is_said(kind, limited):
         assert (found.bound <= found.value * (1 + 1e-9) + nothing)[solved].all(), objective
 
 
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_objective_finds_better_forces_by_another_name(kind, limited):
+    made = made_of(kind, limited=limited)
+    found = {objective: solve(made, objective) for objective in OBJECTIVES}
+    for objective in OBJECTIVES:
+        for other in found.values():
+            both = (found[objective].verdict == Verdict.OPTIMAL) & (other.verdict == Verdict.OPTIMAL)
+            theirs = achieved(made, objective, other.forces, other.moments)
+            nothing = 1e-7 * np.linalg.norm(made.problem.wrench[:, :3], axis=-1)
+            assert (found[objective].bound <= theirs * (1 + 1e-6) + nothing)[both].all()
+
+
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("objective", ["least_maximal_force", "least_torque"])
+def test_values_are_those_of_an_independent_oracle(objective, kind, limited):
+    made = made_of(kind, limited=limited)
+    found = solve(made, objective)
+    compared = 0
+    for i in range(8):
+        theirs = getattr(limited_reference, objective)(made.case(i, np.ones((COUNT, N))), 1e-9)
+        if theirs.status != "Solved":
+            continue
+        compared += 1
+        # Where nothing has to be spent both find next to nothing.
+        nothing = 1e-7 * np.linalg.norm(made.problem.wrench[i, :3])
+        assert abs(found.value[i] - theirs.objective) <= 1e-6 * theirs.objective + nothing
+    assert compared >= 4
+
+
+def turned(made: LimitedProblems, rotation: np.ndarray) -> LimitedProblems:
+    p = made.problem
+    both = np.concatenate([p.wrench[:, :3] @ rotation.T, p.wrench[:, 3:] @ rotation.T], -1)
+    maps = np.concatenate(
+        [np.einsum("xy,bnyj->bnxj", rotation, made.torque_map[:, :, :3]), made.torque_map[:, :, 3:]], 2
+    )
+    moved = p._replace(points=p.points @ rotation.T, normals=p.normals @ rotation.T, wrench=both)
+    return made._replace(problem=moved, torque_map=maps)
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_frames_units_and_order_do_not_matter(objective):
+    made = made_of("ordinary", limited=True)
+    plain = solve(made, objective)
+    good = plain.verdict == Verdict.OPTIMAL
+    rotation, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    rotation *= np.linalg.det(rotation)
+    other = solve(turned(made, rotation), objective)
+    assert np.allclose(other.value[good], plain.value[good], rtol=1e-6, atol=1e-6)
+    p, order = made.problem, [2, 0, 3, 1]
+    kept = {name: getattr(made, name)[:, order] for name in ("torsion", "normal_min", "normal_max", "torque_map")}
+    swapped = p._replace(**{k: getattr(p, k)[:, order] for k in ("points", "normals", "friction", "squeeze")})
+    other = solve(made._replace(problem=swapped, **kept), objective)
+    assert np.allclose(other.value[good], plain.value[good], rtol=1e-6, atol=1e-6)
+    louder = p._replace(wrench=100 * p.wrench, squeeze=100 * p.squeeze)
+    scaled = {name: 100 * getattr(made, name) for name in ("normal_min", "normal_max", "torque_max")}
+    other = solve(made._replace(problem=louder, **scaled), objective)
+    assert np.allclose(other.value[good], 100 * plain.value[good], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("objective", [pytest.param("least_norm", marks=pytest.mark.slow), *OBJECTIVES[1:]])
+@pytest.mark.parametrize("limited", [False, True])
+def test_forward_reverse_and_finite_differences_agree(objective, limited):
+    made = made_of("ordinary", limited=limited, seed=5)
+    limits = jax.tree.map(jnp.asarray, made.limits)
+    grasp = jax.tree.map(jnp.asarray, made.grasp)
+    data = (grasp, jnp.asarray(made.problem.wrench), limits)
+    rng = np.random.default_rng(1)
+    # In proportion, so that no bound turns over; normals stay of unit length.
+    moved = jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), rng.normal(size=x.shape) * jnp.abs(x), 0), data)
+    turned = jnp.cross(jnp.asarray(rng.normal(size=grasp.normals.shape)), grasp.normals)
+    moved = eqx.tree_at(lambda d: d[0].normals, moved, turned)
+
+    def value(data):
+        return best_forces(data[0], data[1], objective, limits=data[2]).value
+
+    found, forward = jax.jvp(value, (data,), (moved,))
+    assert np.isfinite(found).all()
+    _, back = jax.vjp(value, data)
+    pulled = sum(jnp.sum(g * m) for g, m in zip(jax.tree.leaves(back(jnp.ones_like(found))[0]), jax.tree.leaves(moved)))
+    assert np.isclose(pulled, forward.sum(), rtol=1e-8, atol=1e-8)
+    step = 1e-5
+    ahead = value(jax.tree.map(lambda x, m: x + step * m, data, moved))
+    behind = value(jax.tree.map(lambda x, m: x - step * m, data, moved))
+    difference = (ahead - behind) / (2 * step)
+    close = np.abs(difference - forward) <= 1e-4 * np.maximum(np.abs(forward), np.abs(found)) + 1e-7
+    # A step over a kink of the value, where another bound takes over, shows no derivative.
+    assert close.mean() > 0.9
+
+
+def test_what_cannot_be_exerted_is_proven():
+    made = made_of("infeasible", limited=True)
+    for objective in OBJECTIVES:
+        found = jax.device_get(best_forces(made.grasp, made.problem.wrench, objective, limits=made.limits))
+        assert (found.verdict == Verdict.INFEASIBLE).all() and not found.forces.any()
+        assert np.isinf(found.value).all()
+        proof = jaxgrasp.verify_certificate(
+            made.grasp,
+            made.problem.wrench,
+            found.certificate,
+            "uniform",
+            limits=made.limits,
+            rates=found.certificate_rates,
+        )
+        assert (np.asarray(proof) > 1e3).all()
+
+
+@pytest.mark.slow
+def test_absent_contacts_and_shared_grasps_change_nothing():
+    made = made_of("ordinary", limited=True)
+    p = made.problem
+    rng = np.random.default_rng(4)
+
+    def more(array, fill):
+        extra = np.full((COUNT, 1, *array.shape[2:]), fill)
+        return np.concatenate([array, extra], 1)
+
+    grasp = made.grasp
+    wider = Grasp(
+        more(grasp.points, np.nan),
+        more(grasp.normals, np.nan),
+        more(grasp.friction, np.nan),
+        more(grasp.squeeze, np.nan),
+        more(np.ones_like(grasp.friction), 0.0),
+        torsion=more(grasp.torsion, np.nan),
+    )
+    limits = made.limits
+    wide = Limits(
+        normal_min=more(limits.normal_min, np.nan),
+        normal_max=more(limits.normal_max, np.nan),
+        torque_map=more(limits.torque_map, np.nan),
+        torque_max=limits.torque_max,
+    )
+    one = jax.tree.map(lambda x: x[0], (grasp, limits))
+    wrenches = p.wrench[0] * rng.uniform(0.9, 1.0, (3, 1))
+    for objective in OBJECTIVES:
+        plain, padded = solve(made, objective), best_forces(wider, p.wrench, objective, limits=wide)
+        assert np.allclose(plain.value, padded.value, rtol=1e-6, atol=1e-6)
+        assert not np.asarray(padded.forces)[:, -1].any()
+        shared = best_forces(one[0], wrenches, objective, limits=one[1])
+        each = partial(best_forces, one[0], objective=objective, limits=one[1])
+        mapped = jax.vmap(each)(jnp.asarray(wrenches))
+        assert np.allclose(shared.value, mapped.value, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_single_precision_finds_the_same_to_its_digits(objective):
+    made = made_of("ordinary", limited=True)
+    exact = solve(made, objective)
+    single = jax.tree.map(lambda x: np.asarray(x, np.float32), (made.grasp, made.problem.wrench, made.limits))
+    found = best_forces(single[0], single[1], objective, limits=single[2])
+    assert found.value.dtype == np.float32
+    good = np.asarray(found.verdict) == Verdict.OPTIMAL
+    assert good.mean() > 0.7
+    assert np.allclose(np.asarray(found.value)[good], exact.value[good], rtol=3e-3, atol=3e-3)
+
+
+def test_second_derivatives_are_refused():
+    grasp = Grasp([[0.03, 0, 0], [-0.03, 0, 0]], [[-1.0, 0, 0], [1, 0, 0]], [0.5, 0.5], [9.0, 9.0])
+    load = jnp.array([0, 0, 2.0, 0, 0, 0])
+    with pytest.raises(NotImplementedError, match="first derivatives"):
+        jax.hessian(lambda w: best_forces(grasp, w, "least_maximal_force").value)(load)
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_bad_options_are_named():
     grasp = Grasp([[0.03, 0, 0], [-0.03, 0, 0]], [[-1.0, 0, 0], [1, 0, 0]], [0.5, 0.5], [9.0, 9.0])
@@ -92,3 +264,16 @@ def test_bad_options_are_named():
         best_forces(grasp, load, "least_torque")
     with pytest.raises(ValueError, match="wrench has shape"):
         best_forces(grasp, np.zeros(5), "least_norm")
+
+
+def test_bad_numbers_are_a_verdict():
+    made = made_of("ordinary", limited=True)
+    wrench = made.problem.wrench.copy()
+    wrench[2] = np.nan
+    friction = made.grasp.friction.copy()
+    friction[5, 1] = -1
+    grasp = eqx.tree_at(lambda g: g.friction, made.grasp, friction)
+    for objective in OBJECTIVES:
+        found = jax.device_get(best_forces(grasp, wrench, objective, limits=made.limits))
+        assert found.verdict[2] == found.verdict[5] == Verdict.INVALID_DATA
+        assert np.isfinite(found.forces).all() and not np.isnan(found.value).any()

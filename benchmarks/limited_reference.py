@@ -80,6 +80,21 @@ def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
     return _found(body, status, load * x[:-1], load * x[-1])
 
 
+def with_margin(case: Case, margin: float) -> str:
+    """Clarabel's verdict on forces of which no loaded contact with friction is nearer to slipping than this [rad]."""
+    case, _ = _in_units(case)
+    angles = np.arctan(case.friction) - margin
+    left = np.where(case.friction > 0, np.tan(np.maximum(angles, 0)), 0)
+    torsion = None
+    if case.torsion is not None:
+        torsion = case.torsion * np.where(case.friction > 0, left / np.where(case.friction > 0, case.friction, 1), 0)
+    most = np.full(len(left), np.inf) if case.normal_max is None else case.normal_max
+    most = np.where((case.friction > 0) & (angles < 0), 0, most)
+    calm = case._replace(friction=left, torsion=torsion, normal_max=most, squeeze=0 * case.squeeze)
+    with np.errstate(over="ignore"):
+        return optimum(calm, 1e-9).status
+
+
 def _in_units(case: Case) -> tuple[Case, float]:
     """With forces in units of the load [N], since Clarabel's tolerances are not relative."""
     load = float(np.linalg.norm(case.wrench[:3])) or 1.0

@@ -17,11 +17,11 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics.tiles import over_tiles
-from jaxgrasp.objectives import least_maximal, least_torque
+from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
 from jaxgrasp.objectives.posed import Units, forces_in, forces_out, pose, unbalanced, units_of
 from jaxgrasp.objectives.search import Found
 
-Objective = Literal["least_norm", "least_maximal_force", "least_torque"]
+Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 TILE = 32
 CLOSE = 1e-4
@@ -32,6 +32,7 @@ LOST = 0.4
 """By how much forces may miss their wrench or their limits, likewise."""
 METHODS: dict[str, Any] = {
     "least_maximal_force": least_maximal,
+    "largest_margin": largest_margin,
     "least_torque": least_torque,
 }
 
@@ -44,7 +45,7 @@ class BestForces(NamedTuple):
     moments: Float[Array, "*batch n"] | None
     """Of soft fingers about their normals, with those forces [N.m]; None where all contacts are hard."""
     value: Float[Array, "*batch"]
-    """What these forces achieve, in the objective's units; +inf where there are none."""
+    """What these forces achieve, in the objective's units; where there are none +inf, of a margin -inf."""
     bound: Float[Array, "*batch"]
     """What no others are better than: a proof by multipliers, apart from rounding."""
     verdict: Int[Array, "*batch"]
@@ -69,10 +70,13 @@ def best_forces(
 
     - ``"least_norm"``: the root of the sum of |f_i|^2 [N];
     - ``"least_maximal_force"``: the largest |f_i| [N];
+    - ``"largest_margin"``: the smallest friction margin of a loaded contact, as [`jaxgrasp.friction_margin`][] has it
+      [rad], contacts without friction left out of account. Larger forces leave more of it, so ``limits.normal_max`` has
+      to be given; where it is infinite no contact presses with more than a thousand times the load;
     - ``"least_torque"``: the root of the sum of squares of the joint torques that ``limits.torque_map`` says forces
       ask for [N.m], ``limits.torque_max`` kept where it is given. Where several forces ask for the least, small ones.
 
-    A moment of a soft finger counts as the tangential force that uses as much friction.
+    A moment of a soft finger counts as the tangential force that uses as much friction. The margin is found to 1e-7.
     Where limits lie within some 1e-8 of what can be exerted at all, value and bound drift apart, as they show.
     The bound of least torques is proven for forces up to a thousand times the sum of normal forces returned.
 
@@ -87,7 +91,7 @@ def best_forces(
         limits: as for [`jaxgrasp.constrained_optimum`][].
 
     Raises:
-        ValueError: for an unknown objective, a torque_map that it lacks, or shapes that do not fit.
+        ValueError: for an unknown objective, a limit that it lacks, or shapes that do not fit.
         NotImplementedError: when differentiated twice.
     """
     _check(objective, limits)
@@ -106,6 +110,8 @@ def _check(objective: str, limits: Limits | None) -> None:
         raise ValueError(f"objective is {objective!r}: expected one of {', '.join(OBJECTIVES)}")
     if objective == "least_torque" and (limits is None or limits.torque_map is None):
         raise ValueError("torque_map is None: expected limits with a torque_map, since least_torque is about torques")
+    if objective == "largest_margin" and (limits is None or limits.normal_max is None):
+        raise ValueError("normal_max is None: expected limits with a normal_max, since more force leaves more margin")
 
 
 def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Problem, tuple[int, ...]]:
@@ -192,7 +198,8 @@ def _searched(problem: Problem, solution: Solution, objective: Objective) -> tup
     solved = solution.verdict <= Verdict.OPTIMAL
     tile = partial(_tile, objective=objective)
     forces, moments, value, bound, close, found = over_tiles(tile, (problem, solution), problem.size, TILE)
-    value, bound = (jnp.where(solved, x, jnp.inf) for x in (value, bound))
+    nothing = -jnp.inf if objective == "largest_margin" else jnp.inf
+    value, bound = (jnp.where(solved, x, nothing) for x in (value, bound))
     best = _answer(solution, solved, forces, moments, value, bound)
     judged = jnp.where(close, Verdict.OPTIMAL, Verdict.NOT_CONVERGED).astype(best.verdict.dtype)
     return best._replace(verdict=jnp.where(solved, judged, best.verdict)), found
@@ -219,6 +226,8 @@ def _tile(given: tuple[Problem, Solution], objective: Objective):
 
 def _scale(units: Units, objective: Objective) -> Array:
     """What one unit of ``Posed`` is of the objective."""
+    if objective == "largest_margin":
+        return jnp.ones_like(units.load)
     return units.load * units.torque if objective == "least_torque" else units.load
 
 

@@ -1,0 +1,256 @@
+"""The largest margin from slipping that the worst loaded contact can be left with.
+
+In cones that are narrower by an angle m each, forces within their limits exert so many times the wrench at the most.
+That falls with m, and where it falls through 1 is the margin: a root, each look at which is a cone program. Where m
+passes the friction angle of a contact, that contact has to be unloaded, and what can be exerted may jump: then that
+angle is the margin. Contacts without friction have no margin to lose, and stay.
+"""
+
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.numerics import conic
+from jaxgrasp.numerics.conic import Program
+from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
+from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
+from jaxgrasp.objectives.posed import Posed, absent, friction_cones
+from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, spent
+from jaxgrasp.objectives.search import Found
+
+STEPS = 40
+ENOUGH = 10.0
+"""Times the wrench beyond which nothing more is asked for."""
+LITTLE = 1e-3
+"""Times the wrench below which the slope says nothing about the root."""
+OVER = 5
+APART = 0.45
+"""How far from the root its two sides are looked at, as a power of the rounding [rad]."""
+FARTHER = 16
+"""Times as far for the next look, where programs close to the root cannot be solved to a proof."""
+SOUND = 0.45
+"""By how much forces may miss the wrench or their limits, as a power of the rounding."""
+JUMP = 1e-4
+"""More than this beyond the wrench, on the root's near side, is a jump."""
+ENDLESS = 1e3
+"""Loads that a contact presses with at the most where no limit is nearer: with more there is always more margin."""
+
+
+class _Look(NamedTuple):
+    """What cones narrower by some angle exert."""
+
+    times: Array
+    """Of the wrench, by forces that were found ``(B,)``."""
+    most: Array
+    """That no forces exert more of."""
+    slope: Array
+    """By the angle."""
+    y: Array
+    prices: Prices
+    missed: Array
+
+
+def search(posed: Posed) -> Found:
+    """Forces of a margin, which is their value; its bound is that of narrower cones, which were proven not to do."""
+    posed = _bounded(posed)
+    state = _bracket(posed)
+    kept = state.kept
+    y = _inside(kept.y) / jnp.where(kept.times > 0, kept.times, 1)[:, None, None]
+    # What may be loaded on the near side of a jump and not on its far side.
+    angles = _angles(posed)
+    passed = (angles >= state.low[:, None]) & (angles <= state.proven[:, None] + _apart(angles))
+    jumps = jnp.any(passed, -1) & (kept.times > 1 + JUMP)
+    shares = jnp.where(jumps[:, None] & passed, 1 / jnp.maximum(jnp.sum(passed, -1, keepdims=True), 1), 0)
+    # Forces of one side and the proof of the other are each other's multipliers, however steep it is between them.
+    slope = _slope(posed, _narrowed(posed, state.low), state.beyond, y)
+    falls = ~jumps & (slope < 0)
+    # The Lagrangian in these units moves as the margin does.
+    unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
+    prices = jax.tree.map(lambda x: x * _beside(unit, x), state.beyond)
+    y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(posed, state.low)[..., None]], -1)
+    return Found(y, state.low, state.proven, prices, shares, kept.missed)
+
+
+def value(posed: Posed, y: Array) -> Array:
+    """Smallest margin of a loaded contact with friction ``(B,)``."""
+    lean = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1))
+    angles = jnp.arctan(posed.friction)
+    left = angles - jnp.arctan2(posed.friction * lean, jnp.where(lean > 0, y[..., 0], 1))
+    counts = posed.there & (posed.friction > 0) & ((y[..., 0] > 0) | (lean > 0))
+    return jnp.min(jnp.where(counts, left, jnp.max(_angles(posed), -1, keepdims=True)), -1)
+
+
+def lagrangian(posed: Posed, found: Found) -> Array:
+    """Moves as the margin does with the problem: as the root, or as the friction angle where that is a jump."""
+    assert found.shares is not None
+    margin = lax.stop_gradient(found.value)
+    posed = _bounded(posed)
+    share = _shares(posed, margin)
+    y = jnp.concatenate([found.y[..., :1], safe_divide(found.y[..., 1:], lax.stop_gradient(share)[..., None])], -1)
+    rest = constraints(_narrowed(posed, margin), found.prices, y)
+    return jnp.sum(found.shares * jnp.arctan(posed.friction), -1) + rest
+
+
+def _bounded(posed: Posed) -> Posed:
+    assert posed.most is not None
+    return posed._replace(most=jnp.where(posed.there, jnp.minimum(posed.most, ENDLESS), jnp.inf))
+
+
+def _apart(like: Array) -> float:
+    return float(jnp.finfo(like.dtype).eps) ** APART
+
+
+def _angles(posed: Posed) -> Array:
+    """Friction angles of contacts ``(B, n)``; 0 of those that are absent."""
+    return jnp.where(posed.there, jnp.arctan(posed.friction), 0)
+
+
+def _narrowed(posed: Posed, margin: Array) -> Posed:
+    """Cones narrower by an angle ``(B,)``; a contact whose own angle is smaller is gone."""
+    share = _shares(posed, margin)
+    there = posed.there & ((_angles(posed) >= margin[:, None]) | (posed.friction == 0))
+
+    def lean(columns: Array) -> Array:
+        parts = jnp.concatenate([columns[..., :1], columns[..., 1:] * share[:, None, :, None]], -1)
+        return jnp.where(there[:, None, :, None], parts, 0)
+
+    rows = None if posed.rows is None else lean(posed.rows)
+    return posed._replace(columns=lean(posed.columns), friction=share * posed.friction, there=there, rows=rows)
+
+
+def _shares(posed: Posed, margin: Array) -> Array:
+    """Friction that is left over friction ``(B, n)``."""
+    left = jnp.tan(jnp.maximum(jnp.arctan(posed.friction) - margin[:, None], 0))
+    return safe_divide(left, posed.friction)
+
+
+def _inside(y: Array) -> Array:
+    """In its cones, where rounding may have left forces of next to nothing outside."""
+    press = jnp.maximum(y[..., :1], 0)
+    lean = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1, keepdims=True))
+    return jnp.concatenate([press, y[..., 1:] * jnp.where(lean > press, safe_divide(press, lean), 1)], -1)
+
+
+def _look(whole: Posed, margin: Array) -> _Look:
+    posed = _narrowed(whole, margin)
+    size, _, n, c = posed.columns.shape
+    inequalities = _inequalities(posed)
+    equations = jnp.concatenate([posed.columns.reshape(size, 6, n * c), -posed.right[..., None]], -1)
+    aim = jnp.zeros((size, posed.width + 1), posed.right.dtype).at[:, -1].set(-1)
+    cones = (friction_cones(posed, 1), as_cones(inequalities))
+    best = conic.solve(Program(absent(posed, 1), aim, equations, jnp.zeros_like(posed.right), cones))
+    bounds = multipliers(inequalities, best.duals[-1])
+    enough = bounds.pop("enough")[:, 0]
+    prices = Prices(-best.equality, bounds)
+    y = jnp.where(posed.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
+    times, most = best.point[:, -1], _most(posed, prices, enough)
+    if posed.least is not None:
+        # A contact that is gone cannot press as it must.
+        lacking = jnp.any(whole.there & ~posed.there & (posed.least > 0), -1)
+        times, most = jnp.where(lacking, 0, times), jnp.where(lacking, 0, most)
+    return _Look(times, most, _slope(whole, posed, prices, y), y, prices, best.missed)
+
+
+def _slope(whole: Posed, posed: Posed, prices: Prices, y: Array) -> Array:
+    """How what is exerted changes with the angle ``(B,)``: as friction that pays does."""
+    # Of tan: what a radian takes off the friction that is left, as a part of it.
+    shrinks = -safe_divide(1 + posed.friction**2, posed.friction)
+    pays = y[..., 0] * push_of(posed, prices).across
+    return jnp.sum(jnp.where(posed.there & (whole.friction > 0), pays * shrinks, 0), -1)
+
+
+def _inequalities(posed: Posed) -> Inequalities:
+    """Limits; least presses, like the wrench, as many times as they are exerted."""
+    found = limits_of(posed, 1)
+    if posed.least is not None:
+        rows, ends = found["least"]
+        found["least"] = rows.at[..., -1].set(posed.least), 0 * ends
+    last = jnp.zeros((posed.right.shape[0], 1, posed.width + 1), posed.right.dtype).at[..., -1].set(1)
+    found["enough"] = last, jnp.full_like(posed.right[:, :1], ENOUGH)
+    return found
+
+
+def _most(posed: Posed, prices: Prices, enough: Array) -> Array:
+    """What the prices prove, those of largest presses raised until no contact works along them ``(B,)``."""
+    assert posed.most is not None
+    push = jnp.maximum(push_of(posed, prices).most, 0)
+    raised = jnp.sum(jnp.where(push > 0, push * posed.most, 0), -1)
+    given = spent(posed, prices) + ENOUGH * enough + raised
+    worth = asked(posed, prices) + enough
+    return jnp.where(worth > 0, given / jnp.where(worth > 0, worth, 1), jnp.inf)
+
+
+class _State(NamedTuple):
+    low: Array
+    """The largest angle that is known to leave the wrench in reach; 0 to begin with."""
+    high: Array
+    """The smallest that is known not to."""
+    proven: Array
+    """The smallest that is proven not to."""
+    here: Array
+    """Where to look next."""
+    root: Array
+    """Where the search ended."""
+    phase: Array
+    """0 in search of the root; then 1 for a look at its near side, and the others for those at its far side."""
+    kept: _Look
+    """What was seen at ``low``."""
+    beyond: Prices
+    """The proof at ``proven``, where one was seen."""
+
+
+def _bracket(posed: Posed) -> _State:
+    """Two angles a little apart, between which the wrench gets out of reach, and what was seen at the smaller."""
+    widest = jnp.max(_angles(posed), -1)
+    zero = 0 * widest
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, posed, zero))
+    start = _State(zero, widest, widest, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
+
+    def step(carry):
+        count, state = carry
+        moved = _step(state, _look(posed, state.here))
+        return count + 1, _chosen(state.phase == OVER, state, moved)
+
+    return lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].phase == OVER), step, (jnp.int32(0), start))[1]
+
+
+Tree = TypeVar("Tree")
+
+
+def _chosen(which: Array, new: Tree, old: Tree) -> Tree:
+    return jax.tree.map(lambda p, q: jnp.where(_beside(which, p), p, q), new, old)
+
+
+def _beside(each: Array, array: Array) -> Array:
+    return each.reshape(-1, *[1] * (array.ndim - 1))
+
+
+def _step(state: _State, seen: _Look) -> _State:
+    """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out."""
+    apart = _apart(state.here)
+    # Short of it by what a program is solved to.
+    eps = float(jnp.finfo(state.here.dtype).eps)
+    holds = (seen.times >= 1 - eps**conic.CLOSE) & (seen.missed <= eps**SOUND)
+    best = holds & (state.here >= state.low)
+    low = jnp.where(best, state.here, state.low)
+    high = jnp.where(holds, state.high, jnp.minimum(state.here, state.high))
+    proves = (seen.most < 1) & (state.here <= state.proven)
+    proven = jnp.where(proves, state.here, state.proven)
+    falls = (seen.times > LITTLE) & (seen.slope < 0)
+    rate = jnp.where(falls, seen.slope, -1) / jnp.where(falls, seen.times, 1)
+    led = state.here - jnp.log(jnp.where(falls, seen.times, 1)) / rate
+    inside = falls & (led > low) & (led < high)
+    near = falls & (jnp.abs(led - state.here) <= apart / 4)
+    there = jnp.where(near, state.here, jnp.where(inside, led, (low + high) / 2))
+    # Where whole cones barely do, or the root is that of the widest, there is nothing between.
+    arrived = (state.phase == 0) & (near | (high - low <= apart))
+    root = jnp.where(arrived, there, state.root)
+    phase = jnp.where((state.phase > 0) | arrived, state.phase + 1, 0)
+    phase = jnp.where((phase > 2) & (proven <= root + apart), OVER, phase)
+    far = apart * FARTHER ** (phase - 2).astype(root.dtype)
+    sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), root + far)
+    here = jnp.where(phase == 0, there, sides)
+    kept, beyond = _chosen(best, seen, state.kept), _chosen(proves, seen.prices, state.beyond)
+    return _State(low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)

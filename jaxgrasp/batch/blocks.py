@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
 WORTH_A_SHAPE = 30_000
@@ -28,24 +30,35 @@ def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
     return np.asarray(steps)[step]
 
 
-def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[tuple[np.ndarray, Grasp, np.ndarray]]:
-    """The problems of ``sets`` by shape: grasp indices, the padded batch, and its wrenches.
+class Block(NamedTuple):
+    """Problems of one shape."""
+
+    rows: np.ndarray
+    """Their grasps' indices."""
+    grasp: Grasp
+    limits: Limits | None
+    wrench: np.ndarray
+
+
+def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[Block]:
+    """The problems of ``sets`` by shape, padded.
 
     The problems of grasp ``i`` of a block stand together, one for each wrench. In a stream of chunks, a
     block is brought to the size of a full ``chunk``, or an eighth of it where grasps of several widths
     share the chunk, by zeros, on which no solver spends time; so later chunks meet shapes that are
     compiled already. The extra answers come last.
     """
-    wide = widths(sets.sizes, sets.wrenches)
-    different = np.unique(wide)
+    padded = widths(sets.sizes, sets.wrenches)
+    different = np.unique(padded)
     step = chunk if len(different) == 1 else max(1, chunk // 8)
     step = -(-step // devices) * devices
     for width in different:
-        rows = np.flatnonzero(wide == width)
+        rows = np.flatnonzero(padded == width)
         chosen = sets if len(rows) == len(sets) else sets.rows(rows)
         missing = -len(rows) % step
-        widened = jax.tree.map(partial(_widen, missing=missing, repeats=sets.wrenches), chosen.padded(int(width)))
-        yield rows, widened, _widen(chosen.wrench, missing, 1).reshape(-1, 6)
+        wide = partial(_widen, missing=missing, repeats=sets.wrenches)
+        grasp, limits = jax.tree.map(wide, (chosen.padded(int(width)), chosen.limits(int(width))))
+        yield Block(rows, grasp, limits, _widen(chosen.wrench, missing, 1).reshape(-1, 6))
 
 
 def _widen(array: np.ndarray, missing: int, repeats: int) -> np.ndarray:

@@ -9,8 +9,14 @@ import numpy as np
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import Fault, GraspError, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limit_faults import check_limits, limit_faults
+from jaxgrasp.model.limits import Limits
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
+OPTIONAL_FIELDS = ("torsion", "normal_min", "normal_max", "torque_map")
+"""Of contacts too; sets need not have them."""
+BOUNDS = (*OPTIONAL_FIELDS[1:], "torque_max")
+"""The fields of Limits."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,15 @@ class ContactSets:
     """``(N, W, 6)`` [N, N.m]."""
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Optional text of each grasp, ``(N,)``: name, source, object, hand."""
+    torsion: np.ndarray | None = None
+    """``(M,)`` [m]; None where all contacts are hard fingers."""
+    normal_min: np.ndarray | None = None
+    """``(M,)`` [N]; this and the following as in [`jaxgrasp.Limits`][], None where there is no such limit."""
+    normal_max: np.ndarray | None = None
+    torque_map: np.ndarray | None = None
+    """``(M, c, j)``."""
+    torque_max: np.ndarray | None = None
+    """``(N, j)``."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -49,18 +64,25 @@ class ContactSets:
     def largest(self) -> int:
         return int(self.sizes.max(initial=0))
 
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """What there is of contacts, by field, ``(M, ...)``."""
+        given = {name: getattr(self, name) for name in (*CONTACT_FIELDS, *OPTIONAL_FIELDS)}
+        return {name: array for name, array in given.items() if array is not None}
+
     @classmethod
-    def from_grasp(cls, grasp: Grasp, wrench: np.ndarray) -> "ContactSets":
+    def from_grasp(cls, grasp: Grasp, wrench: np.ndarray, limits: Limits | None = None) -> "ContactSets":
         """A batch of grasps of one size; contacts that are not ``present`` are left out.
 
         Args:
             grasp: contacts ``(N, n)``, or ``(n,)`` for one grasp.
             wrench: ``(N, 6)`` or ``(N, W, 6)``; ``(6,)`` serves every grasp.
+            limits: of the same shape as the grasps.
         """
         for fault in shape_faults(grasp):
             raise GraspError(fault)
-        if grasp.torsion is not None:
-            raise GraspError(Fault("torsion", (), "given", "None: contact sets hold hard fingers only"))
+        if limits is not None:
+            check_limits(limits, grasp)
         points = np.asarray(grasp.points)
         if points.ndim > 3:
             raise GraspError(Fault("points", (), f"an array of shape {points.shape}", "a shape (n, 3) or (N, n, 3)"))
@@ -69,18 +91,24 @@ class ContactSets:
         present = (
             np.ones((count, n), bool) if grasp.present is None else np.asarray(grasp.present).reshape(count, n) > 0.5
         )
-        columns = {"points": points[present]}
-        for name in CONTACT_FIELDS[1:]:
-            array = np.asarray(getattr(grasp, name))
-            columns[name] = array.reshape(count, n, *points.shape[2:] if name == "normals" else ())[present]
+        given = {name: getattr(grasp, name) for name in (*CONTACT_FIELDS, "torsion")}
+        given |= {name: getattr(limits, name, None) for name in BOUNDS}
+        columns: dict[str, Any] = {name: np.asarray(array) for name, array in given.items() if array is not None}
+        leading = np.asarray(grasp.friction).ndim
+        for name, array in columns.items():
+            if name == "torque_max":
+                columns[name] = array.reshape(count, -1)
+            else:
+                columns[name] = array.reshape(count, n, *array.shape[leading:])[present]
         offsets = np.concatenate([[0], np.cumsum(present.sum(1))])
-        points, normals, friction, squeeze = (columns[name] for name in CONTACT_FIELDS)
-        return cls(points, normals, friction, squeeze, offsets, as_wrenches(np.asarray(wrench), count))
+        return cls(**columns, offsets=offsets, wrench=as_wrenches(np.asarray(wrench), count))
 
     def grasp(self, index: int) -> Grasp:
         """One grasp, of the size that it has."""
         own = slice(self.offsets[index], self.offsets[index + 1])
-        return Grasp(*(getattr(self, name)[own] for name in CONTACT_FIELDS))
+        torsion = None if self.torsion is None else self.torsion[own]
+        points, normals, friction, squeeze = (getattr(self, name)[own] for name in CONTACT_FIELDS)
+        return Grasp(points, normals, friction, squeeze, torsion=torsion)
 
     def rows(self, chosen: slice | np.ndarray) -> "ContactSets":
         """Some of the grasps: a slice, or an array of indices."""
@@ -95,9 +123,12 @@ class ContactSets:
             sizes = self.sizes[chosen]
             offsets = np.concatenate([[0], np.cumsum(sizes)])
             own = np.repeat(self.offsets[:-1][chosen] - offsets[:-1], sizes) + np.arange(offsets[-1])
+        changed: dict[str, Any] = {name: array[own] for name, array in self.columns.items()}
+        if self.torque_max is not None:
+            changed["torque_max"] = self.torque_max[chosen]
         return replace(
             self,
-            **{name: getattr(self, name)[own] for name in CONTACT_FIELDS},
+            **changed,
             offsets=offsets,
             wrench=self.wrench[chosen],
             labels={name: values[chosen] for name, values in self.labels.items()},
@@ -105,20 +136,29 @@ class ContactSets:
 
     def padded(self, width: int) -> Grasp:
         """All grasps as one batch ``(N, width)``; ``present`` marks the padding, if there is any."""
-        count = len(self)
-        if np.all(self.sizes == width):
-            shaped = {name: getattr(self, name) for name in CONTACT_FIELDS}
-            points, normals, friction, squeeze = (a.reshape(count, width, *a.shape[1:]) for a in shaped.values())
-            return Grasp(points, normals, friction, squeeze)
+        points, normals, friction, squeeze = (self._spread(name, width) for name in CONTACT_FIELDS)
+        torsion = None if self.torsion is None else self._spread("torsion", width)
         there = np.arange(width) < self.sizes[:, None]
+        present = None if there.all() else there.astype(self.points.dtype)
+        return Grasp(points, normals, friction, squeeze, present=present, torsion=torsion)
 
-        def spread(array: np.ndarray) -> np.ndarray:
-            wide = np.zeros((count, width, *array.shape[1:]), array.dtype)
-            wide[there] = array
-            return wide
+    def limits(self, width: int) -> Limits | None:
+        """The limits of all grasps as one batch of ``padded``'s shape; None where there are none."""
+        given = {name: getattr(self, name) for name in BOUNDS}
+        wide = {name: array for name, array in given.items() if array is not None}
+        if not wide:
+            return None
+        own = {name: array if name == "torque_max" else self._spread(name, width) for name, array in wide.items()}
+        return Limits(**own)
 
-        points, normals, friction, squeeze = (spread(getattr(self, name)) for name in CONTACT_FIELDS)
-        return Grasp(points, normals, friction, squeeze, present=there.astype(self.points.dtype))
+    def _spread(self, name: str, width: int) -> np.ndarray:
+        """A column as ``(N, width, ...)``, padded with zeros."""
+        array, count = getattr(self, name), len(self)
+        if np.all(self.sizes == width):
+            return array.reshape(count, width, *array.shape[1:])
+        wide = np.zeros((count, width, *array.shape[1:]), array.dtype)
+        wide[np.arange(width) < self.sizes[:, None]] = array
+        return wide
 
     def towards_middle(self) -> np.ndarray:
         """From each contact to the mean of its grasp's contacts, ``(M, 3)`` [m]."""
@@ -138,16 +178,23 @@ class ContactSets:
 
     def astype(self, dtype: np.dtype) -> "ContactSets":
         """The same sets in another precision."""
-        names = (*CONTACT_FIELDS, "wrench")
-        changed: dict[str, Any] = {name: np.asarray(getattr(self, name), dtype) for name in names}
+        arrays = self.columns | {"wrench": self.wrench}
+        if self.torque_max is not None:
+            arrays["torque_max"] = self.torque_max
+        changed: dict[str, Any] = {name: np.asarray(array, dtype) for name, array in arrays.items()}
         return replace(self, **changed)
 
     def faults(self, first_grasp: int = 0) -> Iterator[Fault]:
         """Every bad entry, by grasp and contact; ``first_grasp`` is the number of the first grasp here."""
-        for fault in value_faults(*(getattr(self, name) for name in CONTACT_FIELDS)):
+        columns = self.columns
+        bounds = {name: columns.pop(name) for name in BOUNDS if name in columns}
+        for fault in (*value_faults(**columns), *limit_faults(bounds, np.ones(self.friction.shape, bool))):
             grasp = int(np.searchsorted(self.offsets, fault.index[0], "right")) - 1
             contact = fault.index[0] - int(self.offsets[grasp])
-            yield replace(fault, index=(first_grasp + grasp, contact))
+            yield replace(fault, index=(first_grasp + grasp, contact, *fault.index[1:]))
+        if self.torque_max is not None:
+            for fault in limit_faults({"torque_max": self.torque_max}, np.ones(1, bool)):
+                yield replace(fault, index=(first_grasp + fault.index[0], *fault.index[1:]))
         for index in np.argwhere(~np.isfinite(self.wrench).all(-1)):
             shown = np.array2string(self.wrench[tuple(index)], precision=6)
             place = (first_grasp + int(index[0]), *map(int, index[1:] if self.wrenches > 1 else ()))
@@ -175,12 +222,14 @@ def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:
     return wrench
 
 
-def as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None) -> ContactSets:
+def as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None, limits: Limits | None) -> ContactSets:
     """Contact sets out of what the public functions take."""
     if isinstance(grasps, Grasp):
         if wrenches is None:
             raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")
-        return ContactSets.from_grasp(grasps, np.asarray(wrenches))
+        return ContactSets.from_grasp(grasps, np.asarray(wrenches), limits)
+    if limits is not None:
+        raise ValueError("limits is given: expected None with contact sets, which hold theirs")
     if wrenches is None:
         return grasps
     return replace(grasps, wrench=as_wrenches(np.asarray(wrenches), len(grasps)))

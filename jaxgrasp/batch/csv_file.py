@@ -2,7 +2,7 @@
 
 Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp),
 px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
-name, source, object, hand.
+torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of torques need an ``.npz`` file.
 """
 
 import csv
@@ -18,6 +18,7 @@ from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
+OPTIONAL = ("torsion", "normal_min", "normal_max")
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
@@ -59,7 +60,7 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
         column: np.full(len(rows), fill[column])
         if column in fill and column not in header
         else numbers((column,))[:, 0]
-        for column in ("friction", "squeeze")
+        for column in ("friction", "squeeze", *(name for name in OPTIONAL if name in header))
     }
     labels = {name: np.array([rows[start][name] for start in starts]) for name in LABELS if name in header}
     return ContactSets(
@@ -78,11 +79,14 @@ def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
     """Write a small set, whole or not at all; digits enough to read the same numbers back."""
     if sets.wrenches != 1:
         raise ValueError(f"wrench has {sets.wrenches} wrenches a grasp: a CSV file holds one; write an .npz file")
-    header = ["grasp", *POINT, *NORMAL, "friction", "squeeze", *WRENCH, *sets.labels]
+    if sets.torque_map is not None:
+        raise ValueError("torque_map is given: a CSV file holds no limits of torques; write an .npz file")
+    single = {name: array for name, array in sets.columns.items() if array.ndim == 1}
+    header = ["grasp", *POINT, *NORMAL, *single, *WRENCH, *sets.labels]
     rows = [header]
     owner = np.repeat(np.arange(len(sets)), sets.sizes)
     for contact, grasp in enumerate(owner):
-        values = [*sets.points[contact], *sets.normals[contact], sets.friction[contact], sets.squeeze[contact]]
+        values = [*sets.points[contact], *sets.normals[contact], *(array[contact] for array in single.values())]
         numbers = [repr(float(v)) for v in (*values, *sets.wrench[grasp, 0])]
         rows.append([str(grasp), *numbers, *(str(values[grasp]) for values in sets.labels.values())])
 

@@ -12,13 +12,18 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from jaxgrasp.batch.blocks import Block
+from jaxgrasp.batch.contact_sets import BOUNDS
 from jaxgrasp.force import stages
-from jaxgrasp.force.angles import friction_margin
+from jaxgrasp.force.angles import friction_margin, spin_force
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.methods import Method
 from jaxgrasp.numerics import vec
+
+ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate")
+OF_LIMITS = ("normal_multiplier", "torque_multiplier", "certificate_rates")
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,15 @@ class MethodResult:
     margin: np.ndarray
     """Smallest friction margin of the loaded contacts [rad]; +inf where none is loaded."""
     violation: np.ndarray
-    """Largest tangential force beyond friction's limit, max(|t| - mu n) or 0 [N]."""
+    """Largest tangential force beyond friction's limit, max(|t| - mu n) or 0 [N], moments counted as such."""
+    moments: np.ndarray | None = None
+    """``(B, n)``: of soft fingers [N.m]; this and the following None where there is nothing of the kind."""
+    normal_multiplier: np.ndarray | None = None
+    """``(B, n)``: which bounds of normal forces bind, as in a Solution."""
+    torque_multiplier: np.ndarray | None = None
+    """``(B, j)``: likewise of torques."""
+    certificate_rates: np.ndarray | None = None
+    """``(B, j)``."""
 
 
 @dataclass
@@ -64,26 +77,22 @@ class Engine:
     def devices(self) -> int:
         return self._mesh.size
 
-    def run(self, grasp: Grasp, wrench: np.ndarray, problems: int) -> dict[str, MethodResult]:
-        """Every method on a block ``(B, n)``, ``(B, 6)``, whose size the number of devices divides.
+    def run(self, block: Block, problems: int) -> dict[str, MethodResult]:
+        """Every method on a block, whose size the number of devices divides.
 
         ``problems`` of them are the user's, the rest fill the block.
         """
-        grasp, loads = jax.tree.map(self._put, (grasp, wrench))
+        block = Block(block.rows, *jax.tree.map(self._put, block[1:]))
         with self._counting:
             self.times.problems += problems
         results: dict[str, MethodResult] = {}
         for sharing in dict.fromkeys(method.sharing for method in self.methods):
-            results |= self._one_sharing(sharing, grasp, loads)
+            results |= self._one_sharing(sharing, block)
         return {method.name: results[method.name] for method in self.methods}
 
-    def _one_sharing(self, sharing: str, grasp: Grasp, wrench: Array) -> dict[str, MethodResult]:
+    def _one_sharing(self, sharing: str, block: Block) -> dict[str, MethodResult]:
         wanted = [method for method in self.methods if method.sharing == sharing]
-        fields = (grasp.points, grasp.normals, grasp.friction, grasp.squeeze)
-        points, normals, friction, squeeze = map(jnp.asarray, fields)
-        present = None if grasp.present is None else jnp.asarray(grasp.present)
-        weights = squeeze if sharing == "squeeze" else jnp.ones_like(squeeze)
-        problem = Problem(points, normals, friction, squeeze, present, weights, wrench)
+        problem = _problem(sharing, block)
         first, closed, spent = self._timed(_closed_block, problem)
         results = {}
         for method in wanted:
@@ -92,9 +101,9 @@ class Engine:
                 answer, own = self._timed(stages.finish_optimum, problem, first)
             with self._counting:
                 self.times.solving[method.name] += spent + own
-            margin, violation, _ = self._timed(_margins, grasp, answer.forces)
-            names = ("forces", "verdict", "residual", "objective", "steps", "route", "certificate")
-            host = {name: np.asarray(getattr(answer, name)) for name in names}
+            margin, violation, _ = self._timed(_margins, block.grasp, answer.forces, answer.moments)
+            found = {name: getattr(answer, name) for name in (*ANSWERED, *(OF_LIMITS if method.constrained else ()))}
+            host = {name: np.asarray(array) for name, array in found.items() if array is not None}
             results[method.name] = MethodResult(**host, margin=np.asarray(margin), violation=np.asarray(violation))
         return results
 
@@ -148,10 +157,30 @@ def _closed_block(problem: Problem) -> tuple[Answer, Answer]:
     return first, stages.finish_closed(problem, first)
 
 
-def _margins(grasp: Grasp, forces: Array) -> tuple[Array, Array]:
-    margin = jnp.min(friction_margin(grasp, forces), -1)
+def _problem(sharing: str, block: Block) -> Problem:
+    grasp = jax.tree.map(jnp.asarray, block.grasp)
+    weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
+    bounds = {} if block.limits is None else {name: getattr(block.limits, name) for name in BOUNDS}
+    return Problem(
+        grasp.points,
+        grasp.normals,
+        grasp.friction,
+        grasp.squeeze,
+        grasp.present,
+        weights,
+        jnp.asarray(block.wrench),
+        torsion=grasp.torsion,
+        **bounds,
+    )
+
+
+def _margins(grasp: Grasp, forces: Array, moments: Array | None) -> tuple[Array, Array]:
+    margin = jnp.min(friction_margin(grasp, forces, moments), -1)
     force, normal = vec.from_axis(forces, -1), vec.from_axis(jnp.asarray(grasp.normals), -1)
-    beyond = vec.norm(vec.cross(normal, force)) - grasp.friction * vec.dot(force, normal)
+    across, spin = vec.norm(vec.cross(normal, force)), spin_force(grasp, moments)
+    if spin is not None:
+        across = jnp.hypot(across, spin)
+    beyond = across - grasp.friction * vec.dot(force, normal)
     if grasp.present is not None:
         beyond = jnp.where(grasp.present > 0.5, beyond, 0)
     return margin, jnp.max(jnp.maximum(beyond, 0), -1)

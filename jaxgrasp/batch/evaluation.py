@@ -1,18 +1,19 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 
 import jax
 import numpy as np
 
 from jaxgrasp.batch.blocks import blocks
-from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_sets
+from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.qualities import measure_all, summarise_qualities
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.methods import METHODS, methods_named
 from jaxgrasp.quality.measures import measures_named
 
@@ -22,7 +23,8 @@ class Evaluation:
     """Results of every method on N grasps of M contacts in all, with W wrenches each.
 
     ``results[name]`` holds arrays ``(N, W)``, with ``forces`` as ``(M, W, 3)`` in the order of
-    ``sets.points`` and ``certificate`` as ``(N, W, 6)``. ``quality`` holds arrays ``(N,)``, by MEASURE.COLUMN.
+    ``sets.points``, ``moments`` and ``normal_multiplier`` likewise as ``(M, W)``, ``certificate`` as ``(N, W, 6)`` and
+    what belongs to joints as ``(N, W, j)``. ``quality`` holds arrays ``(N,)``, by MEASURE.COLUMN.
     """
 
     sets: ContactSets
@@ -36,6 +38,7 @@ def evaluate(
     grasps: ContactSets | Grasp,
     wrenches: AnyArray | None = None,
     *,
+    limits: Limits | None = None,
     methods: tuple[str, ...] = tuple(METHODS),
     quality: tuple[str, ...] = (),
     dtype: str | np.dtype | None = None,
@@ -47,6 +50,7 @@ def evaluate(
     Args:
         grasps: contact sets of any sizes, or one batch of grasps ``(N, n)``.
         wrenches: ``(N, 6)``, ``(N, W, 6)`` or ``(6,)`` [N, N.m]; not needed for contact sets, which hold theirs.
+        limits: of a batch of grasps, of its shape; contact sets hold theirs. They bind the optima alone.
         methods: any of ``"A"``, ``"B"``, ``"A-optimum"``, ``"B-optimum"``; what is not asked for is not computed.
         quality: measures that no wrench enters, some of ``jaxgrasp.quality.measures.MEASURES``, likewise.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
@@ -57,7 +61,7 @@ def evaluate(
         GraspError: for the first fault of the data, before anything is computed.
         ValueError: for an unknown method or measure, or float64 asked for while JAX's 64-bit mode is off.
     """
-    sets = as_sets(grasps, wrenches)
+    sets = as_sets(grasps, wrenches, limits)
     kind = _precision(sets, dtype)
     sets = sets.astype(kind)
     engine, measures = Engine(methods_named(methods), devices), measures_named(quality)
@@ -85,22 +89,38 @@ def run(engine: Engine, sets: ContactSets, chunk: int = 1) -> dict[str, MethodRe
     ``chunk`` is the number of grasps in a full chunk, for a stream of them; see ``blocks``.
     """
     parts = [
-        (rows, engine.run(grasp, wrench, len(rows) * sets.wrenches))
-        for rows, grasp, wrench in blocks(sets, chunk, engine.devices)
+        (block.rows, engine.run(block, len(block.rows) * sets.wrenches))
+        for block in blocks(sets, chunk, engine.devices)
     ]
     results = {}
     for method in engine.methods:
-        shaped = {field.name: _empty(field.name, sets) for field in fields(MethodResult)}
+        shaped = {name: _empty(name, sets) for name in _given([part[method.name] for _, part in parts])}
         for rows, part in parts:
             _place(shaped, part[method.name], rows, sets)
         results[method.name] = MethodResult(**shaped)
     return results
 
 
+BY_CONTACT = ("forces", "moments", "normal_multiplier")
+
+
+def _given(parts: list[MethodResult]) -> list[str]:
+    """The fields that there are."""
+    named = [field.name for field in fields(MethodResult) if field.default is MISSING]
+    return (
+        named
+        if not parts
+        else [field.name for field in fields(MethodResult) if getattr(parts[0], field.name) is not None]
+    )
+
+
 def _empty(name: str, sets: ContactSets) -> np.ndarray:
-    if name == "forces":
-        return np.empty((len(sets.points), sets.wrenches, 3), sets.points.dtype)
-    tail = (6,) if name == "certificate" else ()
+    if name in BY_CONTACT:
+        return np.empty((len(sets.points), sets.wrenches, *((3,) if name == "forces" else ())), sets.points.dtype)
+    tail: tuple[int, ...] = (6,) if name == "certificate" else ()
+    if name in ("torque_multiplier", "certificate_rates"):
+        assert sets.torque_max is not None
+        tail = sets.torque_max.shape[1:]
     whole = {"verdict": np.int8, "steps": np.int32, "route": np.int8}
     return np.empty((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
 
@@ -112,13 +132,13 @@ def _place(shaped: dict[str, np.ndarray], part: MethodResult, rows: np.ndarray, 
     for name, target in shaped.items():
         values = getattr(part, name)[:used]
         values = values.reshape(len(rows), sets.wrenches, *values.shape[1:])
-        if name != "forces":
+        if name not in BY_CONTACT:
             target[rows] = values
             continue
         width = values.shape[2]
         by_contact = np.swapaxes(values, 1, 2)
         if len(rows) == len(sets) and np.all(sizes == width):
-            target[:] = by_contact.reshape(-1, sets.wrenches, 3)
+            target[:] = by_contact.reshape(target.shape)
         else:
             there = np.arange(width) < sizes[:, None]
             target[_contacts_of(rows, sets)] = by_contact[there]
@@ -131,7 +151,7 @@ def _contacts_of(rows: np.ndarray, sets: ContactSets) -> np.ndarray:
 
 
 def _precision(sets: ContactSets, dtype: str | np.dtype | None) -> np.dtype:
-    kind = np.dtype(dtype or np.result_type(*(getattr(sets, name) for name in (*CONTACT_FIELDS, "wrench")), np.float32))
+    kind = np.dtype(dtype or np.result_type(*sets.columns.values(), sets.wrench, np.float32))
     if kind not in (np.float32, np.float64):
         raise ValueError(f"dtype is {kind}: expected float32 or float64")
     if kind == np.float64 and not jax.config.read("jax_enable_x64"):

@@ -5,6 +5,8 @@
     normals    like points; unit, into the object
     friction   (N, n) or (M,)
     squeeze    (N, n) or (M,) [N]
+    torsion, normal_min, normal_max   (optional) like friction: of soft fingers [m], of limits [N]
+    torque_map, torque_max   (optional, both) contact Jacobians (N, n, 3 or 4, j) or (M, 3 or 4, j), and (N, j) [N.m]
     offsets    (N + 1,) integers, only with flat columns
     wrench     (N, 6), or (N, W, 6) for W wrenches a grasp [N, N.m]
     name, source, object, hand   (optional) (N,) text
@@ -21,12 +23,14 @@ from typing import IO
 
 import numpy as np
 
-from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_wrenches
+from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, ContactSets, as_wrenches
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.files.replace import replace_file
 
 VERSION = 1
 LABELS = ("name", "source", "object", "hand")
+BY_CONTACT = (*CONTACT_FIELDS, *OPTIONAL_FIELDS)
+NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
 DAMAGE = (ValueError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, KeyError)
 """What the standard library raises on a broken, encrypted or otherwise odd archive."""
 
@@ -90,9 +94,7 @@ class NpzGrasps:
         members = self._archive.namelist()
         self.names = [member.removesuffix(".npy") for member in members if member.endswith(".npy")]
         self._check_names()
-        self._shapes = {
-            name: self._open(name).shape for name in self.names if name in (*CONTACT_FIELDS, "wrench", "offsets")
-        }
+        self._shapes = {name: self._open(name).shape for name in self.names if name in (*NUMBERS, "offsets")}
         self.dtypes = {name: self._open(name).dtype for name in self._shapes}
         self._check_version()
         self.offsets = self._read_offsets()
@@ -124,10 +126,10 @@ class NpzGrasps:
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
         """The grasps from ``start`` on, ``size`` at a time, in order."""
-        columns = {name: self._open(name) for name in (*CONTACT_FIELDS, "wrench", *LABELS) if name in self.names}
+        columns = {name: self._open(name) for name in (*NUMBERS, *LABELS) if name in self.names}
         per_contact = "offsets" in self._shapes
         for name, column in columns.items():
-            by_contact = name in CONTACT_FIELDS and per_contact
+            by_contact = name in BY_CONTACT and per_contact
             column.skip(int(self.offsets[start]) if by_contact else start)
         for first in range(start, len(self), size):
             last = min(first + size, len(self))
@@ -141,15 +143,16 @@ class NpzGrasps:
         contacts = int(self.offsets[last] - self.offsets[first])
         taken = {}
         for name, column in columns.items():
-            taken[name] = column.take(contacts if name in CONTACT_FIELDS and per_contact else last - first)
+            taken[name] = column.take(contacts if name in BY_CONTACT and per_contact else last - first)
         dtype = np.result_type(*(taken[name].dtype for name in taken if name not in LABELS), np.float32)
-        flat = {}
-        for name in CONTACT_FIELDS:
+        flat = {name: np.full(contacts, value, dtype) for name, value in self._fill.items() if name not in taken}
+        leading = 1 if per_contact else 2
+        for name in BY_CONTACT:
             if name in taken:
-                tail = (3,) if name in ("points", "normals") else ()
+                tail = taken[name].shape[leading:]
                 flat[name] = taken[name].reshape(contacts, *tail).astype(dtype, copy=False)
-            else:
-                flat[name] = np.full(contacts, self._fill[name], dtype)
+        if "torque_max" in taken:
+            flat["torque_max"] = taken["torque_max"].astype(dtype, copy=False)
         return ContactSets(
             **flat,
             offsets=self.offsets[first : last + 1] - self.offsets[first],
@@ -213,11 +216,13 @@ class NpzGrasps:
     def _check_shapes(self) -> None:
         contacts = self._shapes["points"][:1] if "offsets" in self._shapes else self._shapes["points"][:2]
         expected = {"points": (*contacts, 3), "normals": (*contacts, 3), "friction": contacts, "squeeze": contacts}
+        expected |= dict.fromkeys(OPTIONAL_FIELDS[:3], contacts)
         for name, shape in expected.items():
             if name in self._shapes and self._shapes[name] != shape:
                 raise GraspFileError(
                     self.path, f"{name} has shape {self._shapes[name]}: expected {shape}, to fit points"
                 )
+        self._check_torque_shapes(contacts)
         wrench = self._shapes["wrench"]
         if len(wrench) not in (2, 3) or wrench[0] != len(self) or wrench[-1] != 6 or 0 in wrench[1:]:
             raise GraspFileError(
@@ -232,16 +237,38 @@ class NpzGrasps:
         if len(self) == 0:
             raise GraspFileError(self.path, "it holds no grasps")
 
+    def _check_torque_shapes(self, contacts: tuple[int, ...]) -> None:
+        given = [name for name in ("torque_map", "torque_max") if name in self._shapes]
+        if len(given) == 1:
+            other = "torque_max" if given == ["torque_map"] else "torque_map"
+            raise GraspFileError(self.path, f"it has {given[0]!r} and lacks {other!r}: expected both, or neither")
+        if not given:
+            return
+        found = self._shapes["torque_map"]
+        if len(found) != len(contacts) + 2 or found[:-2] != contacts or found[-2] not in (3, 4) or found[-1] == 0:
+            wanted = ", ".join(map(str, contacts))
+            raise GraspFileError(
+                self.path, f"torque_map has shape {found}: expected ({wanted}, 3 or 4, joints), to fit points"
+            )
+        wanted_max = (len(self), found[-1])
+        if self._shapes["torque_max"] != wanted_max:
+            raise GraspFileError(
+                self.path,
+                f"torque_max has shape {self._shapes['torque_max']}: expected {wanted_max}, to fit torque_map",
+            )
+
 
 def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
     """Write a grasp file, whole or not at all."""
     path = Path(path)
     uniform = len(sets) > 0 and np.all(sets.sizes == sets.largest)
-    columns = {name: np.ascontiguousarray(getattr(sets, name)) for name in CONTACT_FIELDS}
+    columns = {name: np.ascontiguousarray(array) for name, array in sets.columns.items()}
     if uniform:
         columns = {name: a.reshape(len(sets), sets.largest, *a.shape[1:]) for name, a in columns.items()}
     else:
         columns["offsets"] = np.asarray(sets.offsets, np.int64)
+    if sets.torque_max is not None:
+        columns["torque_max"] = np.ascontiguousarray(sets.torque_max)
     wrench = np.ascontiguousarray(sets.wrench[:, 0] if sets.wrenches == 1 else sets.wrench)
     texts = {name: np.asarray(values, str) for name, values in sets.labels.items()}
     whole = {"version": np.array(VERSION), "wrench": wrench, **columns, **texts}

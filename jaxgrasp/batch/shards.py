@@ -1,9 +1,10 @@
 """Results on disk: one file a chunk and a manifest, so that an interrupt costs only the chunks in work.
 
 A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
-``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; and
-``grasp (N,)``, the grasps' numbers in the input, and ``offsets (N + 1,)`` of its contacts;
-and for each measure of quality that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
+``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; with soft
+fingers ``.moments (M, W)``; of limited optima ``.normal_multiplier (M, W)``, ``.torque_multiplier`` and
+``.certificate_rates (N, W, j)``; and ``grasp (N,)``, the grasps' numbers in the input, and ``offsets (N + 1,)`` of
+its contacts; and for each measure of quality that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
 """
 
 import json
@@ -145,8 +146,9 @@ def arrays_of(
     arrays = {"grasp": grasp, "offsets": offsets}
     for method, result in results.items():
         for field in fields(MethodResult):
-            if field.name != "certificate" or method in constrained:
-                arrays[f"{method}.{field.name}"] = getattr(result, field.name)
+            array = getattr(result, field.name)
+            if array is not None and (field.name != "certificate" or method in constrained):
+                arrays[f"{method}.{field.name}"] = array
     return arrays | {f"quality.{name}": column for name, column in quality.items()}
 
 

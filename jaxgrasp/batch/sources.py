@@ -10,13 +10,14 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, ContactSets, as_sets
+from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.csv_file import read_csv, write_csv
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import LABELS, NpzGrasps, write_npz
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 
 MILLIMETRES_LIKELY = 2.0
 """A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
@@ -61,9 +62,10 @@ class MemorySource:
 
     @property
     def fingerprint(self) -> int:
-        sum_ = 0
-        for name in (*CONTACT_FIELDS, "offsets", "wrench"):
-            sum_ = zlib.crc32(np.ascontiguousarray(getattr(self._sets, name)).tobytes(), sum_)
+        sum_, sets = 0, self._sets
+        arrays = [*sets.columns.values(), sets.offsets, sets.wrench]
+        for array in (*arrays, *([] if sets.torque_max is None else [sets.torque_max])):
+            sum_ = zlib.crc32(np.ascontiguousarray(array).tobytes(), sum_)
         return sum_
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
@@ -121,7 +123,12 @@ def load_grasps(path: str | os.PathLike) -> ContactSets:
 
 
 def save_grasps(
-    path: str | os.PathLike, grasps: ContactSets | Grasp, wrenches: AnyArray | None = None, **labels: AnyArray
+    path: str | os.PathLike,
+    grasps: ContactSets | Grasp,
+    wrenches: AnyArray | None = None,
+    *,
+    limits: Limits | None = None,
+    **labels: AnyArray,
 ) -> None:
     """Write a grasp file, ``.npz`` or ``.csv`` by its name, whole or not at all.
 
@@ -129,12 +136,13 @@ def save_grasps(
         path: where to; a file that stands there is replaced once the new one is complete.
         grasps: contact sets, or a batch of grasps ``(N, n)`` with ``wrenches``.
         wrenches: ``(N, 6)`` or ``(N, W, 6)``.
+        limits: with a batch of grasps, of its shape.
         labels: text of each grasp ``(N,)``: any of ``name``, ``source``, ``object``, ``hand``.
 
     Raises:
         GraspError: for the first entry that is not usable.
     """
-    sets = as_sets(grasps, wrenches)
+    sets = as_sets(grasps, wrenches, limits)
     for name, values in labels.items():
         if name not in LABELS:
             raise ValueError(f"label {name!r} is unknown: expected some of {', '.join(LABELS)}")

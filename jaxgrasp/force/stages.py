@@ -34,17 +34,17 @@ STEPS = (5, 6, 30)
 def solve_closed(problem: Problem) -> Answer:
     """The closed form of a flat batch."""
     if problem.free is not None:
-        return over_tiles(partial(_whole, constrained=False), problem, problem.size, CAREFUL_TILE)
+        bare = limited.without_torques(problem)
+        return over_tiles(partial(_whole, constrained=False), bare, problem.size, CAREFUL_TILE)
     return finish_closed(problem, first_pass(problem))
 
 
 def solve_optimum(problem: Problem) -> Answer:
     """The constrained optimum of a flat batch."""
-    bare = limited.without_torques(problem)
     if problem.free is None:
-        answer = finish_optimum(bare, first_pass(bare))
-    else:
-        answer = over_tiles(partial(_whole, constrained=True), bare, problem.size, CAREFUL_TILE)
+        return finish_optimum(problem, first_pass(problem))
+    bare = limited.without_torques(problem)
+    answer = over_tiles(partial(_whole, constrained=True), bare, problem.size, CAREFUL_TILE)
     return limited.within_torques(problem, answer)
 
 
@@ -58,16 +58,22 @@ def solve_both(problem: Problem) -> tuple[Answer, Answer]:
 
 def first_pass(problem: Problem) -> Answer:
     """The closed form of every problem; ``undecided`` where it is too ill-conditioned for this pass."""
-    return over_tiles(_closed_tile, problem, problem.size, TILE)
+    return over_tiles(_closed_tile, limited.without_torques(problem), problem.size, TILE)
 
 
 def finish_closed(problem: Problem, answer: Answer) -> Answer:
     """The closed form everywhere, from the first pass."""
-    return over_chosen(partial(_careful_tile, constrained=False), problem, answer, answer.undecided, CAREFUL_TILE)
+    bare = limited.without_torques(problem)
+    return over_chosen(partial(_careful_tile, constrained=False), bare, answer, answer.undecided, CAREFUL_TILE)
 
 
 def finish_optimum(problem: Problem, answer: Answer) -> Answer:
-    """The constrained optimum everywhere, but for limits of torques, from the first pass."""
+    """The constrained optimum everywhere, from the first pass."""
+    answer = _finish_without_torques(limited.without_torques(problem), answer)
+    return limited.within_torques(problem, answer)
+
+
+def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
     outside = answer.verdict == Verdict.OUTSIDE_CONES
     answer = answer._replace(undecided=answer.undecided | outside)
     if problem.start is not None:

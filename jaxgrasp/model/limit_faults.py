@@ -1,5 +1,7 @@
 """What is wrong with concrete limits, before anything is computed."""
 
+from collections.abc import Iterator, Mapping
+
 import jax
 import numpy as np
 
@@ -26,7 +28,8 @@ def check_limits(limits: Limits, grasp: Grasp) -> Limits:
     arrays = {name: np.asarray(array) for name, array in given.items() if array is not None}
     _check_shapes(arrays, np.shape(grasp.points))
     there = np.ones(np.shape(grasp.friction), bool) if grasp.present is None else np.asarray(grasp.present) == 1
-    _check_values(arrays, there)
+    for fault in limit_faults(arrays, there):
+        raise GraspError(fault)
     return limits
 
 
@@ -51,7 +54,8 @@ def _check_shapes(arrays: dict[str, np.ndarray], points: tuple[int, ...]) -> Non
         raise GraspError(Fault("torque_max", (), found, f"the shape {wanted} that torque_map implies"))
 
 
-def _check_values(arrays: dict[str, np.ndarray], there: np.ndarray) -> None:
+def limit_faults(arrays: Mapping[str, np.ndarray], there: np.ndarray) -> Iterator[Fault]:
+    """Every entry of some of the fields of Limits that breaks a rule; shapes must fit already."""
     finite = "a finite number, zero or more"
     for name, array in arrays.items():
         looked_at = {"torque_max": True, "torque_map": there[..., None, None]}.get(name, there)
@@ -59,11 +63,10 @@ def _check_values(arrays: dict[str, np.ndarray], there: np.ndarray) -> None:
         with np.errstate(invalid="ignore"):
             good = np.isfinite(array) if name == "torque_map" else (array >= 0) & (endless | np.isfinite(array))
         expected = "a finite number" if name == "torque_map" else "a number, zero or more" if endless else finite
-        for fault in entries(name, array, looked_at & ~good, expected):
-            raise GraspError(fault)
+        yield from entries(name, array, looked_at & ~good, expected)
     if all(name in arrays for name in NORMALS):
         low, high = (arrays[name] for name in NORMALS)
         for index in np.argwhere(there & (high < low)):
             place = tuple(int(i) for i in index)
             expected = f"no less than normal_min there, {low[place].item()!r}"
-            raise GraspError(Fault("normal_max", place, repr(high[place].item()), expected))
+            yield Fault("normal_max", place, repr(high[place].item()), expected)

@@ -290,7 +290,7 @@ def test_nothing_usable_is_said(sets):
 @pytest.mark.parametrize("devices", [1, 2, 6, 12])
 def test_chunks_are_filled_no_further_than_needed(devices):
     (block,) = blocks.blocks(make_sets([4] * 64), 64, devices)
-    assert 64 <= len(block[2]) < 64 + devices and len(block[2]) % devices == 0
+    assert 64 <= len(block.wrench) < 64 + devices and len(block.wrench) % devices == 0
 
 
 def test_integers_are_taken_as_numbers(unchecked):

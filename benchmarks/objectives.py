@@ -1,0 +1,116 @@
+"""Forces by other objectives: what each costs, how close its bound is, and whether an independent solver agrees.
+
+    python -m benchmarks.objectives --out benchmarks/results
+
+Writes objectives.json and objectives.md.
+"""
+
+import os
+
+# One thread, decided before JAX and BLAS start their pools.
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+if hasattr(os, "sched_setaffinity"):
+    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+import jaxgrasp
+from benchmarks import limited_reference
+from benchmarks.limited_problems import LimitedProblems, limited_problems
+from benchmarks.page import objective_tables
+from benchmarks.page.clock import interleaved
+from benchmarks.sections import run_sections
+from jaxgrasp import OBJECTIVES, Verdict
+
+NAME = "objectives"
+KINDS = ("ordinary", "near_collinear", "coincident_some", "low_friction", "some_zero_squeeze", "far_frame", "combined")
+REFERENCES: dict[str, Callable] = {
+    "least_maximal_force": limited_reference.least_maximal_force,
+    "least_torque": limited_reference.least_torque,
+}
+"""Clarabel's, of the objectives that are one cone program."""
+NEAR = 1e-9
+"""Clarabel's tolerance: at a smaller one it gives up on most."""
+
+
+class Plan(NamedTuple):
+    """How much of everything."""
+
+    sizes: tuple[int, ...] = (3, 5, 10)
+    joints: int = 6
+    batch: int = 256
+    repeats: int = 7
+    judged: int = 100
+    in_turn: int = 16
+    """Problems that Clarabel solves for its time."""
+
+
+def _made(kind: str, n: int, count: int, plan: Plan) -> LimitedProblems:
+    return limited_problems(kind, n, count, 3, soft=True, bounded=True, joints=plan.joints)
+
+
+def _best(made: LimitedProblems, objective: Any) -> Callable:
+    grasp, wrench, limits = jax.tree.map(jax.numpy.asarray, (made.grasp, made.problem.wrench, made.limits))
+    return lambda: jax.block_until_ready(jaxgrasp.best_forces(grasp, wrench, objective, limits=limits))
+
+
+def times(plan: Plan) -> list[dict]:
+    """Seconds a problem of a batch, and of Clarabel's one by one, in turns."""
+    rows = []
+    for n in plan.sizes:
+        made = _made("ordinary", n, plan.batch, plan)
+        weights = np.ones((plan.batch, n))
+        for objective in OBJECTIVES:
+            calls = {"ours": _best(made, objective)}
+            if objective in REFERENCES:
+                cases = [made.case(i, weights) for i in range(plan.in_turn)]
+                calls["clarabel"] = lambda solve=REFERENCES[objective], cases=cases: [solve(c, NEAR) for c in cases]
+            took = interleaved(calls, plan.repeats, 20.0)
+            each = {name: took[name] / (plan.batch if name == "ours" else plan.in_turn) for name in took}
+            rows.append({"n": n, "objective": objective, "seconds": each})
+    return rows
+
+
+def right(plan: Plan) -> list[dict]:
+    """Every kind: problems that ended optimal, how far bounds are, and how far Clarabel's values."""
+    rows = []
+    for kind in KINDS:
+        made = _made(kind, 4, plan.judged, plan)
+        rows += [{"kind": kind, "objective": objective} | _judged(made, objective) for objective in OBJECTIVES]
+    return rows
+
+
+def _judged(made: LimitedProblems, objective: Any) -> dict:
+    found = jax.device_get(_best(made, objective)())
+    optimal = found.verdict == Verdict.OPTIMAL
+    near = np.abs(found.value - found.bound) / np.where(found.value == 0, 1, np.abs(found.value))
+    row = {
+        "optimal": int(optimal.sum()),
+        "not converged": int((found.verdict == Verdict.NOT_CONVERGED).sum()),
+        "infeasible": int((found.verdict == Verdict.INFEASIBLE).sum()),
+        "median_gap": float(np.median(near[optimal])),
+        "worst_gap": float(near[optimal].max()),
+    }
+    if objective not in REFERENCES:
+        return row
+    weights, off = np.ones_like(made.problem.squeeze), []
+    for i in np.flatnonzero(optimal):
+        theirs = REFERENCES[objective](made.case(i, weights), NEAR)
+        if theirs.status == "Solved":
+            off.append((found.value[i] - theirs.objective) / theirs.objective)
+    return row | {"compared": len(off), "above": float(max(off)), "below": float(-min(off))}
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    quick = Plan(sizes=(4,), batch=8, repeats=1, judged=8, in_turn=2)
+    run_sections(__doc__, NAME, {"times": times, "right": right}, (Plan(), quick), objective_tables.page)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""The page of forces by other objectives in Markdown, from the report that the JSON holds too."""
+
+from benchmarks.page.tables import table
+
+JUDGED = [
+    "kind",
+    "objective",
+    "optimal",
+    "not converged",
+    "infeasible",
+    "gap to the bound, median",
+    "worst",
+    "compared with Clarabel",
+    "most above it",
+    "most below it",
+]
+
+
+def page(report: dict) -> str:
+    parts = ["# Forces by other objectives", _preface(report)]
+    if "times" in report:
+        parts += ["## What they cost", _about_times(report), table(*_times(report["times"]))]
+    if "right" in report:
+        parts += ["## How good they are", _about_right(report), table(JUDGED, map(_judged, report["right"]))]
+    return "\n\n".join(parts) + "\n"
+
+
+def _preface(report: dict) -> str:
+    facts = report["machine"]
+    return (
+        f"Made by `python -m benchmarks.objectives`. {facts['processor']}, one thread, {facts['system']}, "
+        f"Python {facts['python']}, jax {facts['versions']['jax']}; float64. Soft fingers among hard ones, bounded "
+        f"normal forces and {report['plan']['joints']} limited joints, drawn about the forces behind each wrench."
+    )
+
+
+def _about_times(report: dict) -> str:
+    return (
+        f"Microseconds a problem in a batch of {report['plan']['batch']} ordinary ones, after compiling; in brackets "
+        "Clarabel's for one of them after the other, each set up by NumPy, in turns. The margin is a root, and each "
+        "look at it a cone program."
+    )
+
+
+def _about_right(report: dict) -> str:
+    return (
+        f"{report['plan']['judged']} problems of four contacts of each kind. Gaps and distances are relative to the "
+        "value; distances are from Clarabel's value wherever it calls its problem solved."
+    )
+
+
+def _times(rows: list[dict]) -> tuple[list[str], list[list[str]]]:
+    sizes = sorted({row["n"] for row in rows})
+    cells = {(row["objective"], row["n"]): row["seconds"] for row in rows}
+    names = dict.fromkeys(row["objective"] for row in rows)
+    body = [[f"`{name}`", *(_cell(cells[name, n]) for n in sizes)] for name in names]
+    return ["", *(f"n = {n}" for n in sizes)], body
+
+
+def _cell(seconds: dict[str, float]) -> str:
+    theirs = f" ({1e6 * seconds['clarabel']:,.0f})" if "clarabel" in seconds else ""
+    return f"{1e6 * seconds['ours']:,.0f}{theirs}"
+
+
+def _judged(row: dict) -> list[str]:
+    counts = [str(row[name]) for name in ("optimal", "not converged", "infeasible")]
+    gaps = [f"{row[name]:.0e}" for name in ("median_gap", "worst_gap")]
+    theirs = [str(row["compared"]), f"{row['above']:.0e}", f"{row['below']:.0e}"] if "compared" in row else ["-"] * 3
+    return [row["kind"], f"`{row['objective']}`", *counts, *gaps, *theirs]

@@ -10,6 +10,17 @@ from jaxgrasp.cli.arguments import Info, Validate
 from jaxgrasp.cli.data import data_path, opened
 
 CHUNK = 65_536
+UNITS = {
+    "radius": "m",
+    "friction": "",
+    "squeeze": "N",
+    "torsion": "m",
+    "normal_min": "N",
+    "normal_max": "N",
+    "torque_max": "N.m",
+    "force": "N",
+    "torque": "N.m",
+}
 
 
 def info_command(arguments: Info) -> int:
@@ -20,7 +31,9 @@ def info_command(arguments: Info) -> int:
     sizes = np.sum([np.bincount(facts["sizes"], minlength=source.largest + 1) for facts in chunks], 0)
     held = np.flatnonzero(sizes)
     print("contacts   " + ", ".join(f"{n}: {sizes[n]:,}" for n in held))
-    for name, unit in (("radius", "m"), ("friction", ""), ("squeeze", "N"), ("force", "N"), ("torque", "N.m")):
+    for name, unit in UNITS.items():
+        if name not in chunks[0]:
+            continue
         low, high = min(f[name][0] for f in chunks), max(f[name][1] for f in chunks)
         print(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
     for label in chunks[0]["labels"]:
@@ -54,7 +67,8 @@ def _facts(sets: ContactSets) -> dict:
     def span(values: np.ndarray) -> tuple[float, float]:
         return float(np.min(values, initial=np.inf)), float(np.max(values, initial=-np.inf))
 
-    return {
+    optional = {name: getattr(sets, name) for name in ("torsion", "normal_min", "normal_max", "torque_max")}
+    return {name: span(array) for name, array in optional.items() if array is not None} | {
         "sizes": sets.sizes,
         "radius": span(sets.reach()),
         "friction": span(sets.friction),

@@ -99,6 +99,6 @@ def _worth(price: Array, end: Array) -> Array:
 def reach(posed: Posed, push: Push) -> Array:
     """Largest power of each contact, of forces of size 1 inside its cone ``(B, n)``."""
     slide = safe_divide(push.across, posed.friction)
-    inside = push.across <= posed.friction**2 * push.along
+    inside = (push.along > 0) & (push.across <= posed.friction**2 * push.along)
     on_edge = jnp.maximum(push.most, 0) / jnp.sqrt(1 + posed.friction**2)
     return jnp.where(inside, safe_sqrt(push.along**2 + slide**2), on_edge)

@@ -13,6 +13,7 @@ from jaxgrasp.batch.contact_sets import BOUNDS, OPTIONAL_FIELDS, ContactSets
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
 from jaxgrasp.batch.stream import Plan, evaluate_stream
+from jaxgrasp.cli.main import main
 
 COUNT, N, JOINTS = 12, 4, 3
 METHODS = ("B", "B-optimum")
@@ -64,6 +65,15 @@ def test_files_keep_every_bit(which, request, tmp_path):
     same(jaxgrasp.load_grasps(tmp_path / "a.csv"), plain, OPTIONAL_FIELDS[:3])
     with pytest.raises(ValueError, match=r"torque_map is given: .* write an .npz file"):
         jaxgrasp.save_grasps(tmp_path / "b.csv", given)
+
+
+def test_info_says_what_limits_a_file_holds(sets, tmp_path, capsys):
+    jaxgrasp.save_grasps(tmp_path / "a.npz", sets)
+    assert main(["info", str(tmp_path / "a.npz")]) == 0
+    said = capsys.readouterr().out
+    for name in ("torsion", "normal_min", "normal_max", "torque_max"):
+        array = getattr(sets, name)
+        assert f"{name:10} {array.min():.4g} to {array.max():.4g}" in said
 
 
 def test_a_batch_with_limits_is_saved_as_it_is_evaluated(made, sets, tmp_path):

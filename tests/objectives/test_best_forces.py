@@ -65,6 +65,28 @@ def test_two_antipodal_contacts_have_known_answers(friction):
     assert np.isclose(best_forces(grasp, load, "largest_margin", limits=limits).value, margin, atol=3e-7)
 
 
+def test_degenerate_problems_have_their_answers():
+    axes = np.eye(3)
+    grasp = Grasp(
+        points=np.stack([0.03 * np.stack([-axes[0], axes[0]])] * 4),
+        normals=np.stack([np.stack([axes[0], -axes[0]])] * 4),
+        friction=[[0.5, 0.5], [0.5, 0.5], [0, 0], [0.5, 0.5]],
+        squeeze=np.ones((4, 2)),
+        present=[[1, 1], [1, 0], [1, 1], [0, 0]],
+    )
+    # Nothing to hold; one finger that pushes; two without friction, that push unalike; no contact.
+    loads = np.zeros((4, 6))
+    loads[1, 0], loads[2, 0], loads[3, 0] = 5, 3, 1
+    limits = Limits(normal_max=np.full((4, 2), 20.0))
+    angle = np.arctan(0.5)
+    known = {"least_norm": (0, 5, 3), "least_maximal_force": (0, 5, 3), "largest_margin": (angle, angle, 0)}
+    for objective, values in known.items():
+        found = jax.device_get(best_forces(grasp, loads, objective, limits=limits))
+        assert found.verdict.tolist() == [Verdict.OPTIMAL] * 3 + [Verdict.NO_CONTACTS], objective
+        assert np.allclose(found.value[:3], values, atol=3e-7), objective
+        assert np.isfinite(found.forces).all() and np.allclose(found.forces.sum(1)[:3], loads[:3, :3], atol=1e-6)
+
+
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 def test_forces_are_allowed_and_worth_what_is_said(kind, limited):

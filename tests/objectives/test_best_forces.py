@@ -14,7 +14,7 @@ from benchmarks.limited_problems import LimitedProblems, limited_problems
 from jaxgrasp import OBJECTIVES, BestForces, Grasp, Limits, Verdict, best_forces, friction_margin
 
 COUNT, N, JOINTS = 24, 4, 5
-KINDS = ("ordinary", "low_friction", "some_zero_squeeze", "coincident_some", "far_frame", "combined")
+KINDS = ("ordinary", "low_friction", "zero_friction", "some_zero_squeeze", "coincident_some", "far_frame", "combined")
 
 
 def made_of(kind: str, *, limited: bool, seed: int = 2) -> LimitedProblems:

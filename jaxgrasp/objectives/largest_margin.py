@@ -183,6 +183,8 @@ def _most(posed: Posed, prices: Prices, enough: Array) -> Array:
 
 
 class _State(NamedTuple):
+    widest: Array
+    """The widest friction angle: where no contact is left."""
     low: Array
     """The largest angle that is known to leave the wrench in reach; 0 to begin with."""
     high: Array
@@ -206,7 +208,7 @@ def _bracket(posed: Posed) -> _State:
     widest = jnp.max(_angles(posed), -1)
     zero = 0 * widest
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, posed, zero))
-    start = _State(zero, widest, widest, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
+    start = _State(widest, zero, widest, widest, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
 
     def step(carry):
         count, state = carry
@@ -250,7 +252,7 @@ def _step(state: _State, seen: _Look) -> _State:
     phase = jnp.where((state.phase > 0) | arrived, state.phase + 1, 0)
     phase = jnp.where((phase > 2) & (proven <= root + apart), OVER, phase)
     far = apart * FARTHER ** (phase - 2).astype(root.dtype)
-    sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), root + far)
+    sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, state.widest))
     here = jnp.where(phase == 0, there, sides)
     kept, beyond = _chosen(best, seen, state.kept), _chosen(proves, seen.prices, state.beyond)
-    return _State(low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)
+    return _State(state.widest, low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)

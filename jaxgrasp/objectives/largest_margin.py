@@ -6,6 +6,7 @@ passes the friction angle of a contact, that contact has to be unloaded, and wha
 angle is the margin. Contacts without friction have no margin to lose, and stay.
 """
 
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -14,13 +15,18 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import conic
 from jaxgrasp.numerics.conic import Program
+from jaxgrasp.numerics.tiles import over_chosen
 from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
 from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
 from jaxgrasp.objectives.posed import Posed, absent, friction_cones
 from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, spent
 from jaxgrasp.objectives.search import Found
 
+FIRST = 10
+"""Looks that all take; those that need more are gathered."""
 STEPS = 40
+LEFT = 8
+"""Of these so many at a time."""
 ENOUGH = 10.0
 """Times the wrench beyond which nothing more is asked for."""
 LITTLE = 1e-3
@@ -183,8 +189,8 @@ def _most(posed: Posed, prices: Prices, enough: Array) -> Array:
 
 
 class _State(NamedTuple):
-    widest: Array
-    """The widest friction angle: where no contact is left."""
+    angles: Array
+    """Friction angles ``(B, n)``: where what can be exerted may jump; beyond the widest no contact is left."""
     low: Array
     """The largest angle that is known to leave the wrench in reach; 0 to begin with."""
     high: Array
@@ -208,14 +214,31 @@ def _bracket(posed: Posed) -> _State:
     widest = jnp.max(_angles(posed), -1)
     zero = 0 * widest
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, posed, zero))
-    start = _State(widest, zero, widest, widest, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
+    start = _State(_angles(posed), zero, widest, widest, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
+
+    state = _looked(posed, start, FIRST)
+    return over_chosen(partial(_looked, count=STEPS), posed, state, state.phase < OVER, LEFT)
+
+
+def _looked(posed: Posed, state: _State, count: int) -> _State:
+    """After so many more looks, where there are so many to take."""
 
     def step(carry):
-        count, state = carry
+        done, state = carry
         moved = _step(state, _look(posed, state.here))
-        return count + 1, _chosen(state.phase == OVER, state, moved)
+        return done + 1, _chosen(state.phase == OVER, state, moved)
 
-    return lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].phase == OVER), step, (jnp.int32(0), start))[1]
+    return lax.while_loop(lambda c: (c[0] < count) & ~jnp.all(c[1].phase == OVER), step, (jnp.int32(0), state))[1]
+
+
+def _halved(angles: Array, low: Array, high: Array) -> Array:
+    """Somewhere between: where there may be a jump; behind one that may have been found; else in the middle."""
+    middle, apart = (low + high) / 2, _apart(low)
+    between = (angles > low[:, None]) & (angles < high[:, None])
+    far = jnp.where(between, jnp.abs(angles - middle[:, None]), jnp.inf)
+    nearest = jnp.take_along_axis(angles, jnp.argmin(far, -1)[:, None], -1)[:, 0]
+    behind = jnp.any(angles == low[:, None], -1) & (low > 0) & (high > low + apart)
+    return jnp.where(behind, low + apart / 2, jnp.where(jnp.any(between, -1), nearest, middle))
 
 
 Tree = TypeVar("Tree")
@@ -245,14 +268,14 @@ def _step(state: _State, seen: _Look) -> _State:
     led = state.here - jnp.log(jnp.where(falls, seen.times, 1)) / rate
     inside = falls & (led > low) & (led < high)
     near = falls & (jnp.abs(led - state.here) <= apart / 4)
-    there = jnp.where(near, state.here, jnp.where(inside, led, (low + high) / 2))
+    there = jnp.where(near, state.here, jnp.where(inside, led, _halved(state.angles, low, high)))
     # Where whole cones barely do, or the root is that of the widest, there is nothing between.
     arrived = (state.phase == 0) & (near | (high - low <= apart))
     root = jnp.where(arrived, there, state.root)
     phase = jnp.where((state.phase > 0) | arrived, state.phase + 1, 0)
     phase = jnp.where((phase > 2) & (proven <= root + apart), OVER, phase)
     far = apart * FARTHER ** (phase - 2).astype(root.dtype)
-    sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, state.widest))
+    sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, jnp.max(state.angles, -1)))
     here = jnp.where(phase == 0, there, sides)
     kept, beyond = _chosen(best, seen, state.kept), _chosen(proves, seen.prices, state.beyond)
-    return _State(state.widest, low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)
+    return _State(state.angles, low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)

@@ -10,6 +10,7 @@ from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import Fault, GraspError, dtype_faults, entries, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limit_faults import limit_faults
 from jaxgrasp.model.limits import Limits
 
 
@@ -156,13 +157,10 @@ def _value_faults(fields: dict[str, np.ndarray]) -> Iterator[Fault]:
         yield from value_faults(**grasp, present=fields["present"])
     else:
         yield from value_faults(**grasp)
-    wrench, least, most = fields["wrench"], fields["normal_min"], fields["normal_max"]
-    yield from entries("wrench", wrench, ~np.isfinite(wrench), "a finite number [N, N.m]")
-    yield from entries("normal_min", least, ~(np.isfinite(least) & (least >= 0)), "a finite number, zero or more")
-    yield from entries("normal_max", most, ~(most >= 0), "zero or more, or inf")
-    yield from entries("torque_map", fields["torque_map"], ~np.isfinite(fields["torque_map"]), "a finite number")
-    yield from entries("torque_max", fields["torque_max"], ~(fields["torque_max"] > 0), "a number greater than 0")
-    yield from entries("normal_max", most, most < least, "no less than normal_min")
+    yield from entries("wrench", fields["wrench"], ~np.isfinite(fields["wrench"]), "a finite number [N, N.m]")
+    limits = {name: fields[name] for name in ("normal_min", "normal_max", "torque_map", "torque_max")}
+    # Those of absent contacts are none by now.
+    yield from limit_faults(limits, np.ones((), bool))
 
 
 def _harmless(flat: dict[str, np.ndarray], valid: np.ndarray, batch: tuple[int, ...]) -> Given:

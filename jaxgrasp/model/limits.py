@@ -22,7 +22,7 @@ class Limits(eqx.Module):
     [`jaxgrasp.contact_jacobian`][] gives it; c is 3, or 4 with a last row for the speed of turning about the normal,
     which the moments of soft fingers work on [1]."""
     torque_max: Float[AnyArray, "*batch j"] | None
-    """Largest torque of each joint, in either direction, > 0 [N.m, or N]; inf where there is none."""
+    """Largest torque of each joint, in either direction, >= 0 [N.m, or N]; inf where there is none."""
 
     # Rather than converters of the fields, whose shapes would go unchecked.
     def __init__(

@@ -246,7 +246,7 @@ def test_bad_arguments_raise(problem, options, message, unchecked):
         ({"normal_max": np.full(N, 1.0), "normal_min": np.full(N, 2.0)}, "no less than normal_min"),
         ({"normal_max": np.full(3, 1.0)}, r"normal_max has shape \(3,\)"),
         ({"torque_max": np.full(JOINTS, 1.0)}, "without torque_map"),
-        ({"torque_max": np.zeros(JOINTS), "torque_map": np.zeros((N, 3, JOINTS))}, r"torque_max\[0\] is 0.0"),
+        ({"torque_max": -np.ones(JOINTS), "torque_map": np.zeros((N, 3, JOINTS))}, r"torque_max\[0\] is -1.0"),
         ({"torque_max": np.ones(JOINTS), "torque_map": np.zeros((N, 4, JOINTS))}, "torque_map has shape"),
     ],
 )

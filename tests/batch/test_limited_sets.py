@@ -88,6 +88,7 @@ def results(uneven):
     return jaxgrasp.evaluate(uneven, methods=METHODS).results
 
 
+@pytest.mark.slow
 def test_evaluations_are_those_of_the_plain_functions(uneven, results):
     optimum, closed = results["B-optimum"], results["B"]
     grasp, limits, wrench = uneven.padded(N), uneven.limits(N), uneven.wrench[:, 0]
@@ -107,6 +108,7 @@ def test_evaluations_are_those_of_the_plain_functions(uneven, results):
     assert closed.torque_multiplier is None
 
 
+@pytest.mark.slow
 def test_streams_write_moments_and_multipliers(uneven, results, tmp_path):
     plan, source = Plan(methods=METHODS, chunk=COUNT), MemorySource(uneven)
     folder = ResultFolder(tmp_path, plan.identity("data", source), resume=False)

@@ -79,6 +79,7 @@ def test_more_grasps_than_are_worked_on_at_a_time(run, monkeypatch):
     assert list(parts.labels["name"]) == list(whole.labels["name"])
 
 
+@pytest.mark.slow
 def test_what_the_user_says_goes_before_the_file(run):
     status, said = run(
         "poses.h5", "--friction", "0.3", "--mass", "1", "--gravity", "-9.81", "0", "0", "--out", "own.npz"

@@ -137,6 +137,7 @@ def test_every_node_holds_all_balls_below_it(tree):
     assert sorted(seen) == list(range(len(tree.balls.radii)))
 
 
+@pytest.mark.slow
 def test_a_descent_finds_what_trying_all_finds(tree):
     posture, placed = scenes(60, below=np.repeat([0.0, 0.06, 0.09, 1.0], 15))
     found = find_contacts(HAND, posture, tree, placed)
@@ -158,6 +159,7 @@ def test_small_trees_try_all_and_large_ones_descend():
     assert sphere_tree(BOX, 3).descends
 
 
+@pytest.mark.slow
 def test_contacts_come_as_close_to_the_exact_shapes_as_the_balls_come_to_its_surface(tree):
     posture, placed = scenes(60, 5)
     exact, found = find_contacts(HAND, posture, BOX, placed), find_contacts(HAND, posture, tree, placed)

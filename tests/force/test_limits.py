@@ -100,6 +100,7 @@ def test_an_independent_solver_agrees(kind, sharing):
         assert np.abs(theirs.moments - found.moments[i]).max() < 1e-5 * largest * 0.02
 
 
+@pytest.mark.slow
 def test_limits_that_do_not_bind_change_nothing():
     made = everything("ordinary")
     free = jax.device_get(jaxgrasp.constrained_optimum(made.grasp, made.problem.wrench))

@@ -82,6 +82,7 @@ def test_the_optimum_knows_the_same_limit():
         assert (verdicts(problem, problem.wrench + 1.001 * reach)[finite] == Verdict.INFEASIBLE).all()
 
 
+@pytest.mark.slow
 def test_it_starts_and_ends_where_the_wrench_does():
     """Margins along one line share their end; theta is measured in units of the direction."""
     problem = P.problems("ordinary", N, COUNT, seed=5)

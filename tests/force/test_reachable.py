@@ -104,7 +104,16 @@ def laws_hold(problem: P.Problems, weights: np.ndarray, root: np.ndarray, found)
     assert (found.certificate[~missed] == 0).all()
 
 
-@pytest.mark.parametrize("kind", ["infeasible", "ordinary", "low_friction", "zero_friction", "far_frame", "scales"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "infeasible",
+        *(
+            pytest.param(k, marks=pytest.mark.slow)
+            for k in ("ordinary", "low_friction", "zero_friction", "far_frame", "scales")
+        ),
+    ],
+)
 def test_the_closest_wrench_is_reached_and_none_is_closer(kind):
     problem = asking(kind, seed=1)
     found = nearest(problem)

@@ -94,6 +94,7 @@ def test_two_soft_fingers_with_known_answers():
     assert hard.verdict == Verdict.INFEASIBLE and hard.rank == 5
 
 
+@pytest.mark.slow
 def test_one_soft_finger_on_a_table():
     """It presses 5 N and can turn with 0.5 x 5 N x 8 mm at most, and then slide no more: the margin is that."""
     finger = Grasp([[0.0, 0, 0]], [[0, 0, -1.0]], [0.5], [5.0], torsion=[0.008])
@@ -204,8 +205,3 @@ def test_moments_use_up_the_friction_margin():
         jaxgrasp.friction_margin(Grasp(points, normals, 0.5 * one, one), forces, moments)
     held = jaxgrasp.monitor(pinch(), jnp.array([0, 0, 0, 0.04, 0, 0]))
     assert (held.touches == jaxgrasp.Touch.SLIDES).all() and held.hold == jaxgrasp.Hold.SLIPPING
-
-
-def test_files_hold_hard_fingers_only(folder):
-    with pytest.raises(jaxgrasp.GraspError, match="torsion is given: expected None"):
-        jaxgrasp.save_grasps(folder / "soft.npz", pinch(), np.zeros(6))

@@ -172,6 +172,7 @@ def test_it_comes_back_within_two_seconds_of_its_port():
     assert world.host.counts.links == 2 and world.host.guard.state == GuardState.LATCHED
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.floats(0, 0.4), st.integers(0, 10**6), st.sampled_from([57_600, 115_200, 921_600]))
 def test_a_bad_line_breaks_no_law(share, seed, baud):

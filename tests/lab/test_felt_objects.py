@@ -56,7 +56,8 @@ def test_nothing_is_felt_before_it_is_touched_and_the_end_stops():
     np.testing.assert_allclose(squeezed.resistance(squeezed.start, 300.0), 0, atol=1e-15)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("weight", marks=pytest.mark.slow), "stiffness", "torque"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["weight", "stiffness", "torque"])
 def test_slope(kind):
     felt = felt_object(StimulusPlan(kind), MODEL)
     postures = felt.postures()

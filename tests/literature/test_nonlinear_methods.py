@@ -46,6 +46,7 @@ def in_cones(problem: P.Problems, forces: np.ndarray, tolerance: float) -> np.nd
     return (across <= problem.friction * along + tolerance).all(-1)
 
 
+@pytest.mark.slow
 def test_nakamura_is_the_least_norm_in_the_cones(problem, loose):
     """Which is the constrained optimum without squeezing forces, shared uniformly."""
     answer, optimum = nakamura(grasp_of(problem), problem.wrench), constrained_optimum(loose, problem.wrench, "uniform")

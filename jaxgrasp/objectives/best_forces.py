@@ -78,10 +78,11 @@ def best_forces(
 
     A moment of a soft finger counts as the tangential force that uses as much friction. The margin is found to 1e-7.
     Where limits lie within some 1e-8 of what can be exerted at all, value and bound drift apart, as they show.
-    The bound of least torques is proven for forces up to a thousand times the sum of normal forces returned.
+    The bound of least torques is proven for normal forces up to ``normal_max``, or to a thousand times the sum of those
+    returned where that is less.
 
-    The ``value`` is differentiable once, by everything: it moves as its bound does for the multipliers found. Where
-    several multipliers bound it, the derivative is that of one. Derivatives of the other fields are zero, but for
+    The ``value`` is differentiable once, by everything: it moves as the Lagrangian does at the forces and
+    multipliers found. Where there are several of these, the derivative is that of one pair. Derivatives of the other fields are zero, but for
     the least norm, whose forces are those of [`jaxgrasp.constrained_optimum`][].
 
     Args:

@@ -29,6 +29,9 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     except (UnicodeDecodeError, csv.Error) as error:
         raise GraspFileError(path, f"it is not CSV in UTF-8 ({error})") from error
     needed = ["grasp", *POINT, *NORMAL, *WRENCH, *(c for c in ("friction", "squeeze") if c not in fill)]
+    torques = [column for column in ("torque_map", "torque_max") if column in header]
+    if torques:
+        raise GraspFileError(path, f"it has the column {torques[0]}: limits of torques need an .npz file")
     missing = [column for column in needed if column not in header]
     if missing:
         raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}")

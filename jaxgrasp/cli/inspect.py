@@ -35,6 +35,8 @@ def info_command(arguments: Info) -> int:
         if name not in chunks[0]:
             continue
         low, high = min(f[name][0] for f in chunks), max(f[name][1] for f in chunks)
+        if low > high:
+            continue
         print(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
     for label in chunks[0]["labels"]:
         values = np.unique(np.concatenate([facts["labels"][label] for facts in chunks]))

@@ -45,7 +45,7 @@ def _check_shapes(arrays: dict[str, np.ndarray], points: tuple[int, ...]) -> Non
             other = TORQUES[1 - TORQUES.index(name)]
             raise GraspError(Fault(name, (), "None", f"an array, beside {other}"))
     shape, batch = arrays["torque_map"].shape, points[:-1]
-    if len(shape) != len(batch) + 2 or shape[:-2] != batch or shape[-2] not in (3, 4):
+    if len(shape) != len(batch) + 2 or shape[:-2] != batch or shape[-2] not in (3, 4) or shape[-1] == 0:
         expected = f"a shape ({', '.join(map(str, batch))}, 3 or 4, joints)"
         raise GraspError(Fault("torque_map", (), f"an array of shape {shape}", expected))
     wanted = (*batch[:-1], shape[-1])

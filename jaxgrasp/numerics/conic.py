@@ -23,6 +23,8 @@ REFINED = 2
 """Times that a step's equations are solved again for what they leave."""
 SHORTEST = 1e-7
 """A step so short is none."""
+HALVED = 4
+"""Times that a step is halved which rounding would lead out of its cones."""
 
 
 class Cones(NamedTuple):
@@ -70,6 +72,9 @@ class Optimum(NamedTuple):
     """Whether gap and error are as small as rounding lets them be told."""
 
 
+MOVING = ("point", "equality", "slack", "duals")
+
+
 class _Scaling(NamedTuple):
     """W of one kind of cones, with W z = W^-1 s."""
 
@@ -103,7 +108,7 @@ def solve(program: Program) -> Optimum:
         count, here, best, over = carry
         moved, length = _advance(program, here)
         there = _judged(program, moved, here.steps + 1)
-        sound = jnp.isfinite(there.gap + there.error)
+        sound = jnp.isfinite(there.gap + there.error) & _inside(there)
         best = _chosen(~over & sound & (_merit(there) < _merit(best)), there, best)
         here = _chosen(~over & sound, there, here)
         return count + 1, here, best, over | ~sound | there.solved | (length < SHORTEST)
@@ -200,17 +205,29 @@ def _advance(program: Program, at: Optimum) -> tuple[Optimum, Array]:
     ]
     step = move(corrected)
     length = jnp.minimum(1, NEAR * _reach(scalings, step))
-    far = length[:, None, None]
     # Not by their scaled moves, whose rounding the equations would see.
-    slack = [s - far * (left + _seen(c, step.point)) for s, left, c in zip(at.slack, cones, program.cones, strict=True)]
-    duals = [z + far * _unscaled(w, dz) for z, w, dz in zip(at.duals, scalings, step.duals, strict=True)]
-    moved = at._replace(
-        point=at.point + length[:, None] * step.point,
-        equality=at.equality + length[:, None] * step.equality,
-        slack=tuple(slack),
-        duals=tuple(duals),
-    )
-    return moved, length
+    slack = [-left - _seen(c, step.point) for left, c in zip(cones, program.cones, strict=True)]
+    duals = [_unscaled(w, dz) for w, dz in zip(scalings, step.duals, strict=True)]
+    whole = at._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
+    for _ in range(HALVED):
+        length = jnp.where(_inside(_moved(at, whole, length)), length, length / 2)
+    return _moved(at, whole, length), length
+
+
+def _moved(at: Optimum, step: Optimum, length: Array) -> Optimum:
+    def move(x: Array, dx: Array) -> Array:
+        return x + length.reshape(-1, *[1] * (x.ndim - 1)) * dx
+
+    moves = {name: jax.tree.map(move, getattr(at, name), getattr(step, name)) for name in MOVING}
+    return at._replace(**moves)
+
+
+def _inside(at: Optimum) -> Array:
+    """Whether all slack and duals are inside their cones ``(B,)``."""
+    inside = jnp.ones_like(at.gap, bool)
+    for part in (*at.slack, *at.duals):
+        inside = inside & jnp.all(part[..., :1] > _length(part[..., 1:]), (1, 2))
+    return inside
 
 
 def _reach(scalings: list[_Scaling], move: _Move) -> Array:

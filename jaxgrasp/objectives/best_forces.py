@@ -72,18 +72,21 @@ def best_forces(
     - ``"least_maximal_force"``: the largest |f_i| [N];
     - ``"largest_margin"``: the smallest friction margin of a loaded contact, as [`jaxgrasp.friction_margin`][] has it
       [rad], contacts without friction left out of account. Larger forces leave more of it, so ``limits.normal_max`` has
-      to be given; where it is infinite no contact presses with more than a thousand times the load;
+      to be given; no contact presses with more than a thousand times the load, whatever it says;
     - ``"least_torque"``: the root of the sum of squares of the joint torques that ``limits.torque_map`` says forces
       ask for [N.m], ``limits.torque_max`` kept where it is given. Where several forces ask for the least, small ones.
 
-    A moment of a soft finger counts as the tangential force that uses as much friction. The margin is found to 1e-7.
-    Where limits lie within some 1e-8 of what can be exerted at all, value and bound drift apart, as they show.
+    A moment of a soft finger counts as the tangential force that uses as much friction. The margin is found to some
+    1e-6, as value and bound show.
+    Where limits lie within some 1e-8 of what can be exerted at all, or leave forces no room as where ``normal_min`` is
+    ``normal_max``, value and bound drift apart, as they show.
     The bound of least torques is proven for normal forces up to ``normal_max``, or to a thousand times the sum of those
     returned where that is less.
 
-    The ``value`` is differentiable once, by everything: it moves as the Lagrangian does at the forces and
-    multipliers found. Where there are several of these, the derivative is that of one pair. Derivatives of the other fields are zero, but for
-    the least norm, whose forces are those of [`jaxgrasp.constrained_optimum`][].
+    The ``value`` is differentiable once, by everything: it moves as the Lagrangian does at the forces and multipliers
+    found. Where there are several of these, the derivative is that of one pair; where no torque has to be spent it is
+    zero. Derivatives of the other fields are zero, but for the least norm, whose forces are those of
+    [`jaxgrasp.constrained_optimum`][].
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -219,10 +222,19 @@ def _tile(given: tuple[Problem, Solution], objective: Objective):
     lost = ~(jnp.maximum(unbalanced(posed, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST)
     y = jnp.where(lost[:, None, None], known, found.y)
     value = jnp.where(lost, method.value(posed, known), found.value)
-    close = jnp.abs(value - found.bound) <= CLOSE * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** NOTHING
+    bound = _believed(value, found.bound, objective)
+    close = jnp.abs(value - bound) <= CLOSE * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** NOTHING
     forces, moments = forces_out(posed, units, problem, y)
     scale = _scale(units, objective)
-    return forces, moments, scale * value, scale * found.bound, close & ~lost, found
+    return forces, moments, scale * value, scale * bound, close & ~lost, found
+
+
+def _believed(value: Array, bound: Array, objective: Objective) -> Array:
+    """The bound; of forces that rounding lets beat it, what needs no proof."""
+    near = CLOSE * value + float(jnp.finfo(value.dtype).eps) ** NOTHING
+    if objective == "largest_margin":
+        return jnp.where(bound >= value - near, jnp.maximum(bound, value), jnp.pi / 2)
+    return jnp.where(bound <= value + near, jnp.minimum(bound, value), 0)
 
 
 def _scale(units: Units, objective: Objective) -> Array:

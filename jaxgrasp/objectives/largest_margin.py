@@ -36,6 +36,8 @@ APART = 0.45
 """How far from the root its two sides are looked at, as a power of the rounding [rad]."""
 FARTHER = 16
 """Times as far for the next look, where programs close to the root cannot be solved to a proof."""
+NEARLY = 0.5
+"""Nearer to the whole wrench than this power of the rounding is all of it: limits may leave room for no more."""
 SOUND = 0.45
 """By how much forces may miss the wrench or their limits, as a power of the rounding."""
 JUMP = 1e-4
@@ -59,7 +61,7 @@ class _Look(NamedTuple):
 
 
 def search(posed: Posed) -> Found:
-    """Forces of a margin, which is their value; its bound is that of narrower cones, which were proven not to do."""
+    """Forces of some margin; its bound is that of narrower cones, which were proven not to do."""
     posed = _bounded(posed)
     state = _bracket(posed)
     kept = state.kept
@@ -76,7 +78,10 @@ def search(posed: Posed) -> Found:
     unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
     prices = jax.tree.map(lambda x: x * _beside(unit, x), state.beyond)
     y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(posed, state.low)[..., None]], -1)
-    return Found(y, state.low, state.proven, prices, shares, kept.missed)
+    margin = value(posed, y)
+    # A proof of less than forces were found to have is none.
+    bound = jnp.where(state.proven >= margin - _apart(margin), state.proven, jnp.max(angles, -1))
+    return Found(y, margin, jnp.maximum(bound, margin), prices, shares, kept.missed)
 
 
 def value(posed: Posed, y: Array) -> Array:
@@ -255,13 +260,12 @@ def _beside(each: Array, array: Array) -> Array:
 def _step(state: _State, seen: _Look) -> _State:
     """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out."""
     apart = _apart(state.here)
-    # Short of it by what a program is solved to.
     eps = float(jnp.finfo(state.here.dtype).eps)
-    holds = (seen.times >= 1 - eps**conic.CLOSE) & (seen.missed <= eps**SOUND)
+    holds = (seen.times >= 1 - eps**NEARLY) & (seen.missed <= eps**SOUND)
     best = holds & (state.here >= state.low)
     low = jnp.where(best, state.here, state.low)
     high = jnp.where(holds, state.high, jnp.minimum(state.here, state.high))
-    proves = (seen.most < 1) & (state.here <= state.proven)
+    proves = (seen.most < 1 - eps**NEARLY) & (state.here <= state.proven)
     proven = jnp.where(proves, state.here, state.proven)
     falls = (seen.times > LITTLE) & (seen.slope < 0)
     rate = jnp.where(falls, seen.slope, -1) / jnp.where(falls, seen.times, 1)

@@ -17,6 +17,8 @@ from jaxgrasp.objectives.search import Found
 
 TIE = 1e-13
 """Of forces that ask for the same torques the smaller ones, at this price for their squares beside the torques'."""
+NOTHING = 0.9
+"""Half the squares of torques that are no more than rounding, as a power of it."""
 REACH = 1e3
 """Where no limit bounds a press, the bound is proven up to so many times the sum of presses found."""
 
@@ -58,7 +60,8 @@ def _bound(posed: Posed, prices: Prices, press: Array) -> Array:
 def lagrangian(posed: Posed, found: Found) -> Array:
     """Stationary in forces and multipliers at the optimum, where it is the value."""
     half = jnp.sum(_torques(posed, found.y) ** 2, -1) / 2
-    return _root(half + constraints(posed, found.prices._replace(drive=None), found.y))
+    some = half > float(jnp.finfo(half.dtype).eps) ** NOTHING
+    return _root(jnp.where(some, half + constraints(posed, found.prices._replace(drive=None), found.y), 0))
 
 
 def _half(posed: Posed, prices: Prices) -> Array:

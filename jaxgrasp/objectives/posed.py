@@ -119,8 +119,9 @@ def _rows(problem: Problem, shapes: Discs) -> Array:
     there = _there(problem)
     given = jnp.where(there[..., None, None], problem.torque_map, 0)
     # The normals, and the tangents that the spans are made along.
-    normals = jnp.asarray(shapes.centres)[..., :3]
-    parts = [normals, *(problem.friction[..., None] * t for t in tangents(normals))]
+    normals = jnp.where(there[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=given.dtype)[2])
+    friction = jnp.where(there, problem.friction, 0)
+    parts = [normals, *(friction[..., None] * t for t in tangents(normals))]
     rows = [jnp.einsum("bncj,bnc->bjn", given[:, :, :3], jnp.where(there[..., None], part, 0)) for part in parts]
     if problem.torsion is not None:
         turning = jnp.where(there & (problem.friction > 0), problem.torsion, 0)

@@ -171,6 +171,18 @@ def test_files_of_shapes_that_do_not_fit_are_refused(sets, tmp_path, changed, wo
         jaxgrasp.load_grasps(path)
 
 
+def test_what_a_csv_file_cannot_hold_is_said(tmp_path):
+    (tmp_path / "a.csv").write_text("grasp,torque_max\n0,1\n")
+    with pytest.raises(jaxgrasp.GraspFileError, match=r"torque_max: .* need an .npz file"):
+        jaxgrasp.load_grasps(tmp_path / "a.csv")
+
+
+def test_limits_of_no_joints_are_refused(made):
+    limits = jaxgrasp.Limits(torque_map=np.zeros((COUNT, N, 3, 0)), torque_max=np.zeros((COUNT, 0)))
+    with pytest.raises(jaxgrasp.GraspError, match="torque_map is an array of shape .*3 or 4, joints"):
+        jaxgrasp.evaluate(made.grasp, made.problem.wrench, limits=limits)
+
+
 def test_limits_of_another_shape_are_refused(made):
     shorter = jaxgrasp.Limits(normal_max=made.limits.normal_max[:-1])
     with pytest.raises(jaxgrasp.GraspError, match="normal_max is an array of shape"):

@@ -88,6 +88,65 @@ def test_degenerate_problems_have_their_answers():
         assert np.isfinite(found.forces).all() and np.allclose(found.forces.sum(1)[:3], loads[:3, :3], atol=1e-6)
 
 
+def padded_pinch(wrench: np.ndarray, *, least: float, most: float, torsion: float = 0.0) -> tuple:
+    """Two opposed contacts among absent ones, of the shape that the other tests compile: grasps and limits."""
+    points = np.array([[-0.03, 0, 0], [0.03, 0, 0], [0, 0.01, 0], [0, 0, 0]])
+    normals = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 1, 0]])
+    count = len(wrench)
+
+    def every(x) -> np.ndarray:
+        return np.broadcast_to(np.asarray(x, float), (count, *np.shape(x)))
+
+    there = every([1, 1, 0, 0])
+    grasp = Grasp(every(points), every(normals), every([0.5] * 4), 0 * there, there, torsion=every([torsion] * 4))
+    limits = Limits(
+        normal_min=every([least] * 4),
+        normal_max=every([most] * 4),
+        torque_map=every(np.zeros((4, 4, JOINTS))),
+        torque_max=every(np.full(JOINTS, np.inf)),
+    )
+    return grasp, wrench, limits
+
+
+@pytest.mark.parametrize(("least", "most"), [(0, 2.0), (1.9, 2.0), (2.0, 2.0)])
+def test_the_margin_of_a_pinch_is_known_however_tight_its_limits_are(least, most):
+    wrench = np.zeros((COUNT, 6))
+    wrench[:, 1:3] = np.random.default_rng(0).uniform(-0.6, 0.6, (COUNT, 2))
+    grasp, wrench, limits = padded_pinch(wrench, least=least, most=most)
+    found = jax.device_get(best_forces(grasp, wrench, "largest_margin", limits=limits))
+    margin = np.arctan(0.5) - np.arctan(np.linalg.norm(wrench[:, 1:3], axis=1) / 4)
+    assert np.allclose(found.value, margin, atol=1e-6)
+    assert (found.bound >= margin - 1e-9).all()
+    # Without any room nothing is proven, and it says so.
+    assert (found.verdict == (Verdict.OPTIMAL if least < most else Verdict.NOT_CONVERGED)).all()
+
+
+def test_a_padded_pinch_of_soft_fingers_is_solved():
+    wrench = np.zeros((COUNT, 6))
+    wrench[:, 3] = np.linspace(0.001, 0.05, COUNT)
+    grasp, wrench, limits = padded_pinch(wrench, least=0, most=5, torsion=0.01)
+    found = jax.device_get(best_forces(grasp, wrench, "least_maximal_force", limits=limits))
+    # Each turns half of it, at its limit of 0.01 m times its press.
+    press = wrench[:, 3] / 0.02
+    assert (found.verdict == Verdict.OPTIMAL).all()
+    assert np.allclose(found.value, press * np.sqrt(1 + 0.5**2), rtol=1e-7)
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES[1:])
+def test_an_absent_contact_has_no_derivative(objective):
+    grasp, wrench, limits = padded_pinch(np.tile([0, 0, 0.5, 0, 0, 0.0], (COUNT, 1)), least=0, most=9)
+    turned = np.zeros((COUNT, 4, 4, JOINTS))
+    turned[:, :, 2, 0] = 0.04
+    limits = eqx.tree_at(lambda x: x.torque_map, limits, turned)
+
+    def total(grasp):
+        return jnp.sum(best_forces(grasp, wrench, objective, limits=limits).value)
+
+    moves = jax.grad(total)(jax.tree.map(jnp.asarray, grasp))
+    assert not np.asarray(moves.friction)[:, 2:].any() and not np.asarray(moves.points)[:, 2:].any()
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(moves))
+
+
 @pytest.mark.parametrize("limited", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
 def test_forces_are_allowed_and_worth_what_is_said(kind, limited):

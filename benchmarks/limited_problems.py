@@ -11,7 +11,7 @@ from benchmarks.limited_reference import Case
 from benchmarks.problem_data import Problems
 from benchmarks.problems import problems
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.limits import BOUNDS, Limits
 
 TURNED = 0.5
 """Part of the torsional friction that the moments behind a feasible wrench use at most."""
@@ -35,17 +35,14 @@ class LimitedProblems(NamedTuple):
 
     @property
     def limits(self) -> Limits:
-        return Limits(**{name: getattr(self, name) for name in LIMITS})
+        return Limits(**{name: getattr(self, name) for name in BOUNDS})
 
     def case(self, index: int, weights: np.ndarray) -> Case:
         """One problem for the reference."""
         p = self.problem
         own = [getattr(p, name)[index] for name in ("points", "normals", "friction", "squeeze", "wrench")]
-        given = {name: getattr(self, name) for name in ("torsion", *LIMITS)}
+        given = {name: getattr(self, name) for name in ("torsion", *BOUNDS)}
         return Case(*own, weights[index], **{name: None if x is None else x[index] for name, x in given.items()})
-
-
-LIMITS = ("normal_min", "normal_max", "torque_map", "torque_max")
 
 
 def limited_problems(

@@ -1,6 +1,6 @@
 """The page of soft fingers and limited hands in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import table
+from benchmarks.page.tables import by_size, table
 
 KINDS = [
     "kind",
@@ -18,7 +18,7 @@ KINDS = [
 def page(report: dict) -> str:
     parts = ["# Soft fingers and limited hands", _preface(report)]
     if "times" in report:
-        parts += ["## What they cost", _about_times(report), table(*_times(report["times"]))]
+        parts += ["## What they cost", _about_times(report), by_size(report["times"], "way", _cell, "")]
     if "right" in report:
         parts += ["## Right or wrong", ABOUT_RIGHT, table(KINDS, map(_kind, report["right"]))]
     return "\n\n".join(parts) + "\n"
@@ -50,16 +50,7 @@ ABOUT_RIGHT = (
 )
 
 
-def _times(rows: list[dict]) -> tuple[list[str], list[list[str]]]:
-    sizes = sorted({row["n"] for row in rows})
-    cells = {(row["way"], row["n"]): row for row in rows}
-    ways = dict.fromkeys(row["way"] for row in rows)
-    return ["", *(f"n = {n}" for n in sizes)], [[way, *(_cell(cells.get((way, n))) for n in sizes)] for way in ways]
-
-
-def _cell(row: dict | None) -> str:
-    if row is None:
-        return "-"
+def _cell(row: dict) -> str:
     binding = f" ({row['binding']:.1f})" if row["binding"] else ""
     return f"{row['microseconds']['this']:.1f}: {row['ratio']:.2f} times{binding}"
 

@@ -1,6 +1,6 @@
 """The page of forces by other objectives in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import table
+from benchmarks.page.tables import by_size, table
 
 JUDGED = [
     "kind",
@@ -19,7 +19,7 @@ JUDGED = [
 def page(report: dict) -> str:
     parts = ["# Forces by other objectives", _preface(report)]
     if "times" in report:
-        parts += ["## What they cost", _about_times(report), table(*_times(report["times"]))]
+        parts += ["## What they cost", _about_times(report), by_size(_named(report["times"]), "objective", _cell, "")]
     if "right" in report:
         parts += ["## How good they are", _about_right(report), table(JUDGED, map(_judged, report["right"]))]
     return "\n\n".join(parts) + "\n"
@@ -49,15 +49,12 @@ def _about_right(report: dict) -> str:
     )
 
 
-def _times(rows: list[dict]) -> tuple[list[str], list[list[str]]]:
-    sizes = sorted({row["n"] for row in rows})
-    cells = {(row["objective"], row["n"]): row["seconds"] for row in rows}
-    names = dict.fromkeys(row["objective"] for row in rows)
-    body = [[f"`{name}`", *(_cell(cells[name, n]) for n in sizes)] for name in names]
-    return ["", *(f"n = {n}" for n in sizes)], body
+def _named(rows: list[dict]) -> list[dict]:
+    return [row | {"objective": f"`{row['objective']}`"} for row in rows]
 
 
-def _cell(seconds: dict[str, float]) -> str:
+def _cell(row: dict) -> str:
+    seconds = row["seconds"]
     theirs = f" ({1e6 * seconds['clarabel']:,.0f})" if "clarabel" in seconds else ""
     return f"{1e6 * seconds['ours']:,.0f}{theirs}"
 

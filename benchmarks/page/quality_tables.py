@@ -2,7 +2,7 @@
 
 from itertools import groupby
 
-from benchmarks.page.tables import table
+from benchmarks.page.tables import by_size, table
 
 
 def page(report: dict) -> str:
@@ -12,7 +12,7 @@ def page(report: dict) -> str:
             "## Time for one grasp",
             "Milliseconds a call after compiling: the median, and the largest in brackets. Balls to a relative "
             "distance of their bounds of 1e-3, largest wrenches 1e-6.",
-            _by_size(report["times"], "measure", lambda row: f"{_ms(row['median'])} ({_ms(row['largest'])})"),
+            by_size(report["times"], "measure", lambda row: f"{_ms(row['median'])} ({_ms(row['largest'])})"),
         ]
     if "gaps" in report:
         parts += [
@@ -32,7 +32,7 @@ def page(report: dict) -> str:
         parts += [
             "## Force closure decided",
             "Closed / open / undecided.",
-            _by_size(report["decisions"], "kind", lambda row: f"{row['closed']} / {row['open']} / {row['undecided']}"),
+            by_size(report["decisions"], "kind", lambda row: f"{row['closed']} / {row['open']} / {row['undecided']}"),
         ]
     return "\n\n".join(parts) + "\n"
 
@@ -44,14 +44,6 @@ def _preface(report: dict) -> str:
         f"Python {facts['python']}, jax {facts['versions']['jax']}, scipy {facts['versions']['scipy']}.\n\n"
         f"{report['plan']['grasps']} ordinary grasps of each size that are closed (`benchmarks/problems.py`)."
     )
-
-
-def _by_size(rows: list[dict], name: str, show) -> str:
-    sizes = sorted({row["n"] for row in rows})
-    names = list(dict.fromkeys(row[name] for row in rows))
-    cells = {(row[name], row["n"]): show(row) for row in rows}
-    body = [[label, *(cells[label, n] for n in sizes)] for label in names]
-    return table([name, *(f"n = {n}" for n in sizes)], body)
 
 
 def _ms(seconds: float) -> str:

@@ -32,6 +32,14 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
+def by_size(rows: Iterable[dict], name: str, show: Callable[[dict], str], head: str | None = None) -> str:
+    """What ``show`` says of each row: lines by the rows' ``name``, columns by their n."""
+    cells = {(row[name], row["n"]): show(row) for row in rows}
+    sizes = sorted({n for _, n in cells})
+    body = [[label, *(cells.get((label, n), NOTHING) for n in sizes)] for label in dict.fromkeys(x for x, _ in cells)]
+    return table([name if head is None else head, *(f"n = {n}" for n in sizes)], body)
+
+
 def power(value: float | None) -> str:
     if value is None:
         return NOTHING

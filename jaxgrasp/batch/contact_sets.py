@@ -10,13 +10,12 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import Fault, GraspError, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limit_faults import check_limits, limit_faults
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.limits import BOUNDS, NORMALS, Limits
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
-OPTIONAL_FIELDS = ("torsion", "normal_min", "normal_max", "torque_map")
-"""Of contacts too; sets need not have them."""
-BOUNDS = (*OPTIONAL_FIELDS[1:], "torque_max")
-"""The fields of Limits."""
+OPTIONAL_NUMBERS = ("torsion", *NORMALS)
+"""Of contacts too, one each; sets need not have them."""
+OPTIONAL_FIELDS = (*OPTIONAL_NUMBERS, "torque_map")
 
 
 @dataclass(frozen=True)

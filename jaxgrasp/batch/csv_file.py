@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import LABELS
 from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-OPTIONAL = ("torsion", "normal_min", "normal_max")
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
@@ -63,7 +62,7 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
         column: np.full(len(rows), fill[column])
         if column in fill and column not in header
         else numbers((column,))[:, 0]
-        for column in ("friction", "squeeze", *(name for name in OPTIONAL if name in header))
+        for column in ("friction", "squeeze", *(name for name in OPTIONAL_NUMBERS if name in header))
     }
     labels = {name: np.array([rows[start][name] for start in starts]) for name in LABELS if name in header}
     return ContactSets(

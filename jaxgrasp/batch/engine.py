@@ -13,12 +13,12 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.batch.blocks import Block
-from jaxgrasp.batch.contact_sets import BOUNDS
 from jaxgrasp.force import stages
 from jaxgrasp.force.angles import friction_margin, spin_force
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import BOUNDS
 from jaxgrasp.model.methods import Method
 from jaxgrasp.numerics import vec
 

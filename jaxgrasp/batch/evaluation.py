@@ -106,12 +106,9 @@ BY_CONTACT = ("forces", "moments", "normal_multiplier")
 
 def _given(parts: list[MethodResult]) -> list[str]:
     """The fields that there are."""
-    named = [field.name for field in fields(MethodResult) if field.default is MISSING]
-    return (
-        named
-        if not parts
-        else [field.name for field in fields(MethodResult) if getattr(parts[0], field.name) is not None]
-    )
+    if not parts:
+        return [field.name for field in fields(MethodResult) if field.default is MISSING]
+    return [field.name for field in fields(MethodResult) if getattr(parts[0], field.name) is not None]
 
 
 def _empty(name: str, sets: ContactSets) -> np.ndarray:

@@ -23,7 +23,7 @@ from typing import IO
 
 import numpy as np
 
-from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, ContactSets, as_wrenches
+from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, OPTIONAL_NUMBERS, ContactSets, as_wrenches
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.files.replace import replace_file
 
@@ -216,7 +216,7 @@ class NpzGrasps:
     def _check_shapes(self) -> None:
         contacts = self._shapes["points"][:1] if "offsets" in self._shapes else self._shapes["points"][:2]
         expected = {"points": (*contacts, 3), "normals": (*contacts, 3), "friction": contacts, "squeeze": contacts}
-        expected |= dict.fromkeys(OPTIONAL_FIELDS[:3], contacts)
+        expected |= dict.fromkeys(OPTIONAL_NUMBERS, contacts)
         for name, shape in expected.items():
             if name in self._shapes and self._shapes[name] != shape:
                 raise GraspFileError(

@@ -12,7 +12,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jax.custom_batching import custom_vmap
 
@@ -20,6 +19,7 @@ from jaxgrasp.force import implicit, outside, stages
 from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.solution import Solution
+from jaxgrasp.numerics.still import still
 
 PER_WRENCH = ("wrench", "start")
 """What each of many wrenches that share a grasp has of its own."""
@@ -98,14 +98,6 @@ def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem,
 
 def _tangent_solution(solution: Solution, parts: implicit.Tangent) -> Solution:
     """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers."""
-    names = Solution.__dataclass_fields__
-    leaves = [getattr(parts, name) if hasattr(parts, name) else _still(getattr(solution, name)) for name in names]
+    names, unmoved = Solution.__dataclass_fields__, jax.tree.map(still, solution)
+    leaves = [getattr(parts, name) if hasattr(parts, name) else getattr(unmoved, name) for name in names]
     return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])
-
-
-def _still(array: Array | None) -> Array | np.ndarray | None:
-    if array is None:
-        return None
-    if jnp.issubdtype(array.dtype, jnp.floating):
-        return jnp.zeros_like(array)
-    return np.zeros(array.shape, jax.dtypes.float0)

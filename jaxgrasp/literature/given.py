@@ -11,7 +11,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import Fault, GraspError, dtype_faults, entries, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limit_faults import limit_faults
-from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.limits import BOUNDS, Limits
 
 
 class Given(NamedTuple):
@@ -158,7 +158,7 @@ def _value_faults(fields: dict[str, np.ndarray]) -> Iterator[Fault]:
     else:
         yield from value_faults(**grasp)
     yield from entries("wrench", fields["wrench"], ~np.isfinite(fields["wrench"]), "a finite number [N, N.m]")
-    limits = {name: fields[name] for name in ("normal_min", "normal_max", "torque_map", "torque_max")}
+    limits = {name: fields[name] for name in BOUNDS}
     # Those of absent contacts are none by now.
     yield from limit_faults(limits, np.ones((), bool))
 

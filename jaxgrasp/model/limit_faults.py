@@ -7,9 +7,7 @@ import numpy as np
 
 from jaxgrasp.model.faults import Fault, GraspError, entries
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.limits import Limits
-
-NORMALS, TORQUES = ("normal_min", "normal_max"), ("torque_map", "torque_max")
+from jaxgrasp.model.limits import BOUNDS, NORMALS, TORQUES, Limits
 
 
 def check_limits(limits: Limits, grasp: Grasp) -> Limits:
@@ -24,7 +22,7 @@ def check_limits(limits: Limits, grasp: Grasp) -> Limits:
     """
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((limits, grasp))):
         raise TypeError("check_limits needs concrete arrays: call it outside jit, vmap and grad")
-    given = {name: getattr(limits, name) for name in (*NORMALS, *TORQUES)}
+    given = {name: getattr(limits, name) for name in BOUNDS}
     arrays = {name: np.asarray(array) for name, array in given.items() if array is not None}
     _check_shapes(arrays, np.shape(grasp.points))
     there = np.ones(np.shape(grasp.friction), bool) if grasp.present is None else np.asarray(grasp.present) == 1

@@ -4,6 +4,10 @@ import equinox as eqx
 
 from jaxgrasp.model.arrays import AnyArray, Float, Lists, from_lists
 
+NORMALS, TORQUES = ("normal_min", "normal_max"), ("torque_map", "torque_max")
+BOUNDS = (*NORMALS, *TORQUES)
+"""The fields of Limits."""
+
 
 class Limits(eqx.Module):
     """Bounds that forces must respect beside friction, for one grasp or a batch; ``None`` where there is none.

@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jaxgrasp.numerics.tiles import beside, merged
+
 STEPS = 60
 NEAR = 0.995
 """Part of the way to the cones' surface that a step may go."""
@@ -109,16 +111,12 @@ def solve(program: Program) -> Optimum:
         moved, length = _advance(program, here)
         there = _judged(program, moved, here.steps + 1)
         sound = jnp.isfinite(there.gap + there.error) & _inside(there)
-        best = _chosen(~over & sound & (_merit(there) < _merit(best)), there, best)
-        here = _chosen(~over & sound, there, here)
+        best = merged(~over & sound & (_merit(there) < _merit(best)), there, best)
+        here = merged(~over & sound, there, here)
         return count + 1, here, best, over | ~sound | there.solved | (length < SHORTEST)
 
     carry = (jnp.int32(0), start, start, start.solved)
     return lax.while_loop(unfinished, advance, carry)[2]
-
-
-def _chosen(which: Array, new: Optimum, old: Optimum) -> Optimum:
-    return jax.tree.map(lambda p, q: jnp.where(which.reshape(which.shape + (1,) * (p.ndim - 1)), p, q), new, old)
 
 
 def _merit(at: Optimum) -> Array:
@@ -216,7 +214,7 @@ def _advance(program: Program, at: Optimum) -> tuple[Optimum, Array]:
 
 def _moved(at: Optimum, step: Optimum, length: Array) -> Optimum:
     def move(x: Array, dx: Array) -> Array:
-        return x + length.reshape(-1, *[1] * (x.ndim - 1)) * dx
+        return x + beside(length, x) * dx
 
     moves = {name: jax.tree.map(move, getattr(at, name), getattr(step, name)) for name in MOVING}
     return at._replace(**moves)

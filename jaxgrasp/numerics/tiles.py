@@ -62,7 +62,7 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
     if size == 0:
         return results
     if size <= FEW:
-        return lax.cond(jnp.any(chosen), lambda r: _merge(chosen, r, function(arguments, r)), lambda r: r, results)
+        return lax.cond(jnp.any(chosen), lambda r: merged(chosen, function(arguments, r), r), lambda r: r, results)
     tile = min(tile, size)
     count = jnp.sum(chosen, dtype=jnp.int32)
 
@@ -81,7 +81,7 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
         gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
         _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
         place = jnp.maximum(last - 1, 0)
-        return _merge(chosen, results, jax.tree.map(lambda g: g[place], gathered))
+        return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)
 
     return lax.cond(count > 0, replace, lambda results: results, results)
 
@@ -92,8 +92,9 @@ def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
     return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, one))
 
 
-def _merge(chosen: Array, results: Out, replaced: Out) -> Out:
-    return jax.tree.map(lambda r, new: jnp.where(_beside(chosen, r), new, r), results, replaced)
+def merged(which: Array, new: Tree, old: Tree) -> Tree:
+    """Of each problem ``(B,)`` the new leaves, or the old ones."""
+    return jax.tree.map(lambda p, q: jnp.where(beside(which, q), p, q), new, old)
 
 
 def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:
@@ -108,5 +109,6 @@ def _write(results: Out, part: Out, start: Array) -> Out:
     return jax.tree.map(lambda r, p: lax.dynamic_update_slice_in_dim(r, p, start, 0), results, part)
 
 
-def _beside(mask: Array, array: Array) -> Array:
-    return mask.reshape(mask.shape + (1,) * (array.ndim - 1))
+def beside(each: Array, array: Array) -> Array:
+    """What each problem has one of, ``(B,)``, with the axes to broadcast against an array ``(B, ...)``."""
+    return each.reshape(each.shape + (1,) * (array.ndim - 1))

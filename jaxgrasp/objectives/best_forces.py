@@ -6,7 +6,6 @@ from typing import Any, Literal, NamedTuple, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxgrasp.force import shells
@@ -16,6 +15,7 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.numerics.still import still
 from jaxgrasp.numerics.tiles import over_tiles
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
 from jaxgrasp.objectives.posed import Units, forces_in, forces_out, pose, unbalanced, units_of
@@ -164,8 +164,8 @@ def _best(problem: Problem, solution: Solution, objective: Objective) -> BestFor
 def _best_moves(objective, primals, tangents):
     """The envelope theorem: the Lagrangian is stationary in forces and multipliers at the optimum."""
     best, found = _search(*primals, objective)
-    still = jax.tree.map(_still, best)
-    return best, still._replace(value=_moved(primals[0], tangents[0], found, jnp.isfinite(best.value), objective))
+    unmoved = jax.tree.map(still, best)
+    return best, unmoved._replace(value=_moved(primals[0], tangents[0], found, jnp.isfinite(best.value), objective))
 
 
 @partial(jax.jit, static_argnames=("objective",))
@@ -178,13 +178,6 @@ def _moved(problem: Problem, tangent: Problem, found: Found, solved: Array, obje
         return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
 
     return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
-
-
-def _still(array: Array) -> Array | np.ndarray:
-    """Its tangent, where it does not move."""
-    if jnp.issubdtype(array.dtype, jnp.floating):
-        return jnp.zeros_like(array)
-    return np.zeros(array.shape, jax.dtypes.float0)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

@@ -7,7 +7,7 @@ angle is the margin. Contacts without friction have no margin to lose, and stay.
 """
 
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import conic
 from jaxgrasp.numerics.conic import Program
-from jaxgrasp.numerics.tiles import over_chosen
+from jaxgrasp.numerics.tiles import beside, merged, over_chosen
 from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
 from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
 from jaxgrasp.objectives.posed import Posed, absent, friction_cones
@@ -76,7 +76,7 @@ def search(posed: Posed) -> Found:
     falls = ~jumps & (slope < 0)
     # The Lagrangian in these units moves as the margin does.
     unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
-    prices = jax.tree.map(lambda x: x * _beside(unit, x), state.beyond)
+    prices = jax.tree.map(lambda x: x * beside(unit, x), state.beyond)
     y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(posed, state.low)[..., None]], -1)
     margin = value(posed, y)
     # A proof of less than forces were found to have is none.
@@ -231,7 +231,7 @@ def _looked(posed: Posed, state: _State, count: int) -> _State:
     def step(carry):
         done, state = carry
         moved = _step(state, _look(posed, state.here))
-        return done + 1, _chosen(state.phase == OVER, state, moved)
+        return done + 1, merged(state.phase == OVER, state, moved)
 
     return lax.while_loop(lambda c: (c[0] < count) & ~jnp.all(c[1].phase == OVER), step, (jnp.int32(0), state))[1]
 
@@ -244,17 +244,6 @@ def _halved(angles: Array, low: Array, high: Array) -> Array:
     nearest = jnp.take_along_axis(angles, jnp.argmin(far, -1)[:, None], -1)[:, 0]
     behind = jnp.any(angles == low[:, None], -1) & (low > 0) & (high > low + apart)
     return jnp.where(behind, low + apart / 2, jnp.where(jnp.any(between, -1), nearest, middle))
-
-
-Tree = TypeVar("Tree")
-
-
-def _chosen(which: Array, new: Tree, old: Tree) -> Tree:
-    return jax.tree.map(lambda p, q: jnp.where(_beside(which, p), p, q), new, old)
-
-
-def _beside(each: Array, array: Array) -> Array:
-    return each.reshape(-1, *[1] * (array.ndim - 1))
 
 
 def _step(state: _State, seen: _Look) -> _State:
@@ -281,5 +270,5 @@ def _step(state: _State, seen: _Look) -> _State:
     far = apart * FARTHER ** (phase - 2).astype(root.dtype)
     sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, jnp.max(state.angles, -1)))
     here = jnp.where(phase == 0, there, sides)
-    kept, beyond = _chosen(best, seen, state.kept), _chosen(proves, seen.prices, state.beyond)
+    kept, beyond = merged(best, seen, state.kept), merged(proves, seen.prices, state.beyond)
     return _State(state.angles, low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)

@@ -9,11 +9,12 @@ import pytest
 import jaxgrasp
 from benchmarks.limited_problems import limited_problems
 from jaxgrasp.batch import blocks
-from jaxgrasp.batch.contact_sets import BOUNDS, OPTIONAL_FIELDS, ContactSets
+from jaxgrasp.batch.contact_sets import OPTIONAL_FIELDS, ContactSets
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
 from jaxgrasp.batch.stream import Plan, evaluate_stream
 from jaxgrasp.cli.main import main
+from jaxgrasp.model.limits import BOUNDS
 
 COUNT, N, JOINTS = 12, 4, 3
 METHODS = ("B", "B-optimum")

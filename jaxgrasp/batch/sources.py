@@ -88,6 +88,9 @@ class Adjustments:
 
     def apply(self, sets: ContactSets) -> ContactSets:
         changes = {name: np.full_like(getattr(sets, name), value) for name, value in self.fill.items()}
+        if self.friction == 0 and sets.torsion is not None:
+            # A contact without friction has no torsional friction either.
+            changes["torsion"] = np.zeros_like(sets.torsion)
         if self.outward_normals:
             changes["normals"] = -sets.normals
         return replace(sets, **changes) if changes else sets

@@ -18,7 +18,7 @@ from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics.still import still
 from jaxgrasp.numerics.tiles import over_tiles
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
-from jaxgrasp.objectives.posed import Units, forces_in, forces_out, pose, unbalanced, units_of
+from jaxgrasp.objectives.posed import Posed, Units, forces_in, forces_out, pose, unbalanced, units_of
 from jaxgrasp.objectives.search import Found
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
@@ -214,20 +214,20 @@ def _tile(given: tuple[Problem, Solution], objective: Objective):
     known = forces_in(posed, units, problem, solution.forces, solution.moments)
     lost = ~(jnp.maximum(unbalanced(posed, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST)
     y = jnp.where(lost[:, None, None], known, found.y)
-    value = jnp.where(lost, method.value(posed, known), found.value)
-    bound = _believed(value, found.bound, objective)
+    value = method.value(posed, y)
+    bound = _believed(posed, value, found.bound, objective)
     close = jnp.abs(value - bound) <= CLOSE * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** NOTHING
     forces, moments = forces_out(posed, units, problem, y)
     scale = _scale(units, objective)
     return forces, moments, scale * value, scale * bound, close & ~lost, found
 
 
-def _believed(value: Array, bound: Array, objective: Objective) -> Array:
+def _believed(posed: Posed, value: Array, bound: Array, objective: Objective) -> Array:
     """The bound; of forces that rounding lets beat it, what needs no proof."""
-    near = CLOSE * value + float(jnp.finfo(value.dtype).eps) ** NOTHING
+    tiny = float(jnp.finfo(value.dtype).eps) ** NOTHING
     if objective == "largest_margin":
-        return jnp.where(bound >= value - near, jnp.maximum(bound, value), jnp.pi / 2)
-    return jnp.where(bound <= value + near, jnp.minimum(bound, value), 0)
+        return jnp.where(bound >= value - tiny, jnp.maximum(bound, value), largest_margin.widest(posed))
+    return jnp.where(bound <= value + CLOSE * value + tiny, jnp.minimum(bound, value), 0)
 
 
 def _scale(units: Units, objective: Objective) -> Array:

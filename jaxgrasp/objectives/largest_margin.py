@@ -78,10 +78,7 @@ def search(posed: Posed) -> Found:
     unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
     prices = jax.tree.map(lambda x: x * beside(unit, x), state.beyond)
     y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(posed, state.low)[..., None]], -1)
-    margin = value(posed, y)
-    # A proof of less than forces were found to have is none.
-    bound = jnp.where(state.proven >= margin - _apart(margin), state.proven, jnp.max(angles, -1))
-    return Found(y, margin, jnp.maximum(bound, margin), prices, shares, kept.missed)
+    return Found(y, state.proven, prices, shares, kept.missed)
 
 
 def value(posed: Posed, y: Array) -> Array:
@@ -90,13 +87,18 @@ def value(posed: Posed, y: Array) -> Array:
     angles = jnp.arctan(posed.friction)
     left = angles - jnp.arctan2(posed.friction * lean, jnp.where(lean > 0, y[..., 0], 1))
     counts = posed.there & (posed.friction > 0) & ((y[..., 0] > 0) | (lean > 0))
-    return jnp.min(jnp.where(counts, left, jnp.max(_angles(posed), -1, keepdims=True)), -1)
+    return jnp.min(jnp.where(counts, left, widest(posed)[:, None]), -1)
+
+
+def widest(posed: Posed) -> Array:
+    """The largest friction angle ``(B,)``, which no margin exceeds."""
+    return jnp.max(_angles(posed), -1)
 
 
 def lagrangian(posed: Posed, found: Found) -> Array:
     """Moves as the margin does with the problem: as the root, or as the friction angle where that is a jump."""
     assert found.shares is not None
-    margin = lax.stop_gradient(found.value)
+    margin = value(lax.stop_gradient(posed), found.y)
     posed = _bounded(posed)
     share = _shares(posed, margin)
     y = jnp.concatenate([found.y[..., :1], safe_divide(found.y[..., 1:], lax.stop_gradient(share)[..., None])], -1)
@@ -216,10 +218,10 @@ class _State(NamedTuple):
 
 def _bracket(posed: Posed) -> _State:
     """Two angles a little apart, between which the wrench gets out of reach, and what was seen at the smaller."""
-    widest = jnp.max(_angles(posed), -1)
-    zero = 0 * widest
+    whole = widest(posed)
+    zero = 0 * whole
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, posed, zero))
-    start = _State(_angles(posed), zero, widest, widest, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
+    start = _State(_angles(posed), zero, whole, whole, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
 
     state = _looked(posed, start, FIRST)
     return over_chosen(partial(_looked, count=STEPS), posed, state, state.phase < OVER, LEFT)

@@ -29,7 +29,7 @@ def search(posed: Posed) -> Found:
     y = jnp.where(posed.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds)
     shares = best.duals[1][..., 0]
-    return Found(y, value(posed, y), _bound(posed, prices), prices, shares, best.missed)
+    return Found(y, _bound(posed, prices), prices, shares, best.missed)
 
 
 def lagrangian(posed: Posed, found: Found) -> Array:

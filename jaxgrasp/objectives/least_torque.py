@@ -36,7 +36,7 @@ def search(posed: Posed) -> Found:
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point.reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds, _torques(posed, y))
-    return Found(y, value(posed, y), _bound(posed, prices, y[..., 0]), prices, None, best.missed)
+    return Found(y, _bound(posed, prices, y[..., 0]), prices, None, best.missed)
 
 
 def _torques(posed: Posed, y: Array) -> Array:

@@ -1,12 +1,13 @@
 """A flat batch of problems as cone programs see it: units of the load, and each contact's force in its own cone.
 
+Nothing is shared among the problems: every array has as many entries as there are.
+
 The force of a contact is y = (press, lean): lean is what it uses of its friction along two tangents and, of a soft
 finger, about its normal, and |lean| <= press is the friction cone whatever the coefficients.
 """
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -65,9 +66,8 @@ def units_of(problem: Problem) -> Units:
     if problem.torque_map is not None:
         rows = _rows(problem, shapes)
         largest = jnp.max(jnp.sqrt(jnp.sum(rows**2, (2, 3))), -1)
-        torque = jnp.broadcast_to(jnp.where(largest > 0, largest, 1), load.shape)
-    about, length = (jnp.broadcast_to(x, (*load.shape, *x.shape[1:])) for x in (shapes.about, shapes.length))
-    return Units(about, length, load, torque)
+        torque = jnp.where(largest > 0, largest, 1)
+    return Units(jnp.asarray(shapes.about), jnp.asarray(shapes.length), load, torque)
 
 
 def pose(problem: Problem, units: Units) -> Posed:
@@ -77,24 +77,16 @@ def pose(problem: Problem, units: Units) -> Posed:
     columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
     rows = None if problem.torque_map is None else _rows(problem, shapes) / units.torque[:, None, None, None]
     limit = None if problem.torque_max is None else problem.torque_max / (load * units.torque[:, None])
-    return _widened(
-        Posed(
-            columns=columns,
-            right=_scaled_wrench(problem, shapes) / load,
-            friction=jnp.where(there, problem.friction, 0),
-            there=there,
-            least=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
-            most=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
-            rows=rows,
-            torque_max=limit,
-        ),
-        problem.size,
+    return Posed(
+        columns=columns,
+        right=_scaled_wrench(problem, shapes) / load,
+        friction=jnp.where(there, problem.friction, 0),
+        there=there,
+        least=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
+        most=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
+        rows=rows,
+        torque_max=limit,
     )
-
-
-def _widened(posed: Posed, size: int) -> Posed:
-    """With what all share repeated for each problem."""
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape[1:])), posed)
 
 
 def _grasp(problem: Problem) -> Grasp:
@@ -109,8 +101,8 @@ def _there(problem: Problem) -> Array:
 
 def _scaled_wrench(problem: Problem, shapes: Discs) -> Array:
     force, torque = problem.wrench[:, :3], problem.wrench[:, 3:]
-    moved = torque - jnp.cross(jnp.broadcast_to(shapes.about, force.shape), force)
-    return jnp.concatenate([force, moved / jnp.broadcast_to(shapes.length, force.shape[:1])[:, None]], -1)
+    moved = torque - jnp.cross(shapes.about, force)
+    return jnp.concatenate([force, moved / shapes.length[:, None]], -1)
 
 
 def _rows(problem: Problem, shapes: Discs) -> Array:

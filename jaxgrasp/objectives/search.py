@@ -12,8 +12,6 @@ class Found(NamedTuple):
 
     y: Array
     """``(B, n, c)``."""
-    value: Array
-    """``(B,)``: of these forces."""
     bound: Array
     """``(B,)``: that no forces are better than."""
     prices: Prices

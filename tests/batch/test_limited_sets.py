@@ -11,7 +11,7 @@ from benchmarks.limited_problems import limited_problems
 from jaxgrasp.batch import blocks
 from jaxgrasp.batch.contact_sets import OPTIONAL_FIELDS, ContactSets
 from jaxgrasp.batch.shards import ResultFolder
-from jaxgrasp.batch.sources import MemorySource
+from jaxgrasp.batch.sources import Adjustments, MemorySource
 from jaxgrasp.batch.stream import Plan, evaluate_stream
 from jaxgrasp.cli.main import main
 from jaxgrasp.model.limits import BOUNDS
@@ -66,6 +66,13 @@ def test_files_keep_every_bit(which, request, tmp_path):
     same(jaxgrasp.load_grasps(tmp_path / "a.csv"), plain, OPTIONAL_FIELDS[:3])
     with pytest.raises(ValueError, match=r"torque_map is given: .* write an .npz file"):
         jaxgrasp.save_grasps(tmp_path / "b.csv", given)
+
+
+def test_friction_of_zero_leaves_none_for_turning_either(sets):
+    assert sets.torsion.any()
+    slick = Adjustments(friction=0.0).apply(sets)
+    assert not slick.friction.any() and not slick.torsion.any() and not list(slick.faults())
+    np.testing.assert_array_equal(Adjustments(friction=0.5).apply(sets).torsion, sets.torsion)
 
 
 def test_info_says_what_limits_a_file_holds(sets, tmp_path, capsys):

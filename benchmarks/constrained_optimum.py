@@ -6,13 +6,9 @@ Writes constrained_optimum.json, constrained_optimum.md and time_error.png. ``--
 leaves the others as the JSON has them.
 """
 
-import os
+from benchmarks.one_thread import one_thread
 
-# One thread, decided before anybody starts a pool.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
-os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+one_thread()
 
 import argparse
 import json

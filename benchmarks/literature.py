@@ -6,12 +6,9 @@ Ordinary problems of 3, 5 and 10 contacts, and the paper's rotating cylinder ins
 literature.md and literature.png.
 """
 
-import os
+from benchmarks.one_thread import one_thread
 
-# One thread, decided before JAX starts its pool.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+one_thread()
 
 import argparse
 import json

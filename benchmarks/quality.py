@@ -5,13 +5,9 @@
 Ordinary grasps that are closed. Writes quality.json and quality.md.
 """
 
-import os
+from benchmarks.one_thread import one_thread
 
-# One thread, decided before JAX and BLAS start their pools.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+one_thread()
 
 import time
 from collections.abc import Callable

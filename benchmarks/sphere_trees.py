@@ -6,12 +6,9 @@ A human hand in a power grip on a cylinder, and the same cylinder as a mesh in t
 sphere_trees.json and sphere_trees.md.
 """
 
-import os
+from benchmarks.one_thread import one_thread
 
-# One thread, decided before JAX starts its pool.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+one_thread()
 
 import argparse
 import json

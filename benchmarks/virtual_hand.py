@@ -7,12 +7,9 @@ cylinder in a power grip. For n contacts it is left with n parts of its skin, so
 Writes virtual_hand.json and virtual_hand.md.
 """
 
-import os
+from benchmarks.one_thread import one_thread
 
-# One thread, decided before JAX starts its pool.
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_multi_thread_eigen=false"
-if hasattr(os, "sched_setaffinity"):
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+one_thread()
 
 import argparse
 import json

@@ -1,6 +1,6 @@
 """The virtual hand's page in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import NOTHING, power, table
+from benchmarks.page.tables import NOTHING, made_by, power, table
 
 ERRORS = {
     "closed_form_force_error": "closed form's forces",
@@ -44,10 +44,8 @@ def page(report: dict) -> str:
 def _preface(report: dict) -> str:
     facts, setting = report["machine"], report["setting"]
     whole = next(row for row in report["rows"] if row["case"] == "whole hand")
-    versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
     return (
-        f"Made by `python -m benchmarks.virtual_hand`. {facts['processor']}, one thread, {facts['system']}, "
-        f"Python {facts['python']}; {versions}.\n\n"
+        f"{made_by('virtual_hand', facts, facts['versions'])}.\n\n"
         f"A human hand holds a cylinder of {1e3 * setting['radius']:.0f} mm radius and {setting['mass']} kg in a power "
         f"grip with friction {setting['friction']}, turned every way; from pose to pose each joint's angle differs by "
         f"{setting['turn']} rad and the object's place by {1e3 * setting['shift']:.1f} mm (standard deviations). For n "

@@ -1,6 +1,6 @@
 """The page of soft fingers and limited hands in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import by_size, table
+from benchmarks.page.tables import by_size, made_by, table
 
 KINDS = [
     "kind",
@@ -26,10 +26,7 @@ def page(report: dict) -> str:
 
 def _preface(report: dict) -> str:
     facts = report["machine"]
-    return (
-        f"Made by `python -m benchmarks.limited_hands`. {facts['processor']}, one thread, {facts['system']}, "
-        f"Python {facts['python']}, jax {facts['versions']['jax']}; float64."
-    )
+    return f"{made_by('limited_hands', facts, ('jax',))}; float64."
 
 
 def _about_times(report: dict) -> str:

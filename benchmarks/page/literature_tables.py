@@ -1,6 +1,6 @@
 """The page of the literature's methods in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import table
+from benchmarks.page.tables import made_by, table
 
 QUALITY = [
     "method",
@@ -34,8 +34,7 @@ def page(report: dict) -> str:
 def _preface(report: dict) -> str:
     facts, setting = report["machine"], report["setting"]
     return (
-        f"Made by `python -m benchmarks.literature`. {facts['processor']}, one thread, {facts['system']}, "
-        f"Python {facts['python']}, jax {facts['versions']['jax']}, scipy {facts['versions']['scipy']}.\n\n"
+        f"{made_by('literature', facts, ('jax', 'scipy'))}.\n\n"
         f"{setting['count']} ordinary problems of each size, and the paper's rotating cylinder every "
         f"{1e3 * setting['step']:.0f} ms. Times are medians of turns in one process, for the whole batch in one call, "
         "checks of the data included; the linear and quadratic programs are a loop on the host, and of each "

@@ -1,6 +1,6 @@
 """The page of forces by other objectives in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import by_size, table
+from benchmarks.page.tables import by_size, made_by, table
 
 JUDGED = [
     "kind",
@@ -28,8 +28,7 @@ def page(report: dict) -> str:
 def _preface(report: dict) -> str:
     facts = report["machine"]
     return (
-        f"Made by `python -m benchmarks.objectives`. {facts['processor']}, one thread, {facts['system']}, "
-        f"Python {facts['python']}, jax {facts['versions']['jax']}; float64. Soft fingers among hard ones, bounded "
+        f"{made_by('objectives', facts, ('jax',))}; float64. Soft fingers among hard ones, bounded "
         f"normal forces and {report['plan']['joints']} limited joints, drawn about the forces behind each wrench."
     )
 

@@ -2,7 +2,7 @@
 
 from itertools import groupby
 
-from benchmarks.page.tables import by_size, table
+from benchmarks.page.tables import by_size, made_by, table
 
 
 def page(report: dict) -> str:
@@ -40,8 +40,7 @@ def page(report: dict) -> str:
 def _preface(report: dict) -> str:
     facts = report["machine"]
     return (
-        f"Made by `python -m benchmarks.quality`. {facts['processor']}, one thread, {facts['system']}, "
-        f"Python {facts['python']}, jax {facts['versions']['jax']}, scipy {facts['versions']['scipy']}.\n\n"
+        f"{made_by('quality', facts, ('jax', 'scipy'))}.\n\n"
         f"{report['plan']['grasps']} ordinary grasps of each size that are closed (`benchmarks/problems.py`)."
     )
 

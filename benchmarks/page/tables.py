@@ -32,6 +32,15 @@ def table(head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
+def made_by(name: str, facts: dict, packages: Iterable[str]) -> str:
+    """How a page can be made again, and on what it was; without a full stop."""
+    versions = "".join(f", {package} {facts['versions'][package]}" for package in packages)
+    return (
+        f"Made by `python -m benchmarks.{name}`. {facts['processor']}, one thread, {facts['system']}, "
+        f"Python {facts['python']}{versions}"
+    )
+
+
 def by_size(rows: Iterable[dict], name: str, show: Callable[[dict], str], head: str | None = None) -> str:
     """What ``show`` says of each row: lines by the rows' ``name``, columns by their n."""
     cells = {(row[name], row["n"]): show(row) for row in rows}
@@ -55,12 +64,10 @@ def _micro(row: dict | None, wanted: int) -> str:
 
 def _preface(report: dict) -> str:
     machine = report["machine"]
-    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
     missing = "".join(f"\n{line}\n" for line in report["missing"])
     wide = "extended precision" if report["extended_precision"] else "double precision: this machine has no wider one"
     return (
-        f"Made by `python -m benchmarks.constrained_optimum`. {machine['processor']}, one thread, "
-        f"{machine['system']}, Python {machine['python']}; {versions}.\n{missing}\n"
+        f"{made_by('constrained_optimum', machine, machine['versions'])}.\n{missing}\n"
         "Answers are judged by NumPy code that shares nothing with any solver, in "
         f"{wide}. The reference of a problem is the pair of forces and multiplier, of all methods in the run, whose "
         "duality gap, backward error and cone violation are the least; so an error below the square root of the "

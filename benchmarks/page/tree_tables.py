@@ -1,6 +1,6 @@
 """The sphere trees' page in Markdown, from the report that the JSON holds too."""
 
-from benchmarks.page.tables import table
+from benchmarks.page.tables import made_by, table
 
 LEFT_OUT = ["levels", "cell [mm]", "balls", "mean [mm]", "largest [mm]", "built in [s]"]
 TIMES = ["levels", "balls", "all [µs]", "descent [µs]", "ratio", "tests, all", "tests, descent", "differ by"]
@@ -46,8 +46,7 @@ def page(report: dict) -> str:
 def _preface(report: dict) -> str:
     facts, setting = report["machine"], report["setting"]
     return (
-        f"Made by `python -m benchmarks.sphere_trees`. {facts['processor']}, one thread, {facts['system']}, "
-        f"Python {facts['python']}, jax {facts['versions']['jax']}.\n\n"
+        f"{made_by('sphere_trees', facts, ('jax',))}.\n\n"
         f"A human hand in a power grip on a cylinder of {1e3 * setting['radius']:.0f} mm radius and "
         f"{1e3 * setting['height']:.0f} mm height, {setting['poses']} poses that differ by "
         f"{1e3 * setting['shift']:.1f} mm (standard deviation)."

@@ -38,7 +38,7 @@ class LogHistogram:
         if share == 1:
             return self.largest
         bin_ = int(np.searchsorted(self.zeros + np.cumsum(self.counts), rank))
-        return float(np.sqrt(EDGES[bin_] * EDGES[bin_ + 1]))
+        return min(float(np.sqrt(EDGES[bin_] * EDGES[bin_ + 1])), self.largest)
 
     def to_json(self) -> dict:
         used = np.flatnonzero(self.counts)

@@ -38,6 +38,8 @@ def info_command(arguments: Info) -> int:
         if low > high:
             continue
         print(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
+    if joints := chunks[0]["joints"]:
+        print(f"joints     {joints:,}")
     for label in chunks[0]["labels"]:
         values = np.unique(np.concatenate([facts["labels"][label] for facts in chunks]))
         shown = ", ".join(values[:8]) + (f", ... ({len(values):,} different)" if len(values) > 8 else "")
@@ -72,6 +74,7 @@ def _facts(sets: ContactSets) -> dict:
     optional = {name: getattr(sets, name) for name in ("torsion", "normal_min", "normal_max", "torque_max")}
     return {name: span(array) for name, array in optional.items() if array is not None} | {
         "sizes": sets.sizes,
+        "joints": 0 if sets.torque_max is None else sets.torque_max.shape[-1],
         "radius": span(sets.reach()),
         "friction": span(sets.friction),
         "squeeze": span(sets.squeeze),

@@ -35,7 +35,7 @@ def closed_form(
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
         sharing: the weights k: ``"uniform"`` for 1, method A (eq. 11); ``"squeeze"`` for s, method B
             (eq. 15, Proposition 1); or an array ``(..., n)`` of weights, zero or more. A contact of
-            weight zero keeps its squeezing force.
+            weight zero keeps its squeezing force, or the bound next to it.
         free: twists (linear, angular) about the frame's origin along which a guide lets the object move, as the
             columns of ``(..., 6, k)``, k from 1 to 6, of any size; ``None`` for an object that no guide holds. Only
             the wrench's work along these is balanced, free^T (G f - w) = 0: the guide, without friction, carries

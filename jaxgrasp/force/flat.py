@@ -101,6 +101,8 @@ def _bounds(limits: Limits | None, n: int) -> dict[str, tuple[AnyArray | None, t
     """The fields of limits and their last axes."""
     if limits is None:
         return {}
+    if not isinstance(limits, Limits):
+        raise TypeError(f"limits is of type {type(limits).__name__}: expected jaxgrasp.Limits")
     given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
     given = {"normal_min": (limits.normal_min, (n,)), "normal_max": (limits.normal_max, (n,))}
     torque_map, torque_max = limits.torque_map, limits.torque_max

@@ -94,8 +94,14 @@ TAILS: dict[str, tuple[str | int, ...]] = {
 
 
 def _refuse_soft_fingers(grasp: Grasp) -> None:
-    if grasp.torsion is not None and np.any(np.asarray(grasp.torsion) > 0):
-        raise ValueError("torsion is above 0 somewhere: expected hard contacts, the only ones these methods know")
+    if grasp.torsion is None:
+        return
+    torsion = np.asarray(grasp.torsion)
+    for index in np.argwhere(torsion > 0):
+        place = ", ".join(map(str, index))
+        raise ValueError(
+            f"torsion[{place}] is {torsion[tuple(index)]}: expected 0, since these methods know hard contacts only"
+        )
 
 
 def _fields(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> dict[str, np.ndarray]:

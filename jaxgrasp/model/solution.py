@@ -32,7 +32,7 @@ class Verdict(IntEnum):
     INFEASIBLE = (
         3,
         "No allowed forces give this wrench: the object escapes along minus the certificate. "
-        "Add contacts, friction, or move contacts against that twist.",
+        "Add contacts, friction, or move contacts against that twist; where there are limits, they may be what holds.",
     )
     NO_CONTACTS = (
         4,
@@ -44,7 +44,11 @@ class Verdict(IntEnum):
         "contacts can exert, where forces grow very large; else look at the residual, and try float64 or rescale an "
         "extreme friction or squeeze.",
     )
-    INVALID_DATA = 6, "The data hold NaN, infinite or negative entries or zero normals: run check_grasp on it."
+    INVALID_DATA = (
+        6,
+        "The data hold NaN, infinite or negative entries, zero normals, or limits that contradict each other: "
+        "run check_grasp on the grasp and check_limits on its limits, and look at the wrench.",
+    )
 
     def __new__(cls, code: int, advice: str) -> "Verdict":
         member = int.__new__(cls, code)
@@ -88,7 +92,8 @@ class Solution(eqx.Module):
     residual: Float[Array, "*batch"]
     """Backward error of G f = w: dimensionless, near machine precision for a sound answer."""
     objective: Float[Array, "*batch"]
-    """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing."""
+    """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing. The moment m of a soft
+    finger counts as a force of mu m / gamma, which uses as much friction."""
     steps: Int[Array, "*batch"]
     """Newton steps taken; 0 where the closed form was already optimal."""
     route: Int[Array, "*batch"]
@@ -103,7 +108,8 @@ class Solution(eqx.Module):
     """What soft fingers exert about their normals [N.m]; ``None`` where the grasp has no torsion."""
     normal_multiplier: Float[Array, "*batch n"] | None = None
     """Which bounds of the normal forces bind, and what they cost: positive at an upper one, negative at a lower one,
-    zero where none binds [units of the multiplier]; ``None`` where no normal force is limited."""
+    zero where none binds [units of the multiplier]; ``None`` where no normal force is limited. It says nothing where
+    no forces exist, nor does the next."""
     torque_multiplier: Float[Array, "*batch j"] | None = None
     """Likewise for the torques of the joints, positive where a positive torque is at its limit."""
     certificate_rates: Float[Array, "*batch j"] | None = None

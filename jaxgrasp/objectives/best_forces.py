@@ -17,8 +17,10 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics.still import still
 from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
 from jaxgrasp.objectives.posed import Posed, Units, forces_in, forces_out, pose, unbalanced, units_of
+from jaxgrasp.objectives.prices import velocity_of
 from jaxgrasp.objectives.search import Found
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
@@ -101,7 +103,7 @@ def best_forces(
     _check(objective, limits)
     warn_of_lost_precision(grasp, wrench)
     # Each part is compiled by itself, so that the objectives, and their derivatives, share the solver.
-    problem, batch = _flat(grasp, wrench, limits)
+    problem, batch = _flat(grasp, wrench, _bounded(limits) if objective == "least_torque" else limits)
     if objective == "least_norm":
         found = _least_norm(_solved(problem))
     else:
@@ -116,6 +118,14 @@ def _check(objective: str, limits: Limits | None) -> None:
         raise ValueError("torque_map is None: expected limits with a torque_map, since least_torque is about torques")
     if objective == "largest_margin" and (limits is None or limits.normal_max is None):
         raise ValueError("normal_max is None: expected limits with a normal_max, since more force leaves more margin")
+
+
+def _bounded(limits: Limits | None) -> Limits | None:
+    """With a bound of every torque, if only an infinite one."""
+    if limits is None or limits.torque_map is None or limits.torque_max is not None:
+        return limits
+    endless = jnp.full(jnp.shape(limits.torque_map)[-1:], jnp.inf)
+    return eqx.tree_at(lambda x: x.torque_max, limits, endless, is_leaf=lambda x: x is None)
 
 
 def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Problem, tuple[int, ...]]:
@@ -172,12 +182,25 @@ def _best_moves(objective, primals, tangents):
 def _moved(problem: Problem, tangent: Problem, found: Found, solved: Array, objective: Objective) -> Array:
     """How the value moves with the problem."""
     units = units_of(_only(problem, solved))
+    if objective != "largest_margin":
+        # That has no derivative there: a contact has a margin to lose as soon as it has friction.
+        found = found._replace(y=_leaning(_only(problem, solved), units, found))
 
     def lagrangian(problem: Problem) -> Array:
         posed = pose(_only(problem, solved), units)
         return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
 
     return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
+
+
+def _leaning(problem: Problem, units: Units, found: Found) -> Array:
+    """Forces with the lean that the first friction of a contact without any would be used for."""
+    slick = (problem.friction == 0)[..., None]
+    rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
+    across = velocity_of(pose(rough, units), found.prices)[..., 1:3]
+    press, rest = found.y[..., :1], found.y[..., 3:]
+    lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
+    return jnp.concatenate([press, jnp.where(slick, lean, found.y[..., 1:3]), rest], -1)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))

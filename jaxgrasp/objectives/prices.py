@@ -40,12 +40,12 @@ class Push(NamedTuple):
 
 
 def push_of(posed: Posed, prices: Prices) -> Push:
-    velocity = _velocity(posed, prices)
+    velocity = velocity_of(posed, prices)
     across = safe_sqrt(jnp.sum(velocity[..., 1:] ** 2, -1))
     return Push(velocity[..., 0], across)
 
 
-def _velocity(posed: Posed, prices: Prices) -> Array:
+def velocity_of(posed: Posed, prices: Prices) -> Array:
     """What each component of y works against ``(B, n, c)``."""
     velocity = jnp.einsum("bxnc,bx->bnc", posed.columns, prices.twist)
     rates = _rates(prices)
@@ -61,7 +61,7 @@ def constraints(posed: Posed, prices: Prices, y: Array) -> Array:
 
     The friction cones are not among them: y is in the same cones whatever the problem.
     """
-    work = jnp.sum(y * _velocity(posed, prices), (1, 2))
+    work = jnp.sum(y * velocity_of(posed, prices), (1, 2))
     return asked(posed, prices) - spent(posed, prices) - work
 
 

@@ -18,6 +18,8 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
 
+BLUR = 8
+"""Roundings of where contacts are that a distance between them has to exceed."""
 Length = Float[AnyArray, "..."] | float | None
 About = Float[AnyArray, "... 3"] | None
 
@@ -54,7 +56,7 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> Discs:
     middle = jnp.sum(points, -2) / count[..., None] if about is None else jnp.asarray(about, points.dtype)
     middle = jnp.broadcast_to(middle, (*points.shape[:-2], 3))
     arms = jnp.where(there[..., None], points - middle[..., None, :], 0)
-    unit = _radius(arms, count) if length is None else jnp.asarray(length, points.dtype)
+    unit = _radius(arms, count, middle) if length is None else jnp.asarray(length, points.dtype)
     unit = jnp.broadcast_to(unit, points.shape[:-2])
     arms = arms / unit[..., None, None]
 
@@ -90,6 +92,8 @@ def work(shapes: Discs, press: AnyArray, lean: AnyArray, direction: AnyArray) ->
     return jnp.sum(press * along + jnp.sum(lean * across, -1), -1)
 
 
-def _radius(arms: Array, count: Array) -> Array:
+def _radius(arms: Array, count: Array, middle: Array) -> Array:
     radius = safe_sqrt(safe_divide(jnp.sum(arms**2, (-1, -2)), count))
-    return jnp.where(radius > 0, radius, 1)
+    # Points that coincide but for the rounding of their mean have no radius of their own.
+    blur = BLUR * jnp.finfo(radius.dtype).eps * safe_sqrt(jnp.sum(middle**2, -1))
+    return jnp.where(radius > blur, radius, 1)

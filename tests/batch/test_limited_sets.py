@@ -82,6 +82,7 @@ def test_info_says_what_limits_a_file_holds(sets, tmp_path, capsys):
     for name in ("torsion", "normal_min", "normal_max", "torque_max"):
         array = getattr(sets, name)
         assert f"{name:10} {array.min():.4g} to {array.max():.4g}" in said
+    assert f"joints     {JOINTS}\n" in said
 
 
 def test_a_batch_with_limits_is_saved_as_it_is_evaluated(made, sets, tmp_path):

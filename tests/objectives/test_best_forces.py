@@ -298,6 +298,57 @@ def test_forward_reverse_and_finite_differences_agree(objective, limited):
     assert close.mean() > 0.9
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("objective", ["least_maximal_force", "least_torque"])
+def test_the_first_bit_of_friction_is_worth_what_the_derivative_says(objective):
+    made = made_of("ordinary", limited=True, seed=5)
+    first = jnp.arange(made.grasp.friction.shape[1]) == 0
+    torsion = jnp.where(first, 0, made.grasp.torsion)
+
+    def value(friction):
+        grasp = eqx.tree_at(lambda g: (g.friction, g.torsion), made.grasp, (friction, torsion))
+        return best_forces(grasp, made.problem.wrench, objective, limits=made.limits).value
+
+    slick = jnp.where(first, 0.0, made.grasp.friction)
+    found, forward = jax.jvp(value, (slick,), (jnp.where(first, jnp.ones_like(slick), 0),))
+    step = 1e-5
+    solved = np.isfinite(found)
+    assert solved.sum() > 3
+    difference = ((value(slick + step * first) - found) / step)[solved]
+    assert (np.abs(forward[solved]) > 1e-3).any()
+    assert np.allclose(difference, forward[solved], rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_fingers_at_one_point_may_have_it_anywhere():
+    normals = np.array([[1, 0, 0], [-0.5, 0.8, 0.3], [-0.5, -0.8, 0.3]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = np.random.default_rng(0).normal(size=(8, 3))
+    points[0] = 0
+    force = np.array([0.02, 0.0, 1.0])
+    every = np.ones((8, 3))
+    grasp = Grasp(np.repeat(points[:, None], 3, 1), every[..., None] * normals, 0.8 * every, every, torsion=0.3 * every)
+    wrench = np.concatenate([np.tile(force, (8, 1)), np.cross(points, force)], -1)
+    for objective in OBJECTIVES[:3]:
+        found = jax.device_get(best_forces(grasp, wrench, objective, limits=Limits(normal_max=2 * every)))
+        assert (found.verdict == Verdict.OPTIMAL).all()
+        assert np.allclose(found.value, found.value[0], rtol=1e-5), objective
+        assert np.allclose(found.bound, found.value, rtol=1e-5), objective
+
+
+@pytest.mark.slow
+def test_least_torque_needs_no_bound_of_torques():
+    made = made_of("ordinary", limited=True)
+    torque_map = made.limits.torque_map
+    endless = np.full((len(torque_map), JOINTS), np.inf)
+    bounded = best_forces(
+        made.grasp, made.problem.wrench, "least_torque", limits=Limits(torque_map=torque_map, torque_max=endless)
+    )
+    free = best_forces(made.grasp, made.problem.wrench, "least_torque", limits=Limits(torque_map=torque_map))
+    np.testing.assert_array_equal(free.value, bounded.value)
+    np.testing.assert_array_equal(free.forces, bounded.forces)
+
+
 def test_what_cannot_be_exerted_is_proven():
     made = made_of("infeasible", limited=True)
     for objective in OBJECTIVES:

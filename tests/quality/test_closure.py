@@ -110,6 +110,22 @@ def test_nasty_grasps_are_decided_and_proven(kind):
     assert found.decided.all()
 
 
+def test_fingers_at_one_point_may_have_it_anywhere():
+    directions = np.array([[1, 0, 0], [-0.5, 0.8, 0.3], [-0.5, -0.8, 0.3]])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    points[0] = 0
+    every = np.ones((20, 3))
+    # Soft ones close the grasp even so; the mean of three equal numbers is not always that number.
+    normals = every[..., None] * directions
+    grasp = Grasp(np.repeat(points[:, None], 3, 1), normals, 0.8 * every, every, torsion=0.3 * every)
+    found = proven(grasp)
+    assert found.closed.all() and np.allclose(found.margin, found.margin[0])
+    ball = jaxgrasp.ferrari_canny(grasp)
+    assert (ball.lower > 0.05).all() and np.allclose(ball.upper, ball.upper[0], rtol=1e-3)
+    assert np.allclose(jaxgrasp.min_weight(grasp, sides=8).value, 0.746, atol=1e-3)
+
+
 @pytest.mark.slow
 def test_a_closed_grasp_exerts_any_wrench():
     problem = P.problems("ordinary", 5, 60, 1)

@@ -156,10 +156,13 @@ def measure(lanes: Lanes, forces: Four, unknowns: Unknowns) -> Measured:
 
 
 def _certificate(frame: Frame, outcome: Outcome, verdict: Array, rest: Six, one: Array) -> Array:
-    """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself."""
+    """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself.
+
+    That of contacts which only squeeze may be no more than rounding, which proves nothing.
+    """
     proven = verdict == Verdict.INFEASIBLE
     proof = jnp.where(proven, outcome.certificate, 0)
-    bare = verdict == Verdict.NO_CONTACTS
+    bare = (verdict == Verdict.NO_CONTACTS) & (sixes.length(rest) > tolerances(rest.dtype).range)
     linear, angular = sixes.parts(jnp.where(bare, rest, proof))
     linear, angular = certificate_out(linear, angular, frame)
     return _rows((*linear, *angular), one)

@@ -76,6 +76,17 @@ def test_one_force_is_proven_exactly():
     np.testing.assert_allclose(least(problem, direction), np.linalg.norm(force[:, 0], axis=-1), rtol=1e-12)
 
 
+def test_squeezing_forces_that_exert_the_wrench_but_for_rounding_prove_nothing():
+    problem = P.problems("ordinary", 5, COUNT, seed=7)
+    wrench = P.exact_wrench(problem.points, problem.squeeze[..., None] * problem.normals)
+    none = np.zeros((COUNT, 5))
+    solution = jax.device_get(jaxgrasp.constrained_optimum(grasp_of(problem), wrench, none))
+    assert (solution.verdict == Verdict.NO_CONTACTS).all() and not solution.certificate.any()
+    pulled = jax.device_get(jaxgrasp.constrained_optimum(grasp_of(problem), 1.001 * wrench, none))
+    proofs = jaxgrasp.verify_certificate(grasp_of(problem), 1.001 * wrench, pulled.certificate, none)
+    assert (pulled.verdict == Verdict.NO_CONTACTS).all() and np.isinf(proofs).all()
+
+
 @pytest.mark.parametrize("kind", ["infeasible", "zero_squeeze"])
 def test_the_solver_s_certificates_prove(kind):
     problem = P.problems(kind, 5, COUNT, seed=6)

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions, squeezing
     from jaxgrasp.model.task import Task, carrying
     from jaxgrasp.model.wrench import grasp_matrix, weight_wrench
+    from jaxgrasp.numerics.compiled_code import use_cache
     from jaxgrasp.objectives.best_forces import OBJECTIVES, BestForces, best_forces
     from jaxgrasp.prehension.carry import Instant, carry
     from jaxgrasp.prehension.monitor import Assessment, Hold, Touch, monitor
@@ -235,6 +236,7 @@ _HOME = {
     "spring_wrench": "contact.world",
     "squeezing": "model.squeeze",
     "stability_margin": "force.angles",
+    "use_cache": "numerics.compiled_code",
     "verify_certificate": "force.certificate",
     "weight_wrench": "model.wrench",
     "world_contacts": "contact.world",

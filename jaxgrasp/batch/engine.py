@@ -21,6 +21,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS
 from jaxgrasp.model.methods import Method
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.compiled_code import compile_options
 
 ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate")
 OF_LIMITS = ("normal_multiplier", "torque_multiplier", "certificate_rates")
@@ -66,8 +67,16 @@ class Times:
 class Engine:
     """Compiled solvers for the blocks of one evaluation, which several threads may run at a time."""
 
-    def __init__(self, methods: tuple[Method, ...], devices: int | None = None):
+    def __init__(
+        self,
+        methods: tuple[Method, ...],
+        devices: int | None = None,
+        announce: Callable[[str], None] = lambda text: None,
+    ):
+        """``announce`` is told of each number of contacts before the first programs for it are compiled."""
         self.methods = methods
+        self._announce = announce
+        self._announced: set[int] = set()
         self.times = Times(solving={method.name: 0.0 for method in methods})
         available = jax.local_devices()
         self._mesh = Mesh(np.array(available[: devices or len(available)]), ("block",))
@@ -83,8 +92,12 @@ class Engine:
         ``problems`` of them are the user's, the rest fill the block.
         """
         block = Block(block.rows, *jax.tree.map(self._put, block[1:]))
+        contacts = block.grasp.points.shape[-2]
         with self._counting:
             self.times.problems += problems
+            if contacts not in self._announced:
+                self._announced.add(contacts)
+                self._announce(f"compiling for grasps of {contacts} contacts ...")
         results: dict[str, MethodResult] = {}
         for sharing in dict.fromkeys(method.sharing for method in self.methods):
             results |= self._one_sharing(sharing, block)
@@ -142,7 +155,7 @@ class _Program:
             if key in self._compiled:
                 return self._compiled[key], 0.0
             start = time.perf_counter()
-            self._compiled[key] = self._jitted.lower(*arguments).compile()
+            self._compiled[key] = self._jitted.lower(*arguments).compile(compile_options())
             return self._compiled[key], time.perf_counter() - start
 
 

@@ -79,14 +79,16 @@ def evaluate_stream(
     plan: Plan,
     folder: ResultFolder | None = None,
     progress: Callable[[int], None] = lambda grasps: None,
+    announce: Callable[[str], None] = lambda text: None,
 ) -> Outcome:
     """Evaluate every grasp of ``source`` and write the results to ``folder``, if there is one.
 
-    Memory holds a few chunks, whatever the source's size. ``progress`` is told of every finished chunk.
+    Memory holds a few chunks, whatever the source's size. ``progress`` is told of every finished chunk, ``announce``
+    what is about to be compiled.
     """
     begun = time.perf_counter()
     methods, measures = methods_named(plan.methods), measures_named(plan.quality)
-    engine = Engine(methods)
+    engine = Engine(methods, announce=announce)
     resumed = folder.done if folder else 0
     summary = from_json(folder.summary) if folder and folder.summary else None
     checked = not plan.skip_bad and not resumed

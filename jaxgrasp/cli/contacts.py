@@ -12,7 +12,7 @@ from jaxgrasp.batch.grasp_poses import GraspPoses, read_poses
 from jaxgrasp.batch.sources import save_grasps
 from jaxgrasp.cli.arguments import Contacts
 from jaxgrasp.cli.checks import check_not_negative, check_positive
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.contact.closing import close_hand
 from jaxgrasp.contact.deepest import keep_deepest
 from jaxgrasp.contact.detection import Contacts as Found
@@ -53,6 +53,7 @@ def contacts_command(arguments: Contacts) -> int:
             f"the joints of the {arguments.hand} hand"
         )
     object_ = _object(arguments, poses)
+    say_compiling("the hand and its contacts")
     parts, inside, dropped = [], [], 0
     size = min(CHUNK, len(poses))
     for first in range(0, len(poses), size):

@@ -16,7 +16,7 @@ from jaxgrasp.batch.summary_json import to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.arguments import Evaluate
 from jaxgrasp.cli.data import data_path, opened
-from jaxgrasp.cli.machine import provenance, set_up_jax
+from jaxgrasp.cli.machine import provenance, say, set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.quality.measures import measures_named
 
@@ -60,7 +60,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
     with opened(arguments, adjustments) as source:
         folder = ResultFolder(out, plan.identity(path.name, source), arguments.resume)
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
-            outcome = evaluate_stream(source, plan, folder, bar.update)
+            outcome = evaluate_stream(source, plan, folder, bar.update, say)
         print(summary_text(outcome.summary, outcome.times, outcome.seconds))
         for hint in hints(source, plan, outcome.summary):
             print(f"hint: {hint}")

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.experiment_arguments import ObserverArguments, PlanCommand, Power
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
 from jaxgrasp.psychophysics.observer import Observer
@@ -109,6 +109,7 @@ def observer_of(arguments: ObserverArguments) -> Observer:
 def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
     """What a glove can render of a plan's stimulus."""
     set_up_jax("float64")
+    say_compiling("the hand and its torques")
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.stimuli import PredictedGloveStimulus
 

@@ -8,7 +8,7 @@ from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson, typed
 from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -74,6 +74,7 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
 def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimulus, Arm]:
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
     set_up_jax("float64")
+    say_compiling("the hand and its torques")
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.stimuli import GloveStimulus
 

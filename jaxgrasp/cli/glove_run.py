@@ -12,7 +12,7 @@ import numpy as np
 from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState
@@ -29,6 +29,7 @@ from jaxgrasp.report.glove_picture import write_glove_picture
 
 FULL = 1.0
 FIRST = 0.05
+COMPILED = "the hand, its contacts and its torques"
 OLDEST_POSE = 0.1
 """Age beyond which a tracker's pose is not acted on [s]."""
 
@@ -43,10 +44,12 @@ def run_command(arguments: Run) -> int:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
     if arguments.port is None and arguments.connect is None:
         set_up_jax("float64")
+        say_compiling(COMPILED)
         return _play(arguments, model)
     if arguments.listen:
         return _serve(arguments, model, options)
     set_up_jax("float64")
+    say_compiling(COMPILED)
     return _render(arguments, model, options)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
-from jaxgrasp.cli.machine import provenance, set_up_jax
+from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
 from jaxgrasp.contact.detection import Contacts
 from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.contact.human_hand import human_hand, open_angles
@@ -42,6 +42,7 @@ def grip_command(arguments: Grip) -> int:
     shape = _shape(arguments)
     check_shape(shape)
     set_up_jax("float64")
+    say_compiling("the hand, its contacts and both laws", "minutes")
     hand = human_hand(arguments.hand_length, side=arguments.side)
     closed, placed, contacts = _closed(arguments, hand, shape)
     kind = GripType(int(grip_type(hand, closed, contacts)))

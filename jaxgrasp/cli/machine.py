@@ -3,21 +3,34 @@
 These are global settings, so only a program that owns its process may make them: never a library.
 """
 
-import os
 import platform
+import sys
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
 
 import jax
+from tqdm import tqdm
+
+from jaxgrasp.numerics.compiled_code import use_cache
 
 
 def set_up_jax(dtype: str) -> None:
     """Must run before the first computation."""
     jax.config.update("jax_enable_x64", dtype == "float64")
-    cache = os.environ.get("JAX_COMPILATION_CACHE_DIR") or str(_cache_home() / "jaxgrasp" / "jax")
-    jax.config.update("jax_compilation_cache_dir", cache)
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    try:
+        use_cache()
+    except OSError as error:
+        say(f"compiled code is not kept: {error}")
+
+
+def say_compiling(what: str, duration: str = "up to a minute") -> None:
+    """What is compiled next, for how long where nothing of it is kept yet."""
+    say(f"compiling {what}, which takes {duration} the first time ...")
+
+
+def say(text: str) -> None:
+    """A line about what is being done, on stderr and at once, since what follows may take a while."""
+    tqdm.write(text, file=sys.stderr)
 
 
 def provenance() -> dict[str, str]:
@@ -28,7 +41,3 @@ def provenance() -> dict[str, str]:
         "versions": f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}",
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
-
-
-def _cache_home() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

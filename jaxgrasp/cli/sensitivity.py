@@ -34,7 +34,7 @@ def sensitivity_command(arguments: Sensitivity) -> int:
     if len(arguments.values) > MOST_VALUES:
         raise ValueError(f"values are {len(arguments.values)}: expected at most {MOST_VALUES}, which a figure can show")
     set_up_jax("float64")
-    print("compiling, which takes minutes the first time", flush=True)
+    print("compiling the task and its derivatives, which takes minutes the first time", flush=True)
     found = study(cylinder_task(), times, methods, arguments.by, arguments.vary, arguments.values, LABELS)
     arguments.out.mkdir(parents=True, exist_ok=True)
     _write_table(arguments.out / "sensitivity.csv", _curves(found))

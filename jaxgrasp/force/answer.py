@@ -62,7 +62,7 @@ class Outcome(NamedTuple):
 
 
 def write(
-    lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, route: Route
+    lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, route: Route | Array
 ) -> Answer:
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
     valid = valid & frame.sound

@@ -1,13 +1,12 @@
 """What a certificate proves, by arithmetic alone: nothing of the solver that found it is used."""
 
-from functools import partial
-
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxgrasp.force import cones, fours, sixes, torques
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame
 from jaxgrasp.force.lanes import Lanes, Problem, read
@@ -57,24 +56,20 @@ def verify_certificate(
     """
     if rates is not None and (limits is None or limits.torque_map is None):
         raise ValueError("rates are given without limits of torques: expected limits with a torque_map")
+    joints = () if limits is None or limits.torque_max is None else np.shape(limits.torque_max)[-1:]
     warn_of_lost_precision(grasp, wrench)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, certificate, weights, limits, rates, sharing=name)
+    tails = (("rates", joints),)
+    return ask(_force_needed, grasp, wrench, sharing, limits=limits, tails=tails, certificate=certificate, rates=rates)
 
 
-@partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, certificate, weights, limits, rates, *, sharing: str) -> Array:
-    problem, direction, batch = flatten(grasp, wrench, weights, sharing, limits=limits, certificate=certificate)
+def _force_needed(problem: Problem, certificate: Array, rates: Array | None = None) -> Array:
     lanes, valid = read(problem)
     if problem.torque_map is not None:
         valid = valid & torques.usable(problem)
-    assert direction is not None
     if rates is None or problem.torque_max is None:
-        return jnp.where(valid, _needed(lanes, direction.T), 0)[0].reshape(batch)
-    joints = problem.torque_max.shape[1]
-    speeds = jnp.broadcast_to(jnp.asarray(rates, direction.dtype), (*batch, joints)).reshape(-1, joints).T
-    moved, spent = _by_joints(problem, lanes, speeds)
-    return jnp.where(valid, _needed(lanes, direction.T, moved, spent), 0)[0].reshape(batch)
+        return jnp.where(valid, _needed(lanes, certificate.T), 0)[0]
+    moved, spent = _by_joints(problem, lanes, rates.T)
+    return jnp.where(valid, _needed(lanes, certificate.T, moved, spent), 0)[0]
 
 
 def _by_joints(problem: Problem, lanes: Lanes, rates: Array) -> tuple[Four, Array]:

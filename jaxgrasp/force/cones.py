@@ -53,12 +53,14 @@ class Split(NamedTuple):
 
 def split(u: Four, cone: Cone) -> Split:
     along, across = _along_and_across(u, cone)
-    size = fours.norm(across)
+    square = fours.dot(across, across)
+    size = vec.safe_sqrt(square)
     tangent = fours.of_components([vec.safe_divide(c, size) for c in fours.components(across)])
     # The polar cone first: without friction a pull straight along the normal would pass for inside.
     polar = cone.friction * size < -along
     # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
-    inside = jnp.logical_not(polar) & (size <= cone.friction * along) & (cone.friction > 0)
+    limit = cone.friction * along
+    inside = (along >= 0) & (square <= limit * limit) & (cone.friction > 0)
     sides = Split(along, tangent, size, inside, polar)
     if cone.least is None and cone.most is None:
         return sides
@@ -77,7 +79,9 @@ def _along_and_across(u: Four, cone: Cone) -> tuple[Array, Four]:
 
 def _height(cone: Cone, parts: Split) -> Array:
     """Normal component of the projection on the cone's edge."""
-    return (parts.along + cone.friction * parts.size) / (1 + cone.friction**2)
+    rise = parts.along + cone.friction * parts.size
+    # Beside the polar cone the compiler may round this below zero, and the force would pull.
+    return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
 
 
 def _clip(height: Array, cone: Cone) -> Array:

@@ -1,7 +1,7 @@
 """The public answers: which force at each contact, by closed form or by constrained optimum."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -11,7 +11,8 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.force import outside, shells
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, read_sharing, refuse_soft_fingers, warn_of_lost_precision
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -134,19 +135,6 @@ def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | N
     return safety
 
 
-def _safer(grasp: Grasp, safety: AnyArray) -> Grasp:
-    """Friction over safety, where there is a friction: dividing a NaN would spoil the derivative by safety."""
-    friction = jnp.asarray(grasp.friction)
-    if not jnp.issubdtype(friction.dtype, jnp.floating):
-        friction = friction.astype(float)
-    there = jnp.isfinite(friction)
-    if grasp.present is not None:
-        there = there & (jnp.asarray(grasp.present) > 0.5)
-    divisor = jnp.asarray(safety, friction.dtype)[..., None]
-    safe = jnp.where(there, jnp.where(there, friction, 0) / divisor, friction)
-    return eqx.tree_at(lambda g: g.friction, grasp, safe)
-
-
 class ForceSplit(NamedTuple):
     """The two terms of eq. 16; their sum is the closed form."""
 
@@ -187,16 +175,14 @@ def _distribute(
     solve: Callable[[Problem], Any],
 ) -> Any:
     warn_of_lost_precision(grasp, wrench, free)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, free, safety, start, limits, sharing=name, solve=solve)
+    return ask(_from_start(solve), grasp, wrench, sharing, free=free, limits=limits, safety=safety, start=start)
 
 
-@partial(jax.jit, static_argnames=("sharing", "solve"))
-def _run(grasp, wrench, weights, free, safety, start, limits, *, sharing: str, solve: Callable[[Problem], Any]) -> Any:
-    """Flatten the leading axes, solve, and restore them: a Solution, or several."""
-    if safety is not None:
-        grasp = _safer(grasp, safety)
-    beside = {} if start is None else {"start": start}
-    problem, twist, batch = flatten(grasp, wrench, weights, sharing, free=free, limits=limits, **beside)
-    problem = eqx.tree_at(lambda p: p.start, problem, twist, is_leaf=lambda x: x is None)
-    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solve(problem))
+@cache
+def _from_start(solve: Callable[[Problem], Any]) -> Callable[..., Any]:
+    """A solver to which the multiplier to begin from is given beside the problem."""
+
+    def begun(problem: Problem, start: Array | None = None) -> Any:
+        return solve(eqx.tree_at(lambda p: p.start, problem, start, is_leaf=lambda x: x is None))
+
+    return begun

@@ -7,16 +7,14 @@ For the cones K_i and the multiplier x, a virtual twist about the frame's origin
 It is concave, its gradient is w - G f(x), and by weak duality no allowed forces that balance w cost less.
 """
 
-from functools import partial
-
-import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import dual, fours, sixes
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Lanes, read
+from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -74,20 +72,15 @@ def multiplier_forces(
 
 def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) -> tuple[Array, Array]:
     warn_of_lost_precision(grasp, wrench, multiplier)
-    name, weights = read_sharing(sharing)
-    return _evaluate(grasp, wrench, multiplier, weights, sharing=name)
+    return ask(_evaluate, grasp, wrench, sharing, multiplier=multiplier)
 
 
-@partial(jax.jit, static_argnames="sharing")
-def _evaluate(grasp, wrench, multiplier, weights, *, sharing: str) -> tuple[Array, Array]:
+def _evaluate(problem: Problem, multiplier: Array) -> tuple[Array, Array]:
     """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
-    flat = flatten(grasp, wrench, weights, sharing, multiplier=multiplier)
-    assert flat.twist is not None
-    lanes, valid = read(flat.problem)
-    value, best = _value_and_forces(lanes, flat.twist.T)
-    value = jnp.where(valid, value, jnp.nan)[0]
+    lanes, valid = read(problem)
+    value, best = _value_and_forces(lanes, multiplier.T)
     forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best.linear]).transpose(2, 1, 0)
-    return value.reshape(flat.batch), forces.reshape(flat.batch + forces.shape[1:])
+    return jnp.where(valid, value, jnp.nan)[0], forces
 
 
 def _value_and_forces(lanes: Lanes, multiplier: Six) -> tuple[Array, Four]:

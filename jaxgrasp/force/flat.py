@@ -1,14 +1,15 @@
 """What users pass, as a flat batch in one precision: any leading axes, and errors that name the field."""
 
+import math
 import warnings
-from typing import NamedTuple
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
-from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -27,11 +28,12 @@ def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
 
 
 class Flat(NamedTuple):
-    """Problems with their leading axes broadcast and flattened into one."""
+    """Arrays with their leading axes broadcast and flattened into one."""
 
-    problem: Problem
-    twist: Array | None
-    """``(B, 6)``: what came beside the wrench, where something did."""
+    fields: dict[str, Any]
+    """Arrays of a ``Problem``, by name."""
+    each: dict[str, Any]
+    """What else each problem has one of."""
     batch: tuple[int, ...]
     """The leading axes."""
 
@@ -44,17 +46,20 @@ def flatten(
     *,
     free: AnyArray | None = None,
     limits: Limits | None = None,
-    **twist: AnyArray,
+    safety: float | AnyArray | None = None,
+    each: Mapping[str, tuple[Any, tuple[int, ...]]] = MappingProxyType({}),
+    numpy: Any = jnp,
 ) -> Flat:
     """Inputs of any leading axes as a flat batch in one precision.
 
-    ``free`` are the twists that a guide allows, ``limits`` what the hand can exert; ``twist`` may be one more array of
-    sixes, under the name that its user knows it by.
+    ``free`` are the twists that a guide allows, ``limits`` what the hand can exert. Friction is divided by ``safety``.
+    ``each`` are further arrays, of which each problem has its own, and their last axes. The arrays are those of
+    ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
     if sharing != "given":
-        weights = squeeze if sharing == "squeeze" else jnp.ones(np.shape(points)[:-1])
+        weights = squeeze if sharing == "squeeze" else numpy.ones(np.shape(points)[:-1])
     contacts = {"friction": friction, "squeeze": squeeze, "present": grasp.present, "sharing": weights}
     contacts["torsion"] = grasp.torsion
     given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
@@ -63,14 +68,16 @@ def flatten(
     if free is not None:
         given["free"] = (free, (6, _directions(free)))
     given |= _bounds(limits, n)
-    given |= {name: (array, (6,)) for name, array in {"wrench": wrench, **twist}.items()}
+    given |= {"wrench": (wrench, (6,)), **each}
     optional = [array for array in (free, grasp.torsion, *jax.tree.leaves(limits)) if array is not None]
-    dtype = _precision(points, normals, friction, squeeze, wrench, *twist.values(), *optional)
-    arrays = {name: jnp.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
+    dtype = _precision(points, normals, friction, squeeze, wrench, *(array for array, _ in each.values()), *optional)
+    arrays = {name: numpy.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
+    if safety is not None:
+        arrays["friction"] = _safer(arrays["friction"], arrays.get("present"), safety, numpy)
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = _broadcast(leading)
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
-    loads = ("wrench", *twist)
+    loads = ("wrench", *each)
     shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name not in loads)
     flat = {}
     for name, array in arrays.items():
@@ -78,10 +85,18 @@ def flatten(
         if shared and name not in loads:
             flat[name] = array.reshape(1, *tail)
         else:
-            flat[name] = jnp.broadcast_to(array, batch + tail).reshape(-1, *tail)
-    extra = [flat.pop(name) for name in twist]
-    problem = Problem(present=flat.pop("present", None), weights=flat.pop("sharing"), **flat)
-    return Flat(problem, extra[0] if extra else None, batch)
+            flat[name] = numpy.broadcast_to(array, batch + tail).reshape(math.prod(batch), *tail)
+    more = {name: flat.pop(name) for name in each}
+    return Flat({"present": None, "weights": flat.pop("sharing"), **flat}, more, batch)
+
+
+def _safer(friction: AnyArray, present: AnyArray | None, safety: float | AnyArray, numpy: Any) -> AnyArray:
+    """Friction over safety, where there is a friction: dividing a NaN would spoil the derivative by safety."""
+    there = numpy.isfinite(friction)
+    if present is not None:
+        there = there & (present > 0.5)
+    divisor = numpy.asarray(safety, friction.dtype)[..., None]
+    return numpy.where(there, numpy.where(there, friction, 0) / divisor, friction)
 
 
 def refuse_soft_fingers(grasp: Grasp) -> None:
@@ -129,7 +144,12 @@ def _precision(*arrays: AnyArray) -> np.dtype:
 
     That of integers and plain numbers does not count. Half precision holds too few digits to solve anything in.
     """
-    floats = [a.dtype for a in map(jnp.asarray, arrays) if jnp.issubdtype(a.dtype, jnp.floating) and not a.weak_type]
+    seen = (a if hasattr(a, "dtype") else jnp.asarray(a) for a in arrays)
+    floats = [
+        jax.dtypes.canonicalize_dtype(a.dtype)
+        for a in seen
+        if jnp.issubdtype(a.dtype, jnp.floating) and not getattr(a, "weak_type", False)
+    ]
     finest = max(floats, key=lambda d: d.itemsize, default=jnp.asarray(0.0).dtype)
     return np.dtype(finest if finest.itemsize > 2 else np.float32)
 
@@ -142,7 +162,7 @@ def _broadcast(leading: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
         raise ValueError(f"leading axes do not broadcast against each other: {said}") from None
 
 
-def _leading_axes(name: str, array: Array, tail: tuple[int, ...]) -> tuple[int, ...]:
+def _leading_axes(name: str, array: AnyArray, tail: tuple[int, ...]) -> tuple[int, ...]:
     if array.shape[max(array.ndim - len(tail), 0) :] != tail:
         raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, tail))})")
     return array.shape[: array.ndim - len(tail)]

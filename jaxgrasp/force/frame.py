@@ -115,15 +115,15 @@ def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
     )
 
 
-def principal(lanes: Lanes) -> tuple[Lanes, Frame]:
-    """Coordinates of order one, carefully, along the principal axes of inertia.
+def principal(lanes: Lanes, turned: bool | Array = True) -> tuple[Lanes, Frame]:
+    """Coordinates of order one, carefully, along the principal axes of inertia; along the user's if not ``turned``.
 
     Arms that are tiny in one direction then keep their own digits, and the inertia matrix is
     ill-conditioned by its scales alone, which costs nothing. Forming it in other axes squares the
     condition number: at a relative spread of 1e-7 the forces would be wrong in the third digit.
     """
     lanes, frame = normalise(lanes, carefully=True)
-    axes = symmetric.principal_axes(inertia(lanes))
+    axes = symmetric.principal_axes(inertia(lanes), turned)
     return turn(lanes, axes), frame._replace(axes=axes)
 
 

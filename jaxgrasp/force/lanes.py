@@ -14,7 +14,7 @@ from jax import Array
 from jaxgrasp.force.cones import Cone
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.tolerances import tolerances
-from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.vec import Vec
 
@@ -40,6 +40,8 @@ class Problem(eqx.Module):
     normal_max: Float[Array, "#B n"] | None = None
     torque_map: Float[Array, "#B n c j"] | None = None
     torque_max: Float[Array, "#B j"] | None = None
+    count: Int[Array, ""] | None = None
+    """How many problems there are, the first of those that the arrays hold; None for as many."""
 
     @property
     def size(self) -> int:

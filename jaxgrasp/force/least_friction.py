@@ -1,6 +1,5 @@
 """With how little friction a grasp holds its load, if its normal forces may reach a total."""
 
-from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -8,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.force.least_squeeze import bounded_total, total_moves
 from jaxgrasp.force.limit import Limit
@@ -54,25 +54,20 @@ def least_friction(
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp, wrench)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, total, sharing=name)
+    return ask(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total)
 
 
-@partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, weights, total, *, sharing: str) -> Array:
-    problem, _, batch = flatten(grasp, wrench, weights, sharing)
+def _least_share(problem: Problem, total: Array | None = None) -> Array:
     if total is None:
         there = 1.0 if problem.present is None else problem.present > 0.5
-        totals = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
-    else:
-        totals = jnp.broadcast_to(jnp.asarray(total, problem.wrench.dtype), batch).reshape(-1)
-    return _share(problem, totals).reshape(batch)
+        total = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
+    return _share(problem, total)
 
 
 @jax.custom_jvp
 def _share(problem: Problem, total: Array) -> Array:
     # One tile's search ends when its own problems are done.
-    return jnp.exp(over_tiles(lambda these: _search(*these), (problem, total), problem.size, TILE))
+    return jnp.exp(over_tiles(lambda these: _search(*these), (problem, total), problem.size, TILE, problem.count))
 
 
 @_share.defjvp

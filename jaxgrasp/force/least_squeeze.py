@@ -1,13 +1,12 @@
 """With how little normal force a grasp holds its load."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import elastic, shells
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.force.limit import Limit, bare, limit_of, work_along
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -42,14 +41,7 @@ def least_squeeze(
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp, wrench)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, sharing=name)
-
-
-@partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, weights, *, sharing: str) -> Array:
-    problem, _, batch = flatten(grasp, wrench, weights, sharing)
-    return least_total(problem).reshape(batch)
+    return ask(least_total, grasp, wrench, sharing)
 
 
 @jax.custom_jvp
@@ -80,7 +72,7 @@ def bounded_total(problem: Problem) -> tuple[Array, Limit]:
     """Likewise, ``(B,)``, with what bounds it; +inf where no forces exist or none were found."""
     # That forces exist is known first: where none do, they only grow.
     solved = shells.solver(True)(problem).verdict <= Verdict.OPTIMAL
-    return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE)
+    return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
 
 
 @bounded_total.defjvp

@@ -16,12 +16,11 @@ from jax import Array, lax
 from jaxgrasp.force import dual, pseudo_inverse, torques
 from jaxgrasp.force.answer import Answer, Joints, Outcome, write
 from jaxgrasp.force.certify import proof
-from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame, multiplier_in, normalise, principal
 from jaxgrasp.force.guide import whitened
-from jaxgrasp.force.lanes import Lanes, Problem, read
-from jaxgrasp.force.newton import Proximal, ascend
-from jaxgrasp.force.proximal import Search, proximal_search
+from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
+from jaxgrasp.force.newton import Judged, Proximal, ascend
+from jaxgrasp.force.proximal import begin, full_effort, proximal_search
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.torques import Limited, Rows
@@ -135,8 +134,8 @@ def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Ans
     start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
     known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * frame.weight / frame.load
     ascent = ascend(hill, jnp.concatenate([start, vec.safe_divide(known, hill.rows.scale)]), ill, limit)
-    best = hill.forces(ascent.point).forces
-    good = hill.is_optimal(ascent.point, best) & ~ill
+    best, good, _ = hill.judge(ascent.point)
+    good = good & ~ill
     rates = jnp.sum(chosen * (hill.rows.scale * ascent.point[6:]).T[..., None], 1)
     outcome = Outcome(
         forces=best,
@@ -183,9 +182,8 @@ class _Ground(NamedTuple):
     def pulled(self, proximal: Proximal | None = None) -> Limited:
         return Limited(self.lanes, self.unknowns, self.metric, self.rows, proximal)
 
-    def judge(self, point: Array, slack: float) -> tuple[Four, Array]:
-        best = self.pulled().forces(point).forces
-        return best, self.pulled().is_optimal(point, best, slack)
+    def judge(self, point: Array) -> Judged:
+        return self.pulled().judge(point)
 
     def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
         forces = self.pulled().forces(point).forces
@@ -203,15 +201,15 @@ def _careful_tile(problem: Problem, prior: Answer) -> Answer:
     rows = torques.rows_of(problem, lanes, frame, None)
     start = jnp.zeros((6 + len(rows.bound), problem.size), rows.bound.dtype)
     undecided = jnp.zeros((1, problem.size), bool)
-    begun = Search(start, undecided + Verdict.NOT_CONVERGED, undecided + 0, 0 * start, undecided)
-    forces, found = proximal_search(_Ground(lanes, frame, unknowns, metric, rows), begun)
+    begun = begin(start, squeezing(lanes), undecided + Verdict.NOT_CONVERGED, undecided)
+    found = proximal_search(_Ground(lanes, frame, unknowns, metric, rows), begun, full_effort())
     joints = Joints(
         pull=torques.pull(rows, found.point[6:]),
         multiplier=rows.scale * found.point[6:],
         rates=rows.scale * found.certificate[6:],
     )
     outcome = Outcome(
-        forces,
+        found.forces,
         found.point[:6],
         found.verdict,
         found.steps + prior.steps,

@@ -1,6 +1,5 @@
 """How far a wrench can grow along a direction before no allowed forces exert it any more."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -8,7 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import elastic, sixes
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.force.limit import Bare, Limit, bare, limit_of, loaded, work_along
 from jaxgrasp.force.sixes import Six
@@ -54,19 +54,12 @@ def wrench_margin(
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp, wrench)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, direction, weights, sharing=name)
-
-
-@partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, direction, weights, *, sharing: str) -> Array:
-    problem, flat, batch = flatten(grasp, wrench, weights, sharing, direction=direction)
-    return _margin(problem, flat).reshape(batch)
+    return ask(_margin, grasp, wrench, sharing, direction=direction)
 
 
 @jax.custom_jvp
 def _margin(problem: Problem, direction: Array) -> Array:
-    return over_tiles(_margin_of_tile, (problem, direction), problem.size, TILE)
+    return over_tiles(_margin_of_tile, (problem, direction), problem.size, TILE, problem.count)
 
 
 @_margin.defjvp

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.force import dual, sixes
-from jaxgrasp.force.answer import measure
+from jaxgrasp.force.answer import Measured, measure
 from jaxgrasp.force.dual import Value
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.lanes import Lanes
@@ -27,12 +27,16 @@ CUTS = (0.1, 0.5)
 """A refused step is cut to between these parts of its length."""
 DAMPING, MOST_DAMPING = 0.03, 0.1
 """Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
+LAST_SLACK = 16.0
+"""In the end an answer may be this much coarser: near the limit of what the contacts can exert, the multiplier is so
+large that its own rounding stands in the way."""
 
 
 class Proximal(NamedTuple):
     """The pull -strength/2 |x - centre|^2 that makes a degenerate dual strongly concave."""
 
     strength: Array
+    """A scalar; 0 for the dual as it is."""
     centre: Six
 
 
@@ -222,11 +226,30 @@ def is_within(
     return balanced & (jnp.abs(sixes.inner(point, gradient)) <= gap * scale)
 
 
-def is_optimal(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, best: Four, slack: float = 1.0) -> Array:
+class Judged(NamedTuple):
+    """Whether a point is the optimum, by its forces."""
+
+    forces: Four
+    optimal: Array
+    nearly: Array
+    """Whether it is but for ``LAST_SLACK`` times the tolerances."""
+
+
+def judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six) -> Judged:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
+    best = dual.best_forces(lanes, point, unknowns).forces
     found = measure(lanes, best, unknowns)
     rest = unknowns.wrench(*sixes.parts(found.rest))
-    return has_converged(lanes, point, rest, whitened_square(metric, rest), found.objective, found.push, slack)
+    return judged(lanes, best, point, rest, whitened_square(metric, rest), found)
+
+
+def judged(lanes: Lanes, best: Four, point: Array, rest: Array, size2: Array, found: Measured) -> Judged:
+    """By what the best forces leave of the wrench, and the squared length of that."""
+
+    def within(slack: float) -> Array:
+        return has_converged(lanes, point, rest, size2, found.objective, found.push, slack)
+
+    return Judged(best, within(1.0), within(LAST_SLACK))
 
 
 def damping_of(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
@@ -236,11 +259,11 @@ def damping_of(size2: Array, caution: Array, proximal: Proximal | None) -> Array
     It vanishes with the residual: convergence stays quadratic. A proximal pull makes it needless, and
     where the multiplier must run far it would be in the way.
     """
-    floor = 16 * jnp.finfo(size2.dtype).eps
+    damping = DAMPING * caution * jnp.sqrt(size2)
     if proximal is not None:
         # Unless kinks keep cutting the steps short.
-        return floor + jnp.minimum(proximal.strength * (caution - 1), MOST_DAMPING)
-    return floor + jnp.minimum(DAMPING * caution * jnp.sqrt(size2), MOST_DAMPING)
+        damping = jnp.where(proximal.strength > 0, proximal.strength * (caution - 1), damping)
+    return 16 * jnp.finfo(size2.dtype).eps + jnp.minimum(damping, MOST_DAMPING)
 
 
 def damped(curvature: Lower, metric: Metric, damping: Array) -> list[list[Array]]:

@@ -48,7 +48,7 @@ def check_solver(solver: Any) -> None:
 
 def solve_optimum(solver: Any, problem: Problem) -> Answer:
     """The constrained optimum of a flat batch by an optimistix solver."""
-    return over_tiles(partial(_tile, solver), problem, problem.size, TILE)
+    return over_tiles(partial(_tile, solver), problem, problem.size, TILE, problem.count)
 
 
 def write_to_tolerance(

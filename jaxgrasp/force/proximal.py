@@ -3,6 +3,8 @@
 At each level the pull holds the multiplier near the last level's, so that Newton's method starts close to
 its goal however degenerate the cones are. Where no forces exist the multiplier runs off instead, and what
 is left of the wrench tends to the shortest one out of reach: the proof.
+
+With a strength of zero, and one level, the same code is Newton's method on the dual as it is: the fast passes.
 """
 
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -10,12 +12,12 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import dual
+from jaxgrasp.force import dual, fours
 from jaxgrasp.force.certify import proof
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame
 from jaxgrasp.force.lanes import Lanes
-from jaxgrasp.force.newton import Dual, Hill, Proximal, ascend, is_optimal
+from jaxgrasp.force.newton import Dual, Hill, Judged, Proximal, ascend, judge
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
@@ -23,21 +25,32 @@ from jaxgrasp.model.solution import Verdict
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
-LAST_SLACK = 16.0
-"""At the last level an answer may be this much coarser: near the limit of what the contacts can exert, the
-multiplier is so large that its own rounding stands in the way."""
 
 
 class Search(NamedTuple):
     """Where each lane stands."""
 
     point: Array
+    forces: Four
     verdict: Array
     """NOT_CONVERGED for those that are not decided."""
     steps: Array
     certificate: Array
     """As many rows as the point has; read where the verdict is INFEASIBLE."""
     decided: Array
+    nearly: Array
+    """Whether the point is the optimum but for a last slack."""
+    stuck: Array
+    """Whether Newton's method was unable to move on."""
+
+
+class Effort(NamedTuple):
+    """How hard to try, in scalars, so that all efforts are one compiled code."""
+
+    careful: Array
+    """Level by level, with proofs; else the dual as it is, once."""
+    steps: Array
+    """Evaluations at each level."""
 
 
 @runtime_checkable
@@ -48,7 +61,7 @@ class Ground(Protocol):
         """The hill with a proximal pull."""
         ...
 
-    def judge(self, point: Array, slack: float) -> tuple[Four, Array]:
+    def judge(self, point: Array) -> Judged:
         """The forces of a point, and whether they are the optimum."""
         ...
 
@@ -58,7 +71,7 @@ class Ground(Protocol):
 
 
 class Free(NamedTuple):
-    """Whitened lanes without limits that tie their contacts together."""
+    """Lanes without limits that tie their contacts together."""
 
     lanes: Lanes
     frame: Frame
@@ -68,9 +81,8 @@ class Free(NamedTuple):
     def pulled(self, proximal: Proximal) -> Hill:
         return Dual(self.lanes, self.unknowns, self.metric, proximal)
 
-    def judge(self, point: Six, slack: float) -> tuple[Four, Array]:
-        best = dual.best_forces(self.lanes, point, self.unknowns).forces
-        return best, is_optimal(self.lanes, self.unknowns, self.metric, point, best, slack)
+    def judge(self, point: Six) -> Judged:
+        return judge(self.lanes, self.unknowns, self.metric, point)
 
     def proof(self, point: Six, before: Six) -> tuple[Array, Six]:
         forces = dual.best_forces(self.lanes, point, self.unknowns).forces
@@ -78,38 +90,59 @@ class Free(NamedTuple):
         return proof(self.lanes, self.frame, self.unknowns, rest, point - before)
 
 
-def proximal_search(ground: Ground, search: Search) -> tuple[Four, Search]:
-    """The optimum of the lanes that are not decided, or a proof that there is none; and the forces of all."""
+def full_effort() -> Effort:
+    """All that can be done."""
+    return Effort(jnp.asarray(True), jnp.asarray(STEPS_PER_LEVEL))
+
+
+def begin(point: Array, forces: Four, verdict: Array | Verdict, decided: Array) -> Search:
+    """Before the first step; what is ``decided`` keeps its verdict."""
+    # A grasp that many wrenches share has one column; where each lane stands is its own.
+    decided = jnp.broadcast_to(decided, point[:1].shape)
+    no, none = jnp.zeros_like(decided), jnp.zeros_like(decided, jnp.int32)
+    verdict = jnp.where(decided, verdict, Verdict.NOT_CONVERGED) + none
+    forces = fours.scale(jnp.ones_like(point[:1]), forces)
+    return Search(point, forces, verdict, none, jnp.zeros_like(point), decided, no, no)
+
+
+def proximal_search(ground: Ground, search: Search, effort: Effort) -> Search:
+    """The optimum of the lanes that are not decided, or a proof that there is none."""
     weakest = 4 * float(jnp.finfo(search.point.dtype).eps)
 
     def unfinished(carry):
-        strength, search = carry
-        return (strength >= weakest) & ~jnp.all(search.decided)
+        strength, first, search = carry
+        return (first | (strength >= weakest)) & ~jnp.all(search.decided)
 
     def fall(carry):
-        strength, search = carry
-        return strength / 10, _level(ground, strength, search)
+        strength, _, search = carry
+        return strength / 10, jnp.asarray(False), _level(ground, strength, effort, search)
 
-    start = jnp.asarray(STRONGEST, search.point.dtype)
-    _, search = lax.while_loop(unfinished, fall, (start, search))
-    forces, good = ground.judge(search.point, LAST_SLACK)
-    verdict = jnp.where(~search.decided & good, Verdict.OPTIMAL, search.verdict)
-    return forces, search._replace(verdict=verdict)
+    strongest = jnp.where(effort.careful, STRONGEST, 0).astype(search.point.dtype)
+    *_, search = lax.while_loop(unfinished, fall, (strongest, jnp.asarray(True), search))
+    good = effort.careful & ~search.decided & search.nearly
+    return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))
 
 
-def _level(ground: Ground, strength: Array, search: Search) -> Search:
+def _level(ground: Ground, strength: Array, effort: Effort, search: Search) -> Search:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
     hill = ground.pulled(Proximal(strength, search.point))
-    ascent = ascend(hill, search.point, search.decided, STEPS_PER_LEVEL)
-    _, optimal = ground.judge(ascent.point, 1.0)
-    proven, direction = ground.proof(ascent.point, search.point)
+    ascent = ascend(hill, search.point, search.decided, effort.steps)
+    forces, optimal, nearly = ground.judge(ascent.point)
+
+    def unproven(point: Array, before: Array) -> tuple[Array, Array]:
+        return jnp.zeros_like(optimal), jnp.zeros_like(point)
+
+    proven, direction = lax.cond(effort.careful, ground.proof, unproven, ascent.point, search.point)
     hopeless = ~optimal & proven
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     return Search(
         point=jnp.where(open_, ascent.point, search.point),
+        forces=fours.where(open_, forces, search.forces),
         verdict=jnp.where(open_, verdict, search.verdict),
         steps=search.steps + jnp.where(open_, ascent.steps, 0),
         certificate=jnp.where(open_ & hopeless, direction, search.certificate),
         decided=search.decided | optimal | hopeless,
+        nearly=jnp.where(open_, nearly, search.nearly),
+        stuck=jnp.where(open_, ascent.stuck, search.stuck),
     )

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.force import dual, fours, sixes
 from jaxgrasp.force.fours import Four
@@ -26,16 +26,28 @@ class Metric(NamedTuple):
 def plain_metric(lanes: Lanes) -> tuple[Metric, Stretch, Array]:
     """The metric in the axes as they are, its unknowns of one, and which lanes are too ill-conditioned for it."""
     matrix = inertia(lanes)
+    factors, ill = _sound_factors(matrix)
+    return Metric(matrix, factors), unstretched(matrix[0][0]), ill
+
+
+def _sound_factors(matrix: symmetric.Lower) -> tuple[tuple[list[list[Array]], list[Array]], Array]:
+    """The factors of a matrix, and the lanes in which its pivots are too small; there, the identity's factors."""
     lower, diagonal = symmetric.factor(matrix)
     pivot = tolerances(diagonal[0].dtype).pivot
     # `not >=` rather than `<`, so that a NaN out of a zero pivot counts as ill.
     ill = ~((diagonal[0] >= pivot) & (diagonal[1] >= pivot) & (diagonal[2] >= pivot))
     safe = [jnp.where(ill, 1, d) for d in diagonal]
-    lower = [[jnp.where(ill, 0, entry) for entry in row] for row in lower]
-    return Metric(matrix, (lower, safe)), unstretched(diagonal[0]), ill
+    return ([[jnp.where(ill, 0, entry) for entry in row] for row in lower], safe), ill
 
 
-def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Stretch]:
+def metric_for(lanes: Lanes, frame: Frame, whiten: Array) -> tuple[Metric, Stretch, Array]:
+    """By the scalar ``whiten`` either ``whitened_metric``, which suits every lane, or ``plain_metric``: one code."""
+    metric, stretch = whitened_metric(lanes, frame, whiten)
+    factors, ill = _sound_factors(metric.inertia)
+    return Metric(metric.inertia, factors), stretch, ill & ~whiten
+
+
+def whitened_metric(lanes: Lanes, frame: Frame, whiten: bool | Array = True) -> tuple[Metric, Stretch]:
     """For lanes in principal axes: the unknowns that makes the metric the identity but for rounding.
 
     Axes along which the contacts have no spread get a unknowns of zero: no force can turn the object
@@ -45,6 +57,8 @@ def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Stretch]:
     diagonal = [matrix[i][i] for i in range(3)]
     cut = (tolerances(diagonal[0].dtype).rank * blur(frame)) ** 2
     scales = Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
+    if whiten is not True:
+        scales = Vec(*(jnp.where(whiten, s, 1) for s in scales))
     rows = [[scales[i] * scales[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
     for i in range(3):
         rows[i][i] = jnp.where(scales[i] > 0, rows[i][i], 1)
@@ -58,8 +72,11 @@ def closed_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
 
 def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     """The same, corrected by what it leaves unbalanced: a whitened metric is only the identity but for rounding."""
-    multiplier = closed_multiplier(lanes, unknowns, metric)
-    return multiplier + _balancing(lanes, free_forces(lanes, multiplier, unknowns), unknowns, metric)
+
+    def balance(_, multiplier: Six) -> Six:
+        return multiplier + _balancing(lanes, free_forces(lanes, multiplier, unknowns), unknowns, metric)
+
+    return lax.fori_loop(0, 2, balance, jnp.zeros((6, lanes.squeeze.shape[-1]), lanes.squeeze.dtype))
 
 
 def _balancing(lanes: Lanes, forces: Four, unknowns: Unknowns, metric: Metric) -> Six:

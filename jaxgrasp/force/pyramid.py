@@ -7,7 +7,8 @@ C y <= d for each facet: as well conditioned as it can be for an operator-splitt
 
 import math
 import warnings
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from types import ModuleType
 from typing import Literal, NamedTuple
 
@@ -17,7 +18,8 @@ from jax import Array
 
 from jaxgrasp.force import cones, dual, fours, pseudo_inverse
 from jaxgrasp.force.answer import Answer, Outcome
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, refuse_soft_fingers, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import principal
 from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
@@ -128,21 +130,21 @@ def _check(settings: Settings) -> None:
 
 def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: Settings) -> Solution:
     warn_of_lost_precision(grasp, wrench)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, sharing=name, settings=settings)
+    return ask(_solver(settings), grasp, wrench, sharing)
 
 
-@partial(jax.jit, static_argnames=("sharing", "settings"))
-def _run(grasp, wrench, weights, *, sharing: str, settings: Settings) -> Solution:
-    problem, _, batch = flatten(grasp, wrench, weights, sharing)
-    answer = _answers(problem, settings)
-    solution = Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
-    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), solution)
+@cache
+def _solver(settings: Settings) -> Callable[[Problem], Solution]:
+    def solve(problem: Problem) -> Solution:
+        answer = _answers(problem, settings)
+        return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
+
+    return solve
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def _answers(problem: Problem, settings: Settings) -> Answer:
-    return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE)
+    return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE, problem.count)
 
 
 @_answers.defjvp

@@ -1,6 +1,5 @@
 """The wrench closest to a given one that the contacts can exert."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -8,7 +7,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.force import cones, dual, elastic, fours, shells, sixes
-from jaxgrasp.force.flat import Sharing, flatten, read_sharing, warn_of_lost_precision
+from jaxgrasp.force.ask import ask
+from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame, certificate_out, forces_out, moments_out, principal
 from jaxgrasp.force.guide import restricted, unwhitened
@@ -79,26 +79,11 @@ def reachable_wrench(
         NotImplementedError: when differentiated.
     """
     warn_of_lost_precision(grasp, wrench, free)
-    name, weights = read_sharing(sharing)
-    return _run(grasp, wrench, weights, inertia, free, sharing=name)
-
-
-@partial(jax.jit, static_argnames=("sharing",))
-def _run(grasp, wrench, weights, inertia, free, *, sharing: str) -> Reachable:
-    if inertia is not None:
-        if jnp.shape(inertia)[-2:] != (6, 6):
-            raise ValueError(f"inertia has shape {jnp.shape(inertia)}: expected (..., 6, 6)")
-        axes = jnp.broadcast_shapes(jnp.shape(inertia)[:-2], jnp.shape(wrench)[:-1])
-        wrench = jnp.broadcast_to(wrench, (*axes, 6))
-    problem, _, batch = flatten(grasp, wrench, weights, sharing, free=free)
-    if inertia is not None:
-        inertia = jnp.broadcast_to(jnp.asarray(inertia, problem.wrench.dtype), (*batch, 6, 6)).reshape(-1, 6, 6)
-    closest = _closest(problem, inertia)
-    return jax.tree.map(lambda x: x.reshape(batch + x.shape[1:]), closest)
+    return ask(_closest, grasp, wrench, sharing, free=free, tails=(("inertia", (6, 6)),), inertia=inertia)
 
 
 @jax.custom_jvp
-def _closest(problem: Problem, inertia: Array | None) -> Reachable:
+def _closest(problem: Problem, inertia: Array | None = None) -> Reachable:
     """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
     solution = shells.solver(True)(problem)
     solved = solution.verdict <= Verdict.OPTIMAL

@@ -12,16 +12,17 @@ from functools import partial
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force import cones, dual, fours, limited, newton, pseudo_inverse, sixes
+from jaxgrasp.force import cones, limited, pseudo_inverse, sixes
 from jaxgrasp.force.answer import Answer, Outcome, write
 from jaxgrasp.force.certify import out_of_range
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.frame import multiplier_in, normalise, principal
+from jaxgrasp.force.frame import Frame, multiplier_in, normalise, principal
 from jaxgrasp.force.guide import whitened
-from jaxgrasp.force.lanes import Lanes, Problem, read
-from jaxgrasp.force.newton import Dual, ascend
-from jaxgrasp.force.proximal import Free, Search, proximal_search
+from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
+from jaxgrasp.force.proximal import STEPS_PER_LEVEL, Effort, Free, Search, begin, full_effort, proximal_search
+from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.sixes import Six
+from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
 
@@ -35,7 +36,7 @@ def solve_closed(problem: Problem) -> Answer:
     """The closed form of a flat batch."""
     if problem.free is not None:
         bare = limited.without_torques(problem)
-        return over_tiles(partial(_whole, constrained=False), bare, problem.size, CAREFUL_TILE)
+        return over_tiles(_careful_closed_tile, bare, problem.size, CAREFUL_TILE, problem.count)
     return finish_closed(problem, first_pass(problem))
 
 
@@ -44,7 +45,8 @@ def solve_optimum(problem: Problem) -> Answer:
     if problem.free is None:
         return finish_optimum(problem, first_pass(problem))
     bare = limited.without_torques(problem)
-    answer = over_tiles(partial(_whole, constrained=True), bare, problem.size, CAREFUL_TILE)
+    tile = partial(_optimum_tile, prior=None, effort=full_effort())
+    answer = over_tiles(tile, bare, problem.size, CAREFUL_TILE, problem.count)
     return limited.within_torques(problem, answer)
 
 
@@ -58,13 +60,13 @@ def solve_both(problem: Problem) -> tuple[Answer, Answer]:
 
 def first_pass(problem: Problem) -> Answer:
     """The closed form of every problem; ``undecided`` where it is too ill-conditioned for this pass."""
-    return over_tiles(_closed_tile, limited.without_torques(problem), problem.size, TILE)
+    return over_tiles(_closed_tile, limited.without_torques(problem), problem.size, TILE, problem.count)
 
 
 def finish_closed(problem: Problem, answer: Answer) -> Answer:
     """The closed form everywhere, from the first pass."""
     bare = limited.without_torques(problem)
-    return over_chosen(partial(_careful_tile, constrained=False), bare, answer, answer.undecided, CAREFUL_TILE)
+    return over_chosen(_careful_closed_tile, bare, answer, answer.undecided, CAREFUL_TILE)
 
 
 def finish_optimum(problem: Problem, answer: Answer) -> Answer:
@@ -81,25 +83,20 @@ def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
         given = outside & jnp.all(jnp.isfinite(problem.start), 1)
         answer = answer._replace(multiplier=jnp.where(given[:, None], problem.start, answer.multiplier))
 
-    def newton(stage: Array, answer: Answer) -> Answer:
-        tile = partial(_newton_tile, limit=jnp.asarray(STEPS)[stage])
-        return over_chosen(tile, problem, answer, _waiting(answer), _newton_width(problem))
+    def improve(stage: Array, answer: Answer) -> Answer:
+        effort = Effort(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL))[stage])
+        chosen = answer.undecided & (effort.careful | (answer.verdict == Verdict.OUTSIDE_CONES))
+        tile = partial(_optimum_tile, effort=effort)
+        return over_chosen(tile, problem, answer, chosen, _newton_width(problem))
 
-    # A loop rather than two calls: the stages are one piece of compiled code.
-    answer = lax.fori_loop(0, len(STEPS), newton, answer)
-    careful = partial(_careful_tile, constrained=True)
-    return over_chosen(careful, problem, answer, answer.undecided, CAREFUL_TILE)
+    # A loop rather than several calls: all stages, the careful one too, are one piece of compiled code.
+    return lax.fori_loop(0, len(STEPS) + 1, improve, answer)
 
 
 def _newton_width(problem: Problem) -> int:
     """Problems in a tile: few, since all wait for the slowest, and so few that a step's work stays in the cache."""
     contacts = problem.points.shape[1]
     return max(16, min(64, 2 ** int(math.log2(200 / contacts))))
-
-
-def _waiting(answer: Answer) -> Array:
-    """Problems that ran out of steps, but are fit for the fast path."""
-    return answer.undecided & (answer.verdict == Verdict.OUTSIDE_CONES)
 
 
 def _closed_tile(problem: Problem) -> Answer:
@@ -122,61 +119,60 @@ def _no_proof(lanes: Lanes) -> Six:
     return sixes.six(lanes.force, lanes.torque) * 0
 
 
-def _newton_tile(problem: Problem, prior: Answer, limit: Array) -> Answer:
-    """Newton from where the last stage stopped; what has not converged keeps OUTSIDE_CONES and stays undecided."""
+def _optimum_tile(problem: Problem, prior: Answer | None, effort: Effort) -> Answer:
+    """The optimum, as far as an effort goes.
+
+    The fast efforts begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
+    if more of the same may help. The careful one begins at the beginning, and needs no ``prior``.
+    """
+    careful = effort.careful
     lanes, valid = read(problem)
-    lanes, frame = normalise(lanes)
-    metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
-    linear, angular = multiplier_in(prior.multiplier, frame)
-    start = sixes.six(linear, angular)
-    ascent = ascend(Dual(lanes, unknowns, metric), start, ill, limit)
-    best = dual.best_forces(lanes, ascent.point, unknowns).forces
-    converged = newton.is_optimal(lanes, unknowns, metric, ascent.point, best) & ~ill
-    verdict = jnp.where(converged, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)
-    outcome = Outcome(best, ascent.point, verdict, ascent.steps + prior.steps, _no_proof(lanes), ~converged)
-    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
+    lanes, frame = principal(lanes, careful)
+    metric, unknowns, ill = _coordinates(problem, lanes, frame, careful)
+
+    def at_the_beginning() -> Search:
+        closed = _closed(lanes, frame, unknowns, metric)
+        decided = closed.verdict != Verdict.OUTSIDE_CONES
+        point = jnp.where(decided, closed.multiplier, 0)
+        return begin(point, closed.forces, closed.verdict, decided)._replace(certificate=closed.certificate)
+
+    def where_it_stopped() -> Search:
+        assert prior is not None
+        return begin(sixes.six(*multiplier_in(prior.multiplier, frame)), squeezing(lanes), Verdict.NOT_CONVERGED, ill)
+
+    begun = at_the_beginning() if prior is None else lax.cond(careful, at_the_beginning, where_it_stopped)
+    found = proximal_search(Free(lanes, frame, unknowns, metric), begun, effort)
+    converged = found.verdict == Verdict.OPTIMAL
+    steps = found.steps if prior is None else found.steps + jnp.where(careful, 0, prior.steps)
+    outcome = Outcome(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
+    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
-    undecided = answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED)
-    more = undecided & ~(ascent.stuck | converged | ill)[0]
+    undecided = ~careful & (answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
+    more = undecided & ~(found.stuck | converged | ill)[0]
     return answer._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, answer.verdict), undecided=undecided)
 
 
-def _careful_tile(problem: Problem, _: Answer, constrained: bool) -> Answer:
-    return _whole(problem, constrained)
+def _coordinates(problem: Problem, lanes: Lanes, frame: Frame, careful: Array) -> tuple[Metric, Unknowns, Array]:
+    """Metric and unknowns, whitened if ``careful``; and which lanes they do not suit."""
+    if problem.free is None:
+        return pseudo_inverse.metric_for(lanes, frame, careful)
+    metric, unknowns = whitened(problem, lanes, frame)
+    return metric, unknowns, jnp.zeros_like(lanes.force.x, bool)
 
 
-def _whole(problem: Problem, constrained: bool) -> Answer:
-    """The careful pass, which begins at the beginning; of guided objects the only one."""
+def _careful_closed_tile(problem: Problem, _: Answer | None = None) -> Answer:
+    """The closed form in principal axes."""
     lanes, valid = read(problem)
     lanes, frame = principal(lanes)
     metric, unknowns = whitened(problem, lanes, frame)
-    multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric)
-    forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
-    verdict = _closed_verdict(lanes, forces)
-    missed, direction = out_of_range(lanes, frame, unknowns)
-    outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, jnp.zeros_like(missed))
-    if constrained:
-        outcome = _improved(Free(lanes, frame, unknowns, metric), outcome, missed)
-    outcome = outcome._replace(verdict=jnp.where(missed, Verdict.INFEASIBLE, outcome.verdict))
+    outcome = _closed(lanes, frame, unknowns, metric)
     return write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
 
 
-def _improved(ground: Free, closed: Outcome, decided: Array) -> Outcome:
-    """The optimum of lanes that are not ``decided`` and whose closed form is not optimal already."""
-    optimal = closed.verdict == Verdict.CLOSED_FORM_OPTIMAL
-    kept = optimal | decided
-    begun = Search(
-        point=jnp.where(kept, closed.multiplier, 0),
-        verdict=jnp.where(optimal, closed.verdict, Verdict.NOT_CONVERGED),
-        steps=closed.steps,
-        certificate=closed.certificate,
-        decided=kept,
-    )
-    best, found = proximal_search(ground, begun)
-    return closed._replace(
-        forces=fours.where(kept, closed.forces, best),
-        multiplier=found.point,
-        verdict=found.verdict,
-        steps=found.steps,
-        certificate=found.certificate,
-    )
+def _closed(lanes: Lanes, frame: Frame, unknowns: Unknowns, metric: Metric) -> Outcome:
+    """The closed form of whitened lanes."""
+    multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric)
+    forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
+    missed, direction = out_of_range(lanes, frame, unknowns)
+    verdict = jnp.where(missed, Verdict.INFEASIBLE, _closed_verdict(lanes, forces))
+    return Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, jnp.zeros_like(missed))

@@ -18,7 +18,7 @@ from jaxgrasp.force.dual import Forces
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame
 from jaxgrasp.force.lanes import Lanes, Problem
-from jaxgrasp.force.newton import Proximal
+from jaxgrasp.force.newton import Judged, Proximal
 from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns
@@ -203,12 +203,13 @@ class Limited(NamedTuple):
         rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
         return jnp.concatenate([trial[:6], rates])
 
-    def is_optimal(self, point: Array, best: Four, slack: float = 1.0) -> Array:
+    def judge(self, point: Array) -> Judged:
         """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
+        best = self.forces(point).forces
         found = measure(self.lanes, best, self.unknowns)
         off = _off_ridge(torques(self.rows, best), point[6:], self.rows.bound)
         rest = jnp.concatenate([self.unknowns.wrench(*sixes.parts(found.rest)), off])
-        return newton.has_converged(self.lanes, point, rest, self.size2(rest), found.objective, found.push, slack)
+        return newton.judged(self.lanes, best, point, rest, self.size2(rest), found)
 
 
 def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> Bordered:

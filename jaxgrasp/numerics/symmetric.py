@@ -52,10 +52,14 @@ def multiply(a: Lower, x: Sequence[Array]) -> list[Array]:
     return [sum(entry(i, j) * x[j] for j in range(len(x))) for i in range(len(x))]
 
 
-def principal_axes(a: Lower) -> tuple[Vec, Vec, Vec]:
+SWEEPS = 5
+"""Sweeps of Jacobi's rotations that reach machine precision from any start; the last ones converge quadratically."""
+
+
+def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec, Vec, Vec]:
     """Orthonormal eigenvectors of 3x3 matrices, by Jacobi's rotations; in no order.
 
-    Five sweeps reach machine precision from any start; the convergence is quadratic in the last ones.
+    The coordinate axes as they are, at no cost, where the scalar ``wanted`` is false.
     """
     one, zero = jnp.ones_like(a[0][0]), jnp.zeros_like(a[0][0])
     identity = (Vec(one, zero, zero), Vec(zero, one, zero), Vec(zero, zero, one))
@@ -67,7 +71,7 @@ def principal_axes(a: Lower) -> tuple[Vec, Vec, Vec]:
             matrix, axes = _rotate_pair(matrix, axes, p, q)
         return matrix, axes
 
-    _, axes = lax.fori_loop(0, 5, sweep, (entries, identity))
+    _, axes = lax.fori_loop(0, jnp.where(wanted, SWEEPS, 0), sweep, (entries, identity))
     return axes
 
 

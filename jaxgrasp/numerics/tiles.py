@@ -31,8 +31,12 @@ def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, 
     return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(batch, array, tail)
 
 
-def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int) -> Out:
+def over_tiles(
+    function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int, count: Array | None = None
+) -> Out:
     """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time.
+
+    Where a ``count`` is given, no tile is computed that lies behind the first so many problems: zeros stand there.
 
     The last tile overlaps the one before it instead of being padded: its problems are computed twice,
     to the same bits.
@@ -48,7 +52,8 @@ def over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, tile
         start = jnp.minimum(i * tile, size - tile)
         return _write(results, function(_slice(arguments, start, size, tile)), start)
 
-    return lax.fori_loop(0, -(-size // tile), body, results)
+    tiles = -(-(size if count is None else jnp.minimum(count, size)) // tile)
+    return lax.fori_loop(0, tiles, body, results)
 
 
 def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, tile: int) -> Out:
@@ -88,7 +93,7 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
 
 def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
     """The results of a batch without problems."""
-    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]), x.dtype), arguments)
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]) if x.ndim else (), x.dtype), arguments)
     return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, one))
 
 
@@ -98,11 +103,16 @@ def merged(which: Array, new: Tree, old: Tree) -> Tree:
 
 
 def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:
-    return jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile) if x.shape[0] == size else x, tree)
+    return jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile) if _is_long(x, size) else x, tree)
 
 
 def _take(tree: Tree, lanes: Array, size: int) -> Tree:
-    return jax.tree.map(lambda x: x[lanes] if x.shape[0] == size else x, tree)
+    return jax.tree.map(lambda x: x[lanes] if _is_long(x, size) else x, tree)
+
+
+def _is_long(array: Array, size: int) -> bool:
+    """Whether an array has something for each problem, rather than one thing that all share."""
+    return array.ndim > 0 and array.shape[0] == size
 
 
 def _write(results: Out, part: Out, start: Array) -> Out:

@@ -75,7 +75,9 @@ def test_no_torsion_is_a_hard_finger():
     )
     assert hard.moments is None and not none.moments.any()
     np.testing.assert_array_equal(none.verdict, hard.verdict)
-    np.testing.assert_allclose(none.forces, hard.forces, rtol=1e-11, atol=1e-11)
+    # Two programs round differently, so beside the largest force that a problem needs.
+    size = np.abs(hard.forces).max((1, 2))
+    assert (np.abs(none.forces - hard.forces).max((1, 2)) <= 1e-11 * size).all()
 
 
 def test_two_soft_fingers_with_known_answers():

@@ -1,0 +1,118 @@
+"""What users wait for before a first answer: CPU seconds of compiling, before and after; and what it does to answers.
+
+    python -m benchmarks.compile --out benchmarks/results
+
+Writes compile.json and compile.md. ``programs`` measures each public call in this version and in the one before, which
+is checked out from the repository's history; ``verdicts`` solves every kind of hard problem under four sets of compile
+options; ``suite`` runs the quick tests with nothing compiled, one after the other.
+"""
+
+from benchmarks.one_thread import one_thread
+
+one_thread()
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.page import compile_tables
+from benchmarks.sections import run_sections
+
+NAME = "compile"
+HERE = Path(__file__).parent
+BEFORE = "be510ef"
+OPTIONS = {
+    "as users compile": "",
+    "fusion emitters off": "--xla_cpu_use_fusion_emitters=false",
+    "LLVM at level 0": "--xla_backend_optimization_level=0",
+    "level 1, emitters off": "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false",
+}
+
+
+class Plan(NamedTuple):
+    """How much of everything."""
+
+    batches: tuple[int, ...] = (1, 1000)
+    calls: tuple[str, ...] = ()
+    """Those measured; all if empty."""
+    repeats: int = 2
+    """Times that both versions are measured, in turns; the least counts, since neighbours only add."""
+    problems: int = 1000
+    """Of each kind, size and sharing."""
+    tests: tuple[str, ...] = ("tests",)
+
+
+def programs(plan: Plan) -> list[dict]:
+    with tempfile.TemporaryDirectory() as scratch:
+        before = Path(scratch) / "before"
+        subprocess.run(["git", "-C", HERE.parent, "worktree", "add", "-q", before, BEFORE], check=True)
+        try:
+            runs = [
+                {"version": version, **row}
+                for batch in plan.batches
+                for _ in range(plan.repeats)
+                for version, folder in (("before", before), ("after", HERE.parent))
+                for row in _lines([str(batch), *plan.calls], (HERE / "compiled_calls.py").read_text(), folder)
+            ]
+        finally:
+            subprocess.run(["git", "-C", HERE.parent, "worktree", "remove", "--force", before], check=True)
+    return _least(runs)
+
+
+def _least(runs: list[dict]) -> list[dict]:
+    kept: dict[tuple, dict] = {}
+    for run in runs:
+        key = (run["call"], run["batch"], run["version"])
+        old = kept.setdefault(key, run)
+        kept[key] = run | {name: min(old[name], run[name]) for name in ("inside", "alone")}
+    return list(kept.values())
+
+
+def _lines(arguments: list[str], code: str, folder: Path, flags: str = "") -> list[dict]:
+    """What a process prints that finds its packages in a folder first."""
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        cwd=folder,
+        env={**os.environ, "XLA_FLAGS": flags, "PYTHONPATH": str(folder)},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def verdicts(plan: Plan) -> dict[str, dict]:
+    code = (HERE / "compiled_verdicts.py").read_text()
+    return {name: _lines([str(plan.problems)], code, HERE.parent, flags)[0] for name, flags in OPTIONS.items()}
+
+
+def suite(plan: Plan) -> dict:
+    """CPU seconds of the quick tests, by folder."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "times.json"
+        environment = {**os.environ, "XDG_CACHE_HOME": scratch, "JAXGRASP_TEST_TIMES": str(path)}
+        for name in ("JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"):  # the tests' own are measured
+            environment.pop(name, None)
+        pytest = [sys.executable, "-m", "pytest", "-p", "benchmarks.suite_times", "-p", "no:cacheprovider"]
+        subprocess.run([*pytest, *plan.tests], cwd=HERE.parent, env=environment, check=True, stdout=subprocess.DEVNULL)
+        seconds: Counter = Counter()
+        for test, spent in json.loads(path.read_text()).items():
+            seconds[Path(test.split("::")[0]).parts[1]] += spent
+    return dict(seconds)
+
+
+SECTIONS = {"programs": programs, "verdicts": verdicts, "suite": suite}
+QUICK = Plan(batches=(1,), calls=("closed_form",), repeats=1, problems=4, tests=("tests/numerics",))
+
+
+def main() -> None:
+    run_sections(__doc__, NAME, SECTIONS, (Plan(), QUICK), compile_tables.page)
+
+
+if __name__ == "__main__":
+    main()

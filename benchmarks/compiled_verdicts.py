@@ -1,0 +1,37 @@
+"""Verdicts of hard problems under one set of compile options: run by ``benchmarks.compile``, in a process of its own.
+
+Prints one line of JSON: of each kind how many problems there were and how many stayed undecided.
+"""
+
+import json
+import sys
+from collections import defaultdict
+
+import jax
+import numpy as np
+
+import jaxgrasp
+from benchmarks import problems as P
+from jaxgrasp import Grasp, Verdict
+
+SIZES = (1, 2, 3, 5, 10, 20)
+SHARINGS = ("squeeze", "uniform")
+
+
+def verdicts(count: int, seed: int = 3) -> dict[str, list[int]]:
+    solve = jax.jit(lambda grasp, wrench, weights: jaxgrasp.constrained_optimum(grasp, wrench, weights).verdict)
+    found: dict[str, list[int]] = defaultdict(lambda: [0, 0])
+    for n in SIZES:
+        for kind in (kind for kind in P.KINDS if n >= P.LEAST_CONTACTS.get(kind, 1)):
+            made = P.problems(kind, n, count, seed)
+            grasp = Grasp(made.points, made.normals, made.friction, made.squeeze)
+            for sharing in SHARINGS:
+                verdict = np.asarray(solve(grasp, made.wrench, made.weights(sharing)))
+                found[kind][0] += count
+                found[kind][1] += int(np.sum(verdict == Verdict.NOT_CONVERGED))
+    return found
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(verdicts(int(sys.argv[1]))))

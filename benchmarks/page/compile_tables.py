@@ -1,0 +1,48 @@
+"""The page of compile times in Markdown, from the report that the JSON holds too."""
+
+from benchmarks.page.tables import made_by, table
+
+
+def page(report: dict) -> str:
+    parts = ["# Compiling", made_by("compile", report["machine"], ("jaxgrasp", "jax")) + "."]
+    writers = {"programs": _programs, "verdicts": _verdicts, "suite": _suite}
+    parts += [write(report[name]) for name, write in writers.items() if name in report]
+    return "\n\n".join(parts) + "\n"
+
+
+def _programs(rows: list[dict]) -> str:
+    found = {(row["call"], row["batch"], row["version"]): row for row in rows}
+    lines = []
+    for call, batch in dict.fromkeys((row["call"], row["batch"]) for row in rows):
+        before, after = found[call, batch, "before"], found[call, batch, "after"]
+        line: list[object] = [call, batch]
+        for name in ("inside", "alone"):
+            ratio = after[name] / before[name]
+            line += [f"{before[name]:.1f}", f"{after[name]:.1f}", f"{ratio:.2f}"]
+        lines.append([*line, before["fusions"], after["fusions"]])
+    head = ["call", "batch", "inside: before", "after", "ratio", "alone: before", "after", "ratio", "fusions", "after"]
+    return (
+        "## First calls\n\n"
+        "CPU seconds, n = 5, nothing cached: inside a program of the user's own (tracing, lowering and compiling of "
+        "`jax.jit(call)`), and alone (the first call, outside of any). Fusions are those of the first. Before is "
+        "commit be510ef, measured in turns; the least of the repeats.\n\n" + table(head, lines)
+    )
+
+
+def _verdicts(columns: dict[str, dict[str, list[int]]]) -> str:
+    kinds = list(next(iter(columns.values())))
+    lines = [
+        [kind, next(iter(columns.values()))[kind][0], *(column[kind][1] for column in columns.values())]
+        for kind in kinds
+    ]
+    return (
+        "## Verdicts do not hang on how XLA compiles\n\n"
+        "Problems that stay NOT_CONVERGED, n = 1 to 20, both sharings.\n\n"
+        + table(["kind", "problems", *columns], lines)
+    )
+
+
+def _suite(seconds: dict[str, float]) -> str:
+    lines = [[folder, f"{spent:.0f}"] for folder, spent in sorted(seconds.items(), key=lambda item: -item[1])]
+    lines.append(["all", f"{sum(seconds.values()):.0f}"])
+    return "## The quick tests\n\nCPU seconds in one process, nothing cached.\n\n" + table(["folder", "s"], lines)

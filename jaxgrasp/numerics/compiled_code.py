@@ -1,0 +1,50 @@
+"""Compiled code: where it is kept between processes, and how it is made."""
+
+import os
+from functools import cache
+from pathlib import Path
+
+import jax
+from jax.experimental.compilation_cache import compilation_cache
+
+LEAST_SECONDS = 0.5
+"""Programs that compile faster than this are not worth a file."""
+
+
+def use_cache(folder: str | os.PathLike | None = None) -> Path:
+    """Keep compiled code in a folder, for this process and the next ones; the command line does so by itself.
+
+    What is kept goes by the program itself, the versions and the machine, so it never has to be thrown away. This
+    changes settings of JAX for the whole process, as it says, and only where it is called.
+
+    Args:
+        folder: made where it is not there yet; where not given, ``JAX_COMPILATION_CACHE_DIR`` if that is set, or
+            ``jaxgrasp/jax`` in the user's folder for caches, the command line's own.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OSError: where there can be no such folder.
+    """
+    path = Path(folder or os.environ.get("JAX_COMPILATION_CACHE_DIR") or _home() / "jaxgrasp" / "jax")
+    path.mkdir(parents=True, exist_ok=True)
+    jax.config.update("jax_compilation_cache_dir", str(path))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
+    # JAX looks for its folder at the first compilation, which may have been.
+    compilation_cache.reset_cache()
+    return path
+
+
+def _home() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+@cache
+def compile_options() -> dict[str, str | bool] | None:
+    """Options with which XLA compiles programs for the processor in two thirds of the time, to the same speed.
+
+    Known of these versions alone; another may not know the option, and would refuse it.
+    """
+    known = (0, 10) <= jax.__version_info__ < (0, 11) and jax.default_backend() == "cpu"
+    return {"xla_cpu_use_fusion_emitters": False} if known else None

@@ -1,0 +1,87 @@
+"""A question asked of any number of problems: few programs, and the same answers as one by one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrasp
+from benchmarks import problems as P
+from jaxgrasp import Grasp, Verdict
+from jaxgrasp.force.ask import SIZES
+
+N = 3
+MANY = P.problems("ordinary", N, 1000, seed=5)
+THIRTY = (*range(1, 12), 20, 33, 50, 64, 99, 100, 101, 128, 150, 200, 256, 333, 400, 512, 600, 700, 800, 999, 1000)
+
+
+def asked(count: int, first: int = 0) -> tuple[Grasp, np.ndarray]:
+    some = slice(first, first + count)
+    return Grasp(MANY.points[some], MANY.normals[some], MANY.friction[some], MANY.squeeze[some]), MANY.wrench[some]
+
+
+@pytest.fixture
+def compilations():
+    """How many programs were compiled, or taken from what is kept, since the test began."""
+    seen: list[str] = []
+
+    def listen(name: str, duration: float, **details) -> None:
+        if name.endswith("backend_compile_duration"):
+            seen.append(str(details.get("fun_name")))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield seen
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_thirty_sizes_need_few_programs(compilations):
+    assert len(THIRTY) == 30
+    for count in THIRTY:
+        jaxgrasp.closed_form(*asked(count))
+    within = [size for size in SIZES if size <= max(THIRTY)]
+    # One for each size that is padded to, and one more for those that need no padding.
+    assert len(compilations) <= 2 * len(within)
+
+
+def test_padding_changes_nothing():
+    whole = jax.device_get(jaxgrasp.constrained_optimum(*asked(100)))
+    for count, first in ((7, 0), (9, 31), (60, 40)):
+        part = jax.device_get(jaxgrasp.constrained_optimum(*asked(count, first)))
+        mine = jax.tree.map(lambda x, first=first, count=count: x[first : first + count], whole)
+        np.testing.assert_array_equal(part.verdict, mine.verdict)
+        assert (part.verdict <= Verdict.OPTIMAL).all()
+        np.testing.assert_allclose(part.forces, mine.forces, rtol=1e-10, atol=1e-10)
+        np.testing.assert_allclose(part.objective, mine.objective, rtol=1e-10)
+
+
+def test_leading_axes_come_back_whatever_the_size():
+    grasp, wrench = asked(6)
+    folded = jax.tree.map(lambda x: x.reshape(2, 3, *x.shape[1:]), grasp)
+    flat = jaxgrasp.closed_form(grasp, wrench)
+    found = jaxgrasp.closed_form(folded, wrench.reshape(2, 3, 6))
+    assert isinstance(found.forces, jax.Array) and found.forces.shape == (2, 3, N, 3)
+    np.testing.assert_array_equal(found.forces.reshape(6, N, 3), flat.forces)
+
+
+def test_a_grasp_that_many_wrenches_share_stays_one():
+    grasp, wrench = jax.tree.map(lambda x: x[0], asked(7)[0]), asked(7)[1]
+    together = jaxgrasp.closed_form(grasp, wrench)
+    apart = [jaxgrasp.closed_form(grasp, each).forces for each in wrench]
+    np.testing.assert_allclose(together.forces, apart, rtol=1e-12, atol=1e-12)
+
+
+def test_constants_may_be_asked_inside_another_program():
+    grasp, wrench = asked(7)
+    inside = jax.jit(lambda: jaxgrasp.closed_form(grasp, wrench).forces)()
+    np.testing.assert_allclose(inside, jaxgrasp.closed_form(grasp, wrench).forces, rtol=1e-12, atol=1e-12)
+    by_scale = jax.grad(lambda scale: scale * jnp.sum(jaxgrasp.closed_form(grasp, wrench).objective))(1.0)
+    np.testing.assert_allclose(by_scale, jaxgrasp.closed_form(grasp, wrench).objective.sum(), rtol=1e-12)
+
+
+def test_no_problem_at_all_has_no_answers():
+    assert jaxgrasp.constrained_optimum(*asked(0)).forces.shape == (0, N, 3)
+
+
+def test_precision_is_that_of_the_data():
+    grasp, wrench = jax.tree.map(lambda x: x.astype(np.float32), asked(7))
+    assert jaxgrasp.closed_form(grasp, wrench).forces.dtype == np.float32

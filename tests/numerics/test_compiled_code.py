@@ -1,0 +1,68 @@
+"""Compiled code that is kept serves the next process, and nothing changes until it is asked for."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = """
+import jax, jaxgrasp
+assert jax.config.jax_compilation_cache_dir is None
+jax.jit(lambda x: x + 1)(1.0)  # the first compilation, before there is a folder
+hits = []
+jax.monitoring.register_event_listener(lambda name, **_: hits.append(name.endswith("/cache_hits")))
+print(jaxgrasp.use_cache({folder}))
+grasp = jaxgrasp.Grasp(jax.numpy.eye(3), -jax.numpy.eye(3), jax.numpy.ones(3), jax.numpy.ones(3))
+jaxgrasp.closed_form(grasp, jax.numpy.zeros(6))
+print(any(hits))
+"""
+
+
+def run(folder: str = "", **environment: str) -> list[str]:
+    environment = {name: value for name, value in os.environ.items() if "CACHE" not in name} | environment
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(folder=folder)], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_the_next_process_finds_what_was_kept(tmp_path):
+    kept = tmp_path / "kept"
+    assert run(repr(str(kept))) == [str(kept), "False"]
+    assert any(kept.iterdir())
+    assert run(repr(str(kept))) == [str(kept), "True"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name, rest", [("JAX_COMPILATION_CACHE_DIR", ()), ("XDG_CACHE_HOME", ("jaxgrasp", "jax"))])
+def test_the_folder_is_the_command_lines_own(tmp_path, name, rest):
+    if name == "JAX_COMPILATION_CACHE_DIR":
+        # JAX reads this one itself.
+        environment = {**os.environ, name: str(tmp_path)}
+        code = "import jaxgrasp; print(jaxgrasp.use_cache())"
+        said = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True).stdout
+    else:
+        said = run(**{name: str(tmp_path)})[0]
+    assert Path(said.strip()) == tmp_path.joinpath(*rest)
+
+
+def test_a_folder_that_cannot_be_is_an_error(tmp_path):
+    from jaxgrasp import use_cache
+
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        use_cache(tmp_path / "file" / "below")
+
+
+def test_commands_run_where_nothing_can_be_kept(tmp_path):
+    (tmp_path / "file").touch()
+    done = subprocess.run(
+        [sys.executable, "-c", "from jaxgrasp.cli.machine import set_up_jax; set_up_jax('float64')"],
+        env=os.environ | {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "file" / "below")},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0 and done.stderr.startswith("compiled code is not kept: ")

@@ -1,5 +1,6 @@
 """With how little friction a grasp holds its load, if its normal forces may reach a total."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -66,8 +67,9 @@ def _least_share(problem: Problem, total: Array | None = None) -> Array:
 
 @jax.custom_jvp
 def _share(problem: Problem, total: Array) -> Array:
-    # One tile's search ends when its own problems are done.
-    return jnp.exp(over_tiles(lambda these: _search(*these), (problem, total), problem.size, TILE, problem.count))
+    # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
+    all_there = replace(problem, count=None)
+    return jnp.exp(over_tiles(lambda these: _search(*these), (all_there, total), problem.size, TILE, problem.count))
 
 
 @_share.defjvp

@@ -15,7 +15,6 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxgrasp.batch.blocks import Block
 from jaxgrasp.force import stages
 from jaxgrasp.force.angles import friction_margin, spin_force
-from jaxgrasp.force.answer import Answer
 from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS
@@ -106,12 +105,12 @@ class Engine:
     def _one_sharing(self, sharing: str, block: Block) -> dict[str, MethodResult]:
         wanted = [method for method in self.methods if method.sharing == sharing]
         problem = _problem(sharing, block)
-        first, closed, spent = self._timed(_closed_block, problem)
+        closed, spent = self._timed(stages.solve_closed, problem)
         results = {}
         for method in wanted:
             answer, own = closed, 0.0
             if method.constrained:
-                answer, own = self._timed(stages.finish_optimum, problem, first)
+                answer, own = self._timed(stages.finish_optimum, problem, closed)
             with self._counting:
                 self.times.solving[method.name] += spent + own
             margin, violation, _ = self._timed(_margins, block.grasp, answer.forces, answer.moments)
@@ -162,12 +161,6 @@ class _Program:
 @cache
 def _program(function: Callable, mesh: Mesh) -> _Program:
     return _Program(function, mesh)
-
-
-def _closed_block(problem: Problem) -> tuple[Answer, Answer]:
-    """The first pass, which the optimum starts from, and the closed form."""
-    first = stages.first_pass(problem)
-    return first, stages.finish_closed(problem, first)
 
 
 def _problem(sharing: str, block: Block) -> Problem:

@@ -86,7 +86,7 @@ def write(
         residual=_row(error, size),
         objective=_row(unit * objective, size),
         steps=_row(outcome.steps, size).astype(jnp.int32),
-        route=jnp.full((size,), route, jnp.int32),
+        route=_row(jnp.full_like(verdict, route), size).astype(jnp.int32),
         rank=_row(rank(frame, unknowns), size).astype(jnp.int32),
         certificate=certificate,
         undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),

@@ -30,24 +30,32 @@ class Frame(NamedTuple):
     axes: tuple[Vec, Vec, Vec] | None = None
 
 
-def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
-    """Coordinates of order one about the weighted centroid.
+class Place(NamedTuple):
+    """Where the contacts are, which says all of a frame but its load."""
 
-    Moving the torque from a frame far away leaves little of its digits: in single arithmetic, contacts 1e-7 off a
-    line ten metres away would have an objective wrong by 1e-7. ``carefully`` keeps them all.
-    """
-    weight, squeeze = vec.totals(lanes.weights, lanes.squeeze)
+    first: Vec
+    rest: Vec
+    """The centre is their sum: the first mean is off by rounding of the frame's distance, a second one mends that."""
+    length: Array
+    blur: Array
+    """Distances that are rounding, of points so far away."""
+    reach: Array
+    """Mean distance of the contacts from the centre."""
+    weight: Array
+
+    @property
+    def centre(self) -> Vec:
+        return vec.add(self.first, self.rest)
+
+
+def place(lanes: Lanes) -> tuple[Lanes, Place]:
+    """Arms about the weighted centroid, lengths and weights of order one; forces and torque as they are."""
+    (weight,) = vec.totals(lanes.weights)
     k = lanes.weights / jnp.where(weight > 0, weight, 1)
     first = Vec(*vec.totals(*vec.scale(k, lanes.arms)))
     rough = vec.sub(lanes.arms, first)
-    # The first mean is off by rounding of the frame's distance; a second one mends that.
     rest = Vec(*vec.totals(*vec.scale(k, rough)))
     arms = vec.sub(rough, rest)
-    if carefully:
-        moved = doubled.minus_cross(lanes.torque, first, lanes.force)
-    else:
-        moved = vec.sub(lanes.torque, vec.cross(first, lanes.force))
-    torque = vec.sub(moved, vec.cross(rest, lanes.force))
     centre = vec.add(first, rest)
     size2, size = vec.dot(arms, arms), vec.taxicab(arms)
     if lanes.lever is not None:
@@ -57,14 +65,48 @@ def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
     # Contacts that coincide but for rounding have no length of their own.
     blur = tolerances(length.dtype).rank * jnp.sqrt(vec.dot(centre, centre))
     length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec.dot(centre, centre)), 1))
-    pull = vec.norm(lanes.force) + vec.norm(torque) / length
-    load = squeeze + pull
-    smallest = tolerances(length.dtype).smallest
-    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (weight, load)))
-    sound = sound & ((reach <= blur) | (reach >= smallest))
+    lever = None if lanes.lever is None else lanes.lever / length
+    placed = lanes._replace(arms=vec.scale(1 / length, arms), weights=k, lever=lever)
+    return placed, Place(first, rest, length, blur, reach, weight)
+
+
+def torque_about(place: Place, lanes: Lanes, carefully: bool) -> Vec:
+    """The torque about the centre.
+
+    Moving it from a frame far away leaves little of its digits: in single arithmetic, contacts 1e-7 off a line ten
+    metres away would have an objective wrong by 1e-7. ``carefully`` keeps them all.
+    """
+    if carefully:
+        moved = doubled.minus_cross(lanes.torque, place.first, lanes.force)
+    else:
+        moved = vec.sub(lanes.torque, vec.cross(place.first, lanes.force))
+    return vec.sub(moved, vec.cross(place.rest, lanes.force))
+
+
+def loaded(place: Place, lanes: Lanes, axes: tuple[Vec, Vec, Vec] | None = None) -> tuple[Lanes, Frame]:
+    """Placed lanes whose forces are of order one too, and the whole frame; ``axes`` are those they were turned into."""
+    (squeeze,) = vec.totals(lanes.squeeze)
+    load = squeeze + vec.norm(lanes.force) + vec.norm(lanes.torque) / place.length
+    smallest = tolerances(load.dtype).smallest
+    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight, load)))
+    sound = sound & ((place.reach <= place.blur) | (place.reach >= smallest))
     load = jnp.where(load > 0, load, 1)
-    frame = Frame(centre, length, weight, load, sound)
-    return scaled(lanes, frame, arms, k, torque), frame
+    return (
+        lanes._replace(
+            squeeze=lanes.squeeze / load,
+            force=vec.scale(1 / load, lanes.force),
+            torque=vec.scale(1 / (load * place.length), lanes.torque),
+            least=None if lanes.least is None else lanes.least / load,
+            most=None if lanes.most is None else lanes.most / load,
+        ),
+        Frame(place.centre, place.length, place.weight, load, sound, axes),
+    )
+
+
+def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
+    """Coordinates of order one about the weighted centroid; ``carefully``, so that the torque keeps its digits."""
+    placed, where = place(lanes)
+    return loaded(where, placed._replace(torque=torque_about(where, lanes, carefully)))
 
 
 def scaled(lanes: Lanes, frame: Frame, arms: Vec, weights: Array, torque: Vec) -> Lanes:
@@ -83,7 +125,7 @@ def scaled(lanes: Lanes, frame: Frame, arms: Vec, weights: Array, torque: Vec) -
     )
 
 
-def blur(frame: Frame) -> Array:
+def blur(frame: Frame | Place) -> Array:
     """By how much the frame's distance multiplies the rounding of points: 1 where it is near."""
     return 1 + jnp.sqrt(vec.dot(frame.centre, frame.centre)) / frame.length
 

@@ -1,13 +1,15 @@
 """The closed form of eqs. 11 and 15 in centred coordinates: a scalar, and a 3x3 system."""
 
+from functools import partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.force import dual, fours, sixes
 from jaxgrasp.force.fours import Four
-from jaxgrasp.force.frame import Frame, blur, inertia
+from jaxgrasp.force.frame import Frame, Place, blur, inertia, loaded, place, torque_about, turn
 from jaxgrasp.force.lanes import Lanes, squeezing
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
@@ -42,27 +44,78 @@ def _sound_factors(matrix: symmetric.Lower) -> tuple[tuple[list[list[Array]], li
 
 def metric_for(lanes: Lanes, frame: Frame, whiten: Array) -> tuple[Metric, Stretch, Array]:
     """By the scalar ``whiten`` either ``whitened_metric``, which suits every lane, or ``plain_metric``: one code."""
-    metric, stretch = whitened_metric(lanes, frame, whiten)
+    matrix = inertia(lanes)
+    scales = Vec(*(jnp.where(whiten, s, 1) for s in _whitening(matrix, frame)))
+    metric = _scaled_metric(matrix, scales)
     factors, ill = _sound_factors(metric.inertia)
-    return Metric(metric.inertia, factors), stretch, ill & ~whiten
+    return Metric(metric.inertia, factors), Stretch(scales), ill & ~whiten
 
 
-def whitened_metric(lanes: Lanes, frame: Frame, whiten: bool | Array = True) -> tuple[Metric, Stretch]:
+def whitened_metric(lanes: Lanes, frame: Frame) -> tuple[Metric, Stretch]:
     """For lanes in principal axes: the unknowns that makes the metric the identity but for rounding.
 
     Axes along which the contacts have no spread get a unknowns of zero: no force can turn the object
     about them.
     """
     matrix = inertia(lanes)
+    scales = _whitening(matrix, frame)
+    return _scaled_metric(matrix, scales), Stretch(scales)
+
+
+def _whitening(matrix: symmetric.Lower, frame: Frame | Place) -> Vec:
+    """Scales of the angular unknowns along principal axes; zero along those that are out of reach."""
     diagonal = [matrix[i][i] for i in range(3)]
     cut = (tolerances(diagonal[0].dtype).rank * blur(frame)) ** 2
-    scales = Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
-    if whiten is not True:
-        scales = Vec(*(jnp.where(whiten, s, 1) for s in scales))
+    return Vec(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
+
+
+def _scaled_metric(matrix: symmetric.Lower, scales: Vec) -> Metric:
     rows = [[scales[i] * scales[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
     for i in range(3):
         rows[i][i] = jnp.where(scales[i] > 0, rows[i][i], 1)
-    return Metric(rows, symmetric.factor(rows)), Stretch(scales)
+    return Metric(rows, symmetric.factor(rows))
+
+
+class Suited(NamedTuple):
+    """Each lane in coordinates that suit it."""
+
+    lanes: Lanes
+    frame: Frame
+    metric: Metric
+    unknowns: Unknowns
+    ill: Array
+    """Lanes that are too ill-conditioned for the axes as they are: along principal axes, whitened, refined."""
+
+
+def suited(lanes: Lanes) -> Suited:
+    """Coordinates as they are where they will do, principal and whitened in other lanes.
+
+    What only the others need stands in a loop that ends at once where there is none. Every lane's numbers are its own,
+    whatever others stand beside it.
+    """
+    placed, where = place(lanes)
+    matrix = inertia(placed)
+    one, zero = jnp.ones_like(matrix[0][0]), jnp.zeros_like(matrix[0][0])
+    own = (Vec(one, zero, zero), Vec(zero, one, zero), Vec(zero, zero, one))
+    # Lanes where no contact carries anything are not worth the care.
+    matrix = [[jnp.where(where.weight > 0, m, o) for m, o in zip(*rows, strict=False)] for rows in zip(matrix, own)]
+    _, ill = _sound_factors(matrix)
+    plain = placed._replace(torque=torque_about(where, lanes, carefully=False))
+
+    def with_care(_, state):
+        plain, axes, matrix, scales = state
+        exact = torque_about(where, lanes, carefully=True)
+        found = symmetric.principal_axes(matrix)
+        axes = tuple(vec.where(ill, *pair) for pair in zip(found, axes, strict=True))
+        turned = turn(plain._replace(torque=vec.where(ill, exact, plain.torque)), axes)
+        along = inertia(turned)
+        scales = vec.where(ill, _whitening(along, where), scales)
+        return turned, axes, jax.tree.map(partial(jnp.where, ill), along, matrix), scales
+
+    given = (plain, own, matrix, Vec(one, one, one))
+    ready, axes, matrix, scales = lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), with_care, given)
+    ready, frame = loaded(where, ready, axes)
+    return Suited(ready, frame, _scaled_metric(matrix, scales), Stretch(scales), ill)
 
 
 def closed_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
@@ -70,13 +123,15 @@ def closed_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     return _balancing(lanes, squeezing(lanes), unknowns, metric)
 
 
-def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
-    """The same, corrected by what it leaves unbalanced: a whitened metric is only the identity but for rounding."""
+def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric, ill: Array) -> Six:
+    """The same, of ``ill`` lanes corrected by what it leaves: whitened, a metric is the identity but for rounding."""
 
-    def balance(_, multiplier: Six) -> Six:
-        return multiplier + _balancing(lanes, free_forces(lanes, multiplier, unknowns), unknowns, metric)
+    def balance(i, multiplier: Six) -> Six:
+        more = _balancing(lanes, free_forces(lanes, multiplier, unknowns), unknowns, metric)
+        return multiplier + jnp.where((i == 0) | ill, more, 0)
 
-    return lax.fori_loop(0, 2, balance, jnp.zeros((6, lanes.squeeze.shape[-1]), lanes.squeeze.dtype))
+    trips = 1 + jnp.any(ill).astype(jnp.int32)
+    return lax.fori_loop(0, trips, balance, jnp.zeros((6, lanes.force.x.shape[-1]), lanes.squeeze.dtype))
 
 
 def _balancing(lanes: Lanes, forces: Four, unknowns: Unknowns, metric: Metric) -> Six:

@@ -13,19 +13,17 @@ from jaxgrasp.numerics.vec import Vec
 
 def minus_cross(t: Vec, a: Vec, b: Vec) -> Vec:
     """t - a x b, where the difference may be far smaller than its terms."""
-    return Vec(
-        _minus_difference(t.x, (a.y, b.z), (a.z, b.y)),
-        _minus_difference(t.y, (a.z, b.x), (a.x, b.z)),
-        _minus_difference(t.z, (a.x, b.y), (a.y, b.x)),
-    )
-
-
-def _minus_difference(t: Array, plus: tuple[Array, Array], minus: tuple[Array, Array]) -> Array:
-    """t - (plus[0] plus[1] - minus[0] minus[1])."""
-    (p, p_error), (m, m_error) = _product(*plus), _product(*minus)
-    first, first_error = _sum(t, -p)
+    start, left, right = (jnp.stack(jnp.broadcast_arrays(*each)) for each in (t, a, b))
+    p, p_error = _product(_after(left, 1), _after(right, 2))
+    m, m_error = _product(_after(left, 2), _after(right, 1))
+    first, first_error = _sum(start, -p)
     second, second_error = _sum(first, m)
-    return second + (first_error + second_error + (m_error - p_error))
+    return Vec(*(second + (first_error + second_error + (m_error - p_error))))
+
+
+def _after(array: Array, places: int) -> Array:
+    """The component so many places after each."""
+    return jnp.concatenate([array[places:], array[:places]])
 
 
 def _sum(a: Array, b: Array) -> tuple[Array, Array]:

@@ -59,40 +59,31 @@ SWEEPS = 5
 def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec, Vec, Vec]:
     """Orthonormal eigenvectors of 3x3 matrices, by Jacobi's rotations; in no order.
 
-    The coordinate axes as they are, at no cost, where the scalar ``wanted`` is false.
+    The coordinate axes as they are, at no cost, where the scalar ``wanted`` is false. Unlike what else stands here this
+    is written over whole matrices: few kernels count for more than few operations where hardly any time is spent.
     """
-    one, zero = jnp.ones_like(a[0][0]), jnp.zeros_like(a[0][0])
-    identity = (Vec(one, zero, zero), Vec(zero, one, zero), Vec(zero, zero, one))
-    entries = [[a[max(i, j)][min(i, j)] for j in range(3)] for i in range(3)]
+    entries = jnp.stack([jnp.stack([a[max(i, j)][min(i, j)] for j in range(3)]) for i in range(3)])
+    identity = jnp.zeros_like(entries) + jnp.eye(3, dtype=entries.dtype).reshape(3, 3, *[1] * (entries.ndim - 2))
 
-    def sweep(_, state):
+    def mix(cosine: Array, sine: Array, rows: Array) -> Array:
+        # The first two are turned, and then all move on by one, so that every pair has its turn.
+        return jnp.stack([sine * rows[0] + cosine * rows[1], rows[2], cosine * rows[0] - sine * rows[1]])
+
+    def turn(_, state):
         matrix, axes = state
-        for p, q in ((0, 1), (0, 2), (1, 2)):
-            matrix, axes = _rotate_pair(matrix, axes, p, q)
-        return matrix, axes
+        cosine, sine = _rotation(matrix[0, 0], matrix[0, 1], matrix[1, 1])
+        halfway = mix(cosine, sine, matrix)
+        return mix(cosine, sine, halfway.swapaxes(0, 1)), mix(cosine, sine, axes)
 
-    _, axes = lax.fori_loop(0, jnp.where(wanted, SWEEPS, 0), sweep, (entries, identity))
-    return axes
+    _, axes = lax.fori_loop(0, jnp.where(wanted, 3 * SWEEPS, 0), turn, (entries, identity))
+    return Vec(*axes[0]), Vec(*axes[1]), Vec(*axes[2])
 
 
-def _rotate_pair(matrix, axes, p, q):
-    """One Jacobi rotation that makes entry (p, q) vanish."""
-    half_gap = (matrix[q][q] - matrix[p][p]) / 2
-    off = matrix[p][q]
+def _rotation(first: Array, off: Array, second: Array) -> tuple[Array, Array]:
+    """Cosine and sine of the rotation that makes ``off`` vanish, the entry beside two of the diagonal."""
+    half_gap = (second - first) / 2
     # tan of the smaller angle: off / (half_gap + sign(half_gap) sqrt(half_gap^2 + off^2)), 0 where off is 0.
     reach = jnp.abs(half_gap) + vec.safe_sqrt(half_gap**2 + off**2)
     tangent = vec.safe_divide(jnp.where(half_gap < 0, -off, off), reach)
     cosine = 1 / jnp.sqrt(1 + tangent**2)
-    sine = tangent * cosine
-    matrix = [list(row) for row in matrix]
-    for k in range(3):
-        kp, kq = matrix[k][p], matrix[k][q]
-        matrix[k][p], matrix[k][q] = cosine * kp - sine * kq, sine * kp + cosine * kq
-    for k in range(3):
-        pk, qk = matrix[p][k], matrix[q][k]
-        matrix[p][k], matrix[q][k] = cosine * pk - sine * qk, sine * pk + cosine * qk
-    axes = list(axes)
-    along_p, along_q = axes[p], axes[q]
-    axes[p] = vec.sub(vec.scale(cosine, along_p), vec.scale(sine, along_q))
-    axes[q] = vec.add(vec.scale(sine, along_p), vec.scale(cosine, along_q))
-    return matrix, tuple(axes)
+    return cosine, tangent * cosine

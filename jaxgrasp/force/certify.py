@@ -6,7 +6,7 @@ along d by rounding; what the direction then proves is that any solution needs a
 """
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.force import cones, dual, fours, sixes, torques
 from jaxgrasp.force.frame import Frame, blur
@@ -51,6 +51,8 @@ def proof(
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
+    # What is looked at is what is handed out: computed anew, in other kernels, it would be rounded otherwise.
+    rest, run = lax.optimization_barrier((rest, run))
     by_rest, by_run = (proves_infeasible(lanes, frame, direction, unknowns, rows) for direction in (rest, run))
     proven = jnp.where(by_rest, rest, run / jnp.maximum(sixes.length(run), 1))
     return by_rest | by_run, jnp.concatenate([sixes.six(*unknowns.twist(proven[:6])), proven[6:]])

@@ -41,6 +41,9 @@ STRAIGHT = 1e-5
 """Bend of the path between two prices, relative to the multiplier, that is none."""
 BIAS = 1e4
 """What a higher price is worth against rounding: the error of theta at the price t, in units of (theta / t)^2."""
+CHANGE = 10.0
+"""The same, measured: what is sought is off by a known share of its change between two prices. So much more than a
+wrench that is missed aside, which shows in what is sought by its square only."""
 
 
 class Pull(NamedTuple):
@@ -71,6 +74,7 @@ class Path(NamedTuple):
 
     price: Array
     point: Six
+    sought: Array
     price_before: Array
     point_before: Six
     badness: Array
@@ -81,6 +85,9 @@ class _Try(NamedTuple):
     """A point for the next price."""
 
     point: Six
+    sought: Array
+    """What the point says of theta or the least total, beside its size; 0 where neither is sought."""
+    size: Array
     badness: Array
     far: Array
     """Whether the price may be high enough."""
@@ -122,7 +129,7 @@ def nearest(
         if plane is not None:
             rest = _within(plane, rest)
         far = sixes.length(point) >= furthest_multiplier(zero.dtype)
-        return _Try(point, sixes.inner(rest, solve_by(metric, rest)), far)
+        return _Try(point, zero[:1], zero[:1] + 1, sixes.inner(rest, solve_by(metric, rest)), far)
 
     path = _follow(zero, frozen, attempt)
     settled = sixes.length(path.point) <= 2 * sixes.length(path.point_before)
@@ -141,15 +148,15 @@ def along_ray(lanes: Lanes, ray: Six, start: Six, frozen: Array) -> tuple[Array,
         foreseen = foreseen + (price - sixes.inner(ray, foreseen)) * ray
         point = climb(lanes, Pull(STEADY / price, foreseen, metric, ray, plain), price, foreseen, done)
         rest = missed_wrench(lanes, point, plain)
-        size = 1 + jnp.abs(sixes.inner(point, rest) / price)
+        # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
+        theta = -sixes.inner(point, rest) / price
+        size = 1 + jnp.abs(theta)
         aside = sixes.length(_within(ray, rest)) * sixes.length(point) / price
         enough = price >= size * furthest_multiplier(start.dtype)
-        return _Try(point, (aside / size) ** 2 + BIAS * (size / price) ** 2, enough)
+        return _Try(point, theta, size, (aside / size) ** 2 + BIAS * (size / price) ** 2, enough)
 
     path = _follow(start, frozen, attempt)
-    price = jnp.where(path.price > 0, path.price, 1)
-    # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
-    return -sixes.inner(path.point, missed_wrench(lanes, path.point, plain)) / price, path
+    return path.sought, path
 
 
 def least_push(lanes: Lanes, frozen: Array) -> tuple[Array, Path]:
@@ -160,23 +167,19 @@ def least_push(lanes: Lanes, frozen: Array) -> tuple[Array, Path]:
     zero = jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype)
     metric, plain = identity(zero[:1]), unstretched(zero[:1])
 
-    def least(price: Array, point: Six) -> tuple[Array, Six]:
+    def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
+        point = climb(tolled(lanes, price), Pull(STEADY / price, foreseen, metric, None, plain), price, foreseen, done)
         forces = dual.best_forces(tolled(lanes, price), point, plain).forces
         rest = dual.residual(lanes, forces, plain)
         # What is missed of the load would have to be pushed too, along the multiplier.
-        return dual.total_push(lanes, forces) + sixes.inner(point, rest) / price, rest
-
-    def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
-        point = climb(tolled(lanes, price), Pull(STEADY / price, foreseen, metric, None, plain), price, foreseen, done)
-        total, rest = least(price, point)
+        total = dual.total_push(lanes, forces) + sixes.inner(point, rest) / price
         size = 1 + total
         aside = sixes.length(rest) * sixes.length(point) / price
-        return _Try(
-            point, (aside / size) ** 2 + BIAS * (size / price) ** 2, price >= size * furthest_multiplier(zero.dtype)
-        )
+        enough = price >= size * furthest_multiplier(zero.dtype)
+        return _Try(point, total, size, (aside / size) ** 2 + BIAS * (size / price) ** 2, enough)
 
     path = _follow(zero, frozen, attempt)
-    return least(jnp.where(path.price > 0, path.price, 1), path.point)[0], path
+    return path.sought, path
 
 
 def tolled(lanes: Lanes, toll: Array) -> Lanes:
@@ -195,21 +198,30 @@ def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _T
         foreseen = _foreseen(path, price)
         tried = attempt(price, foreseen, path.done)
         # A higher price is better. Where it is not Newton's method has failed: the next one starts from before.
-        better = ~path.done & (tried.badness <= (1 + eps**0.5) * path.badness)
+        badness = tried.badness + (CHANGE * _bias(path, price, tried.sought) / tried.size) ** 2
+        better = ~path.done & (badness <= (1 + eps**0.5) * path.badness)
         # Where contacts resist only by enormous forces, the path bends late.
         straight = sixes.length(tried.point - foreseen) <= STRAIGHT * sixes.length(tried.point)
         return RISE * price, Path(
             price=jnp.where(better, price, path.price),
             point=jnp.where(better, tried.point, path.point),
+            sought=jnp.where(better, tried.sought, path.sought),
             price_before=jnp.where(better, path.price, path.price_before),
             point_before=jnp.where(better, path.point, path.point_before),
-            badness=jnp.where(better, tried.badness, path.badness),
+            badness=jnp.where(better, badness, path.badness),
             done=path.done | (better & tried.far & straight) | (price >= highest),
         )
 
-    path = Path(zero, start, zero, start, zero + jnp.inf, frozen)
+    path = Path(zero, start, zero, zero, start, zero + jnp.inf, frozen)
     _, path = lax.while_loop(lambda carry: ~jnp.all(carry[1].done), rise, (jnp.asarray(RISE, zero.dtype), path))
     return path
+
+
+def _bias(path: Path, price: Array, sought: Array) -> Array:
+    """How far what is sought still is from its limit, since it comes closer by the square of the price."""
+    some = path.price > 0
+    ratio = jnp.where(some, price / jnp.where(some, path.price, 1), RISE)
+    return jnp.where(some, (sought - path.sought) / (ratio**2 - 1), 0)
 
 
 def _foreseen(path: Path, price: Array) -> Six:

@@ -237,7 +237,8 @@ class Judged(NamedTuple):
 
 def judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six) -> Judged:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
-    best = dual.best_forces(lanes, point, unknowns).forces
+    # Those that are judged are those that are handed out, to the bit.
+    best = lax.optimization_barrier(dual.best_forces(lanes, point, unknowns).forces)
     found = measure(lanes, best, unknowns)
     rest = unknowns.wrench(*sixes.parts(found.rest))
     return judged(lanes, best, point, rest, whitened_square(metric, rest), found)

@@ -113,9 +113,10 @@ def test_absent_contacts_change_nothing():
     contacts = (problem.points, problem.normals, problem.friction, problem.squeeze)
     padded = [np.concatenate([x, np.full_like(x[:, :2], np.nan)], 1) for x in contacts]
     present = np.concatenate([np.ones((COUNT, 4)), np.zeros((COUNT, 2))], 1)
-    for question in (least_squeeze, least_friction, least_squeeze_factor):
+    # Where less friction balances nothing at all, its least share is found by halving, to a millionth.
+    for question, digits in ((least_squeeze, 1e-7), (least_friction, 1e-6), (least_squeeze_factor, 1e-7)):
         whole = question(grasp_of(problem), problem.wrench)
-        np.testing.assert_allclose(question(Grasp(*padded, present), problem.wrench), whole, rtol=1e-7)
+        np.testing.assert_allclose(question(Grasp(*padded, present), problem.wrench), whole, rtol=digits)
 
 
 @pytest.mark.slow

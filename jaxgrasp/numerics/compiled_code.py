@@ -7,7 +7,7 @@ from pathlib import Path
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
-LEAST_SECONDS = 0.5
+LEAST_SECONDS = 0.1
 """Programs that compile faster than this are not worth a file."""
 
 

@@ -109,6 +109,7 @@ def test_a_hands_posture_is_taken_as_it_is(scene, run):
     np.testing.assert_allclose(np.sort(kept.squeeze), np.sort(whole.squeeze)[-2:], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_file_of_misses_is_an_error(scene, run):
     np.savez(
         "far.npz", transforms=poses() + [[0, 0, 0, 9.0], *[[0] * 4] * 3], mesh="meshes/box.obj", mass=1, friction=1

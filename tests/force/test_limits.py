@@ -252,6 +252,7 @@ def test_what_is_out_of_reach_is_proven():
         assert theirs.status in ("PrimalInfeasible", "AlmostPrimalInfeasible")
 
 
+@pytest.mark.slow
 def test_a_pinch_with_known_answers():
     """Two fingers press 4 N each and share a load of 2 N across; joints that feel the pressing allow 3 N."""
     grasp = Grasp([[-0.03, 0, 0], [0.03, 0, 0]], [[1.0, 0, 0], [-1, 0, 0]], [0.5, 0.5], [4.0, 4.0])

@@ -40,8 +40,8 @@ class Plan(NamedTuple):
     batches: tuple[int, ...] = (1, 1000)
     calls: tuple[str, ...] = ()
     """Those measured; all if empty."""
-    repeats: int = 2
-    """Times that both versions are measured, in turns; the least counts, since neighbours only add."""
+    repeats: int = 1
+    """Times that both versions are measured, in turns; of several the least counts, since neighbours only add."""
     problems: int = 1000
     """Of each kind, size and sharing."""
     tests: tuple[str, ...] = ("tests",)

@@ -25,7 +25,7 @@ def _programs(rows: list[dict]) -> str:
         "## First calls\n\n"
         "CPU seconds, n = 5, nothing cached: inside a program of the user's own (tracing, lowering and compiling of "
         "`jax.jit(call)`), and alone (the first call, outside of any). Fusions are those of the first. Before is "
-        "commit be510ef, measured in turns; the least of the repeats.\n\n" + table(head, lines)
+        "commit be510ef, measured in turn with it.\n\n" + table(head, lines)
     )
 
 

@@ -225,7 +225,7 @@ def steps(inputs, seed: int):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ordinary", "low_friction"])
 def test_derivatives_are_limits_of_differences(kind):
-    """Fourth-order central differences at three step lengths, of which the best counts: kinks lie close by."""
+    """Fourth-order central differences at four step lengths, of which the best counts: kinks lie close by."""
     problem = P.problems(kind, N, COUNT, seed=14)
     inputs = inputs_of(problem, aside(problem, seed=15))
     moved = steps(inputs, seed=16)
@@ -234,15 +234,16 @@ def test_derivatives_are_limits_of_differences(kind):
         value, tangent, pulled = (jax.device_get(x) for x in moved_margin(inputs, problem.squeeze, EVERYONE, one))
         finite = np.isfinite(value)
         best = np.full(COUNT, np.inf)
-        for h in (1e-4, 1e-5, 1e-6):
+        for h in (1e-3, 1e-4, 1e-5, 1e-6):
             far = [
                 margin(problem._replace(**dict(zip(INPUTS[:5], x[:5], strict=True))), x[5], problem.squeeze)
                 for q in (-2, -1, 1, 2)
                 for x in [tuple(a + q * h * b for a, b in zip(inputs, one, strict=True))]
             ]
             a, b, c, d = (np.where(finite, theta, 0) for theta in far)
-            difference = (a - 8 * b + 8 * c - d) / (12 * h)
-            best = np.fmin(best, np.abs(difference - tangent) / (np.abs(tangent) + np.abs(value)))
+            with np.errstate(invalid="ignore"):  # the longest step may lead to where no margin is finite
+                difference = (a - 8 * b + 8 * c - d) / (12 * h)
+                best = np.fmin(best, np.abs(difference - tangent) / (np.abs(tangent) + np.abs(value)))
         assert np.median(best[finite]) < 1e-7 and np.quantile(best[finite], 0.9) < 1e-6, name
         assert (tangent[~finite] == 0).all()
         assert (np.abs(tangent[finite]) > 0).all() == (name != "squeeze")

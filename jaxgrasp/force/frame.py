@@ -91,15 +91,18 @@ def loaded(place: Place, lanes: Lanes, axes: tuple[Vec, Vec, Vec] | None = None)
     sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight, load)))
     sound = sound & ((place.reach <= place.blur) | (place.reach >= smallest))
     load = jnp.where(load > 0, load, 1)
-    return (
-        lanes._replace(
-            squeeze=lanes.squeeze / load,
-            force=vec.scale(1 / load, lanes.force),
-            torque=vec.scale(1 / (load * place.length), lanes.torque),
-            least=None if lanes.least is None else lanes.least / load,
-            most=None if lanes.most is None else lanes.most / load,
-        ),
-        Frame(place.centre, place.length, place.weight, load, sound, axes),
+    frame = Frame(place.centre, place.length, place.weight, load, sound, axes)
+    return _in_loads(lanes, frame), frame
+
+
+def _in_loads(lanes: Lanes, frame: Frame) -> Lanes:
+    """Forces in units of the load, the torque in those of the length too."""
+    return lanes._replace(
+        squeeze=lanes.squeeze / frame.load,
+        force=vec.scale(1 / frame.load, lanes.force),
+        torque=vec.scale(1 / (frame.load * frame.length), lanes.torque),
+        least=None if lanes.least is None else lanes.least / frame.load,
+        most=None if lanes.most is None else lanes.most / frame.load,
     )
 
 
@@ -111,18 +114,9 @@ def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
 
 def scaled(lanes: Lanes, frame: Frame, arms: Vec, weights: Array, torque: Vec) -> Lanes:
     """The lanes in a frame's units, with these arms, weights and torque about its centre."""
-    return Lanes(
-        arms=vec.scale(1 / frame.length, arms),
-        normals=lanes.normals,
-        friction=lanes.friction,
-        squeeze=lanes.squeeze / frame.load,
-        weights=weights,
-        force=vec.scale(1 / frame.load, lanes.force),
-        torque=vec.scale(1 / (frame.load * frame.length), torque),
-        lever=None if lanes.lever is None else lanes.lever / frame.length,
-        least=None if lanes.least is None else lanes.least / frame.load,
-        most=None if lanes.most is None else lanes.most / frame.load,
-    )
+    lever = None if lanes.lever is None else lanes.lever / frame.length
+    placed = lanes._replace(arms=vec.scale(1 / frame.length, arms), weights=weights, torque=torque, lever=lever)
+    return _in_loads(placed, frame)
 
 
 def blur(frame: Frame | Place) -> Array:

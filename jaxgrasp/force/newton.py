@@ -235,10 +235,14 @@ class Judged(NamedTuple):
     """Whether it is but for ``LAST_SLACK`` times the tolerances."""
 
 
+def as_handed_out(forces: Four) -> Four:
+    """Forces whose judge sees them to the bit as they are handed out: computed anew they might round otherwise."""
+    return lax.optimization_barrier(forces)
+
+
 def judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six) -> Judged:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
-    # Those that are judged are those that are handed out, to the bit.
-    best = lax.optimization_barrier(dual.best_forces(lanes, point, unknowns).forces)
+    best = as_handed_out(dual.best_forces(lanes, point, unknowns).forces)
     found = measure(lanes, best, unknowns)
     rest = unknowns.wrench(*sixes.parts(found.rest))
     return judged(lanes, best, point, rest, whitened_square(metric, rest), found)

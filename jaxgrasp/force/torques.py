@@ -205,7 +205,7 @@ class Limited(NamedTuple):
 
     def judge(self, point: Array) -> Judged:
         """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
-        best = self.forces(point).forces
+        best = newton.as_handed_out(self.forces(point).forces)
         found = measure(self.lanes, best, self.unknowns)
         off = _off_ridge(torques(self.rows, best), point[6:], self.rows.bound)
         rest = jnp.concatenate([self.unknowns.wrench(*sixes.parts(found.rest)), off])

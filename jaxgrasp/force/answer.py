@@ -14,6 +14,7 @@ from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.vec import Vec
 
 
@@ -61,6 +62,7 @@ class Outcome(NamedTuple):
     """None where no joint's torque is limited."""
 
 
+@one_kernel
 def write(
     lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, route: Route | Array
 ) -> Answer:

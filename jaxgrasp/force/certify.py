@@ -16,6 +16,7 @@ from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.torques import Rows
 from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 
 
 def proves_infeasible(
@@ -44,6 +45,7 @@ def proves_infeasible(
     return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
+@one_kernel
 def proof(
     lanes: Lanes, frame: Frame, unknowns: Unknowns, rest: Array, run: Array, rows: Rows | None = None
 ) -> tuple[Array, Array]:
@@ -58,6 +60,7 @@ def proof(
     return by_rest | by_run, jnp.concatenate([sixes.six(*unknowns.twist(proven[:6])), proven[6:]])
 
 
+@one_kernel
 def out_of_range(lanes: Lanes, frame: Frame, unknowns: Unknowns) -> tuple[Array, Six]:
     """Whether something is asked for along twists that no contact reaches, and that as a direction.
 

@@ -14,6 +14,7 @@ from jax import Array
 from jaxgrasp.force.lanes import Lanes
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.numerics import doubled, symmetric, vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.vec import Vec
 
 
@@ -151,6 +152,7 @@ def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
     )
 
 
+@one_kernel
 def principal(lanes: Lanes, turned: bool | Array = True) -> tuple[Lanes, Frame]:
     """Coordinates of order one, carefully, along the principal axes of inertia; along the user's if not ``turned``.
 

@@ -16,6 +16,7 @@ from jaxgrasp.force.fours import Four
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.vec import Vec
 
 
@@ -77,6 +78,7 @@ def squeezing(lanes: Lanes) -> Four:
     return Four(vec.scale(lanes.squeeze, lanes.normals), None if lanes.lever is None else 0 * lanes.lever)
 
 
+@one_kernel
 def read(problem: Problem) -> tuple[Lanes, Array]:
     """Batch-last copies, and which lanes hold usable data.
 

@@ -19,6 +19,7 @@ from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.symmetric import Lower
 
 ARMIJO = 1e-4
@@ -132,6 +133,7 @@ def ascend(hill: Hill, start: Array, frozen: Array, limit: int | Array) -> Ascen
     return state
 
 
+@one_kernel
 def _advance(hill: Hill, state: Ascent) -> Ascent:
     trial = hill.onto(state.point, state.point + state.length * state.direction)
     at = hill.look(trial)
@@ -240,6 +242,7 @@ def as_handed_out(forces: Four) -> Four:
     return lax.optimization_barrier(forces)
 
 
+@one_kernel
 def judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six) -> Judged:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
     best = as_handed_out(dual.best_forces(lanes, point, unknowns).forces)

@@ -15,6 +15,7 @@ from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Stretch, Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.vec import Vec
 
 
@@ -87,6 +88,7 @@ class Suited(NamedTuple):
     """Lanes that are too ill-conditioned for the axes as they are: along principal axes, whitened, refined."""
 
 
+@one_kernel
 def suited(lanes: Lanes) -> Suited:
     """Coordinates as they are where they will do, principal and whitened in other lanes.
 
@@ -123,6 +125,7 @@ def closed_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric) -> Six:
     return _balancing(lanes, squeezing(lanes), unknowns, metric)
 
 
+@one_kernel
 def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric, ill: Array) -> Six:
     """The same, of ``ill`` lanes corrected by what it leaves: whitened, a metric is the identity but for rounding."""
 

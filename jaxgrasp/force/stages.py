@@ -24,6 +24,7 @@ from jaxgrasp.force.pseudo_inverse import Metric, Suited, suited
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
 
 TILE = 128
@@ -141,6 +142,7 @@ def _optimum_tile(problem: Problem, prior: Answer, effort: Effort) -> Answer:
     return answer._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, answer.verdict), undecided=undecided)
 
 
+@one_kernel
 def _coordinates(problem: Problem, lanes: Lanes, frame: Frame, careful: Array) -> tuple[Metric, Unknowns, Array]:
     """Metric and unknowns, whitened if ``careful``; and which lanes they do not suit."""
     if problem.free is None:

@@ -41,10 +41,14 @@ def _home() -> Path:
 
 
 @cache
+def is_known_xla() -> bool:
+    """Whether programs are compiled for the processor, by a version whose ways of doing so are known here."""
+    return (0, 10) <= jax.__version_info__ < (0, 11) and jax.default_backend() == "cpu"
+
+
 def compile_options() -> dict[str, str | bool] | None:
     """Options with which XLA compiles programs for the processor in two thirds of the time, to the same speed.
 
-    Known of these versions alone; another may not know the option, and would refuse it.
+    Known of some versions alone; another may not know the option, and would refuse it.
     """
-    known = (0, 10) <= jax.__version_info__ < (0, 11) and jax.default_backend() == "cpu"
-    return {"xla_cpu_use_fusion_emitters": False} if known else None
+    return {"xla_cpu_use_fusion_emitters": False} if is_known_xla() else None

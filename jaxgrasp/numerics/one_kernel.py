@@ -1,0 +1,131 @@
+"""Functions that XLA compiles for the processor as one kernel each.
+
+XLA makes a kernel of every few operations. Each takes about 20 ms to compile, and 0.1 us to call: on a tile of 16
+problems more than its arithmetic. A call that carries two attributes, which XLA itself gives to small loops, is
+compiled as one kernel instead, by an emitter that is faster too.
+
+How large? Compiling grows faster than the code in one kernel, so a step of an algorithm is about right, with up to
+some hundred operations. What spans a whole batch is better left alone: a kernel runs on one thread.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.custom_batching import custom_vmap
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
+
+from jaxgrasp.numerics.compiled_code import is_known_xla
+
+Given = ParamSpec("Given")
+Out = TypeVar("Out")
+
+ATTRIBUTES = {"inlineable": "false", "xla_cpu_small_call": "true"}
+
+FOREIGN = (
+    *("approx_top_k", "conv_general", "dot_general", "fft", "ffi_call", "io_callback", "pure_callback", "ragged_dot"),
+    *("scatter", "sort", "top_k", "cholesky", "eig", "geqp3", "geqrf", "householder", "lu", "ormqr", "schur", "svd"),
+    *("triangular_solve", "tridiagonal"),
+)
+"""How the names begin of what may become a call of a library, which such a kernel cannot hold."""
+LARGEST_REDUCTION = 4095
+"""Elements; a larger reduction may become the call of a library."""
+
+
+def one_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
+    """``function``, compiled as one kernel.
+
+    It stays as it is where XLA is not known to do so, where it is differentiated or mapped, and where it holds what
+    such a kernel cannot. Its arguments are trees of arrays and of what can be hashed; it closes over no array.
+    """
+
+    @wraps(function)
+    def call(*args: Given.args, **kwargs: Given.kwargs) -> Out:
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        arrays = tuple(leaf for leaf in leaves if _is_array(leaf))
+        # With its type, since 1, 1.0 and True are equal.
+        fixed = tuple(None if _is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
+        # Each array is read, and of one without elements nothing can be.
+        if not (is_known_xla() and arrays and all(array.size for array in arrays)):
+            return function(*args, **kwargs)
+        return _kernel(function, tree, fixed)(*arrays)
+
+    return call
+
+
+@cache
+def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
+    """The function of the arrays alone, in a tree whose other leaves are ``fixed``."""
+
+    def plain(*arrays: Array) -> Any:
+        own = iter(arrays)
+        args, kwargs = jax.tree.unflatten(tree, [next(own) if leaf is None else leaf[1] for leaf in fixed])
+        return function(*args, **kwargs)
+
+    def touching(*arrays: Array) -> tuple[Any, Array]:
+        return plain(*arrays), _touch(arrays)
+
+    touching.__name__ = function.__name__
+    compiled = jax.jit(touching)
+
+    @custom_vmap
+    def alone(*arrays: Array) -> Any:
+        if not _fits(compiled.trace(*arrays).jaxpr):
+            return plain(*arrays)
+        out, touched = compiled(*arrays)
+        # The barrier keeps the second result, and with it the attributes.
+        return lax.optimization_barrier((out, set_xla_metadata(touched, **ATTRIBUTES)))[0]
+
+    @alone.def_vmap
+    def mapped(axis_size: int, in_batched: list[bool], *arrays: Array) -> tuple[Any, Any]:
+        out = jax.vmap(plain, [0 if batched else None for batched in in_batched])(*arrays)
+        return out, jax.tree.map(lambda _: True, out)
+
+    @jax.custom_jvp
+    def kernel(*arrays: Array) -> Any:
+        return alone(*arrays)
+
+    @kernel.defjvp
+    def jvp(primals: tuple, tangents: tuple) -> tuple[Any, Any]:
+        return jax.jvp(plain, primals, tangents)
+
+    return kernel
+
+
+def _touch(arrays: tuple[Array, ...]) -> Array:
+    """A number that depends on every argument: XLA aborts where a kernel's computation leaves one unused."""
+    firsts = (lax.squeeze(lax.slice(x, (0,) * x.ndim, (1,) * x.ndim), range(x.ndim)) for x in arrays)
+    return sum((first.astype(jnp.float32) for first in firsts), jnp.float32(0))
+
+
+def _fits(jaxpr: ClosedJaxpr) -> bool:
+    """Whether all of it can stand in one kernel."""
+    return not any(_is_foreign(equation) for equation in _equations(jaxpr.jaxpr))
+
+
+def _is_foreign(equation: JaxprEqn) -> bool:
+    name = equation.primitive.name
+    large = max((variable.aval.size for variable in equation.invars), default=0) > LARGEST_REDUCTION
+    return name.startswith(FOREIGN) or large and name.startswith(("reduce_", "arg", "cum"))
+
+
+def _equations(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
+    """Its equations, and those of the functions that they call."""
+    for equation in jaxpr.eqns:
+        yield equation
+        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr):
+            if _is_jaxpr(inner):
+                yield from _equations(getattr(inner, "jaxpr", inner))
+
+
+def _is_jaxpr(value: Any) -> bool:
+    return isinstance(value, ClosedJaxpr | Jaxpr)
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray)

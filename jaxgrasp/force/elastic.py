@@ -23,6 +23,7 @@ from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.symmetric import Lower
 
 ARMIJO = 1e-4
@@ -256,6 +257,7 @@ def climb(lanes: Lanes, pull: Pull, price: Array, start: Six, frozen: Array) -> 
     return lax.while_loop(unfinished, advance, (jnp.int32(0), state))[1].point
 
 
+@one_kernel
 def _advance(lanes: Lanes, pull: Pull, price: Array, state: _Climb) -> _Climb:
     step = _step(pull, state)
     trial = state.point + step
@@ -290,6 +292,7 @@ def _step(pull: Pull, state: _Climb) -> Six:
     return step - vec.safe_divide(sixes.inner(pull.normal, step), sixes.inner(pull.normal, across)) * across
 
 
+@one_kernel
 def _look(lanes: Lanes, pull: Pull, trial: Six) -> tuple[Array, Six, Lower]:
     """Value, gradient and minus Hessian."""
     at = dual.evaluate(lanes, trial, pull.unknowns)

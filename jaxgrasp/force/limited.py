@@ -27,6 +27,7 @@ from jaxgrasp.force.torques import Limited, Rows
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.tiles import over_chosen
 
 
@@ -157,6 +158,7 @@ def _binding(answer: Answer) -> Array:
     return answer.torque_multiplier
 
 
+@one_kernel
 def _choose(excess: Array, prior: Answer, width: int) -> Array:
     """The limits that bind already, and those that are broken most: a 1 for each at its joint ``(B, width, j)``.
 

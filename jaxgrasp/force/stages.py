@@ -105,6 +105,7 @@ def _suited(problem: Problem, lanes: Lanes) -> Suited:
     return Suited(lanes, frame, metric, unknowns, jnp.ones_like(frame.load, bool))
 
 
+@one_kernel
 def _missed(lanes: Lanes, frame: Frame, unknowns: Unknowns, ill: Array) -> tuple[Array, Six]:
     """Which of the ``ill`` lanes are asked for what no contact reaches; others have contacts that reach everything."""
     none = jnp.zeros((1, lanes.force.x.shape[-1]), bool), sixes.six(lanes.force, lanes.torque) * 0

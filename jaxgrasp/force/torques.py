@@ -23,6 +23,7 @@ from jaxgrasp.force.pseudo_inverse import Metric, whitened_square
 from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import semidefinite, symmetric, vec
+from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.symmetric import Lower
 from jaxgrasp.numerics.vec import Vec
 
@@ -41,6 +42,7 @@ class Rows(NamedTuple):
     """``(q, B)``: a row here over the user's."""
 
 
+@one_kernel
 def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None = None) -> Rows:
     """The limits of the joints ``chosen`` by a 1 for each row ``(B, q, j)``; of all joints where not given."""
     rows, bounds = _in_lane(problem, lanes, frame, chosen)

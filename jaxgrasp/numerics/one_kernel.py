@@ -35,6 +35,7 @@ FOREIGN = (
 """How the names begin of what may become a call of a library, which such a kernel cannot hold."""
 LARGEST_REDUCTION = 4095
 """Elements; a larger reduction may become the call of a library."""
+CALLED = (ClosedJaxpr, Jaxpr)
 
 
 def one_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
@@ -110,21 +111,17 @@ def _fits(jaxpr: ClosedJaxpr) -> bool:
 
 def _is_foreign(equation: JaxprEqn) -> bool:
     name = equation.primitive.name
-    large = max((variable.aval.size for variable in equation.invars), default=0) > LARGEST_REDUCTION
-    return name.startswith(FOREIGN) or large and name.startswith(("reduce_", "arg", "cum"))
+    large = any(getattr(variable.aval, "size", 0) > LARGEST_REDUCTION for variable in equation.invars)
+    return name.startswith(FOREIGN) or (large and name.startswith(("reduce_", "arg", "cum")))
 
 
 def _equations(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
     """Its equations, and those of the functions that they call."""
     for equation in jaxpr.eqns:
         yield equation
-        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr):
-            if _is_jaxpr(inner):
-                yield from _equations(getattr(inner, "jaxpr", inner))
-
-
-def _is_jaxpr(value: Any) -> bool:
-    return isinstance(value, ClosedJaxpr | Jaxpr)
+        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: isinstance(x, CALLED)):
+            if isinstance(inner, CALLED):
+                yield from _equations(inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner)
 
 
 def _is_array(leaf: Any) -> bool:

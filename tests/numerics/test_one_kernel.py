@@ -1,0 +1,103 @@
+"""Functions compiled as one kernel: the same numbers, whatever is done to them."""
+
+import re
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp.numerics.compiled_code import is_known_xla
+from jaxgrasp.numerics.one_kernel import LARGEST_REDUCTION, one_kernel
+
+known = pytest.mark.skipif(not is_known_xla(), reason="a version or a device on which there are no such kernels")
+
+
+def walk(x, terms, count, *, mirrored=False):
+    """A few steps of something that loops, sums and chooses."""
+    sign = -1 if mirrored else 1
+
+    def step(_, x):
+        return jnp.where(x > 0, jnp.sin(x), terms["scale"] * x) + sign * jnp.sum(x * terms["shift"], 0)
+
+    moved = jax.lax.fori_loop(0, count, step, x)
+    return {"end": moved, "way": moved - x, "far": jnp.sum(moved * moved) > 3}
+
+
+kernel = one_kernel(walk)
+POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(4, 16)))
+TERMS = {"scale": jnp.asarray(0.3), "shift": jnp.linspace(-0.1, 0.1, 16)}
+
+
+def small_calls(function, *arguments) -> int:
+    text = jax.jit(function).lower(*arguments).compile().as_text()
+    # XLA gives some loops of its own the second attribute.
+    return len(re.findall(r" call\(.*inlineable=\"false\",xla_cpu_small_call", text))
+
+
+@known
+def test_it_is_one_kernel():
+    assert small_calls(lambda x: kernel(x, TERMS, 3), POINTS) == 1
+    assert small_calls(lambda x: walk(x, TERMS, 3), POINTS) == 0
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_it_gives_the_same_numbers(count, mirrored, dtype):
+    points, terms = jax.tree.map(lambda x: x.astype(dtype), (POINTS, TERMS))
+    asked, given = (jax.jit(partial(f, count=count, mirrored=mirrored))(points, terms) for f in (walk, kernel))
+    for name in asked:
+        assert given[name].dtype == asked[name].dtype
+        np.testing.assert_allclose(given[name], asked[name], rtol=100 * float(jnp.finfo(dtype).eps), atol=1e-12)
+
+
+def test_mapped_and_differentiated_it_is_the_function_itself():
+    def of(f):
+        return lambda x, terms: jnp.sum(f(x, terms, 3)["end"] ** 2)
+
+    many = jnp.stack([POINTS, 2 * POINTS, -POINTS])
+    for way in (jax.grad, jax.jacfwd, lambda f: jax.grad(lambda *a: jnp.sum(jax.grad(f)(*a)))):
+        np.testing.assert_allclose(way(of(kernel))(POINTS, TERMS), way(of(walk))(POINTS, TERMS), rtol=1e-12)
+    for way in (jax.vmap, lambda f, axes: jax.vmap(jax.grad(f), axes)):
+        mapped = [jax.jit(way(of(f), (0, None)))(many, TERMS) for f in (kernel, walk)]
+        np.testing.assert_allclose(*mapped, rtol=1e-12)
+
+
+@known
+def test_arguments_that_nothing_depends_on_are_no_harm():
+    """XLA ends the process where a kernel leaves an argument unread."""
+    idle = one_kernel(lambda x, y, z: (x * 0 * 2, jnp.zeros_like(y), z - z))
+    given = (POINTS, jnp.arange(3), jnp.asarray(True) | (jnp.arange(2) > 0) * 1)
+    assert small_calls(idle, *given) == 1
+    assert all(not np.any(x) for x in jax.jit(idle)(*given))
+
+
+@known
+@pytest.mark.parametrize(
+    "foreign",
+    [
+        lambda x: jnp.sort(x, 1),
+        lambda x: x @ x.T,
+        lambda x: jax.ops.segment_sum(x, jnp.argmax(x, 1) % 3, 3),
+        lambda x: jnp.linalg.cholesky(x @ x.T + jnp.eye(len(x))),
+        lambda x: jnp.sum(jnp.broadcast_to(x, (LARGEST_REDUCTION, *x.shape)), 0),
+        lambda x: jax.lax.fori_loop(0, 3, lambda _, y: jnp.sort(y, 0), x),
+    ],
+)
+def test_what_it_cannot_hold_stays_as_it_is(foreign):
+    assert small_calls(one_kernel(foreign), POINTS) == 0
+    np.testing.assert_allclose(jax.jit(one_kernel(foreign))(POINTS), foreign(POINTS), rtol=1e-12)
+
+
+def test_arrays_without_elements():
+    nothing = jnp.zeros((0, 16))
+    assert jax.jit(lambda x: kernel(x, TERMS, 2)["end"])(nothing).shape == (0, 16)
+
+
+@known
+def test_one_may_call_another():
+    outer = one_kernel(lambda x: kernel(kernel(x, TERMS, 1)["end"], TERMS, 2)["end"])
+    asked = walk(walk(POINTS, TERMS, 1)["end"], TERMS, 2)["end"]
+    np.testing.assert_allclose(jax.jit(outer)(POINTS), asked, rtol=1e-12)

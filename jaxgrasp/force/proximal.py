@@ -17,11 +17,12 @@ from jaxgrasp.force.certify import proof
 from jaxgrasp.force.fours import Four
 from jaxgrasp.force.frame import Frame
 from jaxgrasp.force.lanes import Lanes
-from jaxgrasp.force.newton import Dual, Hill, Judged, Proximal, ascend, judge
+from jaxgrasp.force.newton import Ascent, Dual, Hill, Judged, Proximal, ascend, judge
 from jaxgrasp.force.pseudo_inverse import Metric
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.one_kernel import one_kernel
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
@@ -126,7 +127,11 @@ def proximal_search(ground: Ground, search: Search, effort: Effort) -> Search:
 def _level(ground: Ground, strength: Array, effort: Effort, search: Search) -> Search:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
     hill = ground.pulled(Proximal(strength, search.point))
-    ascent = ascend(hill, search.point, search.decided, effort.steps)
+    return _decide(ground, effort, search, ascend(hill, search.point, search.decided, effort.steps))
+
+
+@one_kernel
+def _decide(ground: Ground, effort: Effort, search: Search, ascent: Ascent) -> Search:
     forces, optimal, nearly = ground.judge(ascent.point)
 
     def unproven(point: Array, before: Array) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from jaxgrasp.force.certify import out_of_range
 from jaxgrasp.force.frame import Frame, multiplier_in, principal
 from jaxgrasp.force.guide import whitened
 from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
-from jaxgrasp.force.proximal import STEPS_PER_LEVEL, Effort, Free, begin, proximal_search
+from jaxgrasp.force.proximal import STEPS_PER_LEVEL, Effort, Free, Search, begin, proximal_search
 from jaxgrasp.force.pseudo_inverse import Metric, Suited, suited
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
@@ -84,7 +84,12 @@ def _newton_width(problem: Problem) -> int:
 
 def _closed_tile(problem: Problem) -> Answer:
     lanes, valid = read(problem)
-    lanes, frame, metric, unknowns, ill = _suited(problem, lanes)
+    return _closed_answer(_suited(problem, lanes), valid, problem.size)
+
+
+@one_kernel
+def _closed_answer(suited: Suited, valid: Array, size: int) -> Answer:
+    lanes, frame, metric, unknowns, ill = suited
     multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric, ill)
     forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
     missed, direction = _missed(lanes, frame, unknowns, ill)
@@ -93,7 +98,7 @@ def _closed_tile(problem: Problem) -> Answer:
     verdict = jnp.where(missed, Verdict.INFEASIBLE, verdict)
     undecided = ill & (verdict == Verdict.OUTSIDE_CONES)
     outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
-    return write(lanes, frame, unknowns, valid, problem.size, outcome, jnp.where(ill, Route.CAREFUL, Route.CLOSED_FORM))
+    return write(lanes, frame, unknowns, valid, size, outcome, jnp.where(ill, Route.CAREFUL, Route.CLOSED_FORM))
 
 
 def _suited(problem: Problem, lanes: Lanes) -> Suited:
@@ -132,11 +137,20 @@ def _optimum_tile(problem: Problem, prior: Answer, effort: Effort) -> Answer:
     point = jnp.where(careful, 0, last)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
     begun = begin(point, squeezing(lanes), verdict, ill | missed)._replace(certificate=direction)
-    found = proximal_search(Free(lanes, frame, unknowns, metric), begun, effort)
+    ground = Free(lanes, frame, unknowns, metric)
+    found = proximal_search(ground, begun, effort)
+    return _optimum_answer(ground, valid, problem.size, found, careful, ill, prior.steps)
+
+
+@one_kernel
+def _optimum_answer(
+    ground: Free, valid: Array, size: int, found: Search, careful: Array, ill: Array, before: Array
+) -> Answer:
+    lanes, frame, unknowns, _ = ground
     converged = found.verdict == Verdict.OPTIMAL
-    steps = found.steps + jnp.where(careful, 0, prior.steps)
+    steps = found.steps + jnp.where(careful, 0, before)
     outcome = Outcome(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
-    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
+    answer = write(lanes, frame, unknowns, valid, size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
     undecided = ~careful & (answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
     more = undecided & ~(found.stuck | converged | ill)[0]

@@ -1,8 +1,8 @@
 """How a question is asked of a batch: any leading axes, and few programs for many sizes.
 
-Inside another program, or where derivatives are taken, a question is part of what is traced. Asked alone it is padded
-to one of few sizes, by NumPy, and compiled once for each of these; the tiles stop at the true count, so that padding
-costs memory alone.
+Inside another program, or where derivatives are taken, a question is part of what is traced. Asked alone it is cut into
+pieces of few sizes, each compiled once. Only the last piece is padded, and its tiles stop at the true count: so padding
+costs neither time nor, in large batches, memory.
 """
 
 import math
@@ -23,8 +23,13 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import compile_options
 
-SIZES = (1, 10, 100, *(base * 10**power for power in range(3, 9) for base in (1, 3)))
-"""Batches are padded to the next of these: round numbers, since users like them, and few where memory is no matter."""
+SIZES = (1, 10, 100, 1000, 3000, 10000)
+"""What programs are compiled for: round numbers, since users like them. Larger pieces would not be faster: a call is
+dear beside some hundred problems alone."""
+LEAST_WHOLE = 1000
+"""From this size on a piece is worth a call of its own; what is left after such pieces is padded instead."""
+ALIGNMENT = 64
+"""Bytes; what begins at a multiple of them JAX takes over without a copy."""
 
 Solve = Callable[..., Any]
 """From a flat batch of problems, and one array for each of them by name, to a tree of arrays ``(B, ...)``."""
@@ -67,7 +72,7 @@ def ask(
     try:
         if _size(given, tails) in SIZES:
             return _exactly()(given, solve=solve, sharing=name, tails=tails)
-        return _padded(solve, given, name, tails)
+        return _in_pieces(solve, given, name, tails)
     except ValueError as error:
         if "compiler_options" not in str(error):
             raise
@@ -130,21 +135,57 @@ def _size(given: Given, tails: tuple) -> int | None:
         return None  # whoever reads the arrays says what is wrong
 
 
-def _padded(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
+def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
     flat = _flat(given, sharing, tails, np)
     size = len(flat.fields["wrench"])
-    room = SIZES[bisect_left(SIZES, size)] if 0 < size <= SIZES[-1] else size
+    program = _padded_program(solve)
 
-    def pad(array: np.ndarray) -> np.ndarray:
-        if len(array) != size:
-            return array  # shared by all
-        return np.concatenate([array, np.zeros((room - size, *array.shape[1:]), array.dtype)])
+    def found(first: int, room: int) -> tuple[list[np.ndarray], Any]:
+        part = jax.tree.map(lambda array: _piece(array, first, room, size), (flat.fields, flat.each))
+        leaves, structure = jax.tree.flatten(program(*part, np.int32(min(room, size - first))))
+        # By NumPy, since each new shape would be a program of its own.
+        return [np.asarray(leaf)[: size - first] for leaf in leaves], structure
 
-    found = _padded_program(solve)(*jax.tree.map(pad, (flat.fields, flat.each)), np.int32(size))
-    leaves, structure = jax.tree.flatten(found)
-    # By NumPy, since each new shape would be a program of its own.
-    cut = [np.asarray(leaf)[:size].reshape(flat.batch + leaf.shape[1:]) for leaf in leaves]
-    return jax.tree.unflatten(structure, jax.device_put(cut))
+    (first, room), *others = pieces(size)
+    leaves, structure = found(first, room)
+    if others:
+        whole = [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
+        for first, room in [(first, room), *others]:
+            leaves = found(first, room)[0] if first else leaves
+            for all_of_it, leaf in zip(whole, leaves, strict=True):
+                all_of_it[first : first + room] = leaf
+        leaves = whole
+    return jax.tree.unflatten(structure, jax.device_put([x.reshape(flat.batch + x.shape[1:]) for x in leaves]))
+
+
+def pieces(size: int) -> list[tuple[int, int]]:
+    """Where each piece of a batch begins, and for how many problems its program is compiled; the last is padded."""
+    cut, first = [], 0
+    for room in reversed(SIZES):
+        while room >= LEAST_WHOLE and size - first >= room:
+            cut.append((first, room))
+            first += room
+    return cut if 0 < size == first else [*cut, (first, SIZES[bisect_left(SIZES, size - first)])]
+
+
+def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
+    """So many problems from the first on, behind the last one zeros; what all share is left as it is."""
+    if len(array) != size:
+        return array
+    part = array[first : first + room]
+    if len(part) == room:
+        return part
+    padded = np.zeros((room, *array.shape[1:]), array.dtype)
+    padded[: len(part)] = part
+    return padded
+
+
+def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """An array, not yet filled, that JAX takes over without a copy."""
+    length = math.prod(shape) * dtype.itemsize
+    room = np.empty(length + ALIGNMENT, np.uint8)
+    first = -room.ctypes.data % ALIGNMENT
+    return room[first : first + length].view(dtype).reshape(shape)
 
 
 @cache

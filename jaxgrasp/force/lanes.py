@@ -108,7 +108,7 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
         present = problem.present.T
         there = present > 0.5
         good = (good | ~there) & ~jnp.isnan(present)
-    lane_good = jnp.all(good, 0, keepdims=True)
+    lane_good = vec.every(good)
     valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)

@@ -24,10 +24,10 @@ from jaxgrasp.force.pseudo_inverse import Metric, Suited, suited
 from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
 
-TILE = 128
 CAREFUL_TILE = 16
 STEPS = (5, 6, 30)
 """Evaluations that each Newton stage may spend, after each of which the unfinished are gathered again."""
@@ -35,7 +35,7 @@ STEPS = (5, 6, 30)
 
 def solve_closed(problem: Problem) -> Answer:
     """The closed form of a flat batch; ``undecided`` where the optimum takes its careful pass at once."""
-    tile = TILE if problem.free is None else CAREFUL_TILE
+    tile = _closed_width(problem) if problem.free is None else CAREFUL_TILE
     return over_tiles(_closed_tile, limited.without_torques(problem), problem.size, tile, problem.count)
 
 
@@ -76,6 +76,11 @@ def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
     return lax.fori_loop(0, len(STEPS) + 1, improve, answer)
 
 
+def _closed_width(problem: Problem) -> int:
+    """Problems in a tile: as many as stay in the cache."""
+    return 128 if problem.points.shape[1] <= 10 else 64
+
+
 def _newton_width(problem: Problem) -> int:
     """Problems in a tile: few, since all wait for the slowest, and so few that a step's work stays in the cache."""
     contacts = problem.points.shape[1]
@@ -93,7 +98,7 @@ def _closed_answer(suited: Suited, valid: Array, size: int) -> Answer:
     multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric, ill)
     forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
     missed, direction = _missed(lanes, frame, unknowns, ill)
-    inside = jnp.all(cones.contains(forces, lanes.cone), 0, keepdims=True)
+    inside = vec.every(cones.contains(forces, lanes.cone))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, verdict)
     undecided = ill & (verdict == Verdict.OUTSIDE_CONES)

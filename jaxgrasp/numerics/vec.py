@@ -4,13 +4,20 @@ A vector field over contacts and problems is a tuple of three arrays with the pr
 axis, so that the compiler vectorises over problems; see ``force/lanes.py``.
 """
 
+from collections.abc import Callable
+from functools import reduce
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 FEW = 8
 """Problems in a batch for which the number of operations counts, not their size."""
+
+
+BLOCK = 5
+"""Contacts that one loop sums: the compiler unrolls so short a loop, and then computes several problems at once. Over
+a longer one it goes problem by problem, which at twenty contacts made a batch half as slow again."""
 
 
 class Vec(NamedTuple):
@@ -58,14 +65,29 @@ def totals(*terms: Array) -> list[Array]:
     separate ones, since the stack would be written to memory first.
     """
     if max(term.shape[-1] for term in terms) > FEW:
-        return [jnp.sum(term, 0, keepdims=True) for term in terms]
+        return [reduce(jnp.add, _by_blocks(jnp.sum, term, 0)) for term in terms]
     return stacked_totals(*terms)
 
 
 def stacked_totals(*terms: Array) -> list[Array]:
     """Sums over contacts by one reduction: for terms that share so much work that none should compute it alone."""
-    sums = jnp.sum(jnp.stack(jnp.broadcast_arrays(*terms)), 1)
-    return [sums[i : i + 1] for i in range(len(terms))]
+    sums = reduce(jnp.add, _by_blocks(jnp.sum, jnp.stack(jnp.broadcast_arrays(*terms)), 1))
+    return [sums[i] for i in range(len(terms))]
+
+
+def every(condition: Array) -> Array:
+    """Whether a condition holds at every contact; the first axis stays with length 1."""
+    return reduce(jnp.logical_and, _by_blocks(jnp.all, condition, 0))
+
+
+def _by_blocks(reduction: Callable[..., Array], array: Array, axis: int) -> list[Array]:
+    """Reductions of a few contacts each along ``axis``; of few problems, where each operation counts, of all."""
+    count = array.shape[axis]
+    size = BLOCK if array.shape[-1] > FEW else count
+    if count <= size:
+        return [reduction(array, axis, keepdims=True)]
+    ends = [(first, min(first + size, count)) for first in range(0, count, size)]
+    return [reduction(lax.slice_in_dim(array, *part, axis=axis), axis, keepdims=True) for part in ends]
 
 
 def where(condition: Array, a: Vec, b: Vec) -> Vec:

@@ -146,14 +146,14 @@ def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
         # By NumPy, since each new shape would be a program of its own.
         return [np.asarray(leaf)[: size - first] for leaf in leaves], structure
 
-    (first, room), *others = pieces(size)
-    leaves, structure = found(first, room)
-    if others:
+    cut = pieces(size)
+    leaves, structure = found(*cut[0])
+    if len(cut) > 1:
         whole = [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
-        for first, room in [(first, room), *others]:
-            leaves = found(first, room)[0] if first else leaves
-            for all_of_it, leaf in zip(whole, leaves, strict=True):
-                all_of_it[first : first + room] = leaf
+        for first, room in cut:
+            part = found(first, room)[0] if first else leaves
+            for leaf, own in zip(whole, part, strict=True):
+                leaf[first : first + room] = own
         leaves = whole
     return jax.tree.unflatten(structure, jax.device_put([x.reshape(flat.batch + x.shape[1:]) for x in leaves]))
 

@@ -8,13 +8,14 @@ costs neither time nor, in large batches, memory.
 import math
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.sharding import NamedSharding, PartitionSpec
 
 from jaxgrasp.force.flat import Flat, Sharing, flatten, read_sharing
 from jaxgrasp.force.lanes import Problem
@@ -68,7 +69,7 @@ def ask(
     there = {key: array for key, array in each.items() if array is not None}
     given = Given(grasp, wrench, weights, free, limits, safety, there)
     if not _is_alone(given):
-        return _within(given, solve=solve, sharing=name, tails=tails)
+        return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
     try:
         if _size(given, tails) in SIZES:
             return _exactly()(given, solve=solve, sharing=name, tails=tails)
@@ -109,6 +110,21 @@ _within = jax.jit(_traced, static_argnames=STATIC)
 def _exactly() -> Callable[..., Any]:
     """The same alone: the least work before and after, for sizes that need no padding."""
     return jax.jit(_traced, static_argnames=STATIC, compiler_options=compile_options())
+
+
+def _on_mesh(given: Given, within: Callable[[Given], Any]) -> Any:
+    """The answers; where axes of a mesh are explicit they are XLA's own inside, since tiles are cut across them."""
+    types = [jax.typeof(leaf) for leaf in jax.tree.leaves(given) if isinstance(leaf, Array)]
+    spread = [kind.sharding for kind in types if kind.sharding.mesh.explicit_axes]
+    if not spread:
+        return within(given)
+    mesh = spread[0].mesh
+    # The answers are spread as the wrenches are, or else as the grasps.
+    leading = jax.typeof(given.wrench).sharding.spec[:-1]
+    if not any(leading):
+        leading = jax.typeof(given.grasp.points).sharding.spec[:-2]
+    out = NamedSharding(mesh, PartitionSpec(*leading))
+    return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(given)
 
 
 def _is_alone(given: Given) -> bool:

@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jax.custom_batching import custom_vmap
-from jax.experimental.xla_metadata import set_xla_metadata
-from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn
+from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Primitive
+from jax.extend.mlir import ir
+from jax.interpreters import mlir
 
 from jaxgrasp.numerics.compiled_code import is_known_xla
 
@@ -80,7 +81,7 @@ def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
             return plain(*arrays)
         out, touched = compiled(*arrays)
         # The barrier keeps the second result, and with it the attributes.
-        return lax.optimization_barrier((out, set_xla_metadata(touched, **ATTRIBUTES)))[0]
+        return lax.optimization_barrier((out, _mark.bind(touched)))[0]
 
     @alone.def_vmap
     def mapped(axis_size: int, in_batched: list[bool], *arrays: Array) -> tuple[Any, Any]:
@@ -96,6 +97,32 @@ def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
         return jax.jvp(plain, primals, tangents)
 
     return kernel
+
+
+_mark = Primitive("one_kernel")
+"""Its operand, whose call gets the attributes."""
+_mark.def_impl(lambda touched: touched)
+_mark.def_abstract_eval(lambda touched: touched)
+
+
+def _lower_mark(context: mlir.LoweringRuleContext, touched: Any) -> Any:
+    if not _is_spread(context.module_context.axis_context):
+        texts: dict[str, ir.Attribute] = {name: ir.StringAttr.get(text) for name, text in ATTRIBUTES.items()}
+        touched.owner.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(texts)
+    return [touched]
+
+
+# Not cacheable: in a lowering that is kept, the operand would be an argument, and no call.
+mlir.register_lowering(_mark, _lower_mark, cacheable=False)
+
+
+def _is_spread(axes: Any) -> bool:
+    """Whether XLA may spread the program over several devices: it would put sums over all of them into a kernel, which
+    cannot hold them. In a ``shard_map`` over all axes each device runs the same program by itself."""
+    manual = getattr(axes, "manual_axes", None)
+    if manual is not None:
+        return set(manual) != set(axes.mesh.axis_names)
+    return (getattr(axes, "num_devices", 1) or 1) > 1
 
 
 def _touch(arrays: tuple[Array, ...]) -> Array:

@@ -1,0 +1,65 @@
+"""Answers to problems that are spread over four devices of this machine.
+
+``test_sharded.py`` runs this in a process of its own. Prints, as JSON, the largest difference from what one
+device answers, and over how many devices the answers are spread.
+"""
+
+import json
+import sys
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+from jax.sharding import AxisType, NamedSharding, PartitionSpec  # noqa: E402
+
+import jaxgrasp  # noqa: E402
+from benchmarks import problems as P  # noqa: E402
+
+
+def forces(grasp, wrench):
+    return jaxgrasp.constrained_optimum(grasp, wrench).forces
+
+
+def closed(grasp, wrench):
+    return jaxgrasp.closed_form(grasp, wrench).forces
+
+
+def by_squeeze(grasp, wrench):
+    def size(squeeze):
+        moved = jaxgrasp.Grasp(grasp.points, grasp.normals, grasp.friction, squeeze)
+        return jnp.sum(forces(moved, wrench) ** 2)
+
+    return jax.grad(size)(grasp.squeeze)
+
+
+def proven(grasp, wrench):
+    return jaxgrasp.verify_certificate(grasp, wrench, wrench)
+
+
+QUESTIONS = {"optimum": forces, "closed form": closed, "gradient": by_squeeze, "certificate": proven}
+
+
+def answers(kind: str, count: int, names: list[str]) -> dict[str, dict[str, float]]:
+    """Of each question the largest difference, relative to the largest number, and the devices of the answer."""
+    some = P.problems("ordinary", 3, count, seed=7)
+    grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)
+    given = jax.tree.map(jnp.asarray, (grasp, some.wrench))
+    alone = {name: np.asarray(QUESTIONS[name](*given)) for name in names}
+    mesh = jax.make_mesh((4,), ("batch",), axis_types=(AxisType[kind],))
+    spread = jax.device_put(given, NamedSharding(mesh, PartitionSpec("batch")))
+    jax.set_mesh(mesh)  # which JAX asks for where axes are explicit
+    said = {}
+    for name, expected in alone.items():
+        ask = QUESTIONS[name]
+        for way, asked in (("plain", ask), ("jit", jax.jit(ask))):
+            found = asked(*spread)
+            apart = float(np.abs(np.asarray(found) - expected).max() / np.abs(expected).max())
+            said[f"{name}, {way}"] = {"apart": apart, "devices": len(found.sharding.device_set)}
+    return said
+
+
+if __name__ == "__main__":
+    print(json.dumps(answers(sys.argv[1], int(sys.argv[2]), sys.argv[3].split(","))))

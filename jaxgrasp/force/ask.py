@@ -7,7 +7,8 @@ costs neither time nor, in large batches, memory.
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -29,6 +30,10 @@ SIZES = (1, 10, 100, 1000, 3000, 10000)
 dear beside some hundred problems alone."""
 LEAST_WHOLE = 1000
 """From this size on a piece is worth a call of its own; what is left after such pieces is padded instead."""
+REMEMBERED = 256
+"""Sizes of batches: one that comes again gets a small program that puts its answers together."""
+LARGEST_ASSEMBLED = 30000
+"""Up to this size: of larger batches it would save nothing that counts, and hold all pieces at once."""
 ALIGNMENT = 64
 """Bytes; what begins at a multiple of them JAX takes over without a copy."""
 
@@ -152,26 +157,44 @@ def _size(given: Given, tails: tuple) -> int | None:
 
 
 def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
-    flat = _flat(given, sharing, tails, np)
-    size = len(flat.fields["wrench"])
-    program = _padded_program(solve)
+    own: Any = given
+    program: Callable
+    batch = _plain_batch(given, tails)
+    if batch is None:
+        flat = _flat(given, sharing, tails, np)
+        own, batch = (flat.fields, flat.each), flat.batch
+        program = _flat_program(solve)
+    else:
+        program = _program(solve, sharing, tails)
+    size = math.prod(batch)
+    own = jax.tree.map(np.asarray, own)
 
-    def found(first: int, room: int) -> tuple[list[np.ndarray], Any]:
-        part = jax.tree.map(lambda array: _piece(array, first, room, size), (flat.fields, flat.each))
-        leaves, structure = jax.tree.flatten(program(*part, np.int32(min(room, size - first))))
-        # By NumPy, since each new shape would be a program of its own.
-        return [np.asarray(leaf)[: size - first] for leaf in leaves], structure
+    def found(first: int, room: int) -> Any:
+        part = jax.tree.map(lambda array: _piece(array, first, room, size), own)
+        return program(part, np.int32(min(room, size - first)))
 
     cut = pieces(size)
-    leaves, structure = found(*cut[0])
-    if len(cut) > 1:
-        whole = [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
-        for first, room in cut:
-            part = found(first, room)[0] if first else leaves
-            for leaf, own in zip(whole, part, strict=True):
-                leaf[first : first + room] = own
-        leaves = whole
-    return jax.tree.unflatten(structure, jax.device_put([x.reshape(flat.batch + x.shape[1:]) for x in leaves]))
+    answers = (found(*piece) for piece in cut)
+    if size <= LARGEST_ASSEMBLED and _comes_again(size):
+        return _assembled(tuple(answers), batch)
+    return _assembled_by_numpy(answers, batch)
+
+
+def _plain_batch(given: Given, tails: tuple) -> tuple[int, ...] | None:
+    """The leading axis, where all arrays have the same one and no other: then each program reads its piece itself."""
+    grasp, last = given.grasp, dict(tails)
+    contacts = np.shape(grasp.points)[:-1]
+    if len(contacts) != 2 or given.free is not None or given.limits is not None or np.shape(given.safety or 1) != ():
+        return None
+    batch = contacts[:1]
+    shapes: list[tuple[Any, tuple[int, ...]]]
+    shapes = [(grasp.normals, (*contacts, 3)), (given.wrench, (*batch, 6))]
+    each = (grasp.friction, grasp.squeeze, grasp.present, grasp.torsion, given.weights)
+    shapes += [(array, contacts) for array in each if array is not None]
+    shapes += [(array, batch + last.get(name, (6,))) for name, array in given.each.items()]
+    # A weak type would be lost with NumPy.
+    same = all(np.shape(array) == shape and not getattr(array, "weak_type", False) for array, shape in shapes)
+    return batch if same and not getattr(grasp.points, "weak_type", False) else None
 
 
 def pieces(size: int) -> list[tuple[int, int]]:
@@ -186,7 +209,7 @@ def pieces(size: int) -> list[tuple[int, int]]:
 
 def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
     """So many problems from the first on, behind the last one zeros; what all share is left as it is."""
-    if len(array) != size:
+    if array.ndim == 0 or len(array) != size:
         return array
     part = array[first : first + room]
     if len(part) == room:
@@ -194,6 +217,44 @@ def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
     padded = np.zeros((room, *array.shape[1:]), array.dtype)
     padded[: len(part)] = part
     return padded
+
+
+@cache
+def _sizes_met() -> deque[int]:
+    return deque(maxlen=REMEMBERED)
+
+
+def _comes_again(size: int) -> bool:
+    """Whether a batch of this size was asked for not long ago: then another program for it is worth its compilation."""
+    met = _sizes_met()
+    if size in met:
+        return True
+    met.append(size)
+    return False
+
+
+@partial(jax.jit, static_argnames="batch")
+def _assembled(answers: tuple[Any, ...], batch: tuple[int, ...]) -> Any:
+    """The answers of all pieces as one, without what was padded."""
+    size = math.prod(batch)
+
+    def one(*parts: Array) -> Array:
+        return jnp.concatenate(parts)[:size].reshape(batch + parts[0].shape[1:])
+
+    return jax.tree.map(one, *answers)
+
+
+def _assembled_by_numpy(answers: Iterable[Any], batch: tuple[int, ...]) -> Any:
+    """The same without a program for this size; each piece is copied as soon as it is there."""
+    size, first = math.prod(batch), 0
+    whole: list[np.ndarray] = []
+    for answer in answers:
+        leaves, structure = jax.tree.flatten(answer)
+        whole = whole or [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
+        for all_of_it, leaf in zip(whole, leaves, strict=True):
+            all_of_it[first : first + len(leaf)] = np.asarray(leaf)[: size - first]
+        first += len(leaves[0])
+    return jax.tree.unflatten(structure, jax.device_put([x.reshape(batch + x.shape[1:]) for x in whole]))
 
 
 def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
@@ -205,8 +266,22 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
 
 
 @cache
-def _padded_program(solve: Solve) -> Callable:
-    def run(fields: dict[str, Array], each: dict[str, Array], count: Array) -> Any:
+def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
+    """For pieces of what the user gave."""
+
+    def run(given: Given, count: Array) -> Any:
+        flat = _flat(given, sharing, tails, jnp)
+        return solve(Problem(**flat.fields, count=count), **flat.each)
+
+    return jax.jit(run, compiler_options=compile_options())
+
+
+@cache
+def _flat_program(solve: Solve) -> Callable:
+    """For pieces of what NumPy has brought into one leading axis."""
+
+    def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array) -> Any:
+        fields, each = flat
         return solve(Problem(**fields, count=count), **each)
 
     return jax.jit(run, compiler_options=compile_options())

@@ -8,7 +8,7 @@ import pytest
 import jaxgrasp
 from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
-from jaxgrasp.force.ask import SIZES
+from jaxgrasp.force.ask import LEAST_WHOLE, SIZES, pieces
 
 N = 3
 MANY = P.problems("ordinary", N, 1000, seed=5)
@@ -41,6 +41,59 @@ def test_thirty_sizes_need_few_programs(compilations):
     within = [size for size in SIZES if size <= max(THIRTY)]
     # One for each size that is padded to, and one more for those that need no padding.
     assert len(compilations) <= 2 * len(within)
+
+
+def test_a_size_that_comes_again_needs_one_program_more(compilations):
+    for _ in range(3):
+        jaxgrasp.closed_form(*asked(701))
+    first = len(compilations)
+    for count in (702, 703):
+        jaxgrasp.closed_form(*asked(count))
+    assert len(compilations) == first
+    jaxgrasp.closed_form(*asked(703))
+    assert len(compilations) <= first + 1
+
+
+@pytest.mark.parametrize("size", [2, 11, 101, 999, 1001, 1500, 4000, 12345, 35000, 1_000_001])
+def test_pieces_cover_a_batch_once_and_only_the_last_is_padded(size):
+    cut = pieces(size)
+    ends = [first + room for first, room in cut]
+    assert [first for first, _ in cut] == [0, *ends[:-1]]
+    assert {room for _, room in cut} <= set(SIZES)
+    assert all(end <= size and room >= LEAST_WHOLE for end, (_, room) in zip(ends[:-1], cut, strict=False))
+    assert cut[-1][0] < size <= ends[-1]
+
+
+def repeated(count: int) -> tuple[Grasp, np.ndarray]:
+    """More problems than there are, all of them again and again."""
+    order = np.arange(count) % 1000
+    grasp, wrench = asked(1000)
+    return jax.tree.map(lambda x: x[order], grasp), wrench[order]
+
+
+@pytest.mark.parametrize("size", [1234, 4001])
+def test_pieces_change_nothing(size):
+    grasp, wrench = repeated(size)
+    expected = jax.device_get(jaxgrasp.closed_form(*asked(1000)))
+    # The second time they are put together by another program.
+    for _ in range(2):
+        found = jaxgrasp.closed_form(grasp, wrench)
+        assert all(isinstance(leaf, jax.Array) and len(leaf) == size for leaf in jax.tree.leaves(found))
+        for leaf, own in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_allclose(leaf, own[np.arange(size) % 1000], rtol=1e-12, atol=1e-12)
+    # So they are where NumPy has to bring the arrays into one shape.
+    weights = np.linspace(1, 2, N)
+    at_once = jax.jit(lambda g, w: jaxgrasp.closed_form(g, w, weights))(grasp, wrench)
+    found = jaxgrasp.closed_form(grasp, wrench, weights)
+    np.testing.assert_allclose(found.forces, at_once.forces, rtol=1e-11, atol=1e-11)
+
+
+def test_a_weak_type_decides_no_precision_in_pieces():
+    grasp, wrench = asked(7)
+    single = jax.tree.map(lambda x: np.asarray(x, np.float32), grasp)
+    weak = jnp.broadcast_to(1.0, (7, 6)) * 0.1
+    assert weak.weak_type
+    assert jaxgrasp.closed_form(single, weak).forces.dtype == np.float32
 
 
 def test_padding_changes_nothing():

@@ -214,7 +214,7 @@ def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
     part = array[first : first + room]
     if len(part) == room:
         return part
-    padded = np.zeros((room, *array.shape[1:]), array.dtype)
+    padded = _aligned((room, *array.shape[1:]), array.dtype)
     padded[: len(part)] = part
     return padded
 
@@ -258,9 +258,9 @@ def _assembled_by_numpy(answers: Iterable[Any], batch: tuple[int, ...]) -> Any:
 
 
 def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
-    """An array, not yet filled, that JAX takes over without a copy."""
+    """Zeros that JAX takes over without a copy; what is not written to is never touched at all."""
     length = math.prod(shape) * dtype.itemsize
-    room = np.empty(length + ALIGNMENT, np.uint8)
+    room = np.zeros(length + ALIGNMENT, np.uint8)
     first = -room.ctypes.data % ALIGNMENT
     return room[first : first + length].view(dtype).reshape(shape)
 

@@ -25,6 +25,7 @@ from jaxgrasp.force.unknowns import Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.symmetric import Lower
+from jaxgrasp.numerics.varying import varying_like
 
 ARMIJO = 1e-4
 STEPS_PER_LEVEL = 100
@@ -122,7 +123,7 @@ def nearest(
     metric and point are those of the ``unknowns``: where they are not given, of the twist as it is.
     """
     unknowns = unstretched(lanes.force.x) if unknowns is None else unknowns
-    zero = jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype)
+    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype), lanes)
 
     def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
         point = climb(lanes, Pull(1 / price, zero, metric, plane, unknowns), price, foreseen, done)
@@ -165,7 +166,7 @@ def least_push(lanes: Lanes, frozen: Array) -> tuple[Array, Path]:
 
     Lanes that have no forces at all should be ``frozen``.
     """
-    zero = jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype)
+    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype), lanes)
     metric, plain = identity(zero[:1]), unstretched(zero[:1])
 
     def attempt(price: Array, foreseen: Six, done: Array) -> _Try:
@@ -213,7 +214,7 @@ def _follow(start: Six, frozen: Array, attempt: Callable[[Array, Six, Array], _T
             done=path.done | (better & tried.far & straight) | (price >= highest),
         )
 
-    path = Path(zero, start, zero, zero, start, zero + jnp.inf, frozen)
+    path = varying_like(Path(zero, start, zero, zero, start, zero + jnp.inf, frozen), start, frozen)
     _, path = lax.while_loop(lambda carry: ~jnp.all(carry[1].done), rise, (jnp.asarray(RISE, zero.dtype), path))
     return path
 
@@ -244,7 +245,7 @@ def climb(lanes: Lanes, pull: Pull, price: Array, start: Six, frozen: Array) -> 
     which is rounding itself in all directions but those that matter.
     """
     damping = FIRST_DAMPING / price + 0 * start[:1]
-    state = _Climb(start, *_look(lanes, pull, start), damping, frozen)
+    state = varying_like(_Climb(start, *_look(lanes, pull, start), damping, frozen), lanes, pull, price)
 
     def unfinished(carry):
         count, state = carry

@@ -16,6 +16,7 @@ from jaxgrasp.force.limit import Limit
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.numerics.varying import varying_like
 
 WIDEST = 1e4
 """Factors beyond this, or below its inverse, are not looked for."""
@@ -138,7 +139,7 @@ def _search(problem: Problem, total: Array) -> Array:
     """Where the excess falls to zero, or from infinity to below it: its logarithm."""
     widest = jnp.full_like(total, jnp.log(WIDEST))
     no = jnp.zeros_like(total, bool)
-    start = _Search(-widest, widest, no, no, jnp.zeros_like(total), no)
+    start = varying_like(_Search(-widest, widest, no, no, jnp.zeros_like(total), no), problem, total)
 
     def step(carry):
         count, state = carry

@@ -29,6 +29,7 @@ from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.tiles import over_chosen
+from jaxgrasp.numerics.varying import varying_like
 
 
 class _Pass(NamedTuple):
@@ -61,6 +62,7 @@ def within_torques(problem: Problem, answer: Answer) -> Answer:
     within = jnp.all(jnp.abs(torque) <= problem.torque_max, 1)
     strange = ~jnp.all(jnp.isfinite(torque) & (problem.torque_max >= 0), 1)
     answer = answer._replace(undecided=(_solved(answer) & ~within) | strange)
+    nothing = varying_like(nothing, problem, answer)
     answer = answer._replace(torque_multiplier=nothing, certificate_rates=nothing)
     # One question for all, since every pass that asks for itself copies what it may change.
     return lax.cond(jnp.any(answer.undecided), partial(_within, problem), lambda answer: answer, answer)

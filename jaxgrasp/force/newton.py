@@ -21,6 +21,7 @@ from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.symmetric import Lower
+from jaxgrasp.numerics.varying import varying_like
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
@@ -120,6 +121,7 @@ def ascend(hill: Hill, start: Array, frozen: Array, limit: int | Array) -> Ascen
     nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
     state = Ascent(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen)
+    state = varying_like(state, start, hill)
 
     def unfinished(carry):
         count, state = carry

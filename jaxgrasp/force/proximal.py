@@ -23,6 +23,7 @@ from jaxgrasp.force.sixes import Six
 from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.one_kernel import one_kernel
+from jaxgrasp.numerics.varying import varying_like
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
@@ -119,6 +120,7 @@ def proximal_search(ground: Ground, search: Search, effort: Effort) -> Search:
         return strength / 10, jnp.asarray(False), _level(ground, strength, effort, search)
 
     strongest = jnp.where(effort.careful, STRONGEST, 0).astype(search.point.dtype)
+    search = varying_like(search, ground)
     *_, search = lax.while_loop(unfinished, fall, (strongest, jnp.asarray(True), search))
     good = effort.careful & ~search.decided & search.nearly
     return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))

@@ -16,6 +16,7 @@ from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.force.unknowns import Stretch, Unknowns, unstretched
 from jaxgrasp.numerics import symmetric, vec
 from jaxgrasp.numerics.one_kernel import one_kernel
+from jaxgrasp.numerics.varying import varying_like
 from jaxgrasp.numerics.vec import Vec
 
 
@@ -114,7 +115,7 @@ def suited(lanes: Lanes) -> Suited:
         scales = vec.where(ill, _whitening(along, where), scales)
         return turned, axes, jax.tree.map(partial(jnp.where, ill), along, matrix), scales
 
-    given = (plain, own, matrix, Vec(one, one, one))
+    given = varying_like((plain, own, matrix, Vec(one, one, one)), placed)
     ready, axes, matrix, scales = lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), with_care, given)
     ready, frame = loaded(where, ready, axes)
     return Suited(ready, frame, _scaled_metric(matrix, scales), Stretch(scales), ill)
@@ -134,7 +135,8 @@ def refined_multiplier(lanes: Lanes, unknowns: Unknowns, metric: Metric, ill: Ar
         return multiplier + jnp.where((i == 0) | ill, more, 0)
 
     trips = 1 + jnp.any(ill).astype(jnp.int32)
-    return lax.fori_loop(0, trips, balance, jnp.zeros((6, lanes.force.x.shape[-1]), lanes.squeeze.dtype))
+    start = varying_like(jnp.zeros((6, lanes.force.x.shape[-1]), lanes.squeeze.dtype), lanes, metric)
+    return lax.fori_loop(0, trips, balance, start)
 
 
 def _balancing(lanes: Lanes, forces: Four, unknowns: Unknowns, metric: Metric) -> Six:

@@ -27,6 +27,7 @@ from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec
 from jaxgrasp.numerics.one_kernel import one_kernel
 from jaxgrasp.numerics.tiles import over_chosen, over_tiles
+from jaxgrasp.numerics.varying import varying_like
 
 CAREFUL_TILE = 16
 STEPS = (5, 6, 30)
@@ -73,7 +74,7 @@ def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
         return over_chosen(tile, problem, answer, chosen, _newton_width(problem))
 
     # A loop rather than several calls: all stages, the careful one too, are one piece of compiled code.
-    return lax.fori_loop(0, len(STEPS) + 1, improve, answer)
+    return lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(answer, problem))
 
 
 def _closed_width(problem: Problem) -> int:
@@ -124,7 +125,7 @@ def _missed(lanes: Lanes, frame: Frame, unknowns: Unknowns, ill: Array) -> tuple
         missed, direction = out_of_range(lanes, frame, unknowns)
         return none[0] | missed & ill, none[1] + direction
 
-    return lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), look, none)
+    return lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), look, varying_like(none, lanes, frame))
 
 
 def _optimum_tile(problem: Problem, prior: Answer, effort: Effort) -> Answer:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics.tiles import beside, merged
+from jaxgrasp.numerics.varying import varying_like
 
 STEPS = 60
 NEAR = 0.995
@@ -115,6 +116,7 @@ def solve(program: Program) -> Optimum:
         here = merged(~over & sound, there, here)
         return count + 1, here, best, over | ~sound | there.solved | (length < SHORTEST)
 
+    start = varying_like(start, program)
     carry = (jnp.int32(0), start, start, start.solved)
     return lax.while_loop(unfinished, advance, carry)[2]
 

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from jaxgrasp.numerics.varying import varying_like
+
 
 class Factors(NamedTuple):
     """The steps of the elimination, along the first axis."""
@@ -37,7 +39,7 @@ def factor(a: Array, least: float) -> Factors:
         below = free * column * inverse
         return (left - below[:, None] * column, free), Factors(chosen, below, inverse)
 
-    _, factors = lax.scan(eliminate, (a, jnp.ones(a.shape[1:], a.dtype)), length=len(a))
+    _, factors = lax.scan(eliminate, (a, varying_like(jnp.ones(a.shape[1:], a.dtype), a)), length=len(a))
     return factors
 
 
@@ -53,6 +55,6 @@ def solve(factors: Factors, right: Array) -> Array:
         (chosen, column, _), part = step
         return x + chosen * (part - jnp.sum(column * x, 0)), None
 
-    _, parts = lax.scan(forward, right, factors)
-    x, _ = lax.scan(backward, jnp.zeros_like(right), (factors, parts), reverse=True)
+    _, parts = lax.scan(forward, varying_like(right, factors), factors)
+    x, _ = lax.scan(backward, varying_like(jnp.zeros_like(right), parts, factors), (factors, parts), reverse=True)
     return x

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import vec
+from jaxgrasp.numerics.varying import varying_like
 from jaxgrasp.numerics.vec import Vec
 
 Lower = Sequence[Sequence[Array]]
@@ -64,6 +65,7 @@ def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec, Vec, Vec
     """
     entries = jnp.stack([jnp.stack([a[max(i, j)][min(i, j)] for j in range(3)]) for i in range(3)])
     identity = jnp.zeros_like(entries) + jnp.eye(3, dtype=entries.dtype).reshape(3, 3, *[1] * (entries.ndim - 2))
+    identity = varying_like(identity, entries)
 
     def mix(cosine: Array, sine: Array, rows: Array) -> Array:
         # The first two are turned, and then all move on by one, so that every pair has its turn.

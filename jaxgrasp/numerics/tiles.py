@@ -13,6 +13,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from jaxgrasp.numerics.varying import varying_like
+
 Tree = TypeVar("Tree")
 Out = TypeVar("Out")
 
@@ -47,6 +49,7 @@ def over_tiles(
         return function(arguments)
     shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
     results = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
+    results = varying_like(results, arguments)
 
     def body(i, results):
         start = jnp.minimum(i * tile, size - tile)
@@ -84,6 +87,7 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
             return i + 1, _write(gathered, answer, i * tile)
 
         gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
+        gathered = varying_like(gathered, arguments, results)
         _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
         place = jnp.maximum(last - 1, 0)
         return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)

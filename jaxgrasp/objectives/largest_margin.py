@@ -16,6 +16,7 @@ from jax import Array, lax
 from jaxgrasp.numerics import conic
 from jaxgrasp.numerics.conic import Program
 from jaxgrasp.numerics.tiles import beside, merged, over_chosen
+from jaxgrasp.numerics.varying import varying_like
 from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
 from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
 from jaxgrasp.objectives.posed import Posed, absent, friction_cones
@@ -235,6 +236,7 @@ def _looked(posed: Posed, state: _State, count: int) -> _State:
         moved = _step(state, _look(posed, state.here))
         return done + 1, merged(state.phase == OVER, state, moved)
 
+    state = varying_like(state, posed)
     return lax.while_loop(lambda c: (c[0] < count) & ~jnp.all(c[1].phase == OVER), step, (jnp.int32(0), state))[1]
 
 

@@ -48,12 +48,15 @@ def answers(kind: str, count: int, names: list[str]) -> dict[str, dict[str, floa
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)
     given = jax.tree.map(jnp.asarray, (grasp, some.wrench))
     alone = {name: np.asarray(QUESTIONS[name](*given)) for name in names}
-    mesh = jax.make_mesh((4,), ("batch",), axis_types=(AxisType[kind],))
-    spread = jax.device_put(given, NamedSharding(mesh, PartitionSpec("batch")))
+    axes = PartitionSpec("batch")
+    mesh = jax.make_mesh((4,), ("batch",), axis_types=(AxisType.Explicit if kind == "Explicit" else AxisType.Auto,))
+    spread = jax.device_put(given, NamedSharding(mesh, axes))
     jax.set_mesh(mesh)  # which JAX asks for where axes are explicit
     said = {}
     for name, expected in alone.items():
         ask = QUESTIONS[name]
+        if kind == "Manual":
+            ask = jax.shard_map(ask, mesh=mesh, in_specs=axes, out_specs=axes)
         for way, asked in (("plain", ask), ("jit", jax.jit(ask))):
             found = asked(*spread)
             apart = float(np.abs(np.asarray(found) - expected).max() / np.abs(expected).max())

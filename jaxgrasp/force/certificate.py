@@ -65,7 +65,7 @@ def verify_certificate(
 def _force_needed(problem: Problem, certificate: Array, rates: Array | None = None) -> Array:
     lanes, valid = read(problem)
     if problem.torque_map is not None:
-        valid = valid & torques.usable(problem)
+        valid = valid & torques.usable(problem)[None]
     if rates is None or problem.torque_max is None:
         return jnp.where(valid, _needed(lanes, certificate.T), 0)[0]
     moved, spent = _by_joints(problem, lanes, rates.T)
@@ -106,5 +106,5 @@ def _needed(lanes: Lanes, direction: Array, moved: Four | None = None, spent: Ar
 
 
 def _middle(arms: Vec, counted: Array) -> Vec:
-    count = jnp.maximum(jnp.sum(counted, 0, keepdims=True), 1)
+    count = jnp.maximum(jnp.sum(counted, 0, keepdims=True), 1).astype(arms.x.dtype)
     return Vec(*(jnp.sum(jnp.where(counted, c, 0), 0, keepdims=True) / count for c in arms))

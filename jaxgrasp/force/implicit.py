@@ -206,7 +206,7 @@ def _solve(curvature: Array, right: Array) -> Array:
     factors = semidefinite.factor(curvature, tolerances(right.dtype).singular)
     x = semidefinite.solve(factors, right)
     # Ill-conditioned, it gets its last digits from what it leaves.
-    return x + semidefinite.solve(factors, right - jnp.sum(curvature * x, 1))
+    return x + semidefinite.solve(factors, right - jnp.sum(curvature * x[None], 1))
 
 
 def _out(frame: Frame, answered: Array, found: _Outputs) -> Tangent:

@@ -91,7 +91,7 @@ def _fast(problem: Problem, answer: Answer, passes: _Pass) -> Answer:
     """Newton's method for the undecided, as far as it gets."""
 
     def newton(stage: Array, answer: Answer) -> Answer:
-        tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps)[stage])
+        tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[stage])
         return over_chosen(tile, problem, answer, answer.undecided, TILE)
 
     # A loop rather than several calls: the stages are one piece of compiled code.
@@ -126,7 +126,7 @@ def _merge(settled: Array, prior: Answer, answer: Answer) -> Answer:
 
 def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Answer:
     lanes, valid = read(problem)
-    valid = valid & torques.usable(problem)
+    valid = valid & torques.usable(problem)[None]
     problem = torques.cleaned(problem)
     lanes, frame = normalise(lanes)
     metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
@@ -144,7 +144,7 @@ def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Ans
         forces=best,
         multiplier=ascent.point[:6],
         verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
-        steps=ascent.steps + prior.steps,
+        steps=ascent.steps + prior.steps[None],
         certificate=jnp.zeros_like(start),
         undecided=~good,
         joints=Joints(torques.pull(hill.rows, ascent.point[6:]), rates.T, 0 * rates.T),
@@ -198,7 +198,7 @@ class _Ground(NamedTuple):
 
 def _careful_tile(problem: Problem, prior: Answer) -> Answer:
     lanes, valid = read(problem)
-    valid = valid & torques.usable(problem)
+    valid = valid & torques.usable(problem)[None]
     problem = torques.cleaned(problem)
     lanes, frame = principal(lanes)
     metric, unknowns = whitened(problem, lanes, frame)
@@ -216,7 +216,7 @@ def _careful_tile(problem: Problem, prior: Answer) -> Answer:
         found.forces,
         found.point[:6],
         found.verdict,
-        found.steps + prior.steps,
+        found.steps + prior.steps[None],
         found.certificate[:6],
         undecided,
         joints,

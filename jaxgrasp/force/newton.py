@@ -158,10 +158,14 @@ def _advance(hill: Hill, state: Ascent) -> Ascent:
         caution=jnp.where(accepted, caution, state.caution),
         size2=jnp.where(accepted, size2, state.size2),
         # The look at the starting point, of length zero, is no step.
-        steps=state.steps + (~state.done & (state.length > 0)) + (accepted & leap),
+        steps=state.steps + _as_count(~state.done & (state.length > 0)) + _as_count(accepted & leap),
         done=state.done | stuck | (accepted & (arrived | leap)),
         stuck=state.stuck | stuck,
     )
+
+
+def _as_count(condition: Array) -> Array:
+    return condition.astype(jnp.int32)
 
 
 def _is_better(state: Ascent, trial: Array, value: Array, size2: Array) -> Array:

@@ -94,7 +94,7 @@ class Free(NamedTuple):
 
 def full_effort() -> Effort:
     """All that can be done."""
-    return Effort(jnp.asarray(True), jnp.asarray(STEPS_PER_LEVEL))
+    return Effort(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
 
 
 def begin(point: Array, forces: Four, verdict: Array | Verdict, decided: Array) -> Search:

@@ -68,7 +68,7 @@ def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
         answer = answer._replace(multiplier=jnp.where(given[:, None], problem.start, answer.multiplier))
 
     def improve(stage: Array, answer: Answer) -> Answer:
-        effort = Effort(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL))[stage])
+        effort = Effort(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[stage])
         chosen = answer.undecided & (effort.careful | (answer.verdict == Verdict.OUTSIDE_CONES))
         tile = partial(_optimum_tile, effort=effort)
         return over_chosen(tile, problem, answer, chosen, _newton_width(problem))
@@ -154,7 +154,7 @@ def _optimum_answer(
 ) -> Answer:
     lanes, frame, unknowns, _ = ground
     converged = found.verdict == Verdict.OPTIMAL
-    steps = found.steps + jnp.where(careful, 0, before)
+    steps = found.steps + jnp.where(careful, 0, before)[None]
     outcome = Outcome(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
     answer = write(lanes, frame, unknowns, valid, size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.

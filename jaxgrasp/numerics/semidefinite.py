@@ -31,13 +31,13 @@ def factor(a: Array, least: float) -> Factors:
         left, free = carry
         diagonal = jnp.where(free > 0, jnp.einsum("iib->ib", left), -1)
         chosen = jax.nn.one_hot(jnp.argmax(diagonal, 0), len(a), axis=0, dtype=a.dtype)
-        column = jnp.sum(chosen * left, 1)
+        column = jnp.sum(chosen[None] * left, 1)
         pivot = jnp.sum(chosen * column, 0)
         real = pivot > least
         inverse = jnp.where(real, 1 / jnp.where(real, pivot, 1), 0)
         free = free * (1 - chosen)
-        below = free * column * inverse
-        return (left - below[:, None] * column, free), Factors(chosen, below, inverse)
+        below = free * column * inverse[None]
+        return (left - below[:, None] * column[None], free), Factors(chosen, below, inverse)
 
     _, factors = lax.scan(eliminate, (a, varying_like(jnp.ones(a.shape[1:], a.dtype), a)), length=len(a))
     return factors
@@ -49,11 +49,11 @@ def solve(factors: Factors, right: Array) -> Array:
     def forward(rest, step):
         chosen, column, inverse = step
         part = jnp.sum(chosen * rest, 0)
-        return rest - column * part, part * inverse
+        return rest - column * part[None], part * inverse
 
     def backward(x, step):
         (chosen, column, _), part = step
-        return x + chosen * (part - jnp.sum(column * x, 0)), None
+        return x + chosen * (part - jnp.sum(column * x, 0))[None], None
 
     _, parts = lax.scan(forward, varying_like(right, factors), factors)
     x, _ = lax.scan(backward, varying_like(jnp.zeros_like(right), parts, factors), (factors, parts), reverse=True)

@@ -73,7 +73,8 @@ def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec, Vec, Vec
 
     def turn(_, state):
         matrix, axes = state
-        cosine, sine = _rotation(matrix[0, 0], matrix[0, 1], matrix[1, 1])
+        # One for each matrix, beside rows of three.
+        cosine, sine = (x[None] for x in _rotation(matrix[0, 0], matrix[0, 1], matrix[1, 1]))
         halfway = mix(cosine, sine, matrix)
         return mix(cosine, sine, halfway.swapaxes(0, 1)), mix(cosine, sine, axes)
 

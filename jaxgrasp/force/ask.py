@@ -9,7 +9,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -30,8 +30,9 @@ SIZES = (1, 10, 100, 1000, 3000, 10000)
 dear beside some hundred problems alone."""
 LEAST_WHOLE = 1000
 """From this size on a piece is worth a call of its own; what is left after such pieces is padded instead."""
-REMEMBERED = 256
-"""Sizes of batches: one that comes again gets a small program that puts its answers together."""
+REMEMBERED = 16
+"""Sizes of batches: one that comes again meanwhile gets a small program that puts its answers together. Programs hold
+memory, so of these too there are no more."""
 LARGEST_ASSEMBLED = 30000
 """Up to this size: of larger batches it would save nothing that counts, and hold all pieces at once."""
 ALIGNMENT = 64
@@ -176,7 +177,7 @@ def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
     cut = pieces(size)
     answers = (found(*piece) for piece in cut)
     if size <= LARGEST_ASSEMBLED and _comes_again(size):
-        return _assembled(tuple(answers), batch)
+        return _assembler(batch)(tuple(answers))
     return _assembled_by_numpy(answers, batch)
 
 
@@ -233,19 +234,22 @@ def _comes_again(size: int) -> bool:
     return False
 
 
-@partial(jax.jit, static_argnames="batch")
-def _assembled(answers: tuple[Any, ...], batch: tuple[int, ...]) -> Any:
-    """The answers of all pieces as one, without what was padded."""
+@lru_cache(REMEMBERED)
+def _assembler(batch: tuple[int, ...]) -> Callable[[tuple[Any, ...]], Any]:
+    """From the answers of all pieces to one of all problems, without what was padded."""
     size = math.prod(batch)
 
     def one(*parts: Array) -> Array:
         return jnp.concatenate(parts)[:size].reshape(batch + parts[0].shape[1:])
 
-    return jax.tree.map(one, *answers)
+    def assemble(answers: tuple[Any, ...]) -> Any:
+        return jax.tree.map(one, *answers)
+
+    return jax.jit(assemble)
 
 
 def _assembled_by_numpy(answers: Iterable[Any], batch: tuple[int, ...]) -> Any:
-    """The same without a program for this size; each piece is copied as soon as it is there."""
+    """The answers of all pieces as one without a program for this size; each piece is copied as soon as it is there."""
     size, first = math.prod(batch), 0
     whole: list[np.ndarray] = []
     for answer in answers:

@@ -1,6 +1,9 @@
 """Tests run in 64-bit mode, keep compiled code between runs, and check array shapes at every call."""
 
 import os
+import subprocess
+from collections import Counter
+from datetime import date
 from pathlib import Path
 
 import jax
@@ -41,3 +44,44 @@ def forget_compiled_code():
     """Every compiled function holds memory maps, and a process may have only some 65,000 of them."""
     yield
     jax.clear_caches()
+
+
+PARTS = 3
+"""A test that is marked ``repeats`` holds one law for many sizes or kinds: one in so many of them runs each time,
+chosen by the day of the commit; all of them with ``JAXGRASP_TEST_ALL=1``."""
+
+
+def _part() -> int | None:
+    """Which part of the long tests' repetitions runs; None for all of them."""
+    if os.environ.get("JAXGRASP_TEST_ALL"):
+        return None
+    try:
+        said = subprocess.run(
+            ["git", "log", "-1", "--format=%cs"], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        )
+        day = date.fromisoformat(said.stdout.strip())
+    except (OSError, ValueError, subprocess.CalledProcessError):
+        day = date.today()
+    return day.toordinal() % PARTS
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    if config.option.markexpr == "slow":
+        part = _part()
+        which = "all" if part is None else f"part {part + 1} of {PARTS}; all with JAXGRASP_TEST_ALL=1"
+        terminalreporter.write_line(f"repetitions of one law: {which}")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    part = _part()
+    if part is None:
+        return
+    places: Counter = Counter()
+    kept, left_out = [], []
+    for item in items:
+        law = (item.path, getattr(item, "originalname", item.name))
+        waits = item.get_closest_marker("repeats") and places[law] % PARTS != part
+        places[law] += 1
+        (left_out if waits else kept).append(item)
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = kept

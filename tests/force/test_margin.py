@@ -55,6 +55,7 @@ def test_margin_lies_between_proven_bounds(kind):
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("kind", ["ordinary", "low_friction", "coincident_some", "scales", "far_frame"])
 @pytest.mark.parametrize("n", [4, 5, 10])
 def test_margin_lies_between_proven_bounds_over_more_problems(kind, n):

@@ -295,6 +295,7 @@ def test_batches_names_and_transformations():
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("kind", ["infeasible", "ordinary", "low_friction", "coincident_some", "scales", "far_frame"])
 def test_distance_agrees_with_clarabel_over_more_problems(kind):
     for seed in range(11, 17):

@@ -87,12 +87,14 @@ def test_every_problem_is_decided_rightly(kind):
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("kind, n", LONG)
 def test_every_problem_is_decided_rightly_at_length(kind, n):
     assert max(undecided(kind, n, LONG_COUNT, SEED)) <= UNDECIDED.get(kind, 0)
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("few", [1, 4])
 @pytest.mark.parametrize("kind", P.KINDS)
 def test_a_few_at_a_time_are_decided_as_rightly(kind, few):
@@ -111,6 +113,7 @@ SEEDS = [
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("kind, seed", SEEDS)
 def test_three_contacts_are_decided_rightly_whatever_the_seed(kind, seed):
     """The fewest contacts that reach every wrench: rare failures are the least rare here."""
@@ -142,6 +145,7 @@ def test_single_precision_is_never_silently_wrong(kind):
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("kind, n", LONG)
 def test_single_precision_is_never_silently_wrong_at_length(kind, n):
     for sharing in SHARINGS:

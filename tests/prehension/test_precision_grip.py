@@ -63,6 +63,7 @@ def test_fingertips_alone_hold_it_whichever_way_is_down(fingers, name):
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("fingers, name", MORE)
 def test_the_stated_range_is_reached_to_its_corners(fingers, name):
     for length, side, radius in product((0.16, 0.21), ("right", "left"), (0.015, 0.025, 0.035)):

@@ -47,13 +47,14 @@ def forget_compiled_code():
 
 
 PARTS = 3
-"""A test that is marked ``repeats`` holds one law for many sizes or kinds: one in so many of them runs each time,
-chosen by the day of the commit; all of them with ``JAXGRASP_TEST_ALL=1``."""
+"""The long tests take turns, by the day of the commit: each time one law in so many, and of a law that is marked
+``repeats``, which goes through many sizes or kinds, one case in so many. All of them run with ``JAXGRASP_TEST_ALL=1``,
+and those that are named one by one."""
 
 
-def _part() -> int | None:
-    """Which part of the long tests' repetitions runs; None for all of them."""
-    if os.environ.get("JAXGRASP_TEST_ALL"):
+def _part(config: pytest.Config) -> int | None:
+    """Which part of the long tests runs; None for all of them."""
+    if os.environ.get("JAXGRASP_TEST_ALL") or any("::" in one for one in config.args):
         return None
     try:
         said = subprocess.run(
@@ -67,21 +68,27 @@ def _part() -> int | None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     if config.option.markexpr == "slow":
-        part = _part()
+        part = _part(config)
         which = "all" if part is None else f"part {part + 1} of {PARTS}; all with JAXGRASP_TEST_ALL=1"
-        terminalreporter.write_line(f"repetitions of one law: {which}")
+        terminalreporter.write_line(f"long tests: {which}")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    part = _part()
+    part = _part(config)
     if part is None:
         return
-    places: Counter = Counter()
+    laws: dict[tuple, int] = {}
+    cases: Counter = Counter()
     kept, left_out = [], []
     for item in items:
         law = (item.path, getattr(item, "originalname", item.name))
-        waits = item.get_closest_marker("repeats") and places[law] % PARTS != part
-        places[law] += 1
-        (left_out if waits else kept).append(item)
+        if not item.get_closest_marker("slow"):
+            turn = part
+        elif item.get_closest_marker("repeats"):
+            turn = cases[law]
+            cases[law] += 1
+        else:
+            turn = laws.setdefault(law, len(laws))
+        (kept if turn % PARTS == part else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept

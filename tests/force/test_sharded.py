@@ -26,7 +26,8 @@ LONG = [
 
 
 @pytest.mark.parametrize(
-    ("count", "questions"), [(24, ("closed form",)), *(pytest.param(*case, marks=pytest.mark.slow) for case in LONG)]
+    ("count", "questions"),
+    [(24, ("closed form",)), *(pytest.param(*case, marks=[pytest.mark.slow, pytest.mark.repeats]) for case in LONG)],
 )
 @pytest.mark.parametrize("kind", ["Auto", "Explicit", "Manual"])
 def test_answers_of_a_mesh_are_those_of_one_device(kind, count, questions):

@@ -185,7 +185,8 @@ def _plain_batch(given: Given, tails: tuple) -> tuple[int, ...] | None:
     """The leading axis, where all arrays have the same one and no other: then each program reads its piece itself."""
     grasp, last = given.grasp, dict(tails)
     contacts = np.shape(grasp.points)[:-1]
-    if len(contacts) != 2 or given.free is not None or given.limits is not None or np.shape(given.safety or 1) != ():
+    one_safety = given.safety is None or np.ndim(given.safety) == 0
+    if len(contacts) != 2 or given.free is not None or given.limits is not None or not one_safety:
         return None
     batch = contacts[:1]
     shapes: list[tuple[Any, tuple[int, ...]]]

@@ -253,7 +253,6 @@ def test_safety_divides_the_friction():
         solve(problem, problem.squeeze, safety=np.ones(5))
 
 
-@pytest.mark.slow
 def test_safety_is_that_of_a_problem_not_of_a_contact():
     """One for each, also where there are as many problems as contacts."""
     problem = P.problems("ordinary", 3, 3, seed=1)

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from importlib.metadata import version
 
 import tyro
 
@@ -10,7 +11,11 @@ from jaxgrasp.cli.arguments import Command, Evaluate
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, run, and turn expected errors into one line on stderr and the exit code 1."""
-    command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    if given == ["--version"]:
+        print(f"jaxgrasp {version('jaxgrasp')}")
+        return 0
+    command = tyro.cli(Command, prog="jaxgrasp", args=given)
     try:
         return command.run()
     except (ValueError, OSError, ImportError) as error:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -31,6 +32,11 @@ def test_arguments_are_understood_without_jax():
         "assert not {'jax', 'numpy'} & set(sys.modules), 'a heavy import before the arguments are read'"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_version_is_that_of_the_installed_package(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"jaxgrasp {version('jaxgrasp')}\n"
 
 
 def test_info_says_what_a_file_holds(grasps, capsys):

@@ -2,7 +2,7 @@
 
 import os
 import subprocess
-from collections import Counter
+from collections import defaultdict
 from datetime import date
 from pathlib import Path
 
@@ -77,18 +77,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     part = _part(config)
     if part is None:
         return
-    laws: dict[tuple, int] = {}
-    cases: Counter = Counter()
+    rounds: defaultdict[tuple | None, dict] = defaultdict(dict)
     kept, left_out = [], []
     for item in items:
         law = (item.path, getattr(item, "originalname", item.name))
-        if not item.get_closest_marker("slow"):
-            turn = part
-        elif item.get_closest_marker("repeats"):
-            turn = cases[law]
-            cases[law] += 1
-        else:
-            turn = laws.setdefault(law, len(laws))
-        (kept if turn % PARTS == part else left_out).append(item)
+        # Laws take turns among one another, the cases of a law that repeats among themselves.
+        among, one = (law, item.nodeid) if item.get_closest_marker("repeats") else (None, law)
+        waits = item.get_closest_marker("slow") and rounds[among].setdefault(one, len(rounds[among])) % PARTS != part
+        (left_out if waits else kept).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept

@@ -11,11 +11,11 @@ from jaxgrasp.cli.arguments import Command, Evaluate
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, run, and turn expected errors into one line on stderr and the exit code 1."""
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    if given == ["--version"]:
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if list(arguments) == ["--version"]:
         print(f"jaxgrasp {version('jaxgrasp')}")
         return 0
-    command = tyro.cli(Command, prog="jaxgrasp", args=given)
+    command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
     try:
         return command.run()
     except (ValueError, OSError, ImportError) as error:

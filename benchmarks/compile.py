@@ -4,7 +4,8 @@
 
 Writes compile.json and compile.md. ``programs`` measures each public call in this version and in the one before, which
 is checked out from the repository's history; ``verdicts`` solves every kind of hard problem under four sets of compile
-options; ``suite`` runs the quick tests with nothing compiled, one after the other.
+options; ``kernels`` times batches with the solver's steps as single kernels, and as the plain functions that they are
+where XLA is not known; ``suite`` runs the quick tests with nothing compiled, one after the other.
 """
 
 from benchmarks.one_thread import one_thread
@@ -17,11 +18,19 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
+from unittest.mock import patch
 
+import jax
+
+import jaxgrasp
+from benchmarks import problems as P
 from benchmarks.page import compile_tables
+from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
+from jaxgrasp.numerics import one_kernel
 
 NAME = "compile"
 HERE = Path(__file__).parent
@@ -44,6 +53,10 @@ class Plan(NamedTuple):
     """Times that both versions are measured, in turns; of several the least counts, since neighbours only add."""
     problems: int = 1000
     """Of each kind, size and sharing."""
+    sizes: tuple[int, ...] = (3, 5, 10, 20)
+    """Contacts of the problems that are timed."""
+    timed: int = 3000
+    turns: int = 41
     tests: tuple[str, ...] = ("tests",)
 
 
@@ -91,6 +104,30 @@ def verdicts(plan: Plan) -> dict[str, dict]:
     return {name: _lines([str(plan.problems)], code, HERE.parent, flags)[0] for name, flags in OPTIONS.items()}
 
 
+def kernels(plan: Plan) -> list[dict]:
+    """Microseconds a problem of one jitted batch, with single kernels and without."""
+    jax.config.update("jax_enable_x64", True)
+    rows = []
+    for n in plan.sizes:
+        made = P.problems("ordinary", n, plan.timed, seed=0)
+        grasp = jaxgrasp.Grasp(made.points, made.normals, made.friction, made.squeeze)
+        given = jax.device_put((grasp, made.wrench))
+        for call in (jaxgrasp.closed_form, jaxgrasp.constrained_optimum):
+            rivals = {name: _compiled(call, given, known) for name, known in (("single", True), ("plain", False))}
+            seconds = interleaved(rivals, plan.turns, budget=10.0)
+            times = {name: spent / plan.timed * 1e6 for name, spent in seconds.items()}
+            rows.append({"call": call.__name__, "n": n, "problems": plan.timed, **times})
+    return rows
+
+
+def _compiled(call: Callable, given: tuple, known: bool) -> Callable[[], None]:
+    """The call, compiled as where this version of XLA is known, or is not."""
+    with patch.object(one_kernel, "is_known_xla", lambda: known):
+        jax.clear_caches()
+        compiled = jax.jit(call).lower(*given).compile()
+    return lambda: jax.block_until_ready(compiled(*given))
+
+
 def suite(plan: Plan) -> dict:
     """CPU seconds of the quick tests, by folder."""
     with tempfile.TemporaryDirectory() as scratch:
@@ -106,8 +143,16 @@ def suite(plan: Plan) -> dict:
     return dict(seconds)
 
 
-SECTIONS = {"programs": programs, "verdicts": verdicts, "suite": suite}
-QUICK = Plan(batches=(1,), calls=("closed_form",), repeats=1, problems=4, tests=("tests/numerics",))
+SECTIONS = {"programs": programs, "verdicts": verdicts, "kernels": kernels, "suite": suite}
+QUICK = Plan(
+    batches=(1,),
+    calls=("closed_form",),
+    problems=4,
+    sizes=(3,),
+    timed=40,
+    turns=3,
+    tests=("tests/numerics",),
+)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from benchmarks.page.tables import made_by, table
 
 def page(report: dict) -> str:
     parts = ["# Compiling", made_by("compile", report["machine"], ("jaxgrasp", "jax")) + "."]
-    writers = {"programs": _programs, "verdicts": _verdicts, "suite": _suite}
+    writers = {"programs": _programs, "verdicts": _verdicts, "kernels": _kernels, "suite": _suite}
     parts += [write(report[name]) for name, write in writers.items() if name in report]
     return "\n\n".join(parts) + "\n"
 
@@ -39,6 +39,18 @@ def _verdicts(columns: dict[str, dict[str, list[int]]]) -> str:
         "## Verdicts do not hang on how XLA compiles\n\n"
         "Problems that stay NOT_CONVERGED, n = 1 to 20, both sharings.\n\n"
         + table(["kind", "problems", *columns], lines)
+    )
+
+
+def _kernels(rows: list[dict]) -> str:
+    lines = [
+        [r["call"], r["n"], f"{r['single']:.2f}", f"{r['plain']:.2f}", f"{r['plain'] / r['single']:.2f}"] for r in rows
+    ]
+    return (
+        "## Steps as single kernels\n\n"
+        f"Microseconds a problem, jitted batches of {rows[0]['problems']:,} ordinary problems; plain is what another "
+        "version of XLA gets until it is checked (`is_known_xla`).\n\n"
+        + table(["call", "n", "single kernels", "plain", "ratio"], lines)
     )
 
 

@@ -30,7 +30,7 @@ from benchmarks import problems as P
 from benchmarks.page import compile_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
-from jaxgrasp.numerics import one_kernel
+from jaxgrasp.numerics import fused_cpu_kernel
 
 NAME = "compile"
 HERE = Path(__file__).parent
@@ -122,7 +122,7 @@ def kernels(plan: Plan) -> list[dict]:
 
 def _compiled(call: Callable, given: tuple, known: bool) -> Callable[[], None]:
     """The call, compiled as where this version of XLA is known, or is not."""
-    with patch.object(one_kernel, "is_known_xla", lambda: known):
+    with patch.object(fused_cpu_kernel, "is_known_xla", lambda: known):
         jax.clear_caches()
         compiled = jax.jit(call).lower(*given).compile()
     return lambda: jax.block_until_ready(compiled(*given))

@@ -34,7 +34,7 @@ from jaxgrasp.glove.network.messages import Exchange
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
 from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
-from jaxgrasp.glove.simulated.faults import Spoiler
+from jaxgrasp.glove.simulated.line_faults import Spoiler
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
@@ -316,9 +316,9 @@ def ticks(plan: Plan) -> dict:
     import jax.numpy as jnp
 
     from jaxgrasp.glove.model import lrp_hand_master
+    from jaxgrasp.grip.tick import observe
     from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_and_slope
     from jaxgrasp.lab.grasp_and_lift import cylinder_scene
-    from jaxgrasp.prehension.tick import observe
 
     jax.config.update("jax_enable_x64", True)
     scene, closed, placed = cylinder_scene(radius=0.045)

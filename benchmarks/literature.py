@@ -39,10 +39,10 @@ from jaxgrasp import (
     kuhn_tucker,
 )
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.host_problem import posed
 from jaxgrasp.literature.linear import Program, solve_plain
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.orin_oh import load_program
-from jaxgrasp.literature.posed import posed
 
 NAME = "literature"
 SEED, SIZES, SIDES = 0, (3, 5, 10), 8

@@ -24,8 +24,8 @@ from benchmarks.machine import machine
 from benchmarks.page import tree_tables
 from benchmarks.page.clock import interleaved
 from jaxgrasp import Cylinder, Mesh, Pose, Posture, SphereTree
-from jaxgrasp.contact.filling import cell_size, filling_error
-from jaxgrasp.prehension.power_grip import power_grip
+from jaxgrasp.grip.power_grip import power_grip
+from jaxgrasp.hand.filling import cell_size, filling_error
 
 NAME = "sphere_trees"
 RADIUS, HEIGHT, SECTIONS = 0.03, 0.12, 256

@@ -30,7 +30,7 @@ from benchmarks.page import devices, hand_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.problem_data import Problems
 from jaxgrasp import CYLINDRICAL_POWER_GRIP, Body, Contacts, Cylinder, Hand, Pose, Posture, Scene, Solution, Spheres
-from jaxgrasp.prehension.power_grip import lay_on, power_grip
+from jaxgrasp.grip.power_grip import lay_on, power_grip
 
 NAME = "virtual_hand"
 PAPER = {3: 2.0, 5: 2.0, 10: 3.0, 15: 5.0, 20: 7.0}

@@ -13,14 +13,14 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.batch.blocks import Block
-from jaxgrasp.force import stages
-from jaxgrasp.force.angles import friction_margin, spin_force
-from jaxgrasp.force.lanes import Problem
+from jaxgrasp.force.slip import friction_margin, spin_force
+from jaxgrasp.model.compared_methods import Method
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS
-from jaxgrasp.model.methods import Method
-from jaxgrasp.numerics import vec
+from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.solver import passes
 
 ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate")
 OF_LIMITS = ("normal_multiplier", "torque_multiplier", "certificate_rates")
@@ -105,12 +105,12 @@ class Engine:
     def _one_sharing(self, sharing: str, block: Block) -> dict[str, MethodResult]:
         wanted = [method for method in self.methods if method.sharing == sharing]
         problem = _problem(sharing, block)
-        closed, spent = self._timed(stages.solve_closed, problem)
+        closed, spent = self._timed(passes.solve_closed, problem)
         results = {}
         for method in wanted:
             answer, own = closed, 0.0
             if method.constrained:
-                answer, own = self._timed(stages.finish_optimum, problem, closed)
+                answer, own = self._timed(passes.finish_optimum, problem, closed)
             with self._counting:
                 self.times.solving[method.name] += spent + own
             margin, violation, _ = self._timed(_margins, block.grasp, answer.forces, answer.moments)
@@ -182,11 +182,11 @@ def _problem(sharing: str, block: Block) -> Problem:
 
 def _margins(grasp: Grasp, forces: Array, moments: Array | None) -> tuple[Array, Array]:
     margin = jnp.min(friction_margin(grasp, forces, moments), -1)
-    force, normal = vec.from_axis(forces, -1), vec.from_axis(jnp.asarray(grasp.normals), -1)
-    across, spin = vec.norm(vec.cross(normal, force)), spin_force(grasp, moments)
+    force, normal = vec3.from_axis(forces, -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
+    across, spin = vec3.norm(vec3.cross(normal, force)), spin_force(grasp, moments)
     if spin is not None:
         across = jnp.hypot(across, spin)
-    beyond = across - grasp.friction * vec.dot(force, normal)
+    beyond = across - grasp.friction * vec3.dot(force, normal)
     if grasp.present is not None:
         beyond = jnp.where(grasp.present > 0.5, beyond, 0)
     return margin, jnp.max(jnp.maximum(beyond, 0), -1)

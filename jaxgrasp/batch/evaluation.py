@@ -11,10 +11,10 @@ from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.qualities import measure_all, summarise_qualities
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.model.methods import METHODS, methods_named
 from jaxgrasp.quality.measures import measures_named
 
 

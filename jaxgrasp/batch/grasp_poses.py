@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.contact.limits import is_rotation
+from jaxgrasp.hand.posture_limits import is_rotation
 from jaxgrasp.model.faults import entries
 
 MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"

@@ -10,7 +10,7 @@ from jaxgrasp.batch.evaluation import run, usable
 from jaxgrasp.batch.sources import GraspSource, looks_like_millimetres
 from jaxgrasp.batch.stream import Plan
 from jaxgrasp.batch.summary import Summary
-from jaxgrasp.model.methods import methods_named
+from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.solution import Verdict
 
 SAMPLE = 256

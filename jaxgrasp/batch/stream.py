@@ -17,8 +17,8 @@ from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_json import from_json, to_json
+from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
-from jaxgrasp.model.methods import METHODS, methods_named
 from jaxgrasp.quality.measures import Measure, measures_named
 
 CHUNK = 16_384

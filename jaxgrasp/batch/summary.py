@@ -9,7 +9,7 @@ from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.worst import KEPT, worst_cases
-from jaxgrasp.model.methods import METHODS
+from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
 
 ANGLE_BINS = 90

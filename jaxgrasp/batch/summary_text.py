@@ -6,7 +6,7 @@ from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
 from jaxgrasp.batch.summary import Summary
-from jaxgrasp.model.methods import METHODS
+from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
 
 _ROWS = (

@@ -13,16 +13,16 @@ from jaxgrasp.batch.sources import save_grasps
 from jaxgrasp.cli.arguments import Contacts
 from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
-from jaxgrasp.contact.closing import close_hand
-from jaxgrasp.contact.deepest import keep_deepest
-from jaxgrasp.contact.detection import Contacts as Found
-from jaxgrasp.contact.detection import find_contacts
-from jaxgrasp.contact.filling import cell_size, filling_error, sphere_tree
-from jaxgrasp.contact.human_hand import human_hand
-from jaxgrasp.contact.mesh import load_mesh, mass_properties
-from jaxgrasp.contact.parallel_jaw import parallel_jaw
-from jaxgrasp.contact.sphere_tree import SphereTree
-from jaxgrasp.contact.to_grasp import grasp_from_contacts
+from jaxgrasp.hand.closing import close_hand
+from jaxgrasp.hand.deepest import keep_deepest
+from jaxgrasp.hand.detection import Contacts as Found
+from jaxgrasp.hand.detection import find_contacts
+from jaxgrasp.hand.filling import cell_size, filling_error, sphere_tree
+from jaxgrasp.hand.human_hand import human_hand
+from jaxgrasp.hand.mesh import load_mesh, mass_properties
+from jaxgrasp.hand.parallel_jaw import parallel_jaw
+from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.hand.to_grasp import grasp_from_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.wrench import weight_wrench
 

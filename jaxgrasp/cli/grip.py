@@ -13,21 +13,21 @@ import numpy as np
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
 from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
-from jaxgrasp.contact.detection import Contacts
-from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.contact.human_hand import human_hand, open_angles
-from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.grip.carry import Instant, carry, stacked
+from jaxgrasp.grip.lifting import lift_and_turn
+from jaxgrasp.grip.monitor import Hold
+from jaxgrasp.grip.motion import Body
+from jaxgrasp.grip.power_grip import power_grip
+from jaxgrasp.grip.precision_grip import precision_grip
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
+from jaxgrasp.hand.human_hand import human_hand, open_angles
+from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.task import GRAVITY
-from jaxgrasp.prehension.carry import Instant, carry, stacked
-from jaxgrasp.prehension.lifting import lift_and_turn
-from jaxgrasp.prehension.monitor import Hold
-from jaxgrasp.prehension.motion import Body
-from jaxgrasp.prehension.power_grip import power_grip
-from jaxgrasp.prehension.precision_grip import precision_grip
-from jaxgrasp.prehension.scene import Scene
-from jaxgrasp.report.history import History, history
+from jaxgrasp.report.grip_over_time import History, history
 
 TABLE = -0.5
 """Height of the table's top below the wrist's start [m]."""

@@ -12,7 +12,7 @@ from jaxgrasp.cli.arguments import Sensitivity
 from jaxgrasp.cli.checks import check_positive, sampled_times
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.model.methods import methods_named
+from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task

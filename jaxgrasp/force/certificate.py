@@ -4,17 +4,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.force import cones, fours, sixes, torques
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
-from jaxgrasp.force.fours import Four
-from jaxgrasp.force.frame import Frame
-from jaxgrasp.force.lanes import Lanes, Problem, read
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics import vec
-from jaxgrasp.numerics.vec import Vec
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.problem import contact_vec, friction_cone, spatial
+from jaxgrasp.problem.batch_last import Lanes, Problem, read
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.scaling import Frame
+from jaxgrasp.solver import torque_limits
+from jaxgrasp.solver.dispatch import ask
 
 
 def verify_certificate(
@@ -65,7 +66,7 @@ def verify_certificate(
 def _force_needed(problem: Problem, certificate: Array, rates: Array | None = None) -> Array:
     lanes, valid = read(problem)
     if problem.torque_map is not None:
-        valid = valid & torques.usable(problem)[None]
+        valid = valid & torque_limits.usable(problem)[None]
     if rates is None or problem.torque_max is None:
         return jnp.where(valid, _needed(lanes, certificate.T), 0)[0]
     moved, spent = _by_joints(problem, lanes, rates.T)
@@ -77,29 +78,29 @@ def _by_joints(problem: Problem, lanes: Lanes, rates: Array) -> tuple[Four, Arra
     assert problem.torque_max is not None
     one = jnp.ones_like(lanes.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.
-    rows = torques.rows_of(problem, lanes, Frame(lanes.force, one, one, one, one > 0))
-    turned = vec.safe_divide(rates, rows.scale)
+    rows = torque_limits.rows_of(problem, lanes, Frame(lanes.force, one, one, one, one > 0))
+    turned = vec3.safe_divide(rates, rows.scale)
     beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_max.T), 0, keepdims=True)
     spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)
-    return torques.pull(rows, turned), jnp.where(beyond, jnp.inf, spent)
+    return torque_limits.pull(rows, turned), jnp.where(beyond, jnp.inf, spent)
 
 
 def _needed(lanes: Lanes, direction: Array, moved: Four | None = None, spent: Array | float = 0.0) -> Array:
-    linear, angular = sixes.parts(direction)
+    linear, angular = spatial.parts(direction)
     can_move = lanes.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
     centre = _middle(lanes.arms, can_move)
-    linear = vec.add(linear, vec.cross(angular, centre))
-    torque = vec.sub(lanes.torque, vec.cross(centre, lanes.force))
-    spin = None if lanes.lever is None else lanes.lever * vec.dot(angular, lanes.normals)
-    velocity = Four(vec.add(linear, vec.cross(angular, vec.sub(lanes.arms, centre))), spin)
+    linear = vec3.add(linear, vec3.cross(angular, centre))
+    torque = vec3.sub(lanes.torque, vec3.cross(centre, lanes.force))
+    spin = None if lanes.lever is None else lanes.lever * vec3.dot(angular, lanes.normals)
+    velocity = Four(vec3.add(linear, vec3.cross(angular, vec3.sub(lanes.arms, centre))), spin)
     if moved is not None:
-        velocity = fours.sub(velocity, moved)
-    endless, bounded = cones.work_of(cones.push(velocity, lanes.cone), lanes.cone)
-    fixed = jnp.where(can_move, bounded, lanes.squeeze * vec.dot(velocity.linear, lanes.normals))
-    work = vec.dot(lanes.force, linear) + vec.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
-    whole = cones.Cone(lanes.normals, lanes.friction)
-    reach = fours.norm(cones.project(velocity, whole, cones.split(velocity, whole)))
+        velocity = contact_vec.sub(velocity, moved)
+    endless, bounded = friction_cone.work_of(friction_cone.push(velocity, lanes.cone), lanes.cone)
+    fixed = jnp.where(can_move, bounded, lanes.squeeze * vec3.dot(velocity.linear, lanes.normals))
+    work = vec3.dot(lanes.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
+    whole = friction_cone.Cone(lanes.normals, lanes.friction)
+    reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.split(velocity, whole)))
     largest = jnp.max(jnp.where(can_move & (endless > 0), reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)

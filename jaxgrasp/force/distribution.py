@@ -10,14 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.force import outside, shells
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, read_sharing, refuse_soft_fingers, warn_of_lost_precision
-from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.solver import by_optimistix, transforms
+from jaxgrasp.solver.dispatch import ask
 
 
 def closed_form(
@@ -48,7 +48,7 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    return _distribute(grasp, wrench, sharing, free, solve=shells.solver(False))
+    return _distribute(grasp, wrench, sharing, free, solve=transforms.solver(False))
 
 
 def constrained_optimum(
@@ -92,7 +92,7 @@ def constrained_optimum(
         TypeError: for a solver that is none of these, or whose settings are arrays.
     """
     if solver is not None:
-        outside.check_solver(solver)
+        by_optimistix.check_solver(solver)
     if start is not None and not (free is None and solver is None):
         raise ValueError(
             f"start is given beside {'free' if solver is None else 'solver'}, which takes none: leave it out"
@@ -100,7 +100,7 @@ def constrained_optimum(
     divisor = _read_safety(grasp, safety)
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
-    return _distribute(grasp, wrench, sharing, free, divisor, start, limits, solve=shells.solver(True, solver))
+    return _distribute(grasp, wrench, sharing, free, divisor, start, limits, solve=transforms.solver(True, solver))
 
 
 def closed_form_and_optimum(
@@ -114,7 +114,7 @@ def closed_form_and_optimum(
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
-    return _distribute(grasp, wrench, sharing, free, solve=shells.both())
+    return _distribute(grasp, wrench, sharing, free, solve=transforms.both())
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:

@@ -10,15 +10,16 @@ It is concave, its gradient is w - G f(x), and by weak duality no allowed forces
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import dual, fours, sixes
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
-from jaxgrasp.force.fours import Four
-from jaxgrasp.force.lanes import Lanes, Problem, read
-from jaxgrasp.force.sixes import Six
-from jaxgrasp.force.unknowns import unstretched
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem import contact_vec, spatial
+from jaxgrasp.problem.batch_last import Lanes, Problem, read
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.spatial import Six
+from jaxgrasp.solver import dual
+from jaxgrasp.solver.coordinates import unstretched
+from jaxgrasp.solver.dispatch import ask
 
 
 def dual_value(
@@ -87,6 +88,6 @@ def _value_and_forces(lanes: Lanes, multiplier: Six) -> tuple[Array, Four]:
     one = jnp.ones_like(lanes.force.x)
     plain = unstretched(one)
     best = dual.best_forces(lanes, multiplier, plain)
-    work = sixes.inner(dual.load(lanes, plain), multiplier)
-    own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - fours.dot(best.twist, best.forces)
+    work = spatial.inner(dual.load(lanes, plain), multiplier)
+    own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - contact_vec.dot(best.twist, best.forces)
     return work + jnp.sum(own, 0, keepdims=True), best.forces

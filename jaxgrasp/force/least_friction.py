@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
-from jaxgrasp.force.lanes import Problem
 from jaxgrasp.force.least_squeeze import bounded_total, total_moves
-from jaxgrasp.force.limit import Limit
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.numerics.tiles import over_tiles
-from jaxgrasp.numerics.varying import varying_like
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.wrench_boundary import Limit
 
 WIDEST = 1e4
 """Factors beyond this, or below its inverse, are not looked for."""

@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import elastic, shells
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
-from jaxgrasp.force.lanes import Problem
-from jaxgrasp.force.limit import Limit, bare, limit_of, work_along
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.solver import reach, transforms
+from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.wrench_boundary import Limit, bare, limit_of, work_along
 
 TILE = 32
 
@@ -71,7 +71,7 @@ def total_moves(problem: Problem, moved: Problem, total: Array, limit: Limit) ->
 def bounded_total(problem: Problem) -> tuple[Array, Limit]:
     """Likewise, ``(B,)``, with what bounds it; +inf where no forces exist or none were found."""
     # That forces exist is known first: where none do, they only grow.
-    solved = shells.solver(True)(problem).verdict <= Verdict.OPTIMAL
+    solved = transforms.solver(True)(problem).verdict <= Verdict.OPTIMAL
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
 
 
@@ -92,7 +92,7 @@ def _least_of_tile(arguments: tuple[Problem, Array]) -> tuple[Array, Limit]:
     problem, solved = arguments
     there = bare(problem)
     found = solved[None] & there.valid
-    least, path = elastic.least_push(there.lanes, ~found)
-    last, before = (elastic.tolled(there.lanes, price) for price in (path.price, path.price_before))
+    least, path = reach.least_push(there.lanes, ~found)
+    last, before = (reach.tolled(there.lanes, price) for price in (path.price, path.price_before))
     limit = limit_of(there, last, before, path, jnp.ones_like(path.price))
     return jnp.where(found[0], (there.frame.load * least)[0] + _held(problem), jnp.inf), limit

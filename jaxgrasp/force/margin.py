@@ -6,17 +6,18 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import elastic, sixes
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
-from jaxgrasp.force.lanes import Problem
-from jaxgrasp.force.limit import Bare, Limit, bare, limit_of, loaded, work_along
-from jaxgrasp.force.sixes import Six
-from jaxgrasp.force.tolerances import tolerances
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.numerics import vec
-from jaxgrasp.numerics.tiles import over_tiles
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.problem import spatial
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.tolerances import tolerances
+from jaxgrasp.solver import reach
+from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.wrench_boundary import Bare, Limit, bare, limit_of, loaded, work_along
 
 TILE = 32
 
@@ -101,7 +102,7 @@ class _End(NamedTuple):
     """Where a line leaves what is in reach."""
 
     theta: Array
-    path: elastic.Path
+    path: reach.Path
     """Its multipliers are normal to the hyperplane that bounds what is in reach."""
 
 
@@ -110,16 +111,16 @@ def _line(problem: Problem, direction: Array) -> _Line:
     limits = tolerances(direction.dtype)
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
     valid = there.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
-    ray = elastic.wrench_in(jnp.where(valid, direction.T, 0), there.frame)
-    size = sixes.length(ray)
-    return _Line(there, vec.safe_divide(ray, size), size, valid)
+    ray = reach.wrench_in(jnp.where(valid, direction.T, 0), there.frame)
+    size = spatial.length(ray)
+    return _Line(there, vec3.safe_divide(ray, size), size, valid)
 
 
 def _end(line: _Line) -> _End:
-    lanes, metric = line.there.lanes, elastic.identity(line.size)
-    never_fails = elastic.nearest(loaded(lanes, line.ray), metric, ~line.valid).reached
-    start, somewhere = elastic.nearest(lanes, metric, ~line.valid, line.ray)
-    theta, path = elastic.along_ray(lanes, line.ray, start, never_fails | ~somewhere)
+    lanes, metric = line.there.lanes, reach.identity(line.size)
+    never_fails = reach.nearest(loaded(lanes, line.ray), metric, ~line.valid).reached
+    start, somewhere = reach.nearest(lanes, metric, ~line.valid, line.ray)
+    theta, path = reach.along_ray(lanes, line.ray, start, never_fails | ~somewhere)
     theta = jnp.where(never_fails, jnp.inf, theta)
     return _End(jnp.where(somewhere & line.valid, theta, -jnp.inf), path)
 
@@ -127,7 +128,7 @@ def _end(line: _Line) -> _End:
 def _in_units(line: _Line, end: _End) -> Array:
     finite = jnp.isfinite(end.theta)
     theta = jnp.where(finite, end.theta, 0)
-    return jnp.where(finite, line.there.frame.load * vec.safe_divide(theta, line.size), end.theta)[0]
+    return jnp.where(finite, line.there.frame.load * vec3.safe_divide(theta, line.size), end.theta)[0]
 
 
 def _margin_of_tile(arguments: tuple[Problem, Array]) -> Array:

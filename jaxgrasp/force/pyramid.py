@@ -16,21 +16,22 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, fours, pseudo_inverse
-from jaxgrasp.force.answer import Answer, Outcome
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, refuse_soft_fingers, warn_of_lost_precision
-from jaxgrasp.force.fours import Four
-from jaxgrasp.force.frame import principal
-from jaxgrasp.force.lanes import Lanes, Problem, read, squeezing
-from jaxgrasp.force.outside import write_to_tolerance
-from jaxgrasp.force.unknowns import Stretch
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.numerics import vec
-from jaxgrasp.numerics.tiles import over_tiles
-from jaxgrasp.numerics.vec import Vec
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.problem import contact_vec, friction_cone
+from jaxgrasp.problem.batch_last import Lanes, Problem, read, squeezing
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.flatten import Sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.problem.scaling import principal
+from jaxgrasp.solver import dual, pseudo_inverse
+from jaxgrasp.solver.by_optimistix import write_to_tolerance
+from jaxgrasp.solver.coordinates import Stretch
+from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.result import Answer, Outcome
 
 TILE = 128
 """Problems that run together: each waits for the slowest of its tile."""
@@ -158,7 +159,7 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
     tangents = _tangents(lanes.normals)
     lanes, frame = principal(lanes)
     assert frame.axes is not None
-    first, second = (vec.rotate(frame.axes, tangent) for tangent in tangents)
+    first, second = (vec3.rotate(frame.axes, tangent) for tangent in tangents)
     _, unknowns = pseudo_inverse.whitened_metric(lanes, frame)
     program = _program(lanes, unknowns, _facets(lanes, (first, second), settings.sides), problem.size)
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
@@ -167,12 +168,12 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
     own = jnp.broadcast_to(dual.price_of_nothing(lanes)[0], problem.size)
     solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
     y, twist = (_finite(x, lanes.squeeze.dtype) for x in (found.y, -found.equality))
-    moved = vec.scale(jnp.sqrt(lanes.weights), Vec(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
-    forces = fours.add(squeezing(lanes), Four(moved))
+    moved = vec3.scale(jnp.sqrt(lanes.weights), Vec(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
+    forces = contact_vec.add(squeezing(lanes), Four(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
-    sides = cones.split(forces, lanes.cone)
+    sides = friction_cone.split(forces, lanes.cone)
     outcome = Outcome(
-        forces=cones.project(forces, lanes.cone, sides),
+        forces=friction_cone.project(forces, lanes.cone, sides),
         multiplier=twist.T,
         verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
         steps=found.steps[None],
@@ -207,7 +208,7 @@ def _balance(lanes: Lanes, unknowns: Stretch) -> Array:
     columns = []
     for axis in range(3):
         unit = Vec(*(root if i == axis else zero for i in range(3)))
-        torque = vec.times(unknowns.scales, vec.cross(lanes.arms, unit))
+        torque = vec3.times(unknowns.scales, vec3.cross(lanes.arms, unit))
         columns.append(jnp.stack(jnp.broadcast_arrays(*unit, *torque)))
     matrix = jnp.stack(columns, 2)  # (6, n, 3, B)
     return matrix.transpose(3, 0, 1, 2).reshape(matrix.shape[-1], 6, -1)
@@ -220,12 +221,12 @@ def _facets(lanes: Lanes, tangents: tuple[Vec, Vec], sides: int) -> tuple[Array,
     height. A last row keeps contacts from pulling, which without friction no facet does.
     """
     angles = jnp.asarray([(2 * j + 1) * math.pi / sides for j in range(sides)], lanes.friction.dtype)[:, None, None]
-    outward = vec.add(vec.scale(jnp.cos(angles), tangents[0]), vec.scale(jnp.sin(angles), tangents[1]))
+    outward = vec3.add(vec3.scale(jnp.cos(angles), tangents[0]), vec3.scale(jnp.sin(angles), tangents[1]))
     slope = lanes.friction * math.cos(math.pi / sides)
     size = jnp.sqrt(1 + slope**2)
-    row = vec.scale(1 / size, vec.sub(outward, vec.scale(slope, lanes.normals)))
+    row = vec3.scale(1 / size, vec3.sub(outward, vec3.scale(slope, lanes.normals)))
     rows = jnp.concatenate([jnp.stack(row, 1), -jnp.stack(lanes.normals)[None]])
-    own = vec.safe_divide(lanes.squeeze, jnp.sqrt(lanes.weights))
+    own = vec3.safe_divide(lanes.squeeze, jnp.sqrt(lanes.weights))
     bounds = jnp.concatenate([jnp.broadcast_to(slope * own / size, (sides, *own.shape)), own[None]])
     return rows.transpose(3, 2, 0, 1), bounds.transpose(2, 1, 0)
 
@@ -234,9 +235,9 @@ def _tangents(normal: Vec) -> tuple[Vec, Vec]:
     """Two unit vectors across each normal, from the coordinate axis that is farthest from it."""
     least = jnp.argmin(jnp.abs(jnp.stack(normal)), 0)
     axis = Vec(*((least == i).astype(normal.x.dtype) for i in range(3)))
-    across = vec.cross(normal, axis)
-    first = Vec(*(vec.safe_divide(c, vec.norm(across)) for c in across))
-    return first, vec.cross(normal, first)
+    across = vec3.cross(normal, axis)
+    first = Vec(*(vec3.safe_divide(c, vec3.norm(across)) for c in across))
+    return first, vec3.cross(normal, first)
 
 
 def _splitting(program: Program, settings: Settings) -> Found:

@@ -6,21 +6,22 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones, dual, elastic, fours, shells, sixes
-from jaxgrasp.force.ask import ask
-from jaxgrasp.force.flat import Sharing, warn_of_lost_precision
-from jaxgrasp.force.fours import Four
-from jaxgrasp.force.frame import Frame, certificate_out, forces_out, moments_out, principal
-from jaxgrasp.force.guide import restricted, unwhitened
-from jaxgrasp.force.lanes import Lanes, Problem, read
-from jaxgrasp.force.sixes import Six
-from jaxgrasp.force.unknowns import Unknowns
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics import symmetric, vec
-from jaxgrasp.numerics.symmetric import Lower
-from jaxgrasp.numerics.tiles import over_chosen
+from jaxgrasp.numerics import ldl, vec3
+from jaxgrasp.numerics.ldl import Lower
+from jaxgrasp.numerics.tiling import over_chosen
+from jaxgrasp.problem import contact_vec, friction_cone, spatial
+from jaxgrasp.problem.batch_last import Lanes, Problem, read
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.scaling import Frame, certificate_out, forces_out, moments_out, principal
+from jaxgrasp.problem.spatial import Six
+from jaxgrasp.solver import dual, reach, transforms
+from jaxgrasp.solver.coordinates import Unknowns
+from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.guided_motion import restricted, unwhitened
 
 TILE = 32
 
@@ -85,7 +86,7 @@ def reachable_wrench(
 @jax.custom_jvp
 def _closest(problem: Problem, inertia: Array | None = None) -> Reachable:
     """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
-    solution = shells.solver(True)(problem)
+    solution = transforms.solver(True)(problem)
     solved = solution.verdict <= Verdict.OPTIMAL
     usable = solution.verdict != Verdict.INVALID_DATA
     answer = Reachable(
@@ -117,28 +118,28 @@ def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Rea
     valid = jnp.broadcast_to(valid & sound & frame.sound, (1, problem.size))
     unknowns = unwhitened(problem, lanes, frame)
     metric = restricted(whole, unknowns)
-    point = elastic.nearest(lanes, metric, ~valid, unknowns=unknowns).point
+    point = reach.nearest(lanes, metric, ~valid, unknowns=unknowns).point
     forces = _rescaled(lanes, metric, unknowns, point)
     one = jnp.ones_like(point[:1])
     rest = dual.residual(lanes, forces, unknowns)
-    across = elastic.solve_by(metric, rest)
-    distance = jnp.sqrt(sixes.inner(rest, across))
+    across = reach.solve_by(metric, rest)
+    distance = jnp.sqrt(spatial.inner(rest, across))
     shown = _is_closest(lanes, metric, unknowns, forces, point, distance)
     known = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
     ok = valid[0]
     if problem.free is not None:
-        rest = elastic.times(whole, sixes.six(*unknowns.twist(across)))
-    missed = elastic.wrench_out(frame.load * rest, frame).T
+        rest = reach.times(whole, spatial.six(*unknowns.twist(across)))
+    missed = reach.wrench_out(frame.load * rest, frame).T
     moments = moments_out(lanes, forces.spin, frame)
     stacked = jnp.stack([c * one for c in forces_out(forces.linear, frame)]).transpose(2, 1, 0)
-    linear, angular = certificate_out(*unknowns.twist(vec.safe_divide(point, sixes.length(point))), frame)
+    linear, angular = certificate_out(*unknowns.twist(vec3.safe_divide(point, spatial.length(point))), frame)
     return Reachable(
         wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
         moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
         distance=jnp.where(ok, (frame.load * distance / jnp.sqrt(mass))[0], jnp.inf),
-        certificate=jnp.where(ok[:, None], sixes.six(linear, angular).T, 0),
+        certificate=jnp.where(ok[:, None], spatial.six(linear, angular).T, 0),
         verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
     )
 
@@ -147,14 +148,14 @@ def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, A
     """The metric per unit of mass in the lanes' coordinates, that mass, and which lanes have a sound one."""
     one = jnp.ones_like(lanes.force.x)
     if inertia is None:
-        return elastic.identity(one), one, one > 0
-    half = [elastic.wrench_in(inertia[:, :, j].T, frame) for j in range(6)]  # A J, column by column
-    whole = [elastic.wrench_in(jnp.stack([column[i] for column in half]), frame) for i in range(6)]  # A (A J)^T
+        return reach.identity(one), one, one > 0
+    half = [reach.wrench_in(inertia[:, :, j].T, frame) for j in range(6)]  # A J, column by column
+    whole = [reach.wrench_in(jnp.stack([column[i] for column in half]), frame) for i in range(6)]  # A (A J)^T
     mass = (whole[0][:1] + whole[1][1:2] + whole[2][2:3]) / 3
-    entries = [[vec.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
-    _, pivots = symmetric.factor(entries)
+    entries = [[vec3.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
+    _, pivots = ldl.factor(entries)
     sound = jnp.all(jnp.concatenate([mass, *pivots]) > 0, 0, keepdims=True)
-    unit = elastic.identity(mass)
+    unit = reach.identity(mass)
     metric = [[jnp.where(sound, a, b) for a, b in zip(*rows, strict=True)] for rows in zip(entries, unit, strict=True)]
     return metric, jnp.where(sound, mass, 1), sound
 
@@ -162,24 +163,24 @@ def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, A
 def _rescaled(lanes: Lanes, metric: Lower, unknowns: Unknowns, point: Six) -> Four:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
     forces = dual.best_forces(lanes, point, unknowns).forces
-    can_move, nothing = lanes.weights > 0, fours.sub(forces, forces)
-    held, free = fours.where(can_move, nothing, forces), fours.where(can_move, forces, nothing)
+    can_move, nothing = lanes.weights > 0, contact_vec.sub(forces, forces)
+    held, free = contact_vec.where(can_move, nothing, forces), contact_vec.where(can_move, forces, nothing)
     asked = dual.residual(lanes, held, unknowns)
     exerted = asked - dual.residual(lanes, forces, unknowns)
-    along = elastic.solve_by(metric, exerted)
-    square = sixes.inner(exerted, along)
-    share = jnp.where(square > 0, vec.safe_divide(sixes.inner(asked, along), square), 1)
-    return fours.add(held, fours.scale(share, free))
+    along = reach.solve_by(metric, exerted)
+    square = spatial.inner(exerted, along)
+    share = jnp.where(square > 0, vec3.safe_divide(spatial.inner(asked, along), square), 1)
+    return contact_vec.add(held, contact_vec.scale(share, free))
 
 
 def _is_closest(lanes: Lanes, metric: Lower, unknowns: Unknowns, forces: Four, point: Six, distance: Array) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
     twist = dual.twist_at(lanes, point, unknowns)
     can_move = lanes.weights > 0
-    push = jnp.max(jnp.where(can_move, cones.push(twist, lanes.cone), 0), 0, keepdims=True)
-    fixed = jnp.where(can_move, 0, lanes.squeeze * vec.dot(twist.linear, lanes.normals))
-    work = sixes.inner(dual.load(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
+    push = jnp.max(jnp.where(can_move, friction_cone.push(twist, lanes.cone), 0), 0, keepdims=True)
+    fixed = jnp.where(can_move, 0, lanes.squeeze * vec3.dot(twist.linear, lanes.normals))
+    work = spatial.inner(dual.load(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
     best = work - push * dual.total_push(lanes, forces)
-    size = jnp.sqrt(sixes.inner(point, elastic.times(metric, point)))
+    size = jnp.sqrt(spatial.inner(point, reach.times(metric, point)))
     loose = 2**10 * jnp.finfo(distance.dtype).eps ** 0.5
     return (distance > 0) & (best >= (1 - loose) * size * distance)

@@ -13,10 +13,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool
 
-from jaxgrasp.contact.human_hand import LEAVES, human_hand, open_angles
-from jaxgrasp.contact.kinematics import joint_torques, pose_hand
 from jaxgrasp.force.distribution import closed_form
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.hand.human_hand import LEAVES, human_hand, open_angles
+from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.contact.kinematics import pose_hand
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.tick import observe
+from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
-from jaxgrasp.prehension.scene import Scene
-from jaxgrasp.prehension.tick import observe
 
 
 class GloveHand(eqx.Module):

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.contact.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.contact.human_hand import human_hand, open_angles
-from jaxgrasp.contact.shapes import Cylinder
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
+from jaxgrasp.grip.motion import Body
+from jaxgrasp.grip.power_grip import power_grip
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
+from jaxgrasp.hand.human_hand import human_hand, open_angles
+from jaxgrasp.hand.shapes import Cylinder
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.model.task import GRAVITY
-from jaxgrasp.prehension.motion import Body
-from jaxgrasp.prehension.power_grip import power_grip
-from jaxgrasp.prehension.scene import Scene
 
 COMPUTE = 0.01
 """Between two ticks of the computing side [s]."""

@@ -12,12 +12,12 @@ from jax import Array
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.grip.carry import Instant, advance, set_down
+from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.lab.glove_hand import frames_of, glove_hand, resistance_and_slope
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
-from jaxgrasp.prehension.carry import Instant, advance, set_down
-from jaxgrasp.prehension.monitor import Law
-from jaxgrasp.prehension.scene import Scene, check_scene
 
 LONGEST = 0.05
 """Time that a tick counts as at most [s], so that a pause does not throw the object."""

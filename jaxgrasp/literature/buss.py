@@ -26,11 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.batch_problem import Outcome, Scaled, solve_all
 from jaxgrasp.literature.internal import internal
+from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.positive_definite import Trade, descend, first_inside, own_axes
-from jaxgrasp.literature.scaled import Outcome, Scaled, solve_all
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 

@@ -13,11 +13,11 @@ infeasible program shows as an unbounded dual. A modern solver removes the balan
 manifold gain in 1990 is little now.
 """
 
-from jaxgrasp.literature.answer import MethodAnswer
 from jaxgrasp.literature.compact import solve_compact_dual
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.host_problem import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.method_answer import MethodAnswer
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.orin_oh import check_weights, forces_of, load_program
-from jaxgrasp.literature.posed import Found, Posed, balanced, solve_each
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp

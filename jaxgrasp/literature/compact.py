@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.literature.answer import MethodStatus
 from jaxgrasp.literature.linear import INFEASIBLE, OPTIMAL, STOPPED, UNBOUNDED, Optimum, Program, Size, highs, optimum
+from jaxgrasp.literature.method_answer import MethodStatus
 
 RANK_CUT = 1e-11
 """Equations below this share of the largest count as repetitions of the others."""

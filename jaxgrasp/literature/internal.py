@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.literature.scaled import Scaled
+from jaxgrasp.literature.batch_problem import Scaled
 from jaxgrasp.model.wrench import grasp_matrix
 
 RANK_CUT = 1e-11

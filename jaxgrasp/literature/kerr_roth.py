@@ -16,10 +16,10 @@ planes the simplex method picks any. A contact without friction has a distance o
 
 import numpy as np
 
-from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.host_problem import Found, Posed, balanced, solve_each
 from jaxgrasp.literature.linear import Program, solve_plain
-from jaxgrasp.literature.posed import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp

@@ -14,9 +14,9 @@ candidate is taken instead of the best, which cannot go on for ever.
 import numpy as np
 
 from jaxgrasp.literature.active_set import Shortest, first_point, shortest
-from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.given import read
-from jaxgrasp.literature.posed import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.host_problem import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, facet_rows, normal_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.literature.answer import MethodStatus
+from jaxgrasp.literature.method_answer import MethodStatus
 
 OPTIMAL, STOPPED, INFEASIBLE, UNBOUNDED = 0, 1, 2, 3
 """SciPy's codes; a further one says that HiGHS met numerical difficulties, or could not tell the last two apart."""

@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import cones
-from jaxgrasp.force.cones import Cone
-from jaxgrasp.force.fours import Four
+from jaxgrasp.literature.batch_problem import Scaled
 from jaxgrasp.literature.internal import Internal
-from jaxgrasp.literature.scaled import Scaled
-from jaxgrasp.numerics import vec
+from jaxgrasp.numerics import vec3
+from jaxgrasp.problem import friction_cone
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.friction_cone import Cone
 
 RAISE, STIFFEST = 4.0, 1e6
 """Factor on rho after each round, from 1 on, and the largest rho: beyond it rounding spoils the Newton steps."""
@@ -127,11 +127,11 @@ def _shadow(problem: Scaled, u: Array) -> tuple[Array, Array]:
     By Moreau's decomposition it is u plus the projection of -u on the cone itself.
     """
     n = len(problem.friction)
-    opposite = Four(vec.from_axis(-u.reshape(n, 3), -1))
-    cone = Cone(vec.from_axis(problem.normals, -1), problem.friction)
-    parts = cones.split(opposite, cone)
-    on_cone = jnp.stack(cones.project(opposite, cone, parts).linear, -1)
-    lower = cones.derivative(cone, parts)
+    opposite = Four(vec3.from_axis(-u.reshape(n, 3), -1))
+    cone = Cone(vec3.from_axis(problem.normals, -1), problem.friction)
+    parts = friction_cone.split(opposite, cone)
+    on_cone = jnp.stack(friction_cone.project(opposite, cone, parts).linear, -1)
+    lower = friction_cone.derivative(cone, parts)
     each = jnp.stack([jnp.stack([lower[max(i, j)][min(i, j)] for j in range(3)], -1) for i in range(3)], -2)
     blocks = jnp.eye(3) - each
     wide = jnp.zeros((n, 3, n, 3)).at[jnp.arange(n), :, jnp.arange(n)].set(blocks)

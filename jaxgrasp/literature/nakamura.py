@@ -21,11 +21,11 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.batch_problem import Outcome, Scaled, solve_all
 from jaxgrasp.literature.internal import internal
+from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.multipliers import least_internal
-from jaxgrasp.literature.scaled import Outcome, Scaled, solve_all
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 

@@ -14,10 +14,10 @@ from vertex to vertex as the load turns; it is often not unique, and then the si
 
 import numpy as np
 
-from jaxgrasp.literature.answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.host_problem import Balance, Found, Posed, balanced, solve_each
 from jaxgrasp.literature.linear import Optimum, Program, solve_plain
-from jaxgrasp.literature.posed import Balance, Found, Posed, balanced, solve_each
+from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp

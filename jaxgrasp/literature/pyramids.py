@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from jaxgrasp.literature.posed import Posed
+from jaxgrasp.literature.host_problem import Posed
 
 Pyramid = Literal["inscribed", "circumscribed"]
 """Edges on the cone, so that all forces are ones that friction allows; or facets on the cone, which contain it."""

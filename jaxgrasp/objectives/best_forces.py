@@ -8,20 +8,20 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force import shells
-from jaxgrasp.force.flat import flatten, warn_of_lost_precision
-from jaxgrasp.force.lanes import Problem
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.numerics.still import still
-from jaxgrasp.numerics.tiles import over_tiles
-from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
+from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
+from jaxgrasp.numerics.zero_tangent import still
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
-from jaxgrasp.objectives.posed import Posed, Units, forces_in, forces_out, pose, unbalanced, units_of
-from jaxgrasp.objectives.prices import velocity_of
+from jaxgrasp.objectives.cone_problem import Posed, Units, forces_in, forces_out, pose, unbalanced, units_of
+from jaxgrasp.objectives.multiplier_bounds import velocity_of
 from jaxgrasp.objectives.search import Found
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.flatten import flatten, warn_of_lost_precision
+from jaxgrasp.solver import transforms
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
@@ -138,7 +138,7 @@ def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Proble
 
 @jax.jit
 def _solved(problem: Problem) -> Solution:
-    return shells.solver(True)(problem)
+    return transforms.solver(True)(problem)
 
 
 @jax.jit

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.numerics.conic import Cones
-from jaxgrasp.objectives.posed import Posed, press_rows
+from jaxgrasp.numerics.cone_program import Cones
+from jaxgrasp.objectives.cone_problem import Posed, press_rows
 
 Inequalities = dict[str, tuple[Array, Array]]
 """Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""

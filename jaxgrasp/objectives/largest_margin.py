@@ -13,14 +13,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.numerics import conic
-from jaxgrasp.numerics.conic import Program
-from jaxgrasp.numerics.tiles import beside, merged, over_chosen
-from jaxgrasp.numerics.varying import varying_like
-from jaxgrasp.numerics.vec import safe_divide, safe_sqrt
+from jaxgrasp.numerics import cone_program
+from jaxgrasp.numerics.cone_program import Program
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.tiling import beside, merged, over_chosen
+from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
+from jaxgrasp.objectives.cone_problem import Posed, absent, friction_cones
 from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
-from jaxgrasp.objectives.posed import Posed, absent, friction_cones
-from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, spent
+from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, spent
 from jaxgrasp.objectives.search import Found
 
 FIRST = 10
@@ -154,7 +154,7 @@ def _look(whole: Posed, margin: Array) -> _Look:
     equations = jnp.concatenate([posed.columns.reshape(size, 6, n * c), -posed.right[..., None]], -1)
     aim = jnp.zeros((size, posed.width + 1), posed.right.dtype).at[:, -1].set(-1)
     cones = (friction_cones(posed, 1), as_cones(inequalities))
-    best = conic.solve(Program(absent(posed, 1), aim, equations, jnp.zeros_like(posed.right), cones))
+    best = cone_program.solve(Program(absent(posed, 1), aim, equations, jnp.zeros_like(posed.right), cones))
     bounds = multipliers(inequalities, best.duals[-1])
     enough = bounds.pop("enough")[:, 0]
     prices = Prices(-best.equality, bounds)

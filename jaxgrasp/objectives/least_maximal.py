@@ -7,12 +7,12 @@ the bound. A moment counts as the tangential force that uses as much friction.
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.numerics import conic
-from jaxgrasp.numerics.conic import Cones, Program
-from jaxgrasp.numerics.vec import safe_sqrt
+from jaxgrasp.numerics import cone_program
+from jaxgrasp.numerics.cone_program import Cones, Program
+from jaxgrasp.numerics.vec3 import safe_sqrt
+from jaxgrasp.objectives.cone_problem import Posed, absent, friction_cones
 from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
-from jaxgrasp.objectives.posed import Posed, absent, friction_cones
-from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, reach, spent
+from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, reach, spent
 from jaxgrasp.objectives.search import Found
 
 
@@ -24,7 +24,7 @@ def search(posed: Posed) -> Found:
     size, _, n, c = posed.columns.shape
     equations = jnp.pad(posed.columns.reshape(size, 6, n * c), [(0, 0), (0, 0), (0, 1)])
     last = jnp.zeros((size, n * c + 1), posed.right.dtype).at[:, -1].set(1)
-    best = conic.solve(Program(absent(posed, 1), last, equations, posed.right, tuple(cones)))
+    best = cone_program.solve(Program(absent(posed, 1), last, equations, posed.right, tuple(cones)))
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds)

@@ -7,12 +7,12 @@ sum of squares.
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.numerics import conic
-from jaxgrasp.numerics.conic import Program
-from jaxgrasp.numerics.vec import safe_sqrt
+from jaxgrasp.numerics import cone_program
+from jaxgrasp.numerics.cone_program import Program
+from jaxgrasp.numerics.vec3 import safe_sqrt
+from jaxgrasp.objectives.cone_problem import Posed, absent, friction_cones
 from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
-from jaxgrasp.objectives.posed import Posed, absent, friction_cones
-from jaxgrasp.objectives.prices import Prices, asked, constraints, push_of, spent
+from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, spent
 from jaxgrasp.objectives.search import Found
 
 TIE = 1e-13
@@ -32,7 +32,7 @@ def search(posed: Posed) -> Found:
     squares = jnp.einsum("bji,bjk->bik", rows, rows) + absent(posed, 0) + price * jnp.eye(n * c, dtype=rows.dtype)
     cones = [friction_cones(posed, 0)] + ([as_cones(inequalities)] if inequalities else [])
     equations = posed.columns.reshape(size, 6, n * c)
-    best = conic.solve(Program(squares, jnp.zeros_like(squares[:, 0]), equations, posed.right, tuple(cones)))
+    best = cone_program.solve(Program(squares, jnp.zeros_like(squares[:, 0]), equations, posed.right, tuple(cones)))
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point.reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds, _torques(posed, y))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jax import Array
 
-from jaxgrasp.objectives.prices import Prices
+from jaxgrasp.objectives.multiplier_bounds import Prices
 
 
 class Found(NamedTuple):

@@ -12,12 +12,12 @@ from jaxgrasp.psychophysics.analysis.anova import (
 )
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled
-from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
+from jaxgrasp.psychophysics.analysis.signal_detection import Sensitivity, sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
 from jaxgrasp.psychophysics.observer import Observer

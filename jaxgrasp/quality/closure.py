@@ -7,9 +7,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.bodies import Body
-from jaxgrasp.quality.discs import About, Length
-from jaxgrasp.quality.reading import Read, read
+from jaxgrasp.quality.grasp_input import Read, read
+from jaxgrasp.quality.wrench_discs import About, Length
+from jaxgrasp.quality.wrench_sets import Body
 
 ROUNDS = 60
 """Times that wrenches are added to those in sight of a question; it is decided within ten, near its limit later."""

@@ -9,12 +9,12 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.ball import largest_ball
-from jaxgrasp.quality.bodies import Body, Bound, check_bound, check_sides, pyramid
 from jaxgrasp.quality.closure import decide
-from jaxgrasp.quality.discs import About, Length, discs, work
-from jaxgrasp.quality.reading import check_tolerance, read
-from jaxgrasp.quality.touch import touch
+from jaxgrasp.quality.grasp_input import check_tolerance, read
+from jaxgrasp.quality.largest_ball import largest_ball
+from jaxgrasp.quality.refine_facet import touch
+from jaxgrasp.quality.wrench_discs import About, Length, discs, work
+from jaxgrasp.quality.wrench_sets import Body, Bound, check_bound, check_sides, pyramid
 
 MAX_POINTS = 1000
 

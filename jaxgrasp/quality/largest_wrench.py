@@ -13,10 +13,10 @@ from scipy.sparse import csr_array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.bodies import Body, Bound, check_bound, check_sides, pyramid
 from jaxgrasp.quality.closure import forces_of, unscaled
-from jaxgrasp.quality.discs import discs, work
-from jaxgrasp.quality.reading import Read, check_tolerance, read
+from jaxgrasp.quality.grasp_input import Read, check_tolerance, read
+from jaxgrasp.quality.wrench_discs import discs, work
+from jaxgrasp.quality.wrench_sets import Body, Bound, check_bound, check_sides, pyramid
 
 ROUNDS = 60
 """Linear programs for one grasp; most need about ten."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality import singular_values
-from jaxgrasp.quality.bodies import Bound
+from jaxgrasp.quality.wrench_sets import Bound
 
 OPEN, CLOSED, UNDECIDED = 0, 1, -1
 

@@ -10,9 +10,9 @@ from scipy.optimize import linprog
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.bodies import check_sides, pyramid
-from jaxgrasp.quality.discs import discs
-from jaxgrasp.quality.reading import read
+from jaxgrasp.quality.grasp_input import read
+from jaxgrasp.quality.wrench_discs import discs
+from jaxgrasp.quality.wrench_sets import check_sides, pyramid
 
 FEASIBLE = 1e-10
 """What HiGHS is asked for, the least it takes."""

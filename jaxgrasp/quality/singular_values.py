@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force.flat import warn_of_lost_precision
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
-from jaxgrasp.numerics.vec import safe_divide
-from jaxgrasp.quality.discs import About, Length, discs
+from jaxgrasp.numerics.vec3 import safe_divide
+from jaxgrasp.problem.flatten import warn_of_lost_precision
+from jaxgrasp.quality.wrench_discs import About, Length, discs
 
 
 def singular_values(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "... 6"]:

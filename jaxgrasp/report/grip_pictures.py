@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.prehension.scene import Scene
-from jaxgrasp.report.history import History
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.instants_picture import instants_figure
 from jaxgrasp.report.panels_picture import panels_figure
 from jaxgrasp.report.png import check_matplotlib, write_png

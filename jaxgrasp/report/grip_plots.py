@@ -2,7 +2,7 @@
 
 from jaxgrasp.report.bundle import listed
 from jaxgrasp.report.figures import axis, layout
-from jaxgrasp.report.history import History
+from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.look import HOLD_COLOURS, INK, MUTED
 from jaxgrasp.report.panels import (
     WORTH_NAMING,

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxgrasp.prehension.monitor import Hold
-from jaxgrasp.prehension.scene import Scene
-from jaxgrasp.report.history import VERBS, History
+from jaxgrasp.grip.monitor import Hold
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.report.grip_over_time import VERBS, History
 from jaxgrasp.report.look import (
     GRID,
     HOLD_COLOURS,

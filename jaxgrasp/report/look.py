@@ -5,9 +5,9 @@ from collections.abc import Iterable
 from html import escape
 from itertools import cycle
 
-from jaxgrasp.model.methods import METHODS
+from jaxgrasp.grip.monitor import Hold, Touch
+from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.prehension.monitor import Hold, Touch
 
 # The palette of Okabe and Ito, safe for colour-blind readers. Closed forms are warm, optima are cool: where the two
 # are drawn together, warm is what may slip.

@@ -10,9 +10,9 @@ from jaxgrasp.batch.summary import Summary
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.report import sections
 from jaxgrasp.report.bundle import page_html
+from jaxgrasp.report.headline import tiles_html
 from jaxgrasp.report.look import counted, text
-from jaxgrasp.report.tiles import tiles_html
-from jaxgrasp.report.worst import worst_html
+from jaxgrasp.report.worst_cases import worst_html
 
 
 def write_report(

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.prehension.monitor import Hold
-from jaxgrasp.report.history import History
+from jaxgrasp.grip.monitor import Hold
+from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.look import finger_colours, number
 
 WORTH_NAMING = 0.06

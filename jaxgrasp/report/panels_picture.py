@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxgrasp.report.history import History
+from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.look import GRID, HOLD_COLOURS, INK, MUTED
 from jaxgrasp.report.panels import WORTH_NAMING, Panel, footnote, label_heights, levels, panels, spells, value_range
 

@@ -6,6 +6,7 @@ from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import figures
 from jaxgrasp.report.bundle import embedded
+from jaxgrasp.report.headline import unit
 from jaxgrasp.report.look import (
     METHOD_COLOURS,
     NOTHING,
@@ -23,7 +24,6 @@ from jaxgrasp.report.look import (
     text,
     whole,
 )
-from jaxgrasp.report.tiles import unit
 
 QUANTITIES = (
     (

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxgrasp.prehension.monitor import Hold
-from jaxgrasp.prehension.scene import Scene
-from jaxgrasp.report.history import History
-from jaxgrasp.report.scene import round_up
+from jaxgrasp.grip.monitor import Hold
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.report.grasp_in_3d import round_up
+from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.surfaces import Surface, link_surfaces, placed, shape_surface
 
 NORMAL, HEAD = 0.015, 0.008

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.contact.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.model.hand import Hand
-from jaxgrasp.report.scene import across
+from jaxgrasp.report.grasp_in_3d import across
 
 SIDES = 16
 """Directions around a link; there are half as many from its one end to the other."""

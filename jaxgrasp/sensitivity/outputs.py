@@ -7,12 +7,12 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.force.angles import friction_margin, slip_angle, stability_margin
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.force.least_friction import least_friction
+from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.methods import methods_named
 from jaxgrasp.model.solution import Solution
 
 QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {

@@ -12,7 +12,7 @@ import time
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.psychophysics.running.history import read_experiment
+from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 
 PLAN = """
 [session]

@@ -11,10 +11,10 @@ from jaxgrasp import Body, GripType, Hold, Instant, Pose, Scene, Sphere, contrib
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.grip import _write_report
 from jaxgrasp.cli.main import main
-from jaxgrasp.prehension.carry import stacked
-from jaxgrasp.prehension.power_grip import lay_on
+from jaxgrasp.grip.carry import stacked
+from jaxgrasp.grip.power_grip import lay_on
 from jaxgrasp.report import bundle
-from jaxgrasp.report.history import history
+from jaxgrasp.report.grip_over_time import history
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 import jaxgrasp
 from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
-from jaxgrasp.force.ask import LEAST_WHOLE, SIZES, pieces
+from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, pieces
 
 N = 3
 MANY = P.problems("ordinary", N, 1000, seed=5)

@@ -17,7 +17,7 @@ from jaxgrasp.glove.other_devices.polhemus import (
     TrackerSample,
 )
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.glove.simulated.faults import Spoiler
+from jaxgrasp.glove.simulated.line_faults import Spoiler
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 

@@ -6,10 +6,10 @@ import pytest
 from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError, Limits, MethodStatus, cheng_orin, kerr_roth, orin_oh
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.host_problem import posed
 from jaxgrasp.literature.linear import Program, solve_plain
+from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.orin_oh import load_program
-from jaxgrasp.literature.posed import posed
 
 COUNT, N, SIDES, MOST = 10, 4, 6, 200.0
 JOINTS = 3

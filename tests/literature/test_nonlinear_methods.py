@@ -17,9 +17,9 @@ from jaxgrasp import (
     nakamura,
     pyramid_optimum,
 )
-from jaxgrasp.literature.given import read
+from jaxgrasp.literature.batch_problem import scale
 from jaxgrasp.literature.kumar_waldron import equilibrating_forces
-from jaxgrasp.literature.scaled import scale
+from jaxgrasp.literature.method_input import read
 
 COUNT, N = 40, 4
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.numerics.compiled_code import is_known_xla
-from jaxgrasp.numerics.one_kernel import LARGEST_REDUCTION, one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, one_kernel
 
 known = pytest.mark.skipif(not is_known_xla(), reason="a version or a device on which there are no such kernels")
 

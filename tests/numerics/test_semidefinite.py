@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp.numerics import semidefinite
+from jaxgrasp.numerics import pivoted_ldl
 
 SIZE, COUNT = 6, 40
 LEAST = 1e-11
@@ -20,8 +20,8 @@ def of_rank(rank: int, seed: int = 1) -> np.ndarray:
 
 @jax.jit
 def solve(matrices, right):
-    factors = semidefinite.factor(matrices.transpose(1, 2, 0), LEAST)
-    return semidefinite.solve(factors, right.T).T
+    factors = pivoted_ldl.factor(matrices.transpose(1, 2, 0), LEAST)
+    return pivoted_ldl.solve(factors, right.T).T
 
 
 def times(matrices, x):

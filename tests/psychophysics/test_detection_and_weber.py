@@ -9,7 +9,7 @@ from scipy.stats import linregress, norm
 from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import JND
 from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.detection import sensitivity
+from jaxgrasp.psychophysics.analysis.signal_detection import sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import threshold
 from jaxgrasp.psychophysics.analysis.weber import weber, weber_line
 from jaxgrasp.psychophysics.observer import Observer

@@ -15,7 +15,7 @@ from jaxgrasp.psychophysics.prediction.rendering_error import (
     jnd_through,
     shares_of_device,
 )
-from jaxgrasp.psychophysics.prediction.simulation import hit_chances, simulated_hits
+from jaxgrasp.psychophysics.prediction.simulated_answers import hit_chances, simulated_hits
 
 LEVELS = np.array(DIFFERENCES)
 

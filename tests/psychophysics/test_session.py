@@ -18,8 +18,8 @@ from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.running.history import read_experiment
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
+from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records
 from jaxgrasp.psychophysics.running.session import run_experiment
 from jaxgrasp.psychophysics.schedule import Schedule

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 import jaxgrasp
 from jaxgrasp import Epsilon, Grasp
-from jaxgrasp.quality.star import Star
+from jaxgrasp.quality.inner_polytope import Star
 from tests.quality import known
 
 BOUNDS = ("l1", "linf")

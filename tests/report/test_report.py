@@ -12,14 +12,14 @@ import pytest
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult, Times
 from jaxgrasp.batch.summary import Summary, summarise
-from jaxgrasp.model.methods import METHODS
+from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import bundle
 from jaxgrasp.report.figures import verdict_bars
+from jaxgrasp.report.grasp_in_3d import Case, scene
+from jaxgrasp.report.headline import tiles
 from jaxgrasp.report.look import number, percentage, share
 from jaxgrasp.report.page import report_html, write_report
-from jaxgrasp.report.scene import Case, scene
-from jaxgrasp.report.tiles import tiles
 
 go = pytest.importorskip("plotly.graph_objects")
 

@@ -11,7 +11,7 @@ from jaxgrasp.glove.protocol.device import Cause
 from jaxgrasp.glove.protocol.frames import LINE_SIZE, TICKS, encode
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.cable import Cable
-from jaxgrasp.glove.simulated.faults import Spoiler
+from jaxgrasp.glove.simulated.line_faults import Spoiler
 from jaxgrasp.glove.simulated.simulated_glove import SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import Terminal
 

@@ -7,15 +7,15 @@ from typing import Literal
 import numpy as np
 
 from jaxgrasp.psychophysics.analysis.counts import Counts, count
-from jaxgrasp.psychophysics.analysis.detection import Sensitivity, sensitivity
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.psychometric import Shape
+from jaxgrasp.psychophysics.analysis.signal_detection import Sensitivity, sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, weber
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.running.history import TrialRecord
+from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from pathlib import Path
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, cell_of, suited_shape
 from jaxgrasp.psychophysics.analysis.comparison import Comparison, Group, comparison_of, group_of, line_of
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.matching import Matched, matched
+from jaxgrasp.psychophysics.analysis.matched_settings import Matched, matched
 from jaxgrasp.psychophysics.analysis.notes import notes_on
 from jaxgrasp.psychophysics.analysis.weber import WeberLine
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
-from jaxgrasp.psychophysics.running.history import TrialRecord, read_experiment
+from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, read_experiment
 from jaxgrasp.psychophysics.running.records import RecordError, subjects
 from jaxgrasp.psychophysics.running.session import EVERYONE
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxgrasp.psychophysics.plan import Plan
-from jaxgrasp.psychophysics.running.history import TrialRecord, felt_levels
+from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, felt_levels
 
 BRIEF = 0.3
 """In which nobody feels a weight [s]."""

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model
 from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.prediction.simulation import simulated_hits
+from jaxgrasp.psychophysics.prediction.simulated_answers import simulated_hits
 
 SMALLEST = 1e-9
 

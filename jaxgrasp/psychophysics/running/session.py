@@ -13,8 +13,8 @@ from typing import Any
 
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.matching import Matching
-from jaxgrasp.psychophysics.running.history import check_other, check_plan, replay
 from jaxgrasp.psychophysics.running.person import Person
+from jaxgrasp.psychophysics.running.recorded_trials import check_other, check_plan, replay
 from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, read_records, subjects
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus, StimulusLostError

@@ -1,0 +1,77 @@
+"""How far each contact is from slipping."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics import vec3
+
+
+def slip_angle(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
+    """Angle between each contact force and its inward normal [rad], from 0 (pressing) to pi (pulling).
+
+    A contact that carries no force has no angle: it is marked by -inf (its margins by +inf), so that the
+    largest angle and the smallest margin of a grasp are those of its loaded contacts. The derivative
+    there is zero.
+    """
+    force, normal = vec3.from_axis(jnp.asarray(forces), -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
+    along = vec3.dot(force, normal)
+    across = vec3.norm(vec3.cross(normal, force))
+    loaded = vec3.dot(force, force) > 0
+    if grasp.present is not None:
+        loaded = loaded & (jnp.asarray(grasp.present) > 0.5)
+    # arctan2 keeps its digits at both ends, where arccos loses half of them.
+    angle = jnp.arctan2(jnp.where(loaded, across, 0), jnp.where(loaded, along, 1))
+    return jnp.where(loaded, angle, -jnp.inf)
+
+
+def stability_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
+    """The paper's margin, 90 degrees less the slip angle [rad]: negative where a contact pulls (section II-G)."""
+    angle = slip_angle(grasp, forces)
+    return jnp.pi / 2 - angle
+
+
+def friction_margin(
+    grasp: Grasp,
+    forces: Float[AnyArray, "*batch n 3"],
+    moments: Float[AnyArray, "*batch n"] | None = None,
+) -> Float[Array, "*batch n"]:
+    """Friction angle atan(mu) less the slip angle [rad]: negative where a contact slips or pulls (eq. 2).
+
+    ``moments`` of soft fingers count as the tangential force mu / gamma times as large would, beside it: friction
+    resists both together. Where a finger is hard there can be none.
+
+    Raises:
+        ValueError: for moments with a grasp that has no torsion, or soft fingers without.
+    """
+    angle = slip_angle(grasp, forces)
+    loaded = jnp.isfinite(angle)
+    # An absent contact may have any friction, NaN too.
+    friction = jnp.where(loaded, jnp.asarray(grasp.friction), 0)
+    spin = spin_force(grasp, moments)
+    if spin is not None:
+        force, normal = vec3.from_axis(jnp.asarray(forces), -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
+        across = vec3.norm(vec3.cross(normal, force))
+        both = vec3.safe_sqrt(jnp.where(loaded, across**2 + spin**2, 0))
+        angle = jnp.where(loaded, jnp.arctan2(both, jnp.where(loaded, vec3.dot(force, normal), 1)), angle)
+    return jnp.arctan(friction) - angle
+
+
+def spin_force(grasp: Grasp, moments: Float[AnyArray, "*batch n"] | None) -> Float[Array, "*batch n"] | None:
+    """The tangential forces that use as much friction as moments do [N], mu / gamma times these; None for none.
+
+    Raises:
+        ValueError: for moments with a grasp that has no torsion, or soft fingers without.
+    """
+    if (moments is None) != (grasp.torsion is None):
+        given = "None" if moments is None else "given"
+        raise ValueError(f"moments is {given}: expected those of the soft fingers, and None where torsion is None")
+    if moments is None or grasp.torsion is None:
+        return None
+    torsion = jnp.asarray(grasp.torsion)
+    turns = torsion > 0
+    if grasp.present is not None:
+        turns = turns & (jnp.asarray(grasp.present) > 0.5)
+    ratio = jnp.where(turns, grasp.friction, 0) / jnp.where(turns, torsion, 1)
+    return ratio * jnp.where(turns, jnp.asarray(moments), 0)

@@ -1,0 +1,204 @@
+"""A hand and an object over time: contacts, forces, verdict, and where the object goes next.
+
+- STABLE: the object goes where its contacts go.
+- SLIPPING: the contacts exert what comes closest to the wrench that would take it along, by how it would move
+  the object; what is missed of it lags behind, or slides down. Where the closed form slips although the optimum
+  holds, nothing is missed, and the object stays in the hand.
+- LOST: it keeps the motion that it had, and falls.
+
+The wrench holds the object's weight, gives it the acceleration of its contacts, and resists the obstacles that it is
+pressed into. A guide carries what it can of all that. Table and obstacles stop what moves by itself: nothing bounces.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.force.reachable import reachable_wrench
+from jaxgrasp.grip.falling import fallen, gone_on, led_on
+from jaxgrasp.grip.monitor import Hold, Law
+from jaxgrasp.grip.motion import (
+    Motion,
+    follow,
+    follow_along,
+    guide_at,
+    mobility,
+    motion_between,
+    moved,
+    rest_on,
+    spatial_inertia,
+)
+from jaxgrasp.grip.obstacles import stop
+from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.grip.tick import Tick, assessed, touched
+from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
+
+
+class Instant(NamedTuple):
+    """A tick of a scene that goes on."""
+
+    placed: Pose
+    """Where the object was."""
+    tick: Tick
+    hold: Hold
+    stands: bool
+    """Whether the table or an obstacle carried it."""
+    missed: Float[Array, "6"]
+    """What of the wrench no allowed forces of these contacts could exert [N, N.m]."""
+
+
+def stacked(record: list[Instant]) -> Instant:
+    """All instants in one: NumPy arrays with a leading axis of time."""
+    return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
+
+
+class Carried(NamedTuple):
+    """Where an object is on its way."""
+
+    placed: Pose
+    motion: Motion
+    """That brought it there."""
+    stands: Array
+    before: Pose
+    """Where that began."""
+
+
+def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Instant]:
+    """What becomes of an object while a hand goes through postures.
+
+    Stable, it goes where its contacts go, and presses into obstacles as far as the hand presses it; slipping, what the
+    contacts cannot exert of the wrench lags behind; lost, it falls. A loop in Python over compiled ticks, so that only
+    an object that slips pays for the closest wrench.
+
+    Args:
+        scene: hand, object, table, guide, obstacles, and the laws of their contacts.
+        postures: with a leading axis T of instants; the hand is at rest before the first and after the last, so
+            that one that moves at once jolts what it holds.
+        placed: where the object stands at first, at rest.
+        dt: time from one instant to the next [s].
+        law: which forces decide whether the object slips, as for [`jaxgrasp.monitor`][].
+
+    Returns:
+        An Instant for each posture: where the object was, its Tick, and what became of it. What a guide carries is
+        the tick's wrench less what its forces exert.
+
+    Raises:
+        ValueError: for postures without that axis, a step of time that is not positive, a guide that is none, and
+            obstacles without the object's outline.
+    """
+    if not dt > 0:
+        raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
+    check_scene(scene)
+    if np.ndim(postures.angles) != 2:
+        raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
+    frames = pose_hand(scene.hand, postures)
+    count = frames.axes.shape[0]
+    carried = set_down(scene, placed)
+    instants = []
+    for k in range(count):
+        posture, now = (jax.tree.map(lambda x, k=k: x[k], tree) for tree in (postures, frames))
+        later = jax.tree.map(lambda x, k=k: x[min(k + 1, count - 1)], frames)
+        instant, carried = advance(scene, dt, carried, posture, now, later, law=law)
+        instants.append(instant)
+    return instants
+
+
+def set_down(scene: Scene, placed: Pose) -> Carried:
+    """An object at rest, before anything happens to it."""
+    start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
+    still = Motion(jnp.zeros(3), jnp.zeros(3))
+    return Carried(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
+
+
+def advance(
+    scene: Scene, dt: float, carried: Carried, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
+) -> tuple[Instant, Carried]:
+    """An instant of ``carry``, and where the object is at the next; for hands whose future nobody knows.
+
+    Args:
+        scene: as for ``carry``; it is not checked again.
+        dt: time to the next instant [s].
+        carried: where the object is.
+        posture: of the hand now.
+        now: the hand's frames in that posture.
+        later: those of the next instant.
+        law: as for ``carry``.
+    """
+    tick, led = _tick(scene, dt, carried, posture, now, later, law=law)
+    hold = Hold(int(tick.assessment.hold))
+    missed = _missed(scene, tick, carried.placed, hold)
+    instant = Instant(carried.placed, tick, hold, bool(carried.stands), missed)
+    return instant, _go_on(scene, dt, carried, led, missed, tick.assessment.hold)
+
+
+@partial(jax.jit, static_argnames="law")
+def _tick(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: Carried,
+    posture: Posture,
+    now: HandFrames,
+    later: HandFrames,
+    *,
+    law: Law,
+) -> tuple[Tick, Motion]:
+    """An instant, and the motion that the object's contacts ask of it: its own, where nothing touches."""
+    contacts, grasp = touched(scene, posture, state.placed)
+    lost = ~jnp.any(contacts.present > 0)
+    weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
+    followed = _followed(scene, dt, now, later, contacts.points, weights, state.placed)
+    led = Motion(*(jnp.where(lost, own, new) for own, new in zip(state.motion, followed, strict=True)))
+    gained = jnp.concatenate([(new - own) / dt for own, new in zip(state.motion, led, strict=True)])
+    inertia = spatial_inertia(scene.body, state.placed.rotation)
+    spin = jnp.append(jnp.zeros(3), jnp.cross(led.angular, inertia[3:, 3:] @ led.angular))
+    return assessed(scene, now, state.placed, contacts, grasp, inertia @ gained + spin, law), led
+
+
+def _followed(
+    scene: Scene, dt: float | AnyArray, now: HandFrames, later: HandFrames, points: Array, weights: Array, placed: Pose
+) -> Motion:
+    """The motion of an object that goes with its contacts."""
+    if scene.guide is None:
+        return motion_between(placed, follow(now, later, points, weights, placed), dt)
+    return follow_along(scene.guide, now, later, points, weights, placed, dt)
+
+
+def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
+    """What of the wrench the contacts cannot exert, measured by how it would move the object."""
+    if hold == Hold.STABLE:
+        return jnp.zeros_like(tick.wrench)
+    if hold == Hold.LOST:
+        return tick.wrench
+    inertia = spatial_inertia(scene.body, placed.rotation)
+    free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
+    return tick.wrench - reachable_wrench(tick.grasp, tick.wrench, inertia=inertia, free=free).wrench
+
+
+@jax.jit
+def _go_on(scene: Scene, dt: float | AnyArray, state: Carried, led: Motion, missed: Array, hold: Array) -> Carried:
+    """The object's next pose and motion: as it was led, less what was missed; or as it falls."""
+    placed, lost = state.placed, hold == Hold.LOST
+    lag = mobility(scene.body, placed, scene.guide) @ missed * dt
+    slid = Motion(led.linear - lag[:3], led.angular - lag[3:])
+    going = gone_on(scene, dt, state.before, state.motion, placed)
+    motion, blocked = _either(lost, fallen(scene, dt, placed, going), slid), jnp.asarray(False)
+    if scene.obstacles:
+        stopped = stop(scene, placed, motion, dt)
+        alone = hold != Hold.STABLE
+        motion, blocked = _either(alone, stopped.motion, motion), alone & stopped.touches
+    if scene.guide is not None:
+        motion = _either(lost, led_on(scene, dt, placed, going, motion), motion)
+    there = moved(placed, motion, dt, scene.guide)
+    held = None if scene.guide is None else placed
+    there, motion, stands = rest_on(scene.table, scene.body.shape, there, motion, held)
+    return Carried(there, motion, stands | blocked, placed)
+
+
+def _either(condition: Array, one: Motion, other: Motion) -> Motion:
+    return Motion(*(jnp.where(condition, a, b) for a, b in zip(one, other, strict=True)))

@@ -1,0 +1,168 @@
+"""How bodies move from one instant to the next: rigid motions, their fit to contacts, and what gravity does.
+
+Quasi-static: a held object goes where its contacts go; only a slipping or a free one has an inertia of its own.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import HandFrames, Pose
+from jaxgrasp.numerics.rotation import cross_matrix, rotation_by
+from jaxgrasp.numerics.vec3 import Vec
+
+PAD = 2e-3
+"""Half the width of what a contact holds on to [m]: a fingertip turns what it touches, if only a little."""
+
+
+class Body(eqx.Module):
+    """A rigid object of uniform density, its centre of mass at its frame's origin."""
+
+    shape: Shape
+    mass: float | AnyArray
+    """[kg]"""
+
+
+class Motion(NamedTuple):
+    """Velocity of a body: of its origin, and about it, in the world."""
+
+    linear: Array
+    """[m/s]"""
+    angular: Array
+    """[rad/s]"""
+
+
+def spatial_inertia(body: Body, rotation: Float[AnyArray, "3 3"]) -> Float[Array, "6 6"]:
+    """Mass, and moments about the body's origin along the world's axes [kg, kg.m^2]."""
+    moments = jnp.diag(jnp.stack(jnp.broadcast_arrays(*body.shape._moments())))
+    turned = body.mass * rotation @ moments @ rotation.T
+    zero = jnp.zeros((3, 3))
+    return jnp.block([[body.mass * jnp.eye(3), zero], [zero, turned]])
+
+
+def guide_at(guide: Float[AnyArray, "6 k"], origin: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 6 k"]:
+    """A guide's twists about the world's origin as ones about another point, along the same axes."""
+    linear, angular = jnp.asarray(guide)[:3], jnp.asarray(guide)[3:]
+    moved = linear + jnp.cross(angular, jnp.asarray(origin)[..., None], axis=-2)
+    return jnp.concatenate([moved, jnp.broadcast_to(angular, moved.shape)], -2)
+
+
+def mobility(body: Body, placed: Pose, guide: AnyArray | None) -> Float[Array, "6 6"]:
+    """What a unit of impulse about the body's origin gives it in motion [1/kg, 1/(kg.m), 1/(kg.m^2)]."""
+    inertia = spatial_inertia(body, placed.rotation)
+    if guide is None:
+        return jnp.linalg.inv(inertia)
+    free = guide_at(guide, placed.origin)
+    # By the energy of each, so that their sizes do not matter.
+    size = jnp.sqrt(jnp.diagonal(free.T @ inertia @ free))
+    free = free / jnp.where(size > 0, size, 1)
+    return free @ jnp.linalg.pinv(free.T @ inertia @ free, hermitian=True) @ free.T
+
+
+def follow(
+    before: HandFrames, after: HandFrames, points: Float[AnyArray, "L 3"], weights: Float[AnyArray, "L"], placed: Pose
+) -> Pose:
+    """Where an object goes that is held: the rigid motion that comes closest to that of its contacts.
+
+    Least squares over the contacts, by their weights; each counts as a small pad, which goes with its link.
+
+    Args:
+        before: of the hand's frames.
+        after: of the hand's frames, an instant later.
+        points: where each link touches, before [m].
+        weights: 0 for links that do not touch.
+        placed: where the object stood.
+    """
+    return _fit(*_pads(before, after, points, weights), placed)
+
+
+def follow_along(
+    guide: Float[AnyArray, "6 k"],
+    before: HandFrames,
+    after: HandFrames,
+    points: Float[AnyArray, "L 3"],
+    weights: Float[AnyArray, "L"],
+    placed: Pose,
+    dt: float | AnyArray,
+) -> Motion:
+    """Likewise for an object that a guide holds: its motion along the guide that comes closest to its contacts'."""
+    old, new, share = _pads(before, after, points, weights)
+    free = guide_at(guide, placed.origin)
+    arms = (old - placed.origin)[:, :, None]
+    velocities = (free[:3] + jnp.cross(free[None, 3:], arms, axis=1)) * jnp.sqrt(share)[:, None, None]
+    wanted = (new - old) * jnp.sqrt(share)[:, None] / dt
+    size = jnp.linalg.norm(free, axis=0)
+    size = jnp.where(size > 0, size, 1)
+    along = jnp.linalg.lstsq((velocities / size).reshape(-1, free.shape[1]), wanted.reshape(-1))[0]
+    twist = free @ (along / size)
+    return Motion(twist[:3], twist[3:])
+
+
+def _pads(before: HandFrames, after: HandFrames, points: AnyArray, weights: AnyArray) -> tuple[Array, Array, Array]:
+    """Points of each contact's pad before and after, and what each counts."""
+    turns = after.links.rotation @ before.links.rotation.swapaxes(-1, -2)
+    pads = PAD * jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
+    old = jnp.asarray(points)[:, None] + pads
+    new = jnp.einsum("lij,lpj->lpi", turns, old - before.links.origin[:, None]) + after.links.origin[:, None]
+    share = jnp.broadcast_to((weights / jnp.sum(weights))[:, None] / len(pads), old.shape[:2])
+    return old.reshape(-1, 3), new.reshape(-1, 3), share.reshape(-1)
+
+
+def _fit(old: Array, new: Array, share: Array, placed: Pose) -> Pose:
+    """Kabsch's rotation between two clouds of points, applied to a pose."""
+    middle, goal = share @ old, share @ new
+    left, _, right = jnp.linalg.svd((new - goal).T @ (share[:, None] * (old - middle)))
+    # The nearest proper rotation, never a reflection.
+    turn = left @ jnp.diag(jnp.array([1.0, 1.0, 1.0]).at[2].set(jnp.linalg.det(left @ right))) @ right
+    return Pose(goal + turn @ (placed.origin - middle), turn @ placed.rotation)
+
+
+def motion_between(before: Pose, after: Pose, dt: float | AnyArray) -> Motion:
+    """The steady motion that leads from one pose to the other in ``dt`` seconds."""
+    turn = after.rotation @ before.rotation.T
+    twice_sine = jnp.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    size = jnp.linalg.norm(twice_sine)
+    angle = jnp.arctan2(size, jnp.trace(turn) - 1)
+    # Of a small turn the angle is the sine.
+    factor = jnp.where(size > 0, angle / jnp.where(size > 0, size, 1), 0.5)
+    return Motion(jnp.asarray(after.origin - before.origin) / dt, factor * twice_sine / dt)
+
+
+def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | None = None) -> Pose:
+    """A pose after ``dt`` seconds of a steady motion: a free body's centre goes straight on, a guided body goes on with
+    one twist, by which it never leaves its guide."""
+    turn = rotation_by(motion.angular * dt)
+    if guide is None:
+        return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
+    screw = jnp.zeros((4, 4)).at[:3, :3].set(cross_matrix(motion.angular))
+    way = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)[:3, 3]
+    return Pose(placed.origin + way, turn @ placed.rotation)
+
+
+def rest_on(
+    table: Pose, shape: Shape, placed: Pose, motion: Motion, before: Pose | None = None
+) -> tuple[Pose, Motion, Array]:
+    """An object lifted out of the table's half space, and whether it had to be; what stands on a table has stopped.
+
+    One that a guide holds cannot be lifted: where it would go deeper than ``before``, it stays there.
+    """
+    up = jnp.asarray(table.rotation)[:, 2]
+    height = _height(table, shape, placed)
+    if before is None:
+        stands = height <= 0
+        there = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
+    else:
+        stands = (height <= 0) & (height < _height(table, shape, before))
+        there = jax.tree.map(lambda was, now: jnp.where(stands, was, now), before, placed)
+    return there, Motion(*(jnp.where(stands, 0, part) for part in motion)), stands
+
+
+def _height(table: Pose, shape: Shape, placed: Pose) -> Array:
+    """Of an object's lowest point above a table."""
+    up = jnp.asarray(table.rotation)[:, 2]
+    return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec(*(-up @ placed.rotation)))

@@ -1,0 +1,88 @@
+"""One instant of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.grip.monitor import Assessment, Law, monitor
+from jaxgrasp.grip.motion import guide_at
+from jaxgrasp.grip.obstacles import world_wrench
+from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.hand.detection import Contacts, find_contacts
+from jaxgrasp.hand.kinematics import joint_torques, pose_hand
+from jaxgrasp.hand.to_grasp import grasp_from_contacts
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.model.wrench import weight_wrench
+
+
+class Tick(eqx.Module):
+    """One instant: what touches, which forces act, and whether they hold. Any leading axes."""
+
+    contacts: Contacts
+    grasp: Grasp
+    """In a frame at the object's centre, along the world's axes."""
+    wrench: Float[Array, "*batch 6"]
+    """What the contacts must exert about that centre [N, N.m]."""
+    assessment: Assessment
+    torques: Float[Array, "*batch J"]
+    """On the joints [N.m]: negative where they resist a positive angle."""
+
+
+def observe(
+    scene: Scene,
+    posture: Posture,
+    placed: Pose,
+    inertial: Float[AnyArray, "*#batch 6"] | None = None,
+    *,
+    law: Law = "closed-form",
+) -> Tick:
+    """One tick of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
+
+    Args:
+        scene: hand, object, and the laws of their contacts.
+        posture: of the hand; any leading axes.
+        placed: where the object stands; leading axes that broadcast.
+        inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
+        law: which forces the hand applies, as for [`jaxgrasp.monitor`][].
+
+    Returns:
+        A Tick: its contacts in the world, its grasp and wrench about the object's centre, along the world's axes.
+
+    Raises:
+        ValueError: for a guide that is none, and obstacles without the object's outline.
+    """
+    check_scene(scene)
+    contacts, grasp = touched(scene, posture, placed)
+    return assessed(scene, pose_hand(scene.hand, posture), placed, contacts, grasp, inertial, law)
+
+
+def touched(scene: Scene, posture: Posture, placed: Pose) -> tuple[Contacts, Grasp]:
+    """The contacts, and their Grasp in a frame at the object's centre, along the world's axes."""
+    contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
+    world = grasp_from_contacts(contacts, scene.friction, scene.stiffness, scene.contributions)
+    points = world.points - jnp.asarray(placed.origin)[..., None, :]
+    return contacts, Grasp(points, world.normals, world.friction, world.squeeze, world.present)
+
+
+def assessed(
+    scene: Scene,
+    frames: HandFrames,
+    placed: Pose,
+    contacts: Contacts,
+    grasp: Grasp,
+    inertial: Float[AnyArray, "*#batch 6"] | None,
+    law: Law,
+) -> Tick:
+    """What contacts are worth, once they are known."""
+    weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
+    wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
+    if inertial is not None:
+        wrench = wrench + inertial
+    if scene.obstacles:
+        wrench = wrench - world_wrench(scene, placed)
+    free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
+    assessment = monitor(grasp, wrench, free=free, law=law)
+    torques = joint_torques(scene.hand, frames, contacts.points, assessment.forces)
+    return Tick(contacts, grasp, wrench, assessment, torques)

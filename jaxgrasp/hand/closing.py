@@ -1,0 +1,65 @@
+"""Closing a hand on an object: every finger flexes until it presses."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxgrasp.hand.detection import Contacts, find_contacts
+from jaxgrasp.hand.kinematics import ancestry
+from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, Pose, Posture
+
+
+@partial(jax.jit, static_argnames="steps")
+def close_hand(
+    hand: Hand,
+    posture: Posture,
+    shape: Shape,
+    placed: Pose,
+    depth: float | AnyArray = 1e-3,
+    *,
+    towards: Float[AnyArray, "*#batch J"] | None = None,
+    steps: int = 200,
+) -> tuple[Posture, Contacts]:
+    """Turn the joints until the links press into the object.
+
+    All joints turn together, each by its share of the way. A joint stops where a link that it carries has reached
+    the depth, or at its limit; those beyond it go on, so that a finger wraps around what it meets. A hand that starts
+    inside the object stays there: [`jaxgrasp.check_clear`][] finds out.
+
+    Args:
+        hand: one for all postures.
+        posture: where it starts; any leading axes.
+        shape: what it closes on.
+        placed: where that stands, and stays.
+        depth: of penetration at which a link has pressed enough [m].
+        towards: angles at the end of an unhindered way [rad]; the flexions' upper limits where not given, the
+            other joints as they are.
+        steps: of equal size to go there in.
+
+    Returns:
+        The closed posture, and its contacts.
+    """
+    moves = jnp.asarray(ancestry(hand))
+    start = jnp.asarray(posture.angles)
+    if towards is None:
+        flexes = np.array(["abduction" not in name for name in hand.joints])
+        towards = jnp.where(flexes, hand.upper, start)
+    stride = (jnp.asarray(towards) - start) / steps
+
+    def look(angles: Array) -> Contacts:
+        return find_contacts(hand, Posture(posture.wrist, angles), shape, placed)
+
+    def advance(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+        angles, free = carry
+        # A link that presses enough already stops its joints before they move.
+        pressed = look(angles).depths >= depth
+        free = free & ~jnp.any(moves & pressed[..., None], -2)
+        return (angles + jnp.where(free, stride, 0), free), None
+
+    (angles, _), _ = lax.scan(advance, (start, jnp.ones(start.shape, bool)), length=steps)
+    return Posture(posture.wrist, angles), look(angles)

@@ -1,0 +1,258 @@
+"""Which links of a posed hand touch an object, where, and how deep.
+
+Every link is a row of spheres. A sphere that reaches into the object is an overlap; a link's contact is the mean
+of its overlaps, each weighted by the square of its depth. So point, normal and depth move without a jump while a
+phalanx rolls and its spheres meet the surface and leave it again.
+
+What a scene does not need is skipped: a sphere about all that the hand can reach is tried first, then, of the poses
+whose sphere meets the object, one about each link, and only where one of these meets it the links' own spheres.
+"""
+
+from functools import partial, reduce
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jax.custom_batching import custom_vmap
+
+from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
+from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread
+from jaxgrasp.numerics.vec3 import Vec
+
+TILE = 32
+
+
+class Contacts(eqx.Module):
+    """One contact for each link of the hand, in the world; an absent one is all zero but for a unit normal."""
+
+    points: Float[Array, "*batch L 3"]
+    """On the object's surface [m]."""
+    normals: Float[Array, "*batch L 3"]
+    """Unit normals, into the object."""
+    depths: Float[Array, "*batch L"]
+    """How far the link reaches into the object [m], 0 or more."""
+    present: Float[Array, "*batch L"]
+    """1 where the link touches; NaN where that cannot be told from the data."""
+    tests: Int[Array, "*batch"]
+    """Sphere tests done for this pose: 1 where the hand is out of reach; else one for each link too; and where one of
+    the poses that are looked at together comes near the object, those of all its spheres."""
+
+
+class _Scene(eqx.Module):
+    """A flat batch; leaves of leading size 1 are shared by all poses."""
+
+    posture: Posture
+    shape: Shape
+    placed: Pose
+
+    @property
+    def size(self) -> int:
+        return self.posture.angles.shape[0]
+
+
+@jax.jit
+def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> Contacts:
+    """The contacts of a posed hand with an object.
+
+    Differentiable in posture, shape, placement and the hand's own measures; of what does not touch, with
+    derivative zero.
+
+    Args:
+        hand: one for all poses.
+        posture: with any leading axes.
+        shape: sizes broadcast against the other leading axes.
+        placed: where the object stands; leading axes likewise.
+
+    Returns:
+        A contact for each link ``(..., L)``, in the world, its normal into the object;
+        [`jaxgrasp.grasp_from_contacts`][] makes a Grasp of them.
+
+    Raises:
+        ValueError: for shapes of arrays that do not fit.
+    """
+    floats = [jnp.asarray(leaf) for leaf in jax.tree.leaves((hand, posture, shape, placed))]
+    dtype = jnp.result_type(*(leaf for leaf in floats if jnp.issubdtype(leaf.dtype, jnp.floating)))
+    posture, placed = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (posture, placed))
+    flat, batch = flatten_posture(hand, posture)
+    origin, rotation = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
+    whole = jnp.broadcast_shapes(batch, origin.shape[:-1], rotation.shape[:-2], shape._batch)
+
+    def respread(array: Array) -> Array:
+        tail = array.shape[1:]
+        return spread(whole, array.reshape(*batch, *tail), tail)
+
+    scene = _Scene(
+        jax.tree.map(respread, flat),
+        shape._flat(whole),
+        Pose(shared_or_spread(whole, origin, (3,)), shared_or_spread(whole, rotation, (3, 3))),
+    )
+    contacts = _detect(hand, scene)
+    return jax.tree.map(lambda x: x.reshape(*whole, *x.shape[1:]), contacts)
+
+
+@jax.custom_jvp
+def _detect(hand: Hand, scene: _Scene) -> Contacts:
+    return _skipping(hand, scene)
+
+
+@_detect.defjvp
+def _detect_jvp(primals, tangents):
+    """From all poses as they are: a loop over gathered ones has no reverse mode."""
+
+    def moving(hand: Hand, scene: _Scene) -> dict[str, Array]:
+        contacts = _look_closely(hand, scene)
+        return {name: getattr(contacts, name) for name in MOVING}
+
+    contacts = _detect(*primals)
+    _, moved = jax.jvp(moving, primals, tangents)
+    still = {"present": jnp.zeros_like(contacts.present), "tests": np.zeros(contacts.tests.shape, jax.dtypes.float0)}
+    leaves = [(moved | still)[name] for name in Contacts.__dataclass_fields__]
+    return contacts, jax.tree.unflatten(jax.tree.structure(contacts), leaves)
+
+
+MOVING = ("points", "normals", "depths")
+
+
+@custom_vmap
+def _skipping(hand: Hand, scene: _Scene) -> Contacts:
+    """A close look at the poses that have the object within reach."""
+    nothing = _nothing(hand, scene)
+    look = lambda scene, _: _look(hand, scene)  # noqa: E731
+    return over_chosen(look, scene, nothing, _within_reach(hand, scene), TILE)
+
+
+@_skipping.def_vmap
+def _skipping_vmap(axis_size: int, in_batched, hand: Hand, scene: _Scene):
+    hands, scenes = in_batched
+    if any(jax.tree.leaves(hands)):
+        axes = jax.tree.map(lambda batched: 0 if batched else None, (hands, scenes))
+        contacts = jax.vmap(_look_closely, in_axes=axes, axis_size=axis_size)(hand, scene)
+    else:
+        size = scene.posture.angles.shape[1 if scenes.posture.angles else 0]
+        # What all poses share stays shared, be it one pose by each lane: a tree of spheres is large.
+        flat = _Scene(
+            jax.tree.map(partial(_merged, axis_size, size, False), scene.posture, scenes.posture),
+            *(
+                jax.tree.map(partial(_merged, axis_size, size, True), own, batched)
+                for own, batched in ((scene.shape, scenes.shape), (scene.placed, scenes.placed))
+            ),
+        )
+        contacts = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), _skipping(hand, flat))
+    return contacts, jax.tree.map(lambda _: True, contacts)
+
+
+def _merged(axis_size: int, size: int, shared: bool, array: Array, batched: bool) -> Array:
+    """One leaf with its mapped axis merged into the batch; what may be shared stays so."""
+    if shared and not batched and array.shape[0] == 1:
+        return array
+    own = array if batched else array[None]
+    return jnp.broadcast_to(own, (axis_size, size, *own.shape[2:])).reshape(-1, *own.shape[2:])
+
+
+def _within_reach(hand: Hand, scene: _Scene) -> Array:
+    """Whether the object meets the sphere about all that the hand can reach, whatever its hinges' angles."""
+    first = np.flatnonzero(np.array(hand.parents, int) < 0)
+    middle = jnp.mean(hand.origins[first] if len(first) else hand.skin.centers.reshape(-1, 3), 0)
+    steps = jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
+    carriers = np.array([link.joint for link in hand.links])
+    centers = hand.skin.centers - jnp.where((carriers < 0)[:, None, None], middle, 0)
+    own = jnp.max(jnp.linalg.norm(centers, axis=-1) + hand.skin.radii, -1)
+    # What slides reaches as far as it was moved.
+    ways = jnp.sum(jnp.abs(scene.posture.angles[:, hand.slides]), -1)
+    reach = jnp.max(ancestry(hand).astype(float) @ steps + own) + ways
+    center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
+    seen = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
+    # A NaN goes on to the closer look, which shows it.
+    return ~(scene.shape._bound(Vec(*seen.T)) > reach)
+
+
+def _nothing(hand: Hand, scene: _Scene) -> Contacts:
+    """No contact at all, which took one test."""
+    zero = jnp.zeros((scene.size, len(hand.links), 3), scene.posture.angles.dtype)
+    return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
+
+
+def _look(hand: Hand, scene: _Scene) -> Contacts:
+    """Links first, as a ball each, and their spheres only where one of all these poses comes near."""
+    seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
+    leaves, radii = hand.skin.centers, hand.skin.radii
+    size = jnp.maximum(jnp.sum(radii > 0, -1, keepdims=True), 1)
+    middle = jnp.sum(leaves * (radii > 0)[..., None], 1) / size
+    reach = jnp.max(jnp.where(radii > 0, jnp.linalg.norm(leaves - middle[:, None], axis=-1) + radii, 0), -1)
+    center = vec3.add(seen.origin, vec3.rotate_back(seen.axes, Vec(*(middle[:, i, None] for i in range(3)))))
+    # A NaN goes on to the closer look, which shows it.
+    near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
+    found = lax.cond(near, lambda: _touching(hand, scene, seen), lambda: _nothing(hand, scene))
+    return eqx.tree_at(lambda c: c.tests, found, found.tests + len(reach))
+
+
+def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
+    """Every sphere of the hand against the object."""
+    seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
+    return _touching(hand, scene, seen)
+
+
+def _touching(hand: Hand, scene: _Scene, seen: Bodies) -> Contacts:
+    """The contacts of links whose frames are those seen from the object."""
+    object_ = body(scene.placed)
+    centers = _leaves(hand, seen)
+    radii = jnp.asarray(hand.skin.radii)[..., None]
+    near = scene.shape._near(centers, radii)
+    depth = jnp.where(radii > 0, jnp.maximum(radii - near.distance, 0), 0)
+    merged = _merge(depth, vec3.sub(centers, vec3.scale(near.distance, near.out)), near.out)
+    point = vec3.add(object_.origin, vec3.rotate_back(object_.axes, merged.point))
+    normal = vec3.rotate_back(object_.axes, merged.normal)
+    touching = merged.depth > 0
+    # Norms take a NaN for zero; the frames themselves show it.
+    known = jnp.isfinite(reduce(jnp.add, jax.tree.leaves(seen)) + merged.depth)
+    size = merged.depth.shape[-1]
+    return Contacts(
+        points=vectors(Vec(*(jnp.where(touching, c, 0) for c in point)), (size,)),
+        normals=vectors(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal))), (size,)),
+        depths=jnp.where(known, merged.depth, jnp.nan).T,
+        present=jnp.where(known, touching.astype(merged.depth.dtype), jnp.nan).T,
+        tests=1 + near.tests,
+    )
+
+
+def _seen_from(frame: Bodies, bodies: Bodies) -> Bodies:
+    """Bodies in the coordinates of one."""
+    x, y, z = (vec3.rotate(frame.axes, axis) for axis in bodies.axes)
+    return Bodies(vec3.rotate(frame.axes, vec3.sub(bodies.origin, frame.origin)), (x, y, z))
+
+
+def _leaves(hand: Hand, links: Bodies) -> Vec:
+    """Centres of all spheres, ``(L, m, B)``."""
+    local = Vec(*(jnp.asarray(hand.skin.centers)[..., i, None] for i in range(3)))
+    beside = jax.tree.map(lambda c: c[:, None], links)
+    return vec3.add(beside.origin, vec3.rotate_back(beside.axes, local))
+
+
+class _Merged(NamedTuple):
+    point: Vec
+    normal: Vec
+    depth: Array
+
+
+def _merge(depth: Array, points: Vec, out: Vec) -> _Merged:
+    """One contact of each link from its overlaps ``(L, m, B)``."""
+    weight = depth * depth
+    total = jnp.sum(weight, 1)
+
+    def mean(array: Array) -> Array:
+        return vec3.safe_divide(jnp.sum(weight * array, 1), total)
+
+    normal = Vec(*(-mean(c) for c in out))
+    length = vec3.norm(normal)
+    return _Merged(
+        point=Vec(*map(mean, points)),
+        normal=Vec(*(vec3.safe_divide(c, length) for c in normal)),
+        depth=mean(depth),
+    )

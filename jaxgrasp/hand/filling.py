@@ -1,0 +1,188 @@
+"""Fills a solid with balls and stacks them into a tree. Done once, in NumPy."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.hand.descent import Balls, Nodes
+from jaxgrasp.hand.mesh import Mesh, Nearest, Surface, check_mesh, mass_properties, sample_surface
+from jaxgrasp.hand.octree import Octree, octree_balls
+from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
+from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.numerics.vec3 import Vec
+
+LEVELS = 5
+"""How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""
+START = 12
+"""Nodes with which a descent starts, at least: of so few balls all are tried. Of more a descent has always been faster
+(python -m benchmarks.sphere_trees)."""
+OFF_AXIS = 1e-6
+"""Share of a solid's size, or of its inertia, by which a frame may miss the principal one."""
+
+
+class FillingError(NamedTuple):
+    """What of a solid's surface lies outside all balls of a tree."""
+
+    balls: int
+    largest: float
+    """Distance from the surface to the balls, at the worst of the sampled points [m]."""
+    mean: float
+    """[m]"""
+
+
+class LevelError(NamedTuple):
+    """That of the tree of so many levels."""
+
+    levels: int
+    cell: float
+    """Edge of the smallest cells [m]."""
+    error: FillingError
+
+
+def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | None = None) -> SphereTree:
+    """The tree of balls inside a solid.
+
+    Args:
+        solid: a watertight mesh, or an exact shape with an end.
+        levels: how often the cube about it is cut in eight.
+        descends: whether contacts are found by descent; ``None`` for what is faster.
+
+    Raises:
+        ImportError: for a mesh without the extra `mesh`.
+        ValueError: for a mesh that is no closed solid, a size that is not positive, or no levels.
+    """
+    if levels < 1:
+        raise ValueError(f"levels is {levels}: expected 1 or more")
+    outline = _outline(solid, levels)
+    tree = octree_balls(outline.nearest, outline.low, outline.high, levels)
+    if not len(tree.radii):
+        raise ValueError(f"levels is {levels}: expected more, since no ball of so large cells fits into the solid")
+    balls = _balls(tree.centers[tree.leaf], tree.radii[tree.leaf])
+    descends = len(balls.radii) > START if descends is None else descends
+    return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
+
+
+def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: int = 0) -> list[LevelError]:
+    """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
+
+    Trees of so few levels that no ball fits into the solid are passed over. Since all balls lie inside, a tree makes
+    depths smaller than they are, about by this, and never larger.
+
+    Args:
+        mesh: a watertight one.
+        levels: of the finest tree.
+        samples: points on the surface.
+        seed: of their places.
+
+    Raises:
+        ImportError, ValueError: as [`jaxgrasp.sphere_tree`][] does.
+    """
+    mesh = check_mesh(mesh)
+    points = sample_surface(mesh, samples, seed)
+    errors = []
+    for level in range(1, levels + 1):
+        outline = _outline(mesh, level)
+        tree = octree_balls(outline.nearest, outline.low, outline.high, level)
+        if tree.leaf.any():
+            left_out = _left_out(points, tree.centers[tree.leaf], tree.radii[tree.leaf])
+            errors.append(LevelError(level, cell_size(mesh, level), left_out))
+    return errors
+
+
+def filling_error(tree: SphereTree, mesh: Mesh, samples: int = 4000, seed: int = 0) -> FillingError:
+    """What a tree leaves out of the checked mesh that it was made of, as [`jaxgrasp.level_errors`][] says it."""
+    return _left_out(sample_surface(mesh, samples, seed), np.asarray(tree.balls.centers), np.asarray(tree.balls.radii))
+
+
+def cell_size(mesh: Mesh, levels: int) -> float:
+    """Edge of a tree's smallest cells [m]."""
+    return float(np.ptp(mesh.vertices, axis=0).max()) / 2**levels
+
+
+def _left_out(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> FillingError:
+    left = np.maximum(_outside(points, centers, radii), 0)
+    return FillingError(len(radii), float(left.max()), float(left.mean()))
+
+
+def _outside(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Distance of points from the nearest ball, negative inside."""
+    chunks = np.array_split(points, max(1, points.shape[0] * len(radii) // 10**7))
+    return np.concatenate([np.min(np.linalg.norm(c[:, None] - centers, axis=-1) - radii, 1) for c in chunks])
+
+
+class _Outline(NamedTuple):
+    """What the octree asks of a solid."""
+
+    nearest: Callable[[np.ndarray], Nearest]
+    low: np.ndarray
+    high: np.ndarray
+    moments: np.ndarray
+
+
+def _outline(solid: Mesh | Shape, levels: int) -> _Outline:
+    if isinstance(solid, Shape):
+        check_shape(solid)
+        low, high = (sign * _ends(solid, sign) for sign in (-1.0, 1.0))
+        return _Outline(lambda points: _nearest(solid, points), low, high, np.array(solid._moments()))
+    mesh = check_mesh(solid)
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    return _Outline(Surface(mesh, 2 * cell_size(mesh, levels)).nearest, low, high, _principal_moments(mesh))
+
+
+def _ends(shape: Shape, sign: float) -> np.ndarray:
+    """How far a shape reaches along x, y and z, or against them."""
+    x, y, z = sign * np.eye(3)
+    return np.asarray(shape._support(Vec(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
+
+
+def _nearest(shape: Shape, points: np.ndarray) -> Nearest:
+    distance, out = (np.asarray(part, float) for part in signed_distance(shape, jnp.asarray(points)))
+    return Nearest(distance, points - distance[:, None] * out, out)
+
+
+def _principal_moments(mesh: Mesh) -> np.ndarray:
+    """NaN where the mesh does not stand in its principal frame: a Body's frame is that."""
+    _, center, inertia = mass_properties(mesh)
+    moments = np.diagonal(inertia)
+    off_axis = np.abs(inertia - np.diag(moments)).max() > OFF_AXIS * moments.max()
+    off_center = np.linalg.norm(center) > OFF_AXIS * np.linalg.norm(np.ptp(mesh.vertices, axis=0))
+    return np.full(3, np.nan) if off_axis or off_center else moments
+
+
+def _balls(centers: np.ndarray, radii: np.ndarray) -> Balls:
+    return Balls(*map(jnp.asarray, (*centers.T, radii)))
+
+
+def _nodes(tree: Octree) -> Nodes:
+    """Bounds, children and the start of the descent."""
+    count, leaf = len(tree.radii), tree.leaf
+    bounds = tree.radii.copy()
+    above, below = tree.parents[leaf], np.flatnonzero(leaf)
+    while (there := above >= 0).any():
+        above, below = above[there], below[there]
+        reach = np.linalg.norm(tree.centers[below] - tree.centers[above], axis=1) + tree.radii[below]
+        np.maximum.at(bounds, above, reach)
+        above = tree.parents[above]
+    children = np.full((count, 8), -1, np.int32)
+    children[leaf, 0] = np.flatnonzero(leaf)
+    place = np.zeros(count, int)
+    for node in range(1, count):
+        parent = tree.parents[node]
+        children[parent, place[parent]] = node
+        place[parent] += 1
+    places = np.where(leaf, np.cumsum(leaf) - 1, -1).astype(np.int32)
+    level, start = _start(tree)
+    steps = int(tree.level.max()) - level
+    return Nodes(_balls(tree.centers, bounds), jnp.asarray(children.T), jnp.asarray(places), jnp.asarray(start), steps)
+
+
+def _start(tree: Octree) -> tuple[int, np.ndarray]:
+    """The first level with enough nodes, together with the leaves above it."""
+    leaf, last = tree.leaf, int(tree.level.max())
+    for level in range(last + 1):
+        nodes = (tree.level == level) | (leaf & (tree.level < level))
+        if nodes.sum() >= START or level == last:
+            break
+    return level, np.flatnonzero(nodes).astype(np.int32)

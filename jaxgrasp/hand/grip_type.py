@@ -1,0 +1,134 @@
+"""What kind of grip a hand's contacts make, and what each link contributes to it."""
+
+from collections.abc import Mapping
+from enum import IntEnum
+from types import MappingProxyType
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.hand.to_grasp import link_contributions
+from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.hand import Hand, Posture
+from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions
+
+FINGERS = ("index", "middle", "ring", "little")
+SIDEWAYS = 0.7
+"""Cosine of the angle between a contact's normal and the finger's flexion axis, from which its side touches."""
+FLAT = 0.09
+"""Share of the normals' squares outside their best plane, up to which they count as lying in it.
+
+Closed on spheres of 20 to 50 mm radius, hands of 0.16 to 0.21 m show 0.11 to 0.23; on cylinders and boxes that are
+longer than the hand is broad, 0 to 0.07, which is fingers that touch their ends. All directions alike are 1/3.
+"""
+
+
+class GripType(IntEnum):
+    """Kinds of grips. The codes are stable in files; that of a precision grip is its number of fingers."""
+
+    NONE = 0
+    """Nothing touches."""
+    UNKNOWN = 1
+    """None of the others, or data that are not numbers."""
+    PRECISION_2 = 2
+    PRECISION_3 = 3
+    PRECISION_4 = 4
+    PRECISION_5 = 5
+    LATERAL = 6
+    CYLINDRICAL_POWER = 7
+    SPHERICAL_POWER = 8
+
+
+CONTRIBUTIONS: Mapping[GripType, Contributions] = MappingProxyType({GripType.CYLINDRICAL_POWER: CYLINDRICAL_POWER_GRIP})
+"""Tables that the paper gives."""
+
+
+@jax.jit
+def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*batch"]:
+    """The kind of grip, told from the links that touch and from their normals.
+
+    The classes are Cutkosky's (IEEE Trans. Robotics and Automation 5(3):269-279, 1989); the thresholds are ours.
+
+    - LATERAL: the thumb and the index alone touch, and the index does with its sides.
+    - PRECISION: fingertips alone touch, the thumb's among them.
+    - Power: the palm or a proximal phalanx touches, and at least two fingers do beyond it. SPHERICAL where the
+      normals span three dimensions, CYLINDRICAL where they lie in a plane, as about any prism: by the least
+      eigenvalue of their second moment.
+
+    Args:
+        hand: with links named as by [`jaxgrasp.human_hand`][]; others touch for no grip that is known here.
+        posture: any leading axes.
+        contacts: of that posture, in the world.
+
+    Returns:
+        Codes of a [`jaxgrasp.GripType`][]; of what the hand does now, with no memory of what it did.
+    """
+    touches = contacts.present > 0.5
+
+    def touching(*phalanges: str, finger: str | None = None) -> Array:
+        """``(..., links)`` Those of these phalanges, of one finger or of all but the thumb."""
+        fingers = FINGERS if finger is None else (finger,)
+        return touches[..., _rows(hand, lambda link: link.finger in fingers and link.phalanx in phalanges)]
+
+    def count(chosen: Array) -> Array:
+        return jnp.sum(chosen, -1)
+
+    total = count(touches)
+    thumb = count(touching("metacarpal", "proximal", "distal", finger="thumb"))
+    index = count(touching("proximal", "middle", "distal", finger="index"))
+    tips, thumb_tip = count(touching("distal")), count(touching("distal", finger="thumb"))
+    wrapping = sum(jnp.any(touching("middle", "distal", finger=finger), -1) for finger in FINGERS)
+    lateral = (thumb > 0) & (index > 0) & (thumb + index == total) & ~_faces(hand, posture, contacts, touches)
+    precision = (thumb_tip > 0) & (tips > 0) & (tips + thumb_tip == total)
+    power = (count(touching("palm", "proximal")) > 0) & (wrapping > 1)
+    kinds = [
+        (jnp.any(jnp.isnan(contacts.present), -1), GripType.UNKNOWN),
+        (total == 0, GripType.NONE),
+        (lateral, GripType.LATERAL),
+        (precision, tips + thumb_tip),
+        (power & (_out_of_plane(contacts, touches) > FLAT), GripType.SPHERICAL_POWER),
+        (power, GripType.CYLINDRICAL_POWER),
+    ]
+    conditions, codes = zip(*kinds, strict=True)
+    return jnp.select(conditions, [jnp.asarray(code, jnp.int32) for code in codes], GripType.UNKNOWN).astype(jnp.int32)
+
+
+def contributions_of(
+    hand: Hand, grip: GripType, tables: Mapping[GripType, Contributions] = CONTRIBUTIONS
+) -> Float[Array, "L"]:
+    """The contribution c of each link to a kind of grip (eq. 6).
+
+    Args:
+        hand: whose links are asked for.
+        grip: of the kind that they make.
+        tables: of each kind; 1 for every link of those that it lacks. The paper has one alone, of the cylindrical
+            power grip (Table I); ``{**CONTRIBUTIONS, GripType.LATERAL: mine}`` adds another.
+
+    Raises:
+        KeyError: for a link that the grip's table lacks, but for thumb and palm.
+    """
+    return link_contributions(hand, tables.get(GripType(grip)))
+
+
+def _rows(hand: Hand, chosen) -> np.ndarray:
+    return np.array([i for i, link in enumerate(hand.links) if chosen(link)], int)
+
+
+def _faces(hand: Hand, posture: Posture, contacts: Contacts, touches: Array) -> Array:
+    """Whether the index touches with anything but its sides."""
+    rows = _rows(hand, lambda link: link.finger == "index" and link.joint >= 0)
+    hinges = np.array([hand.links[i].joint for i in rows], int)
+    axes = pose_hand(hand, posture).axes[..., hinges, :]
+    sideways = jnp.abs(jnp.sum(contacts.normals[..., rows, :] * axes, -1))
+    return jnp.any(touches[..., rows] & (sideways < SIDEWAYS), -1)
+
+
+def _out_of_plane(contacts: Contacts, touches: Array) -> Array:
+    """The share of the normals' squares that is outside the plane which fits them best, 0 to 1/3."""
+    normals = jnp.where(touches[..., None], contacts.normals, 0)
+    moment = jnp.einsum("...li,...lj->...ij", normals, normals)
+    return jnp.linalg.eigvalsh(moment)[..., 0] / jnp.maximum(jnp.sum(touches, -1), 1)

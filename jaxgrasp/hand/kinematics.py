@@ -1,0 +1,218 @@
+"""Where a posed hand's parts are, how contact points move with its joints, and which torques forces put on them."""
+
+from functools import cache
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.tiling import spread
+from jaxgrasp.numerics.vec3 import Vec
+
+Axes = tuple[Vec, Vec, Vec]
+"""A rotation by its columns."""
+Tree = TypeVar("Tree")
+
+
+class Bodies(NamedTuple):
+    """Frames of several bodies in batches: components of shape ``(bodies, B)``."""
+
+    origin: Vec
+    axes: Axes
+
+
+class Standing(NamedTuple):
+    """A posed hand, batch-last."""
+
+    joints: Bodies
+    axes: Vec
+    links: Bodies
+
+
+@jax.jit
+def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
+    """The frames of a hand's joints and links.
+
+    Args:
+        hand: its tree of ``J`` joints and ``L`` links.
+        posture: wrist and angles, with any leading axes that broadcast.
+
+    Returns:
+        Frames in the world ``(..., J)`` and ``(..., L)``.
+
+    Raises:
+        ValueError: where there are not as many angles as joints.
+    """
+    flat, batch = flatten_posture(hand, posture)
+    standing = stand(hand, flat)
+    return HandFrames(
+        joints=Pose(vectors(standing.joints.origin, batch), _rotations(standing.joints.axes, batch)),
+        axes=vectors(standing.axes, batch),
+        links=Pose(vectors(standing.links.origin, batch), _rotations(standing.links.axes, batch)),
+    )
+
+
+def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, ...]]:
+    """The posture with its leading axes broadcast and flattened into one, and what they were."""
+    count = len(hand.joints)
+    origin, rotation, angles = map(jnp.asarray, (posture.wrist.origin, posture.wrist.rotation, posture.angles))
+    if angles.shape[-1:] != (count,):
+        raise ValueError(f"angles has shape {angles.shape}: expected (..., {count}), one for each joint")
+    batch = jnp.broadcast_shapes(origin.shape[:-1], rotation.shape[:-2], angles.shape[:-1])
+    wrist = Pose(spread(batch, origin, (3,)), spread(batch, rotation, (3, 3)))
+    return Posture(wrist, spread(batch, angles, (count,))), batch
+
+
+def stand(hand: Hand, posture: Posture) -> Standing:
+    """The frames of a flat batch of postures, joints of equal depth at once."""
+    wrist, angles, rows, slides = body(posture.wrist), posture.angles.T, levels(hand.parents), hand.slides[:, None]
+    turns, ways = (jnp.where(chosen, angles, 0) for chosen in (~slides, slides))
+    placed, axes = [wrist], []
+    for depth, row in enumerate(rows):
+        parents = [hand.parents[j] for j in row]
+        carrier = take(placed[-1], np.searchsorted(rows[depth - 1], parents) if depth else np.zeros(len(row), int))
+        origin = vec3.add(carrier.origin, vec3.rotate_back(carrier.axes, _column(hand.origins[row])))
+        rest = compose(carrier.axes, _columns(hand.rests[row]))
+        axis = _column(hand.axes[row])
+        axes.append(vec3.rotate_back(rest, axis))
+        if slides[row].any():
+            origin = vec3.add(origin, vec3.scale(ways[row], axes[-1]))
+        placed.append(Bodies(origin, compose(rest, _rotation(axis, turns[row]))))
+    order = np.argsort(np.concatenate([np.zeros(0, int), *rows]))
+    # The wrist stands last, where an index of -1 finds it.
+    all_placed = _joined([*placed[1:], wrist])
+    joints = take(all_placed, order)
+    links = take(_joined([joints, wrist]), np.array([link.joint for link in hand.links]))
+    nowhere = jax.tree.map(lambda c: c[:0], wrist.origin)
+    return Standing(joints, take(_joined([*axes, nowhere]), order), links)
+
+
+@cache
+def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
+    """The joints by how many others carry them; each level in ascending order."""
+    depth: list[int] = []
+    for parent in parents:
+        depth.append(0 if parent < 0 else depth[parent] + 1)
+    return [np.flatnonzero(np.array(depth) == d) for d in range(max(depth, default=-1) + 1)]
+
+
+def ancestry(hand: Hand) -> np.ndarray:
+    """Which joints move which links: ``(L, J)`` booleans."""
+    return _ancestry(hand.parents, hand.links)
+
+
+@cache
+def _ancestry(parents: tuple[int, ...], links: tuple[Link, ...]) -> np.ndarray:
+    moves = np.zeros((len(links), len(parents)), bool)
+    for row, link in zip(moves, links, strict=True):
+        joint = link.joint
+        while joint >= 0:
+            row[joint] = True
+            joint = parents[joint]
+    return moves
+
+
+def body(pose: Pose) -> Bodies:
+    """A flat batch of poses as one body, batch-last."""
+    origin, rotation = pose.origin.T[:, None], jnp.moveaxis(pose.rotation, 0, -1)[:, :, None]
+    return Bodies(Vec(*origin), (Vec(*rotation[:, 0]), Vec(*rotation[:, 1]), Vec(*rotation[:, 2])))
+
+
+def compose(outer: Axes, inner: Axes) -> Axes:
+    """The rotation ``inner``, seen from where ``outer`` is a rotation."""
+    x, y, z = (vec3.rotate_back(outer, column) for column in inner)
+    return x, y, z
+
+
+def take(parts: Tree, index: np.ndarray) -> Tree:
+    """Rows of every component."""
+    return jax.tree.map(lambda c: c[index], parts)
+
+
+def _joined(parts: list[Tree]) -> Tree:
+    return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
+
+
+def _column(rows: AnyArray) -> Vec:
+    """``(J, 3)`` as components ``(J, 1)``."""
+    return Vec(*(jnp.asarray(rows)[:, i : i + 1] for i in range(3)))
+
+
+def _columns(rotations: AnyArray) -> Axes:
+    """``(J, 3, 3)`` likewise, by their columns."""
+    return _column(rotations[..., 0]), _column(rotations[..., 1]), _column(rotations[..., 2])
+
+
+def _rotation(axis: Vec, angle: Array) -> Axes:
+    """Rodrigues' rotation about a unit axis, by its columns."""
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    zero = jnp.zeros_like(angle)
+
+    def column(i: int) -> Vec:
+        unit = Vec(*(zero + (i == j) for j in range(3)))
+        along = vec3.scale((1 - cosine) * axis[i], axis)
+        return vec3.add(vec3.add(vec3.scale(cosine, unit), vec3.scale(sine, vec3.cross(axis, unit))), along)
+
+    return (column(0), column(1), column(2))
+
+
+def vectors(vector: Vec, batch: tuple[int, ...]) -> Array:
+    """Components ``(bodies, B)`` as ``(..., bodies, 3)``."""
+    return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, vector.x.shape[0], 3)
+
+
+def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
+    columns = jnp.stack([jnp.stack(axis, -1) for axis in axes], -1)
+    return columns.swapaxes(0, 1).reshape(*batch, columns.shape[0], 3, 3)
+
+
+def contact_jacobian(
+    hand: Hand, frames: HandFrames, points: Float[AnyArray, "*batch L 3"]
+) -> Float[Array, "*batch L 3 J"]:
+    """How a point of each link moves with the joints: d point / d angle [m/rad, or 1 of those that slide].
+
+    Args:
+        hand: whose tree tells which joints move which links.
+        frames: of the posed hand.
+        points: one of each link, in the world [m]; they move with their links.
+
+    Returns:
+        Joint axis x (point - joint) of hinges, the axis of joints that slide; zero for joints that do not carry
+        the link.
+    """
+    moves = ancestry(hand)
+    arms = jnp.asarray(points)[..., :, None, :] - frames.joints.origin[..., None, :, :]
+    axes = frames.axes[..., None, :, :]
+    columns = jnp.where(hand.slides[:, None], axes, jnp.cross(axes, arms))
+    return jnp.where(moves[:, :, None], columns, 0).swapaxes(-1, -2)
+
+
+def joint_torques(
+    hand: Hand,
+    frames: HandFrames,
+    points: Float[AnyArray, "*batch L 3"],
+    forces: Float[AnyArray, "*batch L 3"],
+) -> Float[Array, "*batch J"]:
+    """What contact forces do to the joints: J^T (-f) [N.m].
+
+    ``forces`` are what the hand exerts on the object; the hand feels their opposites. A torque is positive
+    where it helps a joint's positive angle: what resists flexion is negative, and is what a glove renders. Of joints
+    that slide it is the force along their axis [N].
+
+    Args:
+        hand: whose tree tells which joints carry which links.
+        frames: of the posed hand, from [`jaxgrasp.pose_hand`][].
+        points: one contact of each link, in the world [m], such as those of [`jaxgrasp.find_contacts`][].
+        forces: on the object [N]; zero where a link does not touch.
+    """
+    moves = ancestry(hand).T.astype(float)
+    felt = -jnp.asarray(forces)
+    total = jnp.einsum("jl,...lc->...jc", moves, felt)
+    moment = jnp.einsum("jl,...lc->...jc", moves, jnp.cross(jnp.asarray(points), felt))
+    felt_there = jnp.where(hand.slides[:, None], total, moment - jnp.cross(frames.joints.origin, total))
+    return jnp.sum(frames.axes * felt_there, -1)

@@ -1,0 +1,85 @@
+"""Joint limits, bad poses and bad starts: refused with their names, or clamped, as the caller likes."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.hand.detection import find_contacts
+from jaxgrasp.hand.kinematics import flatten_posture
+from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.model.faults import entries
+from jaxgrasp.model.hand import Hand, Pose, Posture
+
+ROUNDING = 1e-6
+"""How far an angle may pass its limit [rad], or a rotation its orthonormality, by rounding alone."""
+
+
+def check_posture(hand: Hand, posture: Posture) -> None:
+    """Raise ValueError at the first entry of concrete postures that no such hand can take.
+
+    Args:
+        hand: whose limits hold.
+        posture: with any leading axes.
+
+    Raises:
+        ValueError: for angles that are not finite or beyond their limits, and for a wrist that is no pose.
+    """
+    check_pose("wrist", posture.wrist)
+    flatten_posture(hand, posture)  # for the errors that shapes deserve
+    angles = np.asarray(posture.angles)
+    lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
+    bad = np.argwhere(~((angles >= lower - ROUNDING) & (angles <= upper + ROUNDING)))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        joint = at[-1]
+        raise ValueError(
+            f"angles[{', '.join(map(str, at))}] ({hand.joints[joint]}) is {angles[at]:.6g} rad: "
+            f"expected {lower[joint]:.6g} to {upper[joint]:.6g}; clamp_posture brings it there"
+        )
+
+
+def check_pose(name: str, pose: Pose) -> None:
+    """Raise ValueError unless origins are finite and rotations are rotations."""
+    origin, rotation = np.asarray(pose.origin), np.asarray(pose.rotation)
+    for fault in entries(f"{name}.origin", origin, ~np.isfinite(origin), "a finite number [m]"):
+        raise ValueError(str(fault))
+    bad = np.argwhere(~is_rotation(rotation, ROUNDING))
+    if len(bad):
+        place = ", ".join(map(str, bad[0]))
+        raise ValueError(
+            f"{name}.rotation{f'[{place}]' if place else ''} is no rotation: expected a matrix with orthonormal "
+            "columns and determinant 1"
+        )
+
+
+def is_rotation(matrices: np.ndarray, rounding: float) -> np.ndarray | np.bool_:
+    """Which of the matrices ``(..., 3, 3)`` are rotations, but for that much in the products of their columns."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.abs(matrices @ matrices.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
+        return (square <= rounding) & (np.linalg.det(matrices) > 0)
+
+
+def clamp_posture(hand: Hand, posture: Posture) -> Posture:
+    """The posture with every angle brought within its limits; what is not a number stays."""
+    return Posture(posture.wrist, jnp.clip(jnp.asarray(posture.angles), hand.lower, hand.upper))
+
+
+def check_clear(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth: float = 0.0) -> None:
+    """Raise ValueError where a hand starts inside an object: closing it there says nothing.
+
+    Args:
+        hand: one for all postures.
+        posture: where it starts; any leading axes.
+        shape: what it is to close on.
+        placed: where that stands.
+        depth: that links may have from the start [m].
+    """
+    depths = np.asarray(find_contacts(hand, posture, shape, placed).depths)
+    # A NaN is neither: it says that the data are bad.
+    bad = np.argwhere(~(depths <= depth))
+    if len(bad):
+        at = tuple(int(i) for i in bad[0])
+        where = f"posture[{', '.join(map(str, at[:-1]))}]: " if at[:-1] else ""
+        raise ValueError(
+            f"{where}the link {hand.links[at[-1]].name} starts {depths[at]:.3g} m inside the object: "
+            f"expected at most {depth:.3g} m"
+        )

@@ -1,0 +1,213 @@
+"""Exact shapes: how far a point is from the surface, and which way out is.
+
+Each stands in a frame of its own. Distances are positive outside and negative inside; normals point outwards.
+Inside, near edges and axes, the nearest surface changes and the normal jumps, as it must.
+"""
+
+from abc import abstractmethod
+from functools import partial, reduce
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.faults import entries
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.tiling import shared_or_spread
+from jaxgrasp.numerics.vec3 import Vec
+
+Size = Float[AnyArray, "*batch"] | float
+
+
+class Near(NamedTuple):
+    """Of spheres, batch-last: how far their centres are from a solid, exactly where they reach into it."""
+
+    distance: Array
+    out: Vec
+    """The way out of the solid."""
+    tests: Array
+    """``(B,)``: how many distances were computed for it."""
+
+
+class Shape(eqx.Module):
+    """A solid whose sizes are its fields, each with any leading axes [m]."""
+
+    @property
+    def _sizes(self) -> dict[str, Size]:
+        """What must be positive, by name."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    @property
+    def _batch(self) -> tuple[int, ...]:
+        """The leading axes of its sizes."""
+        return jnp.broadcast_shapes(*(jnp.shape(size) for size in jax.tree.leaves(self)))
+
+    def _flat(self, batch: tuple[int, ...]) -> "Shape":
+        """With its leading axes flattened into one, of size 1 where all of the batch share it."""
+        return jax.tree.map(partial(shared_or_spread, batch), self)
+
+    @abstractmethod
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        """Signed distance and outward unit normal; sizes broadcast against the last axis of components."""
+
+    def _bound(self, point: Vec) -> Array:
+        """At most the signed distance, and quick to find."""
+        return self._distance(point)[0]
+
+    def _near(self, centers: Vec, radii: Array) -> Near:
+        """What spheres ``(L, m, B)`` meet, whose radii ``(L, m, 1)`` are those of all poses."""
+        distance, out = self._distance(centers)
+        return Near(distance, out, jnp.full(distance.shape[-1], radii.size, jnp.int32))
+
+    def _support(self, direction: Vec) -> Array:
+        """How far the solid reaches from its origin along a direction."""
+        raise NotImplementedError(f"a {type(self).__name__} has no end")
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        """Principal moments of inertia by unit of mass, about the origin, of uniform density [m^2]."""
+        raise NotImplementedError(f"a {type(self).__name__} has no mass")
+
+
+class Sphere(Shape):
+    """A ball about its frame's origin."""
+
+    radius: Size
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        length = vec3.norm(point)
+        return length - self.radius, vec3.unit(point)
+
+    def _support(self, direction: Vec) -> Array:
+        return jnp.asarray(self.radius) * vec3.norm(direction)
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        each = 2 / 5 * jnp.asarray(self.radius) ** 2
+        return each, each, each
+
+
+class Plane(Shape):
+    """The half space z < 0: a table's top, or with its pose turned, a wall."""
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        zero = jnp.zeros_like(point.z)
+        return point.z, Vec(zero, zero, zero + 1)
+
+
+class Box(Shape):
+    """A block about its frame's origin, with these edges along x, y and z."""
+
+    length: Size
+    width: Size
+    height: Size
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        edges = (self.length, self.width, self.height)
+        beyond = [jnp.abs(c) - jnp.asarray(e) / 2 for c, e in zip(point, edges, strict=True)]
+        distance, normal = _rounded(beyond)
+        return distance, Vec(*(jnp.where(c < 0, -n, n) for c, n in zip(point, normal, strict=True)))
+
+    def _support(self, direction: Vec) -> Array:
+        edges = Vec(*map(jnp.asarray, (self.length, self.width, self.height)))
+        return vec3.dot(Vec(*map(jnp.abs, direction)), edges) / 2
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        x, y, z = (jnp.asarray(edge) ** 2 / 12 for edge in (self.length, self.width, self.height))
+        return y + z, x + z, x + y
+
+
+class Cylinder(Shape):
+    """A cylinder about its frame's origin, its axis along z."""
+
+    radius: Size
+    height: Size
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        across = vec3.safe_sqrt(point.x**2 + point.y**2)
+        beyond = [across - self.radius, jnp.abs(point.z) - jnp.asarray(self.height) / 2]
+        distance, (radial, axial) = _rounded(beyond)
+        # On the axis any way out is as short: x.
+        x = jnp.where(across > 0, vec3.safe_divide(point.x, across), 1)
+        return distance, Vec(
+            radial * x, radial * vec3.safe_divide(point.y, across), jnp.where(point.z < 0, -axial, axial)
+        )
+
+    def _support(self, direction: Vec) -> Array:
+        across = vec3.safe_sqrt(direction.x**2 + direction.y**2)
+        return jnp.asarray(self.radius) * across + jnp.asarray(self.height) / 2 * jnp.abs(direction.z)
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        radius2, height2 = jnp.asarray(self.radius) ** 2, jnp.asarray(self.height) ** 2
+        across = radius2 / 4 + height2 / 12
+        return across, across, radius2 / 2
+
+
+class Capsule(Shape):
+    """A cylinder about z with round ends; ``height`` is that of its straight part."""
+
+    radius: Size
+    height: Size
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        half = jnp.asarray(self.height) / 2
+        offset = point._replace(z=point.z - jnp.clip(point.z, -half, half))
+        length = vec3.norm(offset)
+        return length - self.radius, vec3.unit(offset)
+
+    def _support(self, direction: Vec) -> Array:
+        return jnp.asarray(self.radius) * vec3.norm(direction) + jnp.asarray(self.height) / 2 * jnp.abs(direction.z)
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        radius, height = jnp.asarray(self.radius), jnp.asarray(self.height)
+        straight, ends = height, 4 / 3 * radius  # volumes, over the round cross-section
+        axial = (straight * radius**2 / 2 + ends * 2 / 5 * radius**2) / (straight + ends)
+        # Half a ball's centre of mass lies 3/8 of its radius from its flat side.
+        offset = (height / 2) ** 2 + 3 / 8 * height * radius
+        side = straight * (radius**2 / 4 + height**2 / 12) + ends * (2 / 5 * radius**2 + offset)
+        return side / (straight + ends), side / (straight + ends), axial
+
+
+def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
+    """Distance and normal where the solid is all that lies below zero in each of these distances."""
+    outside = [jnp.maximum(b, 0) for b in beyond]
+    length = vec3.safe_sqrt(reduce(jnp.add, [o * o for o in outside]))
+    largest = reduce(jnp.maximum, beyond)
+    inward = largest <= 0
+    normal, taken = [], jnp.zeros_like(inward)
+    for b, o in zip(beyond, outside, strict=True):
+        # Of equally near faces the first alone: their sum would be no unit vector.
+        nearest = (b == largest) & ~taken
+        taken = taken | nearest
+        normal.append(jnp.where(inward, nearest.astype(b.dtype), vec3.safe_divide(o, length)))
+    return jnp.where(inward, largest, length), normal
+
+
+@jax.jit
+def signed_distance(
+    shape: Shape, points: Float[AnyArray, "*#batch 3"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
+    """How far points are from a shape's surface, and the way out.
+
+    Args:
+        shape: its sizes broadcast against the points' leading axes.
+        points: in the shape's own frame ``(..., 3)`` [m].
+
+    Returns:
+        Distances ``(...)`` [m], negative inside, and outward unit normals ``(..., 3)``.
+    """
+    points = jnp.asarray(points)
+    distance, normal = shape._distance(Vec(*(points[..., i] for i in range(3))))
+    return distance, jnp.stack(jnp.broadcast_arrays(*normal), -1)
+
+
+def check_shape(shape: Shape) -> None:
+    """Raise ValueError unless every size is a positive, finite number."""
+    for name, given in shape._sizes.items():
+        sizes = np.asarray(given)
+        bad = ~(np.isfinite(sizes) & (sizes > 0))
+        wanted = "a positive number of metres, since a shape of no volume cannot be touched"
+        for fault in entries(f"{type(shape).__name__}.{name}", sizes, bad, wanted):
+            raise ValueError(str(fault))

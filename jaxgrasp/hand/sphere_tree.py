@@ -1,0 +1,73 @@
+"""A solid as a tree of spheres: what a mesh becomes so that contacts with it can be found."""
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.hand.descent import Balls, Nodes, descend, try_all
+from jaxgrasp.hand.shapes import Near, Shape, Size
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.vec3 import Vec
+
+
+class SphereTree(Shape):
+    """A solid by balls inside it, the same for all poses; from [`jaxgrasp.sphere_tree`][]."""
+
+    balls: Balls
+    nodes: Nodes
+    moments: Float[AnyArray, "*batch 3"]
+    """Principal moments of inertia by unit of mass [m^2]; NaN where the frame is not the principal one."""
+    descends: bool = eqx.field(static=True)
+    """Whether contacts are found by descent, or by trying all balls."""
+
+    @property
+    def _sizes(self) -> dict[str, Size]:
+        return {}
+
+    @property
+    def _batch(self) -> tuple[int, ...]:
+        return ()
+
+    def _flat(self, batch: tuple[int, ...]) -> "SphereTree":
+        return jax.tree.map(lambda x: jnp.asarray(x)[None], self)
+
+    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+        """From the nearest ball, by trying all."""
+        centers, radii = self.balls.centers, jnp.asarray(self.balls.radii)
+
+        def of_one(one: Array) -> tuple[Array, Array]:
+            way = one - centers
+            length = jnp.sqrt(jnp.sum(way * way, -1))
+            nearest = jnp.argmin(length - radii)
+            shortest = Vec(*way[nearest])
+            return vec3.norm(shortest) - radii[nearest], jnp.stack(vec3.unit(shortest))
+
+        distance, out = lax.map(of_one, jnp.stack(point, -1).reshape(-1, 3))
+        shape = jnp.shape(point.x)
+        return distance.reshape(shape), Vec(*(out[:, i].reshape(shape) for i in range(3)))
+
+    def _bound(self, point: Vec) -> Array:
+        bounds = self.nodes.bounds
+        root = Vec(*(jnp.asarray(c)[:, 0] for c in (bounds.x, bounds.y, bounds.z)))
+        return vec3.norm(vec3.sub(point, root)) - bounds.radii[:, 0]
+
+    def _near(self, centers: Vec, radii: Array) -> Near:
+        shape = centers.x.shape
+        points = jnp.moveaxis(jnp.stack(centers, -1).reshape(-1, shape[-1], 3), 0, 1)
+        sizes = jnp.broadcast_to(radii, (*shape[:-1], 1)).ravel()
+        try_some = partial(descend, self.balls, self.nodes) if self.descends else partial(try_all, self.balls)
+        seen = try_some(points, sizes)
+        out = Vec(*(seen.out[..., i].T.reshape(shape) for i in range(3)))
+        return Near(seen.distance.T.reshape(shape), out, seen.tests)
+
+    def _support(self, direction: Vec) -> Array:
+        along = jnp.stack(direction, -1) @ self.balls.centers.T
+        return jnp.max(along + self.balls.radii * vec3.norm(direction)[..., None], -1)
+
+    def _moments(self) -> tuple[Array, Array, Array]:
+        x, y, z = jnp.asarray(self.moments)
+        return x, y, z

@@ -1,0 +1,71 @@
+"""From contacts to a Grasp: how hard each link means to press (eq. 6)."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.hand import Hand
+from jaxgrasp.model.squeeze import Contributions, squeezing
+
+THUMB, PALM = 2.0, 1.0
+"""Contributions of each of the thumb's and the palm's links, which Table I does not name: ours."""
+
+
+def link_contributions(
+    hand: Hand, table: Contributions | None = None, thumb: float = THUMB, palm: float = PALM
+) -> Float[Array, "L"]:
+    """The contribution c of each link of a hand to a grip.
+
+    Args:
+        hand: whose links are asked for.
+        table: by finger and phalanx, such as [`jaxgrasp.CYLINDRICAL_POWER_GRIP`][]; ``None`` for 1 everywhere.
+        thumb: of each of the thumb's links, where the table does not name it.
+        palm: of each finger's part of the palm, likewise.
+
+    Returns:
+        ``(L,)``, dimensionless.
+
+    Raises:
+        KeyError: for a link that is in neither.
+    """
+    if table is None:
+        return jnp.ones(len(hand.links))
+    values = []
+    for link in hand.links:
+        if link.finger not in table.fingers and link.finger == "thumb":
+            values.append(thumb)
+        elif link.phalanx not in table.phalanges and link.phalanx == "palm":
+            values.append(palm)
+        else:
+            values.append(table.of(link.finger, link.phalanx))
+    return jnp.array(values)
+
+
+def grasp_from_contacts(
+    contacts: Contacts,
+    friction: Float[AnyArray, "*#batch"] | float,
+    stiffness: Float[AnyArray, "*#batch"] | float,
+    contributions: Float[AnyArray, "L"] | float = 1.0,
+) -> Grasp:
+    """The Grasp that contacts make, its squeezing forces by eq. 6.
+
+    Args:
+        contacts: of a posed hand, in the world.
+        friction: Coulomb coefficients, for each contact or for all.
+        stiffness: K of each contact or of all [N/m]; of two springs in series, object and fingertip, that is
+            1 / (1 / K_object + 1 / K_finger).
+        contributions: c of each link, as from [`jaxgrasp.link_contributions`][].
+
+    Returns:
+        Contacts of the world's frame, in which the wrench must be written too.
+    """
+    depths = contacts.depths
+    return Grasp(
+        points=contacts.points,
+        normals=contacts.normals,
+        friction=jnp.broadcast_to(jnp.asarray(friction, depths.dtype), depths.shape),
+        squeeze=squeezing(contributions, stiffness, depths),
+        present=contacts.present,
+    )

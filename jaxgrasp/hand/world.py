@@ -1,0 +1,77 @@
+"""Contacts of an object with the world: a table, an obstacle, another object; and the wrench that they exert."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.hand.detection import Contacts, find_contacts
+from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, Link, Pose, Posture, padded
+
+OCTANTS = tuple("".join("-+"[up] + axis for up, axis in zip(ups, "xyz", strict=True)) for ups in np.ndindex(2, 2, 2))
+
+
+def rigid_body(tree: SphereTree) -> Hand:
+    """An object as a Hand without joints, which finds contacts as a hand does: a part for each octant of it.
+
+    Of the contacts of each part one is made, by the rule of [`jaxgrasp.find_contacts`][]; so a box that stands on a
+    table has four.
+
+    Args:
+        tree: of the object, in whose frame the octants lie about the middle of what it fills.
+    """
+    centers, radii = np.asarray(tree.balls.centers), np.asarray(tree.balls.radii)
+    middle = (np.min(centers - radii[:, None], 0) + np.max(centers + radii[:, None], 0)) / 2
+    octant = (centers > middle) @ np.array([4, 2, 1])
+    return Hand(
+        origins=jnp.zeros((0, 3)),
+        rests=jnp.zeros((0, 3, 3)),
+        axes=jnp.zeros((0, 3)),
+        lower=jnp.zeros(0),
+        upper=jnp.zeros(0),
+        skin=padded([(centers[octant == part], radii[octant == part]) for part in range(8)]),
+        parents=(),
+        joints=(),
+        links=tuple(Link(name, "", -1) for name in OCTANTS),
+    )
+
+
+def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Contacts:
+    """Where an object touches what stands in the world.
+
+    Args:
+        body: from [`jaxgrasp.rigid_body`][]; one for all poses.
+        placed: where the object stands; any leading axes.
+        obstacle: an exact shape, or the tree of another object.
+        at: where that stands; leading axes that broadcast.
+
+    Returns:
+        A contact for each octant, in the world, on the obstacle's surface; normals point INTO the object that
+        ``body`` is, as those of a hand's contacts with it do.
+    """
+    origin = jnp.asarray(placed.origin)
+    still = Posture(Pose(origin, jnp.asarray(placed.rotation)), jnp.zeros((*origin.shape[:-1], 0), origin.dtype))
+    found = find_contacts(body, still, obstacle, at)
+    return Contacts(found.points, -found.normals, found.depths, found.present, found.tests)
+
+
+def spring_wrench(
+    contacts: Contacts, stiffness: Float[AnyArray, "*#batch"] | float, about: Float[AnyArray, "*#batch 3"]
+) -> Float[Array, "*batch 6"]:
+    """What contacts exert on the object that they press into: K depth along each normal, without friction (eq. 1).
+
+    What the hand must exert is less by this.
+
+    Args:
+        contacts: with normals into that object ``(..., L)``.
+        stiffness: K of each contact, or of all [N/m].
+        about: the point ``(..., 3)`` that torques are taken about, in the contacts' frame [m].
+
+    Returns:
+        Force, then torque [N, N.m].
+    """
+    forces = (jnp.asarray(stiffness) * contacts.depths)[..., None] * contacts.normals
+    arms = contacts.points - jnp.asarray(about)[..., None, :]
+    return jnp.concatenate([jnp.sum(forces, -2), jnp.sum(jnp.cross(arms, forces), -2)], -1)

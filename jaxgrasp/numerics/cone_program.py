@@ -1,0 +1,393 @@
+"""Small cone programs, a batch at a time, by a primal-dual interior-point method.
+
+    minimise  x.P x / 2 + c.x   subject to   A x = b   and   h - G x in a product of second-order cones,
+
+each cone {(t, u): |u| <= t}, of one dimension the nonnegative numbers. Nesterov and Todd's scaling makes both sides
+one; Mehrotra's corrector follows his predictor (Andersen, Dahl and Vandenberghe, "Interior-point methods for
+large-scale cone programming", 2011). Programs should be feasible, of order one, and bounded in the directions that
+cost nothing.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.tiling import beside, merged
+
+STEPS = 60
+NEAR = 0.995
+"""Part of the way to the cones' surface that a step may go."""
+CLOSE = 0.6
+"""The gap asked for, as a power of the rounding."""
+REFINED = 2
+"""Times that a step's equations are solved again for what they leave."""
+SHORTEST = 1e-7
+"""A step so short is none."""
+HALVED = 4
+"""Times that a step is halved which rounding would lead out of its cones."""
+
+
+class Cones(NamedTuple):
+    """Second-order cones of one dimension."""
+
+    rows: Array
+    """G ``(B, m, d, k)``."""
+    offset: Array
+    """h ``(B, m, d)``."""
+
+
+class Program(NamedTuple):
+    """A batch of programs in k variables with e equations."""
+
+    quadratic: Array
+    """P ``(B, k, k)``, positive semidefinite."""
+    linear: Array
+    """c ``(B, k)``."""
+    equations: Array
+    """A ``(B, e, k)``; rows may depend on each other, or be zero."""
+    right: Array
+    """b ``(B, e)``."""
+    cones: tuple[Cones, ...]
+
+
+class Optimum(NamedTuple):
+    """Where each program stands, strictly inside its cones."""
+
+    point: Array
+    """x ``(B, k)``."""
+    equality: Array
+    """y ``(B, e)``: P x + c + A^T y + sum of G^T z = 0."""
+    slack: tuple[Array, ...]
+    """s = h - G x ``(B, m, d)`` of each kind of cones."""
+    duals: tuple[Array, ...]
+    """z ``(B, m, d)`` likewise."""
+    gap: Array
+    """``(B,)``: sum of s.z."""
+    error: Array
+    """``(B,)``: largest entry of what these equations leave, and those of the program."""
+    missed: Array
+    """``(B,)``: likewise of the program's alone."""
+    steps: Array
+    solved: Array
+    """Whether gap and error are as small as rounding lets them be told."""
+
+
+MOVING = ("point", "equality", "slack", "duals")
+
+
+class _Scaling(NamedTuple):
+    """W of one kind of cones, with W z = W^-1 s."""
+
+    unit: Array
+    """``(B, m, d)``: of determinant one."""
+    size: Array
+    """``(B, m, 1)``."""
+    middle: Array
+    """W z ``(B, m, d)``."""
+
+
+class _Move(NamedTuple):
+    point: Array
+    equality: Array
+    slack: list[Array]
+    """W^-1 ds."""
+    duals: list[Array]
+    """W dz."""
+
+
+def solve(program: Program) -> Optimum:
+    """The optimum of each program; where it is not ``solved``, the best that was met."""
+    size = program.right.shape[:1]
+    start = _judged(program, _start(program), jnp.zeros(size, jnp.int32))
+
+    def unfinished(carry):
+        count, _, _, over = carry
+        return (count < STEPS) & ~jnp.all(over)
+
+    def advance(carry):
+        count, here, best, over = carry
+        moved, length = _advance(program, here)
+        there = _judged(program, moved, here.steps + 1)
+        sound = jnp.isfinite(there.gap + there.error) & _inside(there)
+        best = merged(~over & sound & (_merit(there) < _merit(best)), there, best)
+        here = merged(~over & sound, there, here)
+        return count + 1, here, best, over | ~sound | there.solved | (length < SHORTEST)
+
+    start = varying_like(start, program)
+    carry = (jnp.int32(0), start, start, start.solved)
+    return lax.while_loop(unfinished, advance, carry)[2]
+
+
+def _merit(at: Optimum) -> Array:
+    return jnp.maximum(at.gap, at.error)
+
+
+def _judged(program: Program, at: Optimum, steps: Array) -> Optimum:
+    """With gap and errors of where it stands."""
+    dual, equal, *cones = _rest(program, at)
+    missed = jnp.zeros_like(dual[:, 0])
+    for left in (equal, *cones):
+        missed = jnp.maximum(missed, jnp.max(jnp.abs(left), tuple(range(1, left.ndim)), initial=0))
+    error = jnp.maximum(missed, jnp.max(jnp.abs(dual), -1))
+    gap = jnp.zeros_like(error)
+    for s, z in zip(at.slack, at.duals, strict=True):
+        gap = gap + jnp.sum(s * z, (1, 2))
+    worth = jnp.abs(_dot(program.linear, at.point)) + _dot(at.point, _times(program.quadratic, at.point)) / 2
+    close = float(jnp.finfo(gap.dtype).eps) ** CLOSE
+    solved = (gap <= close * worth) & (error <= close)
+    return at._replace(gap=gap, error=error, missed=missed, steps=steps, solved=solved)
+
+
+def _rest(program: Program, at: Optimum) -> list[Array]:
+    """What is left of stationarity, of the equations, and of each kind of cones."""
+    dual = _times(program.quadratic, at.point) + program.linear + _pulled(program.equations, at.equality)
+    for cones, z in zip(program.cones, at.duals, strict=True):
+        dual = dual + _back(cones, z)
+    beyond = [s + _seen(cones, at.point) - cones.offset for cones, s in zip(program.cones, at.slack, strict=True)]
+    return [dual, _times(program.equations, at.point) - program.right, *beyond]
+
+
+def _start(program: Program) -> Optimum:
+    """The least-squares solutions with unit scaling, moved into the cones."""
+    ones = [_identity(cones.offset) for cones in program.cones]
+    scalings = [_Scaling(one, one[..., :1], one) for one in ones]
+    zero = jnp.zeros_like(program.right[:, 0])
+    system = _system(program, scalings)
+    offsets = [cones.offset for cones in program.cones]
+    point, equality, _ = system.solve(-program.linear, program.right, offsets)
+    left = [offset - _seen(cones, point) for cones, offset in zip(program.cones, offsets, strict=True)]
+    slack = [_into(s, one) for s, one in zip(left, ones, strict=True)]
+    duals = [_into(-s, one) for s, one in zip(left, ones, strict=True)]
+    return Optimum(
+        point,
+        equality,
+        tuple(slack),
+        tuple(duals),
+        zero,
+        zero,
+        zero,
+        zero.astype(jnp.int32),
+        jnp.zeros_like(zero, bool),
+    )
+
+
+def _into(given: Array, one: Array) -> Array:
+    """A vector moved along the cone's axis into its inside."""
+    short = jnp.max(_length(given[..., 1:]) - given[..., :1], (1, 2), keepdims=True)
+    return jnp.where(short < 0, given, given + (1 + jnp.maximum(short, 0)) * one)
+
+
+def _advance(program: Program, at: Optimum) -> tuple[Optimum, Array]:
+    """Predictor and corrector; the length of the step."""
+    scalings = [_scaling(s, z) for s, z in zip(at.slack, at.duals, strict=True)]
+    system = _system(program, scalings)
+    dual, equal, *cones = _rest(program, at)
+    degree = sum(s.shape[1] for s in at.slack)
+    mean = at.gap / degree
+
+    def move(aim: list[Array]) -> _Move:
+        """Towards lambda o lambda = -aim, in the scaled cones."""
+        wanted = [_divide(s.middle, a) for s, a in zip(scalings, aim, strict=True)]
+        right = [_scaled(s, u) - left for s, u, left in zip(scalings, wanted, cones, strict=True)]
+        point, equality, duals = system.solve(-dual, -equal, right)
+        slack = [-u - z for u, z in zip(wanted, duals, strict=True)]
+        return _Move(point, equality, slack, duals)
+
+    squares = [_product(s.middle, s.middle) for s in scalings]
+    foreseen = move(squares)
+    centring = (1 - _reach(scalings, foreseen)) ** 3
+    corrected = [
+        square + _product(ds, dz) - (centring * mean)[:, None, None] * _identity(square)
+        for square, ds, dz in zip(squares, foreseen.slack, foreseen.duals, strict=True)
+    ]
+    step = move(corrected)
+    length = jnp.minimum(1, NEAR * _reach(scalings, step))
+    # Not by their scaled moves, whose rounding the equations would see.
+    slack = [-left - _seen(c, step.point) for left, c in zip(cones, program.cones, strict=True)]
+    duals = [_unscaled(w, dz) for w, dz in zip(scalings, step.duals, strict=True)]
+    whole = at._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
+    for _ in range(HALVED):
+        length = jnp.where(_inside(_moved(at, whole, length)), length, length / 2)
+    return _moved(at, whole, length), length
+
+
+def _moved(at: Optimum, step: Optimum, length: Array) -> Optimum:
+    def move(x: Array, dx: Array) -> Array:
+        return x + beside(length, x) * dx
+
+    moves = {name: jax.tree.map(move, getattr(at, name), getattr(step, name)) for name in MOVING}
+    return at._replace(**moves)
+
+
+def _inside(at: Optimum) -> Array:
+    """Whether all slack and duals are inside their cones ``(B,)``."""
+    inside = jnp.ones_like(at.gap, bool)
+    for part in (*at.slack, *at.duals):
+        inside = inside & jnp.all(part[..., :1] > _length(part[..., 1:]), (1, 2))
+    return inside
+
+
+def _reach(scalings: list[_Scaling], move: _Move) -> Array:
+    """How many times the move fits before a cone's surface."""
+    least = jnp.zeros_like(move.point[:, 0])
+    for scaling, *moves in zip(scalings, move.slack, move.duals, strict=True):
+        for moved in moves:
+            least = jnp.maximum(least, jnp.max(_crossing(scaling.middle, moved), (1, 2)))
+    return 1 / jnp.maximum(least, jnp.finfo(least.dtype).tiny ** 0.5)
+
+
+def _crossing(inside: Array, moved: Array) -> Array:
+    """Inverse of the number of times ``moved`` leads from a point inside the cone to its surface; below 0 if never."""
+    root = _root(inside)
+    unit = inside / root
+    along = unit[..., :1] * moved[..., :1] - _dot(unit[..., 1:], moved[..., 1:])[..., None]
+    across = moved[..., 1:] - (along + moved[..., :1]) / (unit[..., :1] + 1) * unit[..., 1:]
+    return (_length(across) - along) / root
+
+
+class _System(NamedTuple):
+    """The linear equations of a step: the scaled rows, the factors of H = P + sum of G^T W^-2 G and of A H^-1 A^T."""
+
+    program: Program
+    rows: list[Cones]
+    """W^-1 G."""
+    scalings: list[_Scaling]
+    factor: Array
+    across: Array
+    """H^-1 A^T."""
+    small: Array
+
+    def solve(self, dual: Array, equal: Array, cones: list[Array]) -> tuple[Array, Array, list[Array]]:
+        """x, y and W z of P x + A^T y + G^T z = dual, A x = equal, G x - W^2 z = cones."""
+        program = self.program
+        held = [_unscaled(scaling, part) for scaling, part in zip(self.scalings, cones, strict=True)]
+
+        def duals(point: Array) -> list[Array]:
+            return [_seen(rows, point) - part for rows, part in zip(self.rows, held, strict=True)]
+
+        point, equality = jnp.zeros_like(dual), jnp.zeros_like(equal)
+        # H spans all magnitudes in the end: what it leaves, as the three equations see it, is solved for again.
+        for _ in range(1 + REFINED):
+            left = dual - _times(program.quadratic, point) - _pulled(program.equations, equality)
+            for rows, z in zip(self.rows, duals(point), strict=True):
+                left = left - _back(rows, z)
+            more, further = self._once(left, equal - _times(program.equations, point))
+            point, equality = point + more, equality + further
+        return point, equality, duals(point)
+
+    def _once(self, right: Array, equal: Array) -> tuple[Array, Array]:
+        plain = _behind(self.factor, right)
+        equality = _behind(self.small, _times(self.program.equations, plain) - equal)
+        return plain - _times(self.across, equality), equality
+
+
+def _system(program: Program, scalings: list[_Scaling]) -> _System:
+    rows = [
+        Cones(jnp.moveaxis(_unscaled(_wider(s), jnp.moveaxis(c.rows, 3, 1)), 1, 3), c.offset)
+        for s, c in zip(scalings, program.cones, strict=True)
+    ]
+    whole = program.quadratic
+    for part in rows:
+        flat = part.rows.reshape(part.rows.shape[0], -1, part.rows.shape[-1])
+        whole = whole + jnp.einsum("bik,bil->bkl", flat, flat, precision=lax.Precision.HIGHEST)
+    factor = jnp.linalg.cholesky(_raised(whole))
+    across = lax.linalg.triangular_solve(factor, jnp.swapaxes(program.equations, 1, 2), left_side=True, lower=True)
+    small = jnp.einsum("bke,bkf->bef", across, across, precision=lax.Precision.HIGHEST)
+    across = lax.linalg.triangular_solve(factor, across, left_side=True, lower=True, transpose_a=True)
+    return _System(program, rows, scalings, factor, across, jnp.linalg.cholesky(_raised(small)))
+
+
+def _raised(matrix: Array) -> Array:
+    """With what rounding may have taken from its diagonal, so that it has a factor; solving again takes it back."""
+    size = matrix.shape[-1]
+    each = jnp.einsum("bii->bi", matrix)
+    floor = 4 * size * jnp.finfo(matrix.dtype).eps * each + jnp.finfo(matrix.dtype).tiny
+    return matrix + floor[..., None] * jnp.eye(size, dtype=matrix.dtype)
+
+
+def _behind(factor: Array, right: Array) -> Array:
+    """x with L L^T x = right."""
+    half = lax.linalg.triangular_solve(factor, right[..., None], left_side=True, lower=True)
+    return lax.linalg.triangular_solve(factor, half, left_side=True, lower=True, transpose_a=True)[..., 0]
+
+
+def _scaling(s: Array, z: Array) -> _Scaling:
+    roots = _root(s), _root(z)
+    plain, mirrored = s / roots[0], _mirrored(z / roots[1])
+    cosine = jnp.sqrt((1 + _dot(plain, _mirrored(mirrored))[..., None]) / 2)
+    scaling = _Scaling((plain + mirrored) / (2 * cosine), jnp.sqrt(roots[0] / roots[1]), s)
+    return scaling._replace(middle=_scaled(scaling, z))
+
+
+def _wider(scaling: _Scaling) -> _Scaling:
+    return _Scaling(*(part[:, None] for part in scaling))
+
+
+def _scaled(scaling: _Scaling, x: Array) -> Array:
+    """W x."""
+    first, others = scaling.unit[..., :1], scaling.unit[..., 1:]
+    along = _dot(others, x[..., 1:])[..., None]
+    rest = x[..., 1:] + others * (x[..., :1] + along / (1 + first))
+    return scaling.size * jnp.concatenate([first * x[..., :1] + along, rest], -1)
+
+
+def _unscaled(scaling: _Scaling, x: Array) -> Array:
+    """W^-1 x."""
+    inverse = _Scaling(_mirrored(scaling.unit), 1 / scaling.size, scaling.middle)
+    return _scaled(inverse, x)
+
+
+def _identity(like: Array) -> Array:
+    return jnp.zeros_like(like).at[..., 0].set(1)
+
+
+def _mirrored(x: Array) -> Array:
+    return jnp.concatenate([x[..., :1], -x[..., 1:]], -1)
+
+
+def _product(x: Array, y: Array) -> Array:
+    """Jordan's."""
+    others = x[..., :1] * y[..., 1:] + y[..., :1] * x[..., 1:]
+    return jnp.concatenate([_dot(x, y)[..., None], others], -1)
+
+
+def _divide(x: Array, y: Array) -> Array:
+    """u with x o u = y."""
+    square = _root(x) ** 2
+    first = (x[..., :1] * y[..., :1] - _dot(x[..., 1:], y[..., 1:])[..., None]) / square
+    return jnp.concatenate([first, (y[..., 1:] - first * x[..., 1:]) / x[..., :1]], -1)
+
+
+def _root(x: Array) -> Array:
+    """Root of the determinant t^2 - |u|^2 ``(..., 1)``."""
+    size = _length(x[..., 1:])
+    return jnp.sqrt((x[..., :1] - size) * (x[..., :1] + size))
+
+
+def _length(x: Array) -> Array:
+    return jnp.sqrt(jnp.sum(x * x, -1, keepdims=True))
+
+
+def _dot(x: Array, y: Array) -> Array:
+    return jnp.sum(x * y, -1)
+
+
+def _times(matrix: Array, x: Array) -> Array:
+    return jnp.einsum("bij,bj->bi", matrix, x, precision=lax.Precision.HIGHEST)
+
+
+def _pulled(matrix: Array, x: Array) -> Array:
+    return jnp.einsum("bij,bi->bj", matrix, x, precision=lax.Precision.HIGHEST)
+
+
+def _seen(cones: Cones, x: Array) -> Array:
+    """G x."""
+    return jnp.einsum("bmdk,bk->bmd", cones.rows, x, precision=lax.Precision.HIGHEST)
+
+
+def _back(cones: Cones, z: Array) -> Array:
+    """G^T z."""
+    return jnp.einsum("bmdk,bmd->bk", cones.rows, z, precision=lax.Precision.HIGHEST)

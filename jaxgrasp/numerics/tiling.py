@@ -1,0 +1,128 @@
+"""A large batch in tiles that fit in the cache, and the few problems that need more work gathered.
+
+Arrays are batch-first here. A leaf of leading size 1 is shared by the whole batch and is handed to every
+tile as it is. Nothing here rests on ``lax.cond`` under ``vmap``, which would compute both branches.
+"""
+
+import math
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jax.typing import ArrayLike
+
+from jaxgrasp.numerics.shard_map_loop import varying_like
+
+Tree = TypeVar("Tree")
+Out = TypeVar("Out")
+
+FEW = 4
+"""A batch of so few is computed whole when any of it is chosen: gathering would cost more."""
+
+
+def spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
+    """An array broadcast to a batch's leading axes, and these flattened into one."""
+    return jnp.broadcast_to(array, (*batch, *tail)).reshape(math.prod(batch), *tail)
+
+
+def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, ...] = ()) -> Array:
+    """Likewise, but with a leading axis of size 1 where there is but one entry, which the batch then shares."""
+    array = jnp.asarray(given)
+    return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(batch, array, tail)
+
+
+def over_tiles(
+    function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int, count: Array | None = None
+) -> Out:
+    """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time.
+
+    Where a ``count`` is given, no tile is computed that lies behind the first so many problems: zeros stand there.
+
+    The last tile overlaps the one before it instead of being padded: its problems are computed twice,
+    to the same bits.
+    """
+    if size == 0:
+        return _nothing(function, arguments)
+    if size <= tile:
+        return function(arguments)
+    shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
+    results = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
+    results = varying_like(results, arguments)
+
+    def body(i, results):
+        start = jnp.minimum(i * tile, size - tile)
+        return _write(results, function(_slice(arguments, start, size, tile)), start)
+
+    tiles = -(-(size if count is None else jnp.minimum(count, size)) // tile)
+    return lax.fori_loop(0, tiles, body, results)
+
+
+def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, tile: int) -> Out:
+    """``results`` with those of the ``chosen`` problems replaced by ``function(arguments, results)`` of them.
+
+    The chosen ones are gathered, in order, into as many tiles as they need; when none is chosen nothing
+    runs. ``function`` may meet problems that were not chosen; what it says of them is dropped. The time is
+    that of the chosen problems plus one pass over the batch.
+    """
+    size = chosen.shape[0]
+    if size == 0:
+        return results
+    if size <= FEW:
+        return lax.cond(jnp.any(chosen), lambda r: merged(chosen, function(arguments, r), r), lambda r: r, results)
+    tile = min(tile, size)
+    count = jnp.sum(chosen, dtype=jnp.int32)
+
+    def replace(results):
+        last = jnp.cumsum(chosen, dtype=jnp.int32)
+        padded = -(-size // tile) * tile
+        order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32))
+        order = jnp.minimum(order, size - 1).astype(jnp.int32)
+
+        def body(state):
+            i, gathered = state
+            lanes = lax.dynamic_slice_in_dim(order, i * tile, tile)
+            answer = function(_take(arguments, lanes, size), _take(results, lanes, size))
+            return i + 1, _write(gathered, answer, i * tile)
+
+        gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
+        gathered = varying_like(gathered, arguments, results)
+        _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
+        place = jnp.maximum(last - 1, 0)
+        return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)
+
+    return lax.cond(count > 0, replace, lambda results: results, results)
+
+
+def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
+    """The results of a batch without problems."""
+    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]) if x.ndim else (), x.dtype), arguments)
+    return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, one))
+
+
+def merged(which: Array, new: Tree, old: Tree) -> Tree:
+    """Of each problem ``(B,)`` the new leaves, or the old ones."""
+    return jax.tree.map(lambda p, q: jnp.where(beside(which, q), p, q), new, old)
+
+
+def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:
+    return jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile) if _is_long(x, size) else x, tree)
+
+
+def _take(tree: Tree, lanes: Array, size: int) -> Tree:
+    return jax.tree.map(lambda x: x[lanes] if _is_long(x, size) else x, tree)
+
+
+def _is_long(array: Array, size: int) -> bool:
+    """Whether an array has something for each problem, rather than one thing that all share."""
+    return array.ndim > 0 and array.shape[0] == size
+
+
+def _write(results: Out, part: Out, start: Array) -> Out:
+    return jax.tree.map(lambda r, p: lax.dynamic_update_slice_in_dim(r, p, start, 0), results, part)
+
+
+def beside(each: Array, array: Array) -> Array:
+    """What each problem has one of, ``(B,)``, with the axes to broadcast against an array ``(B, ...)``."""
+    return each.reshape(each.shape + (1,) * (array.ndim - 1))

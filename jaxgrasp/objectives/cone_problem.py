@@ -1,0 +1,171 @@
+"""A flat batch of problems as cone programs see it: units of the load, and each contact's force in its own cone.
+
+Nothing is shared among the problems: every array has as many entries as there are.
+
+The force of a contact is y = (press, lean): lean is what it uses of its friction along two tangents and, of a soft
+finger, about its normal, and |lean| <= press is the friction cone whatever the coefficients.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics.cone_program import Cones
+from jaxgrasp.numerics.vec3 import safe_divide
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.quality.wrench_discs import Discs, discs, tangents
+
+
+class Units(NamedTuple):
+    """What a problem is measured in: constants where derivatives are taken."""
+
+    about: Array
+    """``(B, 3)`` [m]."""
+    length: Array
+    """``(B,)`` [m]."""
+    load: Array
+    """``(B,)`` [N]."""
+    torque: Array
+    """``(B,)``: of joints, for each newton of a contact."""
+
+
+class Posed(NamedTuple):
+    """Problems in these units."""
+
+    columns: Array
+    """Wrench of each component of y ``(B, 6, n, c)``; c is 3, or 4 with soft fingers."""
+    right: Array
+    """The wrench ``(B, 6)``."""
+    friction: Array
+    """``(B, n)``."""
+    there: Array
+    least: Array | None
+    """Of the press ``(B, n)``; None where none is bounded, and so for ``most``."""
+    most: Array | None
+    rows: Array | None
+    """Torque of each component of y ``(B, j, n, c)``; None where no joint is known."""
+    torque_max: Array | None
+
+    @property
+    def width(self) -> int:
+        """Numbers of all contacts."""
+        return self.columns.shape[2] * self.columns.shape[3]
+
+
+def units_of(problem: Problem) -> Units:
+    problem = lax.stop_gradient(problem)
+    shapes = discs(_grasp(problem))
+    wrench = _scaled_wrench(problem, shapes)
+    size = jnp.sqrt(jnp.sum(wrench**2, -1))
+    if problem.normal_min is not None:
+        size = size + jnp.sum(jnp.where(_there(problem), problem.normal_min, 0), -1)
+    load = jnp.where(size > 0, size, 1)
+    torque = jnp.ones_like(load)
+    if problem.torque_map is not None:
+        rows = _rows(problem, shapes)
+        largest = jnp.max(jnp.sqrt(jnp.sum(rows**2, (2, 3))), -1)
+        torque = jnp.where(largest > 0, largest, 1)
+    return Units(jnp.asarray(shapes.about), jnp.asarray(shapes.length), load, torque)
+
+
+def pose(problem: Problem, units: Units) -> Posed:
+    shapes = discs(_grasp(problem), units.length, units.about)
+    load, there = units.load[:, None], _there(problem)
+    spans = shapes.spans if problem.torsion is not None else shapes.spans[..., :2]
+    columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
+    rows = None if problem.torque_map is None else _rows(problem, shapes) / units.torque[:, None, None, None]
+    limit = None if problem.torque_max is None else problem.torque_max / (load * units.torque[:, None])
+    return Posed(
+        columns=columns,
+        right=_scaled_wrench(problem, shapes) / load,
+        friction=jnp.where(there, problem.friction, 0),
+        there=there,
+        least=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
+        most=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
+        rows=rows,
+        torque_max=limit,
+    )
+
+
+def _grasp(problem: Problem) -> Grasp:
+    return Grasp(
+        problem.points, problem.normals, problem.friction, problem.squeeze, problem.present, torsion=problem.torsion
+    )
+
+
+def _there(problem: Problem) -> Array:
+    return jnp.ones(problem.friction.shape, bool) if problem.present is None else problem.present > 0.5
+
+
+def _scaled_wrench(problem: Problem, shapes: Discs) -> Array:
+    force, torque = problem.wrench[:, :3], problem.wrench[:, 3:]
+    moved = torque - jnp.cross(shapes.about, force)
+    return jnp.concatenate([force, moved / shapes.length[:, None]], -1)
+
+
+def _rows(problem: Problem, shapes: Discs) -> Array:
+    """Joint torques of each component of y ``(B, j, n, c)``."""
+    assert problem.torque_map is not None
+    there = _there(problem)
+    given = jnp.where(there[..., None, None], problem.torque_map, 0)
+    # The normals, and the tangents that the spans are made along.
+    normals = jnp.where(there[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=given.dtype)[2])
+    friction = jnp.where(there, problem.friction, 0)
+    parts = [normals, *(friction[..., None] * t for t in tangents(normals))]
+    rows = [jnp.einsum("bncj,bnc->bjn", given[:, :, :3], jnp.where(there[..., None], part, 0)) for part in parts]
+    if problem.torsion is not None:
+        turning = jnp.where(there & (problem.friction > 0), problem.torsion, 0)
+        spun = given[:, :, 3] if given.shape[2] == 4 else jnp.zeros_like(given[:, :, 0])
+        rows.append(jnp.einsum("bnj,bn->bjn", spun, turning))
+    return jnp.stack(rows, -1)
+
+
+def forces_out(posed: Posed, units: Units, problem: Problem, y: Array) -> tuple[Array, Array | None]:
+    """Forces ``(B, n, 3)`` and, of soft fingers, moments, of y ``(B, n, c)``, in the user's units."""
+    y = jnp.where(posed.there[..., None], y, 0) * units.load[:, None, None]
+    # The first three rows of a column are a force.
+    forces = jnp.einsum("bxnc,bnc->bnx", posed.columns[:, :3], y, precision=lax.Precision.HIGHEST)
+    if problem.torsion is None:
+        return forces, None
+    turning = jnp.where(posed.there & (problem.friction > 0), problem.torsion, 0)
+    return forces, turning * y[..., 3]
+
+
+def forces_in(posed: Posed, units: Units, problem: Problem, forces: Array, moments: Array | None) -> Array:
+    """y ``(B, n, c)`` of forces, the inverse of ``forces_out``."""
+    # Columns of friction are friction times a tangent.
+    along = jnp.einsum("bxnc,bnx->bnc", posed.columns[:, :3, :, :3], forces, precision=lax.Precision.HIGHEST)
+    parts = [along[..., :1], safe_divide(along[..., 1:], posed.friction[..., None] ** 2)]
+    if moments is not None and problem.torsion is not None:
+        parts.append(safe_divide(moments, jnp.where(posed.there, problem.torsion, 0))[..., None])
+    return jnp.concatenate(parts, -1) / units.load[:, None, None]
+
+
+def unbalanced(posed: Posed, y: Array) -> Array:
+    """How much of the wrench is left ``(B,)``."""
+    rest = posed.right - jnp.einsum("bxnc,bnc->bx", posed.columns, y, precision=lax.Precision.HIGHEST)
+    return jnp.sqrt(jnp.sum(rest**2, -1))
+
+
+def friction_cones(posed: Posed, extra: int) -> Cones:
+    """y of each contact in its cone; of absent ones nothing. ``extra`` variables follow those of y."""
+    size, _, n, c = posed.columns.shape
+    blocks = -jnp.eye(n * c, dtype=posed.columns.dtype).reshape(n, c, n * c)
+    rows = jnp.where(posed.there[..., None, None], blocks, 0)
+    offset = jnp.where(posed.there[..., None], jnp.zeros(c), jnp.eye(c)[0]).astype(rows.dtype)
+    return Cones(jnp.pad(rows, [(0, 0)] * 3 + [(0, extra)]), jnp.broadcast_to(offset, (size, n, c)))
+
+
+def absent(posed: Posed, extra: int) -> Array:
+    """A quadratic term that keeps absent contacts at zero ``(B, k, k)``."""
+    c = posed.columns.shape[3]
+    idle = jnp.repeat((~posed.there).astype(posed.right.dtype), c, -1)
+    return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(posed.width + extra, dtype=posed.right.dtype)
+
+
+def press_rows(posed: Posed, extra: int) -> Array:
+    """The press of each contact as rows ``(n, k)``."""
+    n, c = posed.columns.shape[2:]
+    return jnp.pad(jnp.eye(n * c, dtype=posed.right.dtype)[::c], [(0, 0), (0, extra)])

@@ -1,0 +1,149 @@
+"""Problems as the kernels see them: batch-last and cleaned; ``scaling.py`` centres, scales and turns them.
+
+The public arrays are batch-first, ``(B, n, 3)``. Kernels work on components of shape ``(n, B)`` for what
+belongs to contacts and ``(1, B)`` for what belongs to problems, so that the compiler vectorises over
+problems. A grasp that many wrenches share has B = 1 and broadcasts.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.friction_cone import Cone
+from jaxgrasp.problem.tolerances import tolerances
+
+
+class Problem(eqx.Module):
+    """A flat batch of problems; the grasp's leading axis may be 1 when all wrenches share it."""
+
+    points: Float[Array, "#B n 3"]
+    normals: Float[Array, "#B n 3"]
+    friction: Float[Array, "#B n"]
+    squeeze: Float[Array, "#B n"]
+    present: Float[Array, "#B n"] | None
+    weights: Float[Array, "#B n"]
+    """Sharing weights k."""
+    wrench: Float[Array, "B 6"]
+    free: Float[Array, "#B 6 k"] | None = None
+    """Twists along which a guide lets the object move; None for an object that no guide holds."""
+    start: Float[Array, "B 6"] | None = None
+    """A multiplier to climb the dual from; None for the closed form's."""
+    torsion: Float[Array, "#B n"] | None = None
+    """Torsional friction; None where all contacts are hard fingers."""
+    normal_min: Float[Array, "#B n"] | None = None
+    normal_max: Float[Array, "#B n"] | None = None
+    torque_map: Float[Array, "#B n c j"] | None = None
+    torque_max: Float[Array, "#B j"] | None = None
+    count: Int[Array, ""] | None = None
+    """How many problems there are, the first of those that the arrays hold; None for as many."""
+
+    @property
+    def size(self) -> int:
+        return self.wrench.shape[0]
+
+
+class Lanes(NamedTuple):
+    """One problem in each lane of the last axis."""
+
+    arms: Vec
+    normals: Vec
+    friction: Array
+    squeeze: Array
+    weights: Array
+    force: Vec
+    torque: Vec
+    toll: Array | None = None
+    """What a unit of normal force costs, in questions of how little is enough; None where it costs nothing."""
+    lever: Array | None = None
+    """Of soft fingers: moment for each unit of ``Four.spin``; 0 for hard ones, None where all are hard."""
+    least: Array | None = None
+    """Of the normal force; None where none is bounded, and so for ``most``."""
+    most: Array | None = None
+
+    @property
+    def cone(self) -> Cone:
+        """What each contact may exert."""
+        return Cone(self.normals, self.friction, self.least, self.most)
+
+
+def squeezing(lanes: Lanes) -> Four:
+    """The squeezing forces s a."""
+    return Four(vec3.scale(lanes.squeeze, lanes.normals), None if lanes.lever is None else 0 * lanes.lever)
+
+
+@one_kernel
+def read(problem: Problem) -> tuple[Lanes, Array]:
+    """Batch-last copies, and which lanes hold usable data.
+
+    Absent contacts and unusable lanes are replaced by contacts that carry nothing, so that no NaN enters
+    the arithmetic, in values or in derivatives. Normals are brought to unit length.
+    """
+    points, normals = _components(problem.points), _components(problem.normals)
+    friction, squeeze, weights = problem.friction.T, problem.squeeze.T, problem.weights.T
+    wrench = problem.wrench.T
+    size2 = vec3.dot(normals, normals)
+    largest = tolerances(points.x.dtype).largest
+    # One sum meets a NaN, or what is too large to be squared, in any of its terms.
+    size = vec3.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
+    good = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
+    torsion, least, most = (
+        None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
+    )
+    if torsion is not None:
+        size, good = size + jnp.abs(torsion), good & (torsion >= 0)
+    if least is not None:
+        size, good = size + jnp.abs(least), good & (least >= 0)
+    if most is not None:
+        good = good & (most >= (0 if least is None else least))
+    good = good & (size <= largest)
+    there = None
+    if problem.present is not None:
+        present = problem.present.T
+        there = present > 0.5
+        good = (good | ~there) & ~jnp.isnan(present)
+    lane_good = vec3.every(good)
+    valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
+    if problem.free is not None:
+        valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
+    use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
+
+    def keep(array: Array) -> Array:
+        return jnp.where(use, array, 0)
+
+    kept = Vec(*map(keep, normals))
+    # From what was kept, so that no derivative meets what was not.
+    inverse = 1 / jnp.sqrt(jnp.where(use, vec3.dot(kept, kept), 1))
+    least = None if least is None else keep(least)
+    most = None if most is None else jnp.where(use, most, jnp.inf)
+    lanes = Lanes(
+        arms=Vec(*map(keep, points)),
+        normals=vec3.scale(inverse, kept),
+        friction=keep(friction),
+        squeeze=_allowed(keep(squeeze), keep(weights), least, most),
+        weights=keep(weights),
+        force=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
+        torque=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
+        lever=None if torsion is None else vec3.safe_divide(keep(torsion), keep(friction)),
+        least=least,
+        most=most,
+    )
+    return lanes, valid
+
+
+def _allowed(squeeze: Array, weights: Array, least: Array | None, most: Array | None) -> Array:
+    """The squeeze; of contacts that cannot move, which hold theirs, within the bounds of the normal force."""
+    for bound, cut in ((least, jnp.maximum), (most, jnp.minimum)):
+        if bound is not None:
+            squeeze = jnp.where(weights > 0, squeeze, cut(squeeze, bound))
+    return squeeze
+
+
+def _components(array: Array) -> Vec:
+    return Vec(*jnp.transpose(array, (2, 1, 0)))

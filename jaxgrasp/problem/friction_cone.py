@@ -1,0 +1,181 @@
+"""What one contact may exert: projection on it, the projection's derivative, and its support.
+
+A force f is allowed when |f - (f.a) a| <= mu f.a (eqs. 2 and 3), where of soft fingers the moment about the normal
+counts as one more tangential component; and, where normal forces are bounded, when f.a lies within its bounds.
+Everything is written with the vectors themselves, so that no tangent basis has to be chosen. A richer contact joins
+the solver by giving the same functions.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.problem import contact_vec
+from jaxgrasp.problem.contact_vec import Four
+
+
+class Cone(NamedTuple):
+    """Coulomb's cone of each contact, perhaps cut off below and above."""
+
+    normal: Vec
+    friction: Array
+    least: Array | None = None
+    """Of the normal force; None where none is bounded, and so for ``most``."""
+    most: Array | None = None
+
+
+class Bound(NamedTuple):
+    """What bounds of the normal force make of a projection."""
+
+    holds: Array
+    height: Array
+    """Normal component of the projection, where one holds it."""
+
+
+class Split(NamedTuple):
+    """A vector against a cone: its parts, and on which side it lies."""
+
+    along: Array
+    """Component along the normal."""
+    tangent: Four
+    """Unit tangential direction; zero where there is none."""
+    size: Array
+    """Length of the tangential part."""
+    inside: Array
+    polar: Array
+    """Whether the vector lies in the polar cone, whose projection is the apex."""
+    bound: Bound | None = None
+    """None where no normal force is bounded."""
+
+
+def split(u: Four, cone: Cone) -> Split:
+    along, across = _along_and_across(u, cone)
+    square = contact_vec.dot(across, across)
+    size = vec3.safe_sqrt(square)
+    tangent = contact_vec.of_components([vec3.safe_divide(c, size) for c in contact_vec.components(across)])
+    # The polar cone first: without friction a pull straight along the normal would pass for inside.
+    polar = cone.friction * size < -along
+    # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
+    limit = cone.friction * along
+    inside = (along >= 0) & (square <= limit * limit) & (cone.friction > 0)
+    sides = Split(along, tangent, size, inside, polar)
+    if cone.least is None and cone.most is None:
+        return sides
+    free = jnp.where(inside, along, jnp.where(polar, 0, _height(cone, sides)))
+    height = _clip(free, cone)
+    holds = height != free
+    # What a bound holds is neither in the cone nor in its polar: it lies on a disc.
+    return sides._replace(inside=inside & ~holds, polar=polar & ~holds, bound=Bound(holds, height))
+
+
+def _along_and_across(u: Four, cone: Cone) -> tuple[Array, Four]:
+    """The component along the normal, and what is left."""
+    along = vec3.dot(u.linear, cone.normal)
+    return along, Four(vec3.sub(u.linear, vec3.scale(along, cone.normal)), u.spin)
+
+
+def _height(cone: Cone, parts: Split) -> Array:
+    """Normal component of the projection on the cone's edge."""
+    rise = parts.along + cone.friction * parts.size
+    # Beside the polar cone the compiler may round this below zero, and the force would pull.
+    return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
+
+
+def _clip(height: Array, cone: Cone) -> Array:
+    height = height if cone.least is None else jnp.maximum(height, cone.least)
+    return height if cone.most is None else jnp.minimum(height, cone.most)
+
+
+def contains(u: Four, cone: Cone) -> Array:
+    """Whether ``u`` is allowed, rounding aside."""
+    along, across = _along_and_across(u, cone)
+    slack = 8 * jnp.finfo(along.dtype).eps
+    limit = cone.friction * along + slack * (1 + cone.friction) * jnp.abs(along)
+    allowed = (along >= 0) & (contact_vec.dot(across, across) <= limit * limit)
+    if cone.least is not None:
+        allowed = allowed & (along >= (1 - slack) * cone.least)
+    return allowed if cone.most is None else allowed & (along <= (1 + slack) * cone.most)
+
+
+def project(u: Four, cone: Cone, parts: Split) -> Four:
+    """The closest allowed force."""
+    zero = contact_vec.scale(jnp.zeros_like(parts.along), u)
+    edge = contact_vec.add(
+        contact_vec.along(jnp.ones_like(parts.along), cone.normal, u), contact_vec.scale(cone.friction, parts.tangent)
+    )
+    on_edge = contact_vec.scale(_height(cone, parts), edge)
+    on_cone = contact_vec.where(parts.inside, u, contact_vec.where(parts.polar, zero, on_edge))
+    if parts.bound is None:
+        return on_cone
+    # Where the cone's closest force is beyond a bound, the closest of all lies on that, a disc.
+    holds, height = parts.bound
+    reach = jnp.minimum(parts.size, cone.friction * height)
+    on_disc = contact_vec.add(contact_vec.along(height, cone.normal, u), contact_vec.scale(reach, parts.tangent))
+    return contact_vec.where(holds, on_disc, on_cone)
+
+
+def derivative(cone: Cone, parts: Split) -> list[list[Array]]:
+    """The projection's derivative by ``u``, a symmetric matrix as its lower triangle: 3x3, of soft fingers 4x4.
+
+    On the cone's surface, at its apex and at its bounds, where the projection has kinks, one of the limits from its
+    sides: an element of the generalised Jacobian.
+    """
+    on_edge = jnp.logical_not(parts.inside | parts.polar)
+    # The curvature of the cone: moving u across it turns the edge that carries the projection.
+    turning = jnp.where(on_edge, vec3.safe_divide(cone.friction * _height(cone, parts), parts.size), 0)
+    along_edge = jnp.where(on_edge, 1 / (1 + cone.friction**2), 0)
+    isotropic = jnp.where(parts.inside, 1, turning)
+    t = contact_vec.components(parts.tangent)
+    a = _as_long(cone.normal, t)
+    edge = [p + cone.friction * q for p, q in zip(a, t, strict=True)]
+    matrix = []
+    for i in range(len(t)):
+        row = [along_edge * edge[i] * edge[j] - turning * (a[i] * a[j] + t[i] * t[j]) for j in range(i + 1)]
+        row[i] = row[i] + isotropic
+        matrix.append(row)
+    if parts.bound is None:
+        return matrix
+    held = _disc_derivative(cone, parts, parts.bound.height)
+    return [[jnp.where(parts.bound.holds, p, q) for p, q in zip(*rows, strict=True)] for rows in zip(held, matrix)]
+
+
+def _disc_derivative(cone: Cone, parts: Split, height: Array) -> list[list[Array]]:
+    """That of the projection on a disc across the cone: all that is tangential, or what turns along its rim."""
+    flat = parts.size <= cone.friction * height
+    turning = jnp.where(flat, 0, vec3.safe_divide(cone.friction * height, parts.size))
+    isotropic = jnp.where(flat, 1, turning)
+    t = contact_vec.components(parts.tangent)
+    a = _as_long(cone.normal, t)
+    rows = []
+    for i in range(len(t)):
+        row = [-isotropic * a[i] * a[j] - turning * t[i] * t[j] for j in range(i + 1)]
+        row[i] = row[i] + isotropic
+        rows.append(row)
+    return rows
+
+
+def _as_long(normal: Vec, like: tuple[Array, ...]) -> tuple[Array, ...]:
+    """The normal's components, and a zero beside the moment about it."""
+    return (*normal, *[jnp.zeros_like(c) for c in like[3:]])
+
+
+def push(direction: Four, cone: Cone) -> Array:
+    """Work along ``direction`` of the force that does most, of those of unit normal component."""
+    along, across = _along_and_across(direction, cone)
+    return along + cone.friction * contact_vec.norm(across)
+
+
+def work_of(push: Array, cone: Cone) -> tuple[Array, Array]:
+    """The most work that each contact does along a direction, from its ``push``: for each unit of normal force
+    where none is bounded, 0 where it does none; and all of it where a bound of the normal force ends it."""
+    if cone.least is None and cone.most is None:
+        return push, jnp.zeros_like(push)
+    least = 0 if cone.least is None else cone.least
+    if cone.most is None:
+        return push, jnp.where(push > 0, 0, push * least)
+    ends = jnp.isfinite(cone.most)
+    bounded = jnp.where(push > 0, jnp.where(ends, push * jnp.where(ends, cone.most, 0), 0), push * least)
+    return jnp.where(ends, 0, push), bounded

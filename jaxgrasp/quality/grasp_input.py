@@ -1,0 +1,90 @@
+"""Concrete grasps of any leading axes, one by one on the host, after every entry was found usable."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxgrasp.model.faults import Fault, GraspError, check_grasp, entries
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.quality.wrench_discs import About, Discs, Length, discs
+from jaxgrasp.quality.wrench_sets import Body
+
+ROUNDING = 32.0
+"""Rounding of the products and sums behind a support, in units in the last place."""
+
+
+class Read(NamedTuple):
+    """A batch of grasps as discs in float64."""
+
+    shapes: Discs
+    """Of NumPy arrays."""
+    present: np.ndarray
+    """``(..., n)`` of truth."""
+    rounding: np.ndarray
+    """``(...)``, relative: the data's own, which a frame far away makes larger."""
+    soft: bool
+    """Whether any finger is soft."""
+
+    @property
+    def batch(self) -> tuple[int, ...]:
+        return self.present.shape[:-1]
+
+    def bodies(self) -> Iterator[tuple[tuple[int, ...], np.ndarray, Body]]:
+        """Each grasp: its index, which contacts it has, and what these reach."""
+        for index in np.ndindex(self.batch):
+            own = self.present[index]
+            centres, spans = (np.asarray(array[index])[own] for array in (self.shapes.centres, self.shapes.spans))
+            body = Body(centres, spans, float(self.rounding[index]))
+            yield index, own, body
+
+
+def read(grasp: Grasp, length: Length = None, about: About = None) -> Read:
+    """The grasps, checked; computed in float64 whatever JAX's mode and the precision of the data.
+
+    Raises:
+        GraspError: for the first entry that is not usable, as ``check_grasp``, ``length`` and ``about`` too.
+        TypeError: for traced arrays, as under ``jit``.
+    """
+    check_grasp(grasp)
+    unit, middle = _check_frame(grasp, length, about)
+    precision = np.finfo(np.asarray(grasp.points).dtype).eps
+    with jax.enable_x64(True):
+        wide = jax.tree.map(lambda array: np.asarray(array, np.float64), grasp)
+        shapes = jax.tree.map(np.asarray, _discs(wide, unit, middle))
+    present = np.ones(wide.friction.shape, bool) if grasp.present is None else np.asarray(wide.present) > 0.5
+    reach = np.max(np.where(present[..., None], np.abs(wide.points), 0), (-1, -2), initial=0)
+    soft = wide.torsion is not None and bool(np.any(np.where(present, wide.torsion, 0) > 0))
+    return Read(shapes, present, ROUNDING * precision * (1 + reach / shapes.length), soft)
+
+
+_discs = jax.jit(discs)
+
+
+def _check_frame(grasp: Grasp, length: Length, about: About) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The length and the point in the grasps' leading axes."""
+    batch = np.shape(grasp.points)[:-2]
+    given = {"length": (length, batch), "about": (about, (*batch, 3))}
+    read: dict[str, np.ndarray | None] = {}
+    for name, (value, shape) in given.items():
+        if value is None:
+            read[name] = None
+            continue
+        array = np.asarray(value, np.float64)
+        try:
+            read[name] = np.broadcast_to(array, shape)
+        except ValueError:
+            expected = f"a shape that broadcasts to {shape}, as points imply"
+            raise GraspError(Fault(name, (), f"an array of shape {array.shape}", expected)) from None
+        bad = ~np.isfinite(array) if name == "about" else ~((array > 0) & np.isfinite(array))
+        expected = "a finite coordinate [m]" if name == "about" else "a finite length above zero [m]"
+        for fault in entries(name, array, bad, expected):
+            raise GraspError(fault)
+    return read["length"], read["about"]
+
+
+def check_tolerance(tol: float) -> None:
+    if not (math.isfinite(tol) and 0 < tol < 1):
+        raise ValueError(f"tol is {tol}: expected a number between 0 and 1")

@@ -1,0 +1,99 @@
+"""What a contact exerts for each newton of its normal force: a disc of wrenches, in units where torques are forces.
+
+A contact of normal force 1 exerts c + B u, |u| <= 1. c is the wrench of its normal; the columns of B are those of its
+friction along two tangents, and of a soft finger's moment about the normal. Along a twist d it works at most at the
+rate c.d + |B^T d|, its support. Every measure of this package is a question about these discs, and none knows more
+of a contact.
+
+Wrenches are taken about a point and their torques are divided by a length; twists are of that point, and their
+angular velocities are multiplied by it. So both have the units of their first three components, and a product of the
+two is still power.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
+
+BLUR = 8
+"""Roundings of where contacts are that a distance between them has to exceed."""
+Length = Float[AnyArray, "..."] | float | None
+About = Float[AnyArray, "... 3"] | None
+
+
+class Discs(eqx.Module):
+    """Discs of the contacts of a batch of grasps; those of absent contacts are zeros."""
+
+    centres: Float[AnyArray, "*batch n 6"]
+    """c: (normal, torque of the normal / length) [1]."""
+    spans: Float[AnyArray, "*batch n 6 3"]
+    """B: columns for two tangents, and for the moment about the normal [1]."""
+    about: Float[AnyArray, "*batch 3"]
+    """Where torques are taken [m]."""
+    length: Float[AnyArray, "*batch"]
+    """What torques are divided by [m]."""
+
+
+def discs(grasp: Grasp, length: Length = None, about: About = None) -> Discs:
+    """The discs of a grasp, differentiable by all that makes them.
+
+    Args:
+        grasp: contacts ``(..., n)``.
+        length: ``(...)`` > 0 [m]. Where not given the root of the mean square of the distances of the present
+            contacts from ``about``, or 1 m where they all lie there.
+        about: ``(..., 3)`` [m]; where not given the mean of the present contacts' points.
+    """
+    there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    points = jnp.where(there[..., None], grasp.points, 0)
+    normals = jnp.where(there[..., None], grasp.normals, jnp.eye(3, dtype=points.dtype)[2])
+    normals = normals / jnp.sqrt(jnp.sum(normals**2, -1, keepdims=True))
+    friction = jnp.where(there, grasp.friction, 0)
+    torsion = 0 if grasp.torsion is None else jnp.where(there & (friction > 0), grasp.torsion, 0)
+    count = jnp.maximum(jnp.sum(there, -1), 1)
+    middle = jnp.sum(points, -2) / count[..., None] if about is None else jnp.asarray(about, points.dtype)
+    middle = jnp.broadcast_to(middle, (*points.shape[:-2], 3))
+    arms = jnp.where(there[..., None], points - middle[..., None, :], 0)
+    unit = _radius(arms, count, middle) if length is None else jnp.asarray(length, points.dtype)
+    unit = jnp.broadcast_to(unit, points.shape[:-2])
+    arms = arms / unit[..., None, None]
+
+    def wrench(force: Array) -> Array:
+        return jnp.concatenate([force, jnp.cross(arms, force)], -1)
+
+    first, second = tangents(normals)
+    moment = jnp.concatenate([jnp.zeros_like(normals), normals], -1) * (torsion / unit[..., None])[..., None]
+    sliding = [friction[..., None] * wrench(tangent) for tangent in (first, second)]
+    return Discs(
+        centres=jnp.where(there[..., None], wrench(normals), 0),
+        spans=jnp.stack([*sliding, moment], -1),
+        about=middle,
+        length=unit,
+    )
+
+
+def tangents(normals: Array) -> tuple[Array, Array]:
+    """Two unit vectors across each normal, the first one across a coordinate axis too: the one least along it."""
+    axis = jnp.eye(3, dtype=normals.dtype)[jnp.argmin(jnp.abs(normals), -1)]
+    first = jnp.cross(normals, axis)
+    first = first / jnp.sqrt(jnp.sum(first**2, -1, keepdims=True))
+    return first, jnp.cross(normals, first)
+
+
+def work(shapes: Discs, press: AnyArray, lean: AnyArray, direction: AnyArray) -> Array:
+    """Power along scaled twists ``(..., 6)`` of normal forces ``press`` (..., n) and friction ``lean`` (..., n, 3).
+
+    The lean of a contact is u times its normal force: its length is at most the normal force.
+    """
+    along = jnp.einsum("...nj,...j->...n", shapes.centres, direction)
+    across = jnp.einsum("...njk,...j->...nk", shapes.spans, direction)
+    return jnp.sum(press * along + jnp.sum(lean * across, -1), -1)
+
+
+def _radius(arms: Array, count: Array, middle: Array) -> Array:
+    radius = safe_sqrt(safe_divide(jnp.sum(arms**2, (-1, -2)), count))
+    # Points that coincide but for the rounding of their mean have no radius of their own.
+    blur = BLUR * jnp.finfo(radius.dtype).eps * safe_sqrt(jnp.sum(middle**2, -1))
+    return jnp.where(radius > blur, radius, 1)

@@ -1,0 +1,154 @@
+"""What the dual's six unknowns stand for: a virtual twist, as the contacts or a guide see it.
+
+An object that is free moves along every twist: its unknowns are the twist itself, the angular ones scaled. One that
+a guide holds moves along few: its unknowns count along those, and the rest of the six stay idle at zero.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.numerics import ldl, vec3
+from jaxgrasp.numerics.ldl import Lower
+from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.problem.spatial import Six, inner, parts, six
+
+
+class Stretch(NamedTuple):
+    """The twist of a free object, its angular part scaled along the axes; a scale of 0 removes that direction.
+
+    So directions that the contacts hardly reach are as large as the others.
+    """
+
+    scales: Vec
+
+    def twist(self, x: Six) -> tuple[Vec, Vec]:
+        """Linear and angular parts of the twist that the unknowns stand for."""
+        linear, angular = parts(x)
+        return linear, vec3.times(self.scales, angular)
+
+    def recover(self, linear: Vec, angular: Vec) -> Six:
+        """The unknowns of a twist."""
+        return six(linear, Vec(*(vec3.safe_divide(a, s) for a, s in zip(angular, self.scales, strict=True))))
+
+    def wrench(self, force: Vec, torque: Vec) -> Six:
+        """The work that a wrench does for each of the unknowns."""
+        return six(force, vec3.times(self.scales, torque))
+
+    def wrenches(self, several: Array) -> Array:
+        """``wrench`` of several ``(6, q, B)``."""
+        return jnp.concatenate([several[:3], jnp.stack(self.scales) * several[3:]])
+
+    def curvature(self, plain: list[list[Array]]) -> Lower:
+        """A symmetric matrix of twists as one of the unknowns."""
+        s = self.scales
+        rows = [
+            [s[i] * h for h in row[:3]] + [s[i] * s[j] * h for j, h in enumerate(row[3:])]
+            for i, row in enumerate(plain[3:])
+        ]
+        return plain[:3] + rows
+
+    def felt(self, wrench: Six) -> Six:
+        """The part of a wrench that no guide carries."""
+        return wrench
+
+    def unreached(self, wrench: Six) -> Six:
+        """The part of it that no contact reaches."""
+        force, torque = parts(wrench)
+        zero = jnp.zeros_like(force.x)
+        return six(Vec(zero, zero, zero), Vec(*(jnp.where(s > 0, 0, t) for s, t in zip(self.scales, torque))))
+
+    def idle(self) -> Six:
+        """1 for unknowns that stand for nothing."""
+        zero = Vec(*(jnp.zeros_like(s) for s in self.scales))
+        return six(zero, Vec(*((s == 0).astype(s.dtype) for s in self.scales)))
+
+    def reach(self, arms: Vec, spins: Vec | None) -> Array:
+        """How much a unit of force at each contact weighs in ``wrench``; ``spins`` are normals times levers."""
+        size2 = vec3.dot(arms, arms)
+        reach2 = sum(s * s * (size2 - r * r) for s, r in zip(self.scales, arms, strict=True))
+        if spins is not None:
+            turned = vec3.times(self.scales, spins)
+            reach2 = reach2 + vec3.dot(turned, turned)
+        return jnp.sqrt(1 + jnp.maximum(reach2, 0))
+
+    def rank(self) -> Array:
+        """Directions of wrench that the contacts reach."""
+        return sum(((s > 0).astype(jnp.int32) for s in self.scales), jnp.int32(3))
+
+
+class Guided(NamedTuple):
+    """Twists along which a guide lets the object move, orthogonal, and scaled as the contacts see them."""
+
+    columns: tuple[Six, ...]
+    """One for each unknown; zero where it is idle."""
+    lost: tuple[Six, ...]
+    """Of length 1: twists that the guide allows and no contact reaches; zero where there are none."""
+
+    def twist(self, x: Six) -> tuple[Vec, Vec]:
+        first, *others = [x[j : j + 1] * column for j, column in enumerate(self.columns)]
+        return parts(sum(others, first))
+
+    def recover(self, linear: Vec, angular: Vec) -> Six:
+        twist = six(linear, angular)
+        return self._padded([vec3.safe_divide(inner(c, twist), inner(c, c)) for c in self.columns])
+
+    def wrench(self, force: Vec, torque: Vec) -> Six:
+        given = six(force, torque)
+        return self._padded([inner(column, given) for column in self.columns])
+
+    def wrenches(self, several: Array) -> Array:
+        seen = jnp.stack([jnp.sum(column[:, None] * several, 0) for column in self.columns])
+        return jnp.concatenate([seen, jnp.zeros((6 - len(seen), *seen.shape[1:]), seen.dtype)])
+
+    def curvature(self, plain: list[list[Array]]) -> Lower:
+        bent = [
+            jnp.concatenate(jnp.broadcast_arrays(*ldl.multiply(plain, [c[i : i + 1] for i in range(6)])))
+            for c in self.columns
+        ]
+        zero = jnp.zeros_like(plain[0][0])
+        used = range(len(self.columns))
+        return [
+            [inner(self.columns[i], bent[j]) if i in used and j in used else zero for j in range(i + 1)]
+            for i in range(6)
+        ]
+
+    def felt(self, wrench: Six) -> Six:
+        along = [vec3.safe_divide(inner(c, wrench), inner(c, c)) * c for c in self.columns]
+        return sum(along, self.unreached(wrench))
+
+    def unreached(self, wrench: Six) -> Six:
+        return sum((inner(direction, wrench) * direction for direction in self.lost), jnp.zeros_like(wrench))
+
+    def idle(self) -> Six:
+        zero = jnp.zeros_like(self.columns[0][:1])
+        used = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
+        return jnp.concatenate(used + [zero + 1] * (6 - len(used)))
+
+    def reach(self, arms: Vec, spins: Vec | None) -> Array:
+        reach2 = jnp.zeros_like(arms.x)
+        for column in self.columns:
+            linear, angular = parts(column)
+            velocity = vec3.add(linear, vec3.cross(angular, arms))
+            reach2 = reach2 + vec3.dot(velocity, velocity)
+            if spins is not None:
+                reach2 = reach2 + vec3.dot(angular, spins) ** 2
+        return jnp.sqrt(reach2)
+
+    def rank(self) -> Array:
+        return sum(((inner(c, c) > 0).astype(jnp.int32) for c in self.columns), jnp.int32(0))
+
+    def _padded(self, rows: list[Array]) -> Six:
+        """As many zeros more as make it six."""
+        zero = jnp.zeros_like(rows[0])
+        return jnp.concatenate(jnp.broadcast_arrays(*rows, *[zero] * (6 - len(rows))))
+
+
+Unknowns = Stretch | Guided
+
+
+def unstretched(like: Array) -> Stretch:
+    """The twist of a free object as it is."""
+    one = jnp.ones_like(like)
+    return Stretch(Vec(one, one, one))

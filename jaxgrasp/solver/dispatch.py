@@ -1,0 +1,292 @@
+"""How a question is asked of a batch: any leading axes, and few programs for many sizes.
+
+Inside another program, or where derivatives are taken, a question is part of what is traced. Asked alone it is cut into
+pieces of few sizes, each compiled once. Only the last piece is padded, and its tiles stop at the true count: so padding
+costs neither time nor, in large batches, memory.
+"""
+
+import math
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, lru_cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.sharding import NamedSharding, PartitionSpec
+
+from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
+from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.flatten import Flat, Sharing, flatten, read_sharing
+
+SIZES = (1, 10, 100, 1000, 3000, 10000)
+"""What programs are compiled for: round numbers, since users like them. Larger pieces would not be faster: a call is
+dear beside some hundred problems alone."""
+LEAST_WHOLE = 1000
+"""From this size on a piece is worth a call of its own; what is left after such pieces is padded instead."""
+REMEMBERED = 16
+"""Sizes of batches: one that comes again meanwhile gets a small program that puts its answers together. Programs hold
+memory, so of these too there are no more."""
+LARGEST_ASSEMBLED = 30000
+"""Up to this size: of larger batches it would save nothing that counts, and hold all pieces at once."""
+ALIGNMENT = 64
+"""Bytes; what begins at a multiple of them JAX takes over without a copy."""
+
+Solve = Callable[..., Any]
+"""From a flat batch of problems, and one array for each of them by name, to a tree of arrays ``(B, ...)``."""
+
+
+class Given(NamedTuple):
+    """What a user gives beside the sharing."""
+
+    grasp: Grasp
+    wrench: AnyArray
+    weights: AnyArray | None
+    free: AnyArray | None
+    limits: Limits | None
+    safety: float | AnyArray | None
+    each: Mapping[str, AnyArray | float]
+
+
+def ask(
+    solve: Solve,
+    grasp: Grasp,
+    wrench: AnyArray,
+    sharing: Sharing,
+    *,
+    free: AnyArray | None = None,
+    limits: Limits | None = None,
+    safety: float | AnyArray | None = None,
+    tails: tuple[tuple[str, tuple[int, ...]], ...] = (),
+    **each: AnyArray | float | None,
+) -> Any:
+    """The answers of ``solve`` with the leading axes of what was given.
+
+    ``each`` are further arrays, one for each problem, whose last axes ``tails`` name, or ``(6,)``; those that are None
+    are left out.
+    """
+    name, weights = read_sharing(sharing)
+    there = {key: array for key, array in each.items() if array is not None}
+    given = Given(grasp, wrench, weights, free, limits, safety, there)
+    if not _is_alone(given):
+        return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
+    try:
+        if _size(given, tails) in SIZES:
+            return _exactly()(given, solve=solve, sharing=name, tails=tails)
+        return _in_pieces(solve, given, name, tails)
+    except ValueError as error:
+        if "compiler_options" not in str(error):
+            raise
+        # Constants inside another program, which has its own options.
+        return _within(given, solve=solve, sharing=name, tails=tails)
+
+
+def _flat(given: Given, sharing: str, tails: tuple, numpy: Any) -> Flat:
+    last = dict(tails)
+    each = {name: (array, last.get(name, (6,))) for name, array in given.each.items()}
+    return flatten(
+        given.grasp,
+        given.wrench,
+        given.weights,
+        sharing,
+        free=given.free,
+        limits=given.limits,
+        safety=given.safety,
+        each=each,
+        numpy=numpy,
+    )
+
+
+def _traced(given: Given, *, solve: Solve, sharing: str, tails: tuple) -> Any:
+    flat = _flat(given, sharing, tails, jnp)
+    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(Problem(**flat.fields), **flat.each))
+
+
+STATIC = ("solve", "sharing", "tails")
+_within = jax.jit(_traced, static_argnames=STATIC)
+
+
+@cache
+def _exactly() -> Callable[..., Any]:
+    """The same alone: the least work before and after, for sizes that need no padding."""
+    return jax.jit(_traced, static_argnames=STATIC, compiler_options=compile_options())
+
+
+def _on_mesh(given: Given, within: Callable[[Given], Any]) -> Any:
+    """The answers; where axes of a mesh are explicit they are XLA's own inside, since tiles are cut across them."""
+    types = [jax.typeof(leaf) for leaf in jax.tree.leaves(given) if isinstance(leaf, Array)]
+    spread = [kind.sharding for kind in types if kind.sharding.mesh.explicit_axes]
+    if not spread:
+        return within(given)
+    mesh = spread[0].mesh
+    # The answers are spread as the wrenches are, or else as the grasps.
+    leading = jax.typeof(given.wrench).sharding.spec[:-1]
+    if not any(leading):
+        leading = jax.typeof(given.grasp.points).sharding.spec[:-2]
+    out = NamedSharding(mesh, PartitionSpec(*leading))
+    return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(given)
+
+
+def _is_alone(given: Given) -> bool:
+    """Whether all is data on this machine's one processor: neither traced, nor spread, nor on another device."""
+    if jax.default_backend() != "cpu":
+        return False
+    here = {jax.devices()[0]}
+    for leaf in jax.tree.leaves(given):
+        if isinstance(leaf, jax.core.Tracer) or (isinstance(leaf, Array) and leaf.devices() != here):
+            return False
+    return True
+
+
+def _size(given: Given, tails: tuple) -> int | None:
+    """How many problems there are, as far as grasp, wrench and ``each`` tell; None where that makes no sense."""
+    grasp, last = given.grasp, dict(tails)
+    shapes = [np.shape(grasp.points)[:-2], np.shape(grasp.friction)[:-1], np.shape(given.wrench)[:-1]]
+    for name, array in given.each.items():
+        shape = np.shape(array)
+        shapes.append(shape[: len(shape) - len(last.get(name, (6,)))])
+    try:
+        return math.prod(np.broadcast_shapes(*shapes))
+    except ValueError:
+        return None  # whoever reads the arrays says what is wrong
+
+
+def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
+    own: Any = given
+    program: Callable
+    batch = _plain_batch(given, tails)
+    if batch is None:
+        flat = _flat(given, sharing, tails, np)
+        own, batch = (flat.fields, flat.each), flat.batch
+        program = _flat_program(solve)
+    else:
+        program = _program(solve, sharing, tails)
+    size = math.prod(batch)
+    own = jax.tree.map(np.asarray, own)
+
+    def found(first: int, room: int) -> Any:
+        part = jax.tree.map(lambda array: _piece(array, first, room, size), own)
+        return program(part, np.int32(min(room, size - first)))
+
+    cut = pieces(size)
+    answers = (found(*piece) for piece in cut)
+    if size <= LARGEST_ASSEMBLED and _comes_again(size):
+        return _assembler(batch)(tuple(answers))
+    return _assembled_by_numpy(answers, batch)
+
+
+def _plain_batch(given: Given, tails: tuple) -> tuple[int, ...] | None:
+    """The leading axis, where all arrays have the same one and no other: then each program reads its piece itself."""
+    grasp, last = given.grasp, dict(tails)
+    contacts = np.shape(grasp.points)[:-1]
+    one_safety = given.safety is None or np.ndim(given.safety) == 0
+    if len(contacts) != 2 or given.free is not None or given.limits is not None or not one_safety:
+        return None
+    batch = contacts[:1]
+    shapes: list[tuple[Any, tuple[int, ...]]]
+    shapes = [(grasp.normals, (*contacts, 3)), (given.wrench, (*batch, 6))]
+    each = (grasp.friction, grasp.squeeze, grasp.present, grasp.torsion, given.weights)
+    shapes += [(array, contacts) for array in each if array is not None]
+    shapes += [(array, batch + last.get(name, (6,))) for name, array in given.each.items()]
+    # A weak type would be lost with NumPy.
+    same = all(np.shape(array) == shape and not getattr(array, "weak_type", False) for array, shape in shapes)
+    return batch if same and not getattr(grasp.points, "weak_type", False) else None
+
+
+def pieces(size: int) -> list[tuple[int, int]]:
+    """Where each piece of a batch begins, and for how many problems its program is compiled; the last is padded."""
+    cut, first = [], 0
+    for room in reversed(SIZES):
+        while room >= LEAST_WHOLE and size - first >= room:
+            cut.append((first, room))
+            first += room
+    return cut if 0 < size == first else [*cut, (first, SIZES[bisect_left(SIZES, size - first)])]
+
+
+def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
+    """So many problems from the first on, behind the last one zeros; what all share is left as it is."""
+    if array.ndim == 0 or len(array) != size:
+        return array
+    part = array[first : first + room]
+    if len(part) == room:
+        return part
+    padded = _aligned((room, *array.shape[1:]), array.dtype)
+    padded[: len(part)] = part
+    return padded
+
+
+@cache
+def _sizes_met() -> deque[int]:
+    return deque(maxlen=REMEMBERED)
+
+
+def _comes_again(size: int) -> bool:
+    """Whether a batch of this size was asked for not long ago: then another program for it is worth its compilation."""
+    met = _sizes_met()
+    if size in met:
+        return True
+    met.append(size)
+    return False
+
+
+@lru_cache(REMEMBERED)
+def _assembler(batch: tuple[int, ...]) -> Callable[[tuple[Any, ...]], Any]:
+    """From the answers of all pieces to one of all problems, without what was padded."""
+    size = math.prod(batch)
+
+    def one(*parts: Array) -> Array:
+        return jnp.concatenate(parts)[:size].reshape(batch + parts[0].shape[1:])
+
+    def assemble(answers: tuple[Any, ...]) -> Any:
+        return jax.tree.map(one, *answers)
+
+    return jax.jit(assemble)
+
+
+def _assembled_by_numpy(answers: Iterable[Any], batch: tuple[int, ...]) -> Any:
+    """The answers of all pieces as one without a program for this size; each piece is copied as soon as it is there."""
+    size, first = math.prod(batch), 0
+    whole: list[np.ndarray] = []
+    for answer in answers:
+        leaves, structure = jax.tree.flatten(answer)
+        whole = whole or [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
+        for all_of_it, leaf in zip(whole, leaves, strict=True):
+            all_of_it[first : first + len(leaf)] = np.asarray(leaf)[: size - first]
+        first += len(leaves[0])
+    return jax.tree.unflatten(structure, jax.device_put([x.reshape(batch + x.shape[1:]) for x in whole]))
+
+
+def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Zeros that JAX takes over without a copy; what is not written to is never touched at all."""
+    length = math.prod(shape) * dtype.itemsize
+    room = np.zeros(length + ALIGNMENT, np.uint8)
+    first = -room.ctypes.data % ALIGNMENT
+    return room[first : first + length].view(dtype).reshape(shape)
+
+
+@cache
+def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
+    """For pieces of what the user gave."""
+
+    def run(given: Given, count: Array) -> Any:
+        flat = _flat(given, sharing, tails, jnp)
+        return solve(Problem(**flat.fields, count=count), **flat.each)
+
+    return jax.jit(run, compiler_options=compile_options())
+
+
+@cache
+def _flat_program(solve: Solve) -> Callable:
+    """For pieces of what NumPy has brought into one leading axis."""
+
+    def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array) -> Any:
+        fields, each = flat
+        return solve(Problem(**fields, count=count), **each)
+
+    return jax.jit(run, compiler_options=compile_options())

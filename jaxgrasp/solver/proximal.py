@@ -1,0 +1,156 @@
+"""The careful optimum: a proximal pull makes the dual strongly concave, and falls away level by level.
+
+At each level the pull holds the multiplier near the last level's, so that Newton's method starts close to
+its goal however degenerate the cones are. Where no forces exist the multiplier runs off instead, and what
+is left of the wrench tends to the shortest one out of reach: the proof.
+
+With a strength of zero, and one level, the same code is Newton's method on the dual as it is: the fast passes.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.problem import contact_vec
+from jaxgrasp.problem.batch_last import Lanes
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.scaling import Frame
+from jaxgrasp.problem.spatial import Six
+from jaxgrasp.solver import dual
+from jaxgrasp.solver.coordinates import Unknowns
+from jaxgrasp.solver.infeasibility import proof
+from jaxgrasp.solver.newton import Ascent, Dual, Hill, Judged, Proximal, ascend, judge
+from jaxgrasp.solver.pseudo_inverse import Metric
+
+STRONGEST = 1e-2
+STEPS_PER_LEVEL = 40
+
+
+class Search(NamedTuple):
+    """Where each lane stands."""
+
+    point: Array
+    forces: Four
+    verdict: Array
+    """NOT_CONVERGED for those that are not decided."""
+    steps: Array
+    certificate: Array
+    """As many rows as the point has; read where the verdict is INFEASIBLE."""
+    decided: Array
+    nearly: Array
+    """Whether the point is the optimum but for a last slack."""
+    stuck: Array
+    """Whether Newton's method was unable to move on."""
+
+
+class Effort(NamedTuple):
+    """How hard to try, in scalars, so that all efforts are one compiled code."""
+
+    careful: Array
+    """Level by level, with proofs; else the dual as it is, once."""
+    steps: Array
+    """Evaluations at each level."""
+
+
+@runtime_checkable
+class Ground(Protocol):
+    """What the search goes over: a hill, what its points are worth, and what they prove."""
+
+    def pulled(self, proximal: Proximal) -> Hill:
+        """The hill with a proximal pull."""
+        ...
+
+    def judge(self, point: Array) -> Judged:
+        """The forces of a point, and whether they are the optimum."""
+        ...
+
+    def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
+        """Whether a point, or the way to it, proves that no forces exist, and the direction that does."""
+        ...
+
+
+class Free(NamedTuple):
+    """Lanes without limits that tie their contacts together."""
+
+    lanes: Lanes
+    frame: Frame
+    unknowns: Unknowns
+    metric: Metric
+
+    def pulled(self, proximal: Proximal) -> Hill:
+        return Dual(self.lanes, self.unknowns, self.metric, proximal)
+
+    def judge(self, point: Six) -> Judged:
+        return judge(self.lanes, self.unknowns, self.metric, point)
+
+    def proof(self, point: Six, before: Six) -> tuple[Array, Six]:
+        forces = dual.best_forces(self.lanes, point, self.unknowns).forces
+        rest = dual.residual(self.lanes, forces, self.unknowns)
+        return proof(self.lanes, self.frame, self.unknowns, rest, point - before)
+
+
+def full_effort() -> Effort:
+    """All that can be done."""
+    return Effort(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
+
+
+def begin(point: Array, forces: Four, verdict: Array | Verdict, decided: Array) -> Search:
+    """Before the first step; what is ``decided`` keeps its verdict."""
+    # A grasp that many wrenches share has one column; where each lane stands is its own.
+    decided = jnp.broadcast_to(decided, point[:1].shape)
+    no, none = jnp.zeros_like(decided), jnp.zeros_like(decided, jnp.int32)
+    verdict = jnp.where(decided, verdict, Verdict.NOT_CONVERGED) + none
+    forces = contact_vec.scale(jnp.ones_like(point[:1]), forces)
+    return Search(point, forces, verdict, none, jnp.zeros_like(point), decided, no, no)
+
+
+def proximal_search(ground: Ground, search: Search, effort: Effort) -> Search:
+    """The optimum of the lanes that are not decided, or a proof that there is none."""
+    weakest = 4 * float(jnp.finfo(search.point.dtype).eps)
+
+    def unfinished(carry):
+        strength, first, search = carry
+        return (first | (strength >= weakest)) & ~jnp.all(search.decided)
+
+    def fall(carry):
+        strength, _, search = carry
+        return strength / 10, jnp.asarray(False), _level(ground, strength, effort, search)
+
+    strongest = jnp.where(effort.careful, STRONGEST, 0).astype(search.point.dtype)
+    search = varying_like(search, ground)
+    *_, search = lax.while_loop(unfinished, fall, (strongest, jnp.asarray(True), search))
+    good = effort.careful & ~search.decided & search.nearly
+    return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))
+
+
+def _level(ground: Ground, strength: Array, effort: Effort, search: Search) -> Search:
+    """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
+    hill = ground.pulled(Proximal(strength, search.point))
+    return _decide(ground, effort, search, ascend(hill, search.point, search.decided, effort.steps))
+
+
+@one_kernel
+def _decide(ground: Ground, effort: Effort, search: Search, ascent: Ascent) -> Search:
+    forces, optimal, nearly = ground.judge(ascent.point)
+
+    def unproven(point: Array, before: Array) -> tuple[Array, Array]:
+        return jnp.zeros_like(optimal), jnp.zeros_like(point)
+
+    proven, direction = lax.cond(effort.careful, ground.proof, unproven, ascent.point, search.point)
+    hopeless = ~optimal & proven
+    open_ = ~search.decided
+    verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
+    return Search(
+        point=jnp.where(open_, ascent.point, search.point),
+        forces=contact_vec.where(open_, forces, search.forces),
+        verdict=jnp.where(open_, verdict, search.verdict),
+        steps=search.steps + jnp.where(open_, ascent.steps, 0),
+        certificate=jnp.where(open_ & hopeless, direction, search.certificate),
+        decided=search.decided | optimal | hopeless,
+        nearly=jnp.where(open_, nearly, search.nearly),
+        stuck=jnp.where(open_, ascent.stuck, search.stuck),
+    )

@@ -1,0 +1,266 @@
+"""Limits of joint torques: |R f| <= bound, where the rows of R are what the contact forces ask of the joints.
+
+They tie the contacts together, so that no projection of each contact alone can respect them. The dual gets one more
+unknown for each limit, the speed of its joint at the price of its bound: with the speeds e contact i moves by
+G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth where a speed is zero: a ridge, on which
+all limits that do not bind stay.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.numerics import ldl, pivoted_ldl, vec3
+from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.ldl import Lower
+from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.problem import contact_vec, spatial
+from jaxgrasp.problem.batch_last import Lanes, Problem
+from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.scaling import Frame
+from jaxgrasp.problem.tolerances import tolerances
+from jaxgrasp.solver import dual, newton
+from jaxgrasp.solver.coordinates import Unknowns
+from jaxgrasp.solver.dual import Forces
+from jaxgrasp.solver.newton import Judged, Proximal
+from jaxgrasp.solver.pseudo_inverse import Metric, whitened_square
+from jaxgrasp.solver.result import measure
+
+LARGEST_UNROLLED = 10
+"""Unknowns up to which a factorisation is written out: more take long to compile."""
+
+
+class Rows(NamedTuple):
+    """Limits of a few joints in the lanes' coordinates, each row of length 1 as the contacts see it."""
+
+    map: Four
+    """Components ``(q, n, B)``."""
+    bound: Array
+    """``(q, B)``; 1 for rows of zeros, which nothing can break."""
+    scale: Array
+    """``(q, B)``: a row here over the user's."""
+
+
+@one_kernel
+def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None = None) -> Rows:
+    """The limits of the joints ``chosen`` by a 1 for each row ``(B, q, j)``; of all joints where not given."""
+    rows, bounds = _in_lane(problem, lanes, frame, chosen)
+    square = contact_vec.dot(rows, rows)
+    # By contacts that can move; where none does, the torque is what it is.
+    seen, whole = jnp.sum(lanes.weights * square, 1), jnp.sum(square, 1)
+    size = vec3.safe_sqrt(jnp.where(seen > 0, seen, whole))
+    return _scaled(rows, bounds, vec3.safe_divide(jnp.ones_like(size), size))
+
+
+def rows_scaled_by(scale: Array, problem: Problem, lanes: Lanes, frame: Frame) -> Rows:
+    """The limits of all joints with lengths that are known."""
+    return _scaled(*_in_lane(problem, lanes, frame, None), scale)
+
+
+def _scaled(rows: Four, bounds: Array, scale: Array) -> Rows:
+    return Rows(contact_vec.scale(scale[:, None], rows), jnp.where(scale > 0, scale * bounds, 1), scale)
+
+
+def _in_lane(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None) -> tuple[Four, Array]:
+    """Rows and bounds in a lane's axes and loads; rows of zeros for joints that are not bounded."""
+    assert problem.torque_map is not None and problem.torque_max is not None
+    maps, bounds = jnp.transpose(problem.torque_map, (2, 3, 1, 0)), problem.torque_max.T  # (c, j, n, B), (j, B)
+    there, bounded = vec3.dot(lanes.normals, lanes.normals) > 0, jnp.isfinite(bounds)
+    maps, bounds = jnp.where(there & bounded[:, None], maps, 0), jnp.where(bounded, bounds, 0)
+    if chosen is not None:
+        which = jnp.transpose(chosen, (1, 2, 0))  # (q, j, B)
+        maps = jnp.sum(which[:, :, None] * maps[:, None], 2)
+        bounds = jnp.sum(which * bounds, 1)
+    linear = Vec(*maps[:3])
+    if frame.axes is not None:
+        linear = vec3.rotate(frame.axes, linear)
+    spin = None
+    if lanes.lever is not None:
+        spin = frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x
+    return Four(linear, spin), bounds / frame.load
+
+
+def usable(problem: Problem) -> Array:
+    """Whether the limits of torques are numbers that can be computed with ``(B,)``."""
+    assert problem.torque_map is not None and problem.torque_max is not None
+    asked = jnp.sum(jnp.abs(problem.torque_map), (2, 3)) <= tolerances(problem.torque_map.dtype).largest
+    if problem.present is not None:
+        asked = asked | ~(problem.present > 0.5)
+    return jnp.all(asked, 1) & jnp.all(problem.torque_max >= 0, 1)
+
+
+def cleaned(problem: Problem) -> Problem:
+    """The problem with zeros where its map of torques has no numbers."""
+    given = problem.torque_map
+    assert given is not None
+    return eqx.tree_at(lambda p: p.torque_map, problem, jnp.where(jnp.isfinite(given), given, 0))
+
+
+def of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:
+    """Torques ``(B, j)`` by the user's own map and forces ``(B, n, 3)``, as they came."""
+    if torque_map.shape[2] == 4:
+        spins = jnp.zeros_like(forces[..., 0]) if moments is None else moments
+        forces = jnp.concatenate([forces, spins[..., None]], -1)
+    # A product of matrices with one axis to sum over: ten times faster than a sum over two.
+    flat = torque_map.reshape(len(torque_map), -1, torque_map.shape[-1])
+    return jnp.einsum("bkj,bk->bj", flat, forces.reshape(len(forces), -1), precision=lax.Precision.HIGHEST)
+
+
+def torques(rows: Rows, forces: Four) -> Array:
+    """R f ``(q, B)``."""
+    return jnp.sum(contact_vec.dot(rows.map, forces), 1)
+
+
+def beyond(torque: Array, bound: Array) -> Array:
+    """What of the torques is beyond their bounds."""
+    return jnp.sign(torque) * jnp.maximum(jnp.abs(torque) - bound, 0)
+
+
+def pull(rows: Rows, rates: Array) -> Four:
+    """R^T e: the velocities of the contacts by the joints."""
+    parts = [jnp.sum(rates[:, None] * c, 0) for c in contact_vec.components(rows.map)]
+    return contact_vec.of_components(parts)
+
+
+class Bordered(NamedTuple):
+    """A symmetric matrix of the object's unknowns and the rates."""
+
+    plain: Lower
+    """Of the six."""
+    across: Array
+    """``(6, q, B)``."""
+    own: Array
+    """``(q, q, B)``: of the rates."""
+
+
+class Hillside(NamedTuple):
+    """The dual at a point: value, gradient and minus Hessian, as ``dual.Value``."""
+
+    value: Array
+    gradient: Array
+    curvature: Bordered
+    push: Array
+
+
+class Limited(NamedTuple):
+    """The dual of lanes with limits, as a hill: six unknowns of the object over one rate for each row."""
+
+    lanes: Lanes
+    unknowns: Unknowns
+    metric: Metric
+    rows: Rows
+    proximal: Proximal | None = None
+
+    def forces(self, point: Array) -> Forces:
+        twist = dual.twist_at(self.lanes, point[:6], self.unknowns)
+        return dual.forces_at(self.lanes, contact_vec.sub(twist, pull(self.rows, point[6:])))
+
+    def look(self, point: Array) -> Hillside:
+        lanes, rows, rates = self.lanes, self.rows, point[6:]
+        best = self.forces(point)
+        at = dual.evaluate_at(lanes, best, point[:6], self.unknowns)
+        value = at.value - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
+        curvature = bordered(lanes, self.unknowns, rows, best, at.curvature)
+        gradient = jnp.concatenate([at.gradient, torques(rows, best.forces)])
+        if self.proximal is not None:
+            strength, offset = self.proximal.strength, point - self.proximal.centre
+            value, gradient = value - strength * spatial.inner(offset, offset) / 2, gradient - strength * offset
+            curvature = _raised(curvature, strength)
+        # With the pull, since that decides too on which side of the ridge it goes up.
+        gradient = jnp.concatenate([gradient[:6], _off_ridge(gradient[6:], rates, rows.bound)])
+        return Hillside(value, gradient, curvature, at.push)
+
+    def size2(self, gradient: Array) -> Array:
+        return whitened_square(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
+
+    def direction(self, at: Hillside, point: Array, caution: Array) -> Array:
+        damping = newton.damping_of(self.size2(at.gradient), caution, self.proximal)
+        plain = newton.damped(at.curvature.plain, self.metric, damping)
+        matrix = at.curvature._replace(plain=plain, own=_plus_identity(at.curvature.own, damping))
+        rates, slope = point[6:], at.gradient[6:]
+        # What is about to meet the ridge goes there by itself: in Newton's step for all it would cut the others short.
+        lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.size2(at.gradient)))
+        on_ridge = rates == 0
+        free = ~lands & (~on_ridge | (slope != 0))
+
+        def without_falling(free: Array) -> tuple[Array, Array]:
+            """Newton's step, and what of it would leave the ridge on its falling side."""
+            step = _solve(matrix, at.gradient, free)
+            return step, free & on_ridge & (step[6:] * slope < 0)
+
+        def again(carry):
+            free, (_, falls) = carry
+            return free & ~falls, without_falling(free & ~falls)
+
+        first = free, without_falling(free)
+        _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
+        return jnp.concatenate([step[:6], jnp.where(lands, -rates, step[6:])])
+
+    def arrived(self, at: Hillside, point: Array) -> Array:
+        size2 = self.size2(at.gradient)
+        return newton.has_converged(self.lanes, point, at.gradient, size2, at.value, at.push)
+
+    def onto(self, start: Array, trial: Array) -> Array:
+        rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
+        return jnp.concatenate([trial[:6], rates])
+
+    def judge(self, point: Array) -> Judged:
+        """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
+        best = newton.as_handed_out(self.forces(point).forces)
+        found = measure(self.lanes, best, self.unknowns)
+        off = _off_ridge(torques(self.rows, best), point[6:], self.rows.bound)
+        rest = jnp.concatenate([self.unknowns.wrench(*spatial.parts(found.rest)), off])
+        return newton.judged(self.lanes, best, point, rest, self.size2(rest), found)
+
+
+def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> Bordered:
+    """The curvature of the object's unknowns and of the rates."""
+    bent = dual.bend(lanes, best, rows.map)
+    wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(lanes, bent)))  # (6, q, n, B)
+    pairs = zip(contact_vec.components(rows.map), contact_vec.components(bent), strict=True)
+    # One sum over a stack of both: they share so much work that none should compute it alone.
+    sums = jnp.sum(jnp.concatenate([wrench, sum(p[:, None] * q for p, q in pairs)]), 2)
+    return Bordered(plain, -unknowns.wrenches(sums[:6]), sums[6:])
+
+
+def whole(matrix: Bordered, keep: Array) -> Array:
+    """All of a matrix, ``(6 + q, 6 + q, B)``, with zeros in rows and columns of rates that are not kept ``(q, B)``."""
+    size = range(6)
+    corner = jnp.stack([jnp.concatenate([matrix.plain[max(i, j)][min(i, j)] for j in size]) for i in size])
+    across = matrix.across * keep
+    own = matrix.own * keep * keep[:, None]
+    return jnp.concatenate(
+        [jnp.concatenate([corner, across], 1), jnp.concatenate([jnp.swapaxes(across, 0, 1), own], 1)]
+    )
+
+
+def _plus_identity(matrix: Array, factor: Array) -> Array:
+    return matrix + factor * jnp.eye(len(matrix), dtype=matrix.dtype)[..., None]
+
+
+def _raised(matrix: Bordered, strength: Array) -> Bordered:
+    plain = [[*row[:-1], row[-1] + strength] for row in matrix.plain]
+    return matrix._replace(plain=plain, own=_plus_identity(matrix.own, strength))
+
+
+def _off_ridge(torque: Array, rates: Array, bound: Array) -> Array:
+    """The gradient by the rates: what a torque is beyond its bound, or short of it where the rate is not zero."""
+    return jnp.where(rates == 0, beyond(torque, bound), torque - jnp.sign(rates) * bound)
+
+
+def _solve(matrix: Bordered, right: Array, free: Array) -> Array:
+    """x with matrix x = right, but zero for the rates that are not free."""
+    keep = free.astype(right.dtype)
+    right = jnp.concatenate([right[:6], keep * right[6:]])
+    size = len(right)
+    if size > LARGEST_UNROLLED:
+        return pivoted_ldl.solve(pivoted_ldl.factor(whole(matrix, keep), 0.0), right)
+    rows = [list(row) for row in matrix.plain]
+    for i in range(len(keep)):
+        kept = keep[i : i + 1]
+        across = [kept * matrix.across[j, i : i + 1] for j in range(6)]
+        own = [kept * keep[j : j + 1] * matrix.own[j, i : i + 1] for j in range(i)]
+        rows.append([*across, *own, jnp.where(kept > 0, matrix.own[i, i : i + 1], 1)])
+    return jnp.concatenate(ldl.solve(ldl.factor(rows), [right[i : i + 1] for i in range(size)]))

@@ -1,0 +1,159 @@
+"""Kinds of grips: those that a hand really makes, and what cannot change what they are called."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.contact.hands import rotations
+
+from jaxgrasp import (
+    CYLINDRICAL_POWER_GRIP,
+    Box,
+    Contacts,
+    Contributions,
+    Cylinder,
+    GripType,
+    Hand,
+    Pose,
+    Posture,
+    Sphere,
+    contributions_of,
+    find_contacts,
+    grip_type,
+    human_hand,
+    link_contributions,
+    power_grip,
+)
+from jaxgrasp.hand.grip_type import CONTRIBUTIONS
+
+HAND = human_hand()
+LINKS = [link.name for link in HAND.links]
+KEY = {"thumb abduction": 0.2, "thumb MP": 0.2, "thumb IP": 0.4, "MP": 1.1, "PIP": 1.2, "DIP": 0.6}
+"""Bent fingers, the thumb beside the index [rad]."""
+BEAD = np.array([0.0956, 0.0339, -0.0558]), 0.0055
+"""A small ball between them: its place and its radius [m]."""
+TIPS = {"thumb distal", "index distal", "middle distal", "ring distal", "little distal"}
+
+
+def key_pinch(hand: Hand) -> tuple[Posture, Contacts]:
+    angles = np.array([KEY.get(name, KEY.get(name.split()[1], 0.0)) for name in hand.joints])
+    posture = Posture(Pose(np.zeros(3), np.eye(3)), angles)
+    return posture, find_contacts(hand, posture, Sphere(BEAD[1]), Pose(BEAD[0], np.eye(3)))
+
+
+def changed(contacts: Contacts, **fields) -> Contacts:
+    return Contacts(**jax.tree.map(jnp.asarray, {**vars(contacts), **fields}))
+
+
+def stacked(grips: list[tuple[Posture, Contacts]]) -> tuple[Posture, Contacts]:
+    return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *grips))
+
+
+@pytest.fixture(scope="module")
+def real() -> tuple[Posture, Contacts, list[GripType]]:
+    """Grips of a cylinder and a ball, a key pinch, and an open hand."""
+    around = [power_grip(HAND, shape) for shape in (Cylinder(0.03, 0.12), Sphere(0.04))]
+    open_hand = Posture(Pose(np.zeros(3), np.eye(3)), np.zeros(19))
+    far = find_contacts(HAND, open_hand, Sphere(0.03), Pose(np.ones(3), np.eye(3)))
+    kinds = [GripType.CYLINDRICAL_POWER, GripType.SPHERICAL_POWER, GripType.LATERAL, GripType.NONE]
+    grips = [(posture, contacts) for posture, _, contacts in around]
+    return *stacked([*grips, key_pinch(HAND), (open_hand, far)]), kinds
+
+
+def test_each_grip_that_a_hand_makes_has_its_name(real):
+    posture, contacts, kinds = real
+    found = grip_type(HAND, posture, contacts)
+    assert found.dtype == jnp.int32 and found.tolist() == kinds
+    assert [int(grip_type(HAND, *jax.tree.map(lambda x, i=i: x[i], (posture, contacts)))) for i in range(4)] == kinds
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "make, kind",
+    [
+        (lambda radius: Cylinder(radius, 0.12), GripType.CYLINDRICAL_POWER),
+        (lambda radius: Box(2 * radius, 2 * radius, 0.12), GripType.CYLINDRICAL_POWER),
+        (Sphere, GripType.SPHERICAL_POWER),
+    ],
+)
+def test_power_grips_of_all_sizes_and_sides(make, kind):
+    for side in ("right", "left"):
+        for length in (0.16, 0.19, 0.21):
+            hand = human_hand(length, side=side)
+            for radius in (0.02, 0.03, 0.04):
+                posture, _, contacts = power_grip(hand, make(radius))
+                assert int(grip_type(hand, posture, contacts)) == kind, (side, length, radius)
+
+
+def test_where_hand_and_object_are_and_how_hard_they_press_does_not_matter(real):
+    posture, contacts, kinds = real
+    rng = np.random.default_rng(0)
+    for turn in rotations(5, rng):
+        shift = rng.normal(size=3)
+        moved = Posture(Pose(posture.wrist.origin @ turn.T + shift, turn @ posture.wrist.rotation), posture.angles)
+        seen = changed(
+            contacts,
+            points=contacts.points @ turn.T + shift,
+            # What is absent says nothing.
+            normals=np.where(contacts.present[..., None] > 0, contacts.normals @ turn.T, np.nan),
+            depths=contacts.depths * rng.uniform(0.1, 5, contacts.depths.shape),
+        )
+        assert grip_type(HAND, moved, seen).tolist() == kinds
+
+
+def test_a_left_hand_makes_the_same_grips(real):
+    posture, contacts, kinds = real
+    flip = np.array([1.0, -1.0, 1.0])
+    wrist = Pose(posture.wrist.origin * flip, flip[:, None] * posture.wrist.rotation * flip)
+    seen = changed(contacts, points=contacts.points * flip, normals=contacts.normals * flip)
+    assert grip_type(human_hand(side="left"), Posture(wrist, posture.angles), seen).tolist() == kinds
+
+
+def test_the_order_of_a_hands_links_does_not_matter(real):
+    posture, contacts, kinds = real
+    order = np.random.default_rng(1).permutation(len(LINKS))
+    hand = Hand(**{**vars(HAND), "links": tuple(HAND.links[i] for i in order)})
+    fields = ("points", "normals", "depths", "present")
+    seen = changed(contacts, **{name: getattr(contacts, name)[:, order] for name in fields})
+    assert grip_type(hand, posture, seen).tolist() == kinds
+
+
+@pytest.mark.parametrize(
+    "touching, kind",
+    [
+        ({"thumb distal", "index distal"}, GripType.PRECISION_2),
+        ({"thumb distal", "little distal"}, GripType.PRECISION_2),
+        (TIPS - {"ring distal", "little distal"}, GripType.PRECISION_3),
+        (TIPS - {"middle distal"}, GripType.PRECISION_4),
+        (TIPS, GripType.PRECISION_5),
+        (TIPS - {"thumb distal"}, GripType.UNKNOWN),
+        ({"thumb distal"}, GripType.UNKNOWN),
+        ({"middle palm"}, GripType.UNKNOWN),
+        (TIPS | {"ring middle"}, GripType.UNKNOWN),
+        (TIPS | {"ring palm"}, GripType.CYLINDRICAL_POWER),
+        (TIPS - {"thumb distal"} | {"index proximal"}, GripType.CYLINDRICAL_POWER),
+    ],
+)
+def test_which_links_touch_decides(real, touching, kind):
+    """All normals along one line, out of the fingers' pulps."""
+    posture, contacts = jax.tree.map(lambda x: x[3], real[:2])
+    normals = np.broadcast_to([0.0, 0.0, -1.0], contacts.normals.shape)
+    present = np.isin(LINKS, list(touching)).astype(float)
+    seen = changed(contacts, normals=normals, present=present)
+    assert int(grip_type(HAND, posture, seen)) == kind
+    unsure = changed(seen, present=np.where(present > 0, np.nan, 0))
+    assert int(grip_type(HAND, posture, unsure)) == GripType.UNKNOWN
+
+
+def test_contributions_are_table_1_for_the_grip_that_it_is_about_and_the_users_or_1_for_others():
+    table = link_contributions(HAND, CYLINDRICAL_POWER_GRIP)
+    np.testing.assert_array_equal(contributions_of(HAND, GripType.CYLINDRICAL_POWER), table)
+    for kind in set(GripType) - {GripType.CYLINDRICAL_POWER}:
+        np.testing.assert_array_equal(contributions_of(HAND, kind), np.ones(len(LINKS)))
+    rows = CYLINDRICAL_POWER_GRIP
+    mine = Contributions("spherical power", rows.fingers, rows.phalanges, 2 * rows.values, "a test")
+    tables = {**CONTRIBUTIONS, GripType.SPHERICAL_POWER: mine}
+    np.testing.assert_array_equal(
+        contributions_of(HAND, GripType.SPHERICAL_POWER, tables), link_contributions(HAND, mine)
+    )
+    np.testing.assert_array_equal(contributions_of(HAND, GripType.CYLINDRICAL_POWER, tables), table)

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
-from tests.prehension.hands import without_hand
+from tests.grip.hands import without_hand
 
 from jaxgrasp import (
     Body,

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.contact.hands import random_posture, rotations
+from tests.hand.hands import random_posture, rotations
 
 from jaxgrasp import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
 from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
-from tests.prehension.hands import without_hand
+from tests.grip.hands import without_hand
 
 from jaxgrasp import (
     Body,

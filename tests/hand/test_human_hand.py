@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.contact.hands import random_posture
+from tests.hand.hands import random_posture
 
 from jaxgrasp import Pose, Posture, human_hand, mirrored, pose_hand
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.contact.hands import random_posture
+from tests.hand.hands import random_posture
 
 import jaxgrasp
 from jaxgrasp import Pose, Posture, human_hand, pose_hand

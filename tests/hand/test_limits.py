@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.contact.hands import random_posture
+from tests.hand.hands import random_posture
 
 import jaxgrasp
 from jaxgrasp import (

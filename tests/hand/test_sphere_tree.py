@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from tests.contact.hands import random_posture, rotations
+from tests.hand.hands import random_posture, rotations
 
 from jaxgrasp import (
     Body,

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.contact.hands import rotations
+from tests.hand.hands import rotations
 
 from jaxgrasp import (
     Box,

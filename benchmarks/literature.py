@@ -26,23 +26,14 @@ from benchmarks.page import literature_plot, literature_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.problem_data import Problems
 from benchmarks.problems import problems
-from jaxgrasp import (
-    LITERATURE_METHODS,
-    Grasp,
-    Limits,
-    MethodStatus,
-    Verdict,
-    closed_form,
-    constrained_optimum,
-    cylinder_task,
-    friction_margin,
-    kuhn_tucker,
-)
+from jaxgrasp import Grasp, Limits, Verdict, closed_form, constrained_optimum, friction_margin
+from jaxgrasp.literature import LITERATURE_METHODS, MethodStatus, kuhn_tucker
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
 from jaxgrasp.literature.host_problem import posed
 from jaxgrasp.literature.linear import Program, solve_plain
 from jaxgrasp.literature.method_input import read
 from jaxgrasp.literature.orin_oh import load_program
+from jaxgrasp.sensitivity import cylinder_task
 
 NAME = "literature"
 SEED, SIZES, SIDES = 0, (3, 5, 10), 8

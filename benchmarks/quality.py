@@ -41,7 +41,7 @@ def closed_grasps(n: int, count: int) -> tuple[Grasp, np.ndarray]:
     """The first closed ones among ordinary grasps, and their wrenches."""
     problem = P.problems("ordinary", n, 12 * count, seed=7)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    kept = np.flatnonzero(jaxgrasp.force_closure(grasp).closed)[:count]
+    kept = np.flatnonzero(jaxgrasp.quality.force_closure(grasp).closed)[:count]
     return jax.tree.map(lambda array: array[kept], grasp), problem.wrench[kept]
 
 
@@ -65,15 +65,15 @@ def times(plan: Plan) -> list[dict]:
     for n in plan.sizes:
         grasp, wrench = closed_grasps(n, plan.grasps)
         calls: dict[str, tuple] = {
-            "force_closure": (jaxgrasp.force_closure,),
-            "ferrari_canny, l1": (jaxgrasp.ferrari_canny,),
-            "ferrari_canny, l1, 8 sides": (partial(jaxgrasp.ferrari_canny, sides=8),),
-            "ferrari_canny, linf": (partial(jaxgrasp.ferrari_canny, bound="linf"),),
-            "ferrari_canny, linf, 8 sides": (partial(jaxgrasp.ferrari_canny, bound="linf", sides=8),),
-            "largest_wrench, l1": (partial(jaxgrasp.largest_wrench, bound="l1"), wrench),
-            "largest_wrench, linf": (jaxgrasp.largest_wrench, wrench),
-            "min_weight, 4 sides": (jaxgrasp.min_weight,),
-            "singular_values": (jaxgrasp.singular_values,),
+            "force_closure": (jaxgrasp.quality.force_closure,),
+            "ferrari_canny, l1": (jaxgrasp.quality.ferrari_canny,),
+            "ferrari_canny, l1, 8 sides": (partial(jaxgrasp.quality.ferrari_canny, sides=8),),
+            "ferrari_canny, linf": (partial(jaxgrasp.quality.ferrari_canny, bound="linf"),),
+            "ferrari_canny, linf, 8 sides": (partial(jaxgrasp.quality.ferrari_canny, bound="linf", sides=8),),
+            "largest_wrench, l1": (partial(jaxgrasp.quality.largest_wrench, bound="l1"), wrench),
+            "largest_wrench, linf": (jaxgrasp.quality.largest_wrench, wrench),
+            "min_weight, 4 sides": (jaxgrasp.quality.min_weight,),
+            "singular_values": (jaxgrasp.quality.singular_values,),
         }
         for name, (measure, *others) in calls.items():
             took = spent(measure, grasp, *others)
@@ -89,7 +89,7 @@ def gaps(plan: Plan) -> list[dict]:
         for bound in ("l1", "linf"):
             for points in plan.points:
                 start = time.perf_counter()
-                found = jaxgrasp.ferrari_canny(grasp, bound, tol=1e-4, max_points=points)
+                found = jaxgrasp.quality.ferrari_canny(grasp, bound, tol=1e-4, max_points=points)
                 seconds = (time.perf_counter() - start) / plan.grasps
                 gap = 1 - found.lower / found.upper
                 figures = {"median": float(np.median(gap)), "largest": float(gap.max()), "seconds": seconds}
@@ -103,9 +103,9 @@ def pyramids(plan: Plan) -> list[dict]:
     for n in plan.sizes:
         grasp, _ = closed_grasps(n, plan.grasps)
         for bound in ("l1", "linf"):
-            exact = jaxgrasp.ferrari_canny(grasp, bound)
+            exact = jaxgrasp.quality.ferrari_canny(grasp, bound)
             for sides in SIDES:
-                found = jaxgrasp.ferrari_canny(grasp, bound, sides=sides)
+                found = jaxgrasp.quality.ferrari_canny(grasp, bound, sides=sides)
                 short = 1 - found.upper / exact.upper
                 figures = {"median": float(np.median(short)), "largest": float(short.max())}
                 rows.append({"n": n, "bound": bound, "sides": sides, **figures})
@@ -118,7 +118,8 @@ def decisions(plan: Plan) -> list[dict]:
     for kind in KINDS:
         for n in plan.sizes:
             problem = P.problems(kind, n, plan.decided, seed=7)
-            found = jaxgrasp.force_closure(Grasp(problem.points, problem.normals, problem.friction, problem.squeeze))
+            grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
+            found = jaxgrasp.quality.force_closure(grasp)
             closed, undecided = int(found.closed.sum()), int((~found.decided).sum())
             counts = {"closed": closed, "open": plan.decided - closed - undecided, "undecided": undecided}
             rows.append({"kind": kind, "n": n, **counts})

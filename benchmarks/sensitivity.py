@@ -28,17 +28,9 @@ import jaxgrasp
 from benchmarks.machine import machine
 from benchmarks.page import sensitivity_tables
 from benchmarks.page.clock import interleaved
-from jaxgrasp import (
-    HeldCylinder,
-    Output,
-    Task,
-    Verdict,
-    carrying,
-    cylinder_task,
-    friction_reserve,
-    raise_worst,
-    sensitivity_trajectory,
-)
+from jaxgrasp import Verdict
+from jaxgrasp.grip import HeldCylinder, Task, carrying
+from jaxgrasp.sensitivity import Output, cylinder_task, friction_reserve, raise_worst, sensitivity_trajectory
 from jaxgrasp.sensitivity.naming import with_values
 
 NAME = "sensitivity"

@@ -23,8 +23,8 @@ import jaxgrasp
 from benchmarks.machine import machine
 from benchmarks.page import tree_tables
 from benchmarks.page.clock import interleaved
-from jaxgrasp import Cylinder, Mesh, Pose, Posture, SphereTree
 from jaxgrasp.grip.power_grip import power_grip
+from jaxgrasp.hand import Cylinder, Mesh, Pose, Posture, SphereTree
 from jaxgrasp.hand.filling import cell_size, filling_error
 
 NAME = "sphere_trees"
@@ -38,15 +38,15 @@ SHALLOW = 4e-3
 def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
     """One tree: its size, what it leaves out, and times and contacts by both ways."""
     start = time.perf_counter()
-    tree = jaxgrasp.sphere_tree(mesh, levels, descends=False)
+    tree = jaxgrasp.hand.sphere_tree(mesh, levels, descends=False)
     seconds = time.perf_counter() - start
     error = filling_error(tree, mesh)
     hand, posture, placed = scene()
-    find = jaxgrasp.find_contacts
+    find = jaxgrasp.hand.find_contacts
     exact = find(hand, posture, Cylinder(RADIUS, HEIGHT), placed)
     ways = {"all": tree, "descent": SphereTree(tree.balls, tree.nodes, tree.moments, True)}
     calls = {
-        name: lambda t=t: jax.block_until_ready(jaxgrasp.find_contacts(hand, posture, t, placed))
+        name: lambda t=t: jax.block_until_ready(jaxgrasp.hand.find_contacts(hand, posture, t, placed))
         for name, t in ways.items()
     }
     spent = interleaved(calls, repeats, 10.0)
@@ -68,7 +68,7 @@ def measure(levels: int, mesh: Mesh, repeats: int) -> dict:
     }
 
 
-def against(exact: jaxgrasp.Contacts, found: jaxgrasp.Contacts) -> dict:
+def against(exact: jaxgrasp.hand.Contacts, found: jaxgrasp.hand.Contacts) -> dict:
     """How far contacts are from those with the exact shape, where both touch, and how often only one does."""
     shallow = np.asarray((exact.depths > 0) & (exact.depths < SHALLOW))
     both = shallow & np.asarray(found.present > 0)
@@ -83,8 +83,8 @@ def against(exact: jaxgrasp.Contacts, found: jaxgrasp.Contacts) -> dict:
     }
 
 
-def scene() -> tuple[jaxgrasp.Hand, Posture, Pose]:
-    hand = jaxgrasp.human_hand()
+def scene() -> tuple[jaxgrasp.hand.Hand, Posture, Pose]:
+    hand = jaxgrasp.hand.human_hand()
     posture, placed, _ = power_grip(hand, Cylinder(RADIUS, HEIGHT), DEPTH)
     moved = np.random.default_rng(0).normal(scale=SHIFT, size=(POSES, 3))
     return hand, posture, Pose(placed.origin + moved, placed.rotation)

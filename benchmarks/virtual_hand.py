@@ -29,8 +29,10 @@ from benchmarks.machine import machine
 from benchmarks.page import devices, hand_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.problem_data import Problems
-from jaxgrasp import CYLINDRICAL_POWER_GRIP, Body, Contacts, Cylinder, Hand, Pose, Posture, Scene, Solution, Spheres
+from jaxgrasp import Solution
+from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Scene
 from jaxgrasp.grip.power_grip import lay_on, power_grip
+from jaxgrasp.hand import Contacts, Cylinder, Hand, Pose, Posture, Spheres
 
 NAME = "virtual_hand"
 PAPER = {3: 2.0, 5: 2.0, 10: 3.0, 15: 5.0, 20: 7.0}
@@ -106,12 +108,12 @@ def spread_out(contacts: Contacts, n: int) -> np.ndarray:
 
 def cases(plan: Plan) -> dict[str, Case]:
     """The grip with n parts of the hand, with the whole hand, and two ways to touch nothing."""
-    whole = jaxgrasp.human_hand()
+    whole = jaxgrasp.hand.human_hand()
     shape = Cylinder(RADIUS, HEIGHT)
     closed, placed, _ = power_grip(whole, shape, DEPTH)
     parts = in_halves(whole)
-    touched = jaxgrasp.find_contacts(parts, closed, shape, placed)
-    share = jaxgrasp.link_contributions(whole, CYLINDRICAL_POWER_GRIP)
+    touched = jaxgrasp.hand.find_contacts(parts, closed, shape, placed)
+    share = jaxgrasp.hand.link_contributions(whole, CYLINDRICAL_POWER_GRIP)
     found = {}
     for n in plan.sizes:
         kept = spread_out(touched, n)
@@ -148,11 +150,11 @@ def poses(closed: Posture, placed: Pose, plan: Plan) -> tuple[Posture, Pose]:
 
 @jax.jit
 def contacts(hand: Hand, posture: Posture, shape: Cylinder, placed: Pose):
-    return jaxgrasp.pose_hand(hand, posture), jaxgrasp.find_contacts(hand, posture, shape, placed)
+    return jaxgrasp.hand.pose_hand(hand, posture), jaxgrasp.hand.find_contacts(hand, posture, shape, placed)
 
 
-tick, closed_form = jax.jit(jaxgrasp.observe), jax.jit(jaxgrasp.closed_form)
-optimum, torques = jax.jit(jaxgrasp.constrained_optimum), jax.jit(jaxgrasp.joint_torques)
+tick, closed_form = jax.jit(jaxgrasp.grip.observe), jax.jit(jaxgrasp.closed_form)
+optimum, torques = jax.jit(jaxgrasp.constrained_optimum), jax.jit(jaxgrasp.hand.joint_torques)
 
 
 def calls(case: Case) -> dict[str, Callable]:
@@ -240,11 +242,11 @@ def worst(values: np.ndarray, where: np.ndarray) -> float | None:
     return float(values[where].max()) if where.any() else None
 
 
-def torque_error(case: Case, found: jaxgrasp.Tick) -> float | None:
+def torque_error(case: Case, found: jaxgrasp.grip.Tick) -> float | None:
     """Against the contacts' Jacobian, relative to each pose's largest torque; None where no pose has one."""
     hand = case.scene.hand
-    frames = jaxgrasp.pose_hand(hand, case.posture)
-    jacobian = np.asarray(jaxgrasp.contact_jacobian(hand, frames, found.contacts.points), float)
+    frames = jaxgrasp.hand.pose_hand(hand, case.posture)
+    jacobian = np.asarray(jaxgrasp.hand.contact_jacobian(hand, frames, found.contacts.points), float)
     expected = -np.einsum("blcj,blc->bj", jacobian, found.assessment.forces)
     largest = np.abs(expected).max(-1)
     apart = np.abs(found.torques - expected).max(-1)

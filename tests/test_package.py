@@ -4,6 +4,7 @@ import importlib
 import pkgutil
 import subprocess
 import sys
+from types import ModuleType
 
 import jax
 import jax.numpy as jnp
@@ -17,22 +18,31 @@ def in_a_new_process(code: str) -> None:
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
-def test_every_public_name_loads():
-    for name in jaxgrasp.__all__:
-        assert getattr(jaxgrasp, name).__name__ == name if hasattr(getattr(jaxgrasp, name), "__name__") else True
-    assert set(jaxgrasp.__all__) <= set(dir(jaxgrasp))
+ROOMS = [jaxgrasp, *(getattr(jaxgrasp, name) for name in jaxgrasp._ROOMS)]
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
+def test_a_room_shows_its_public_names_alone(room):
+    assert dir(room) == sorted(room.__all__)
+    modules = [name for name in room.__all__ if isinstance(getattr(room, name), ModuleType)]
+    assert modules == (sorted(jaxgrasp._ROOMS) if room is jaxgrasp else [])
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
-        _ = jaxgrasp.nonsense
+        _ = room.nonsense
 
 
-def test_no_public_name_is_the_name_of_a_module_beside_it():
-    beside = {module.name for module in pkgutil.iter_modules(jaxgrasp.__path__)}
-    assert not beside & set(jaxgrasp.__all__)
+def test_no_name_has_two_homes():
+    names = [name for room in ROOMS[:7] for name in room.__all__]
+    assert len(names) == len(set(names))
 
 
-def test_public_functions_are_documented():
-    for name in jaxgrasp.__all__:
-        thing = getattr(jaxgrasp, name)
+def test_the_door_has_at_most_forty_names():
+    assert len(jaxgrasp._HOME) <= 40
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
+def test_public_names_are_documented(room):
+    for name in room.__all__:
+        thing = getattr(room, name)
         assert thing.__doc__ and len(thing.__doc__) > 20, name
 
 

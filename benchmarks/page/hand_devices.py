@@ -26,7 +26,7 @@ def main() -> None:
         # The poses never talk to each other, so there is nothing for the checker to check.
         tick = jax.jit(
             jax.shard_map(
-                lambda posture, placed: jaxgrasp.observe(scene, posture, placed),
+                lambda posture, placed: jaxgrasp.grip.observe(scene, posture, placed),
                 mesh=mesh,
                 in_specs=rows,
                 out_specs=rows,

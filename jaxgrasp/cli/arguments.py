@@ -80,7 +80,7 @@ class Grip:
 
     grip.npz holds arrays over time: points, normals, depths, forces and squeeze by `links`, angles and torques by
     `joints` (what resists flexion is negative). Points, normals, forces and poses are in the world, wrench and missed
-    about the object's centre. Codes are those of jaxgrasp.Hold, Touch, GripType and Verdict.
+    about the object's centre. Codes are those of jaxgrasp.grip.Hold, Touch, GripType and Verdict.
     """
 
     object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
@@ -114,7 +114,7 @@ class Grip:
     step: float = 0.02
     """From one instant to the next [s]."""
     law: Literal["closed-form", "optimum"] = "optimum"
-    """Which forces decide whether the object slips; the paper's are the closed form, the default of jaxgrasp.carry."""
+    """Which forces decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.carry's default."""
     report: bool = True
     """Write grip.html, grip.png and grip_forces.png beside the results (needs the extra `report`)."""
     out: Path = Path("jaxgrasp-grip")

@@ -58,3 +58,7 @@ __all__ = [
     "read_record",
     "save_sensors",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

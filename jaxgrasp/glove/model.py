@@ -18,7 +18,7 @@ FLEXIONS = (
     *("thumb MP", "thumb IP"),
     *(f"{finger} {joint}" for finger in ("index", "middle", "ring", "little") for joint in ("MP", "PIP", "DIP")),
 )
-"""The joints of [`jaxgrasp.human_hand`][] that the paper's glove pulls on (section III-A)."""
+"""The joints of [`jaxgrasp.hand.human_hand`][] that the paper's glove pulls on (section III-A)."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class GloveModel:
 
         Args:
             joints: names of the hand's joints.
-            torques: on them [N.m], as from [`jaxgrasp.joint_torques`][]: negative where they resist flexion.
+            torques: on them [N.m], as from [`jaxgrasp.hand.joint_torques`][]: negative where they resist flexion.
 
         Raises:
             ValueError: for a hand without one of the glove's joints, or torques that are not one for each joint.

@@ -82,7 +82,7 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
             that one that moves at once jolts what it holds.
         placed: where the object stands at first, at rest.
         dt: time from one instant to the next [s].
-        law: which forces decide whether the object slips, as for [`jaxgrasp.monitor`][].
+        law: which forces decide whether the object slips, as for [`jaxgrasp.grip.monitor`][].
 
     Returns:
         An Instant for each posture: where the object was, its Tick, and what became of it. What a guide carries is

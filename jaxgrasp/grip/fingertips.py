@@ -93,7 +93,7 @@ def misses(task: Task, angles: Array, placed: Pose) -> Misses:
     """What is missing, where the wrist stands at the world's origin.
 
     A fingertip that does not touch counts by its sphere that is nearest to the object; one that does by the mean
-    of its overlaps, as [`jaxgrasp.find_contacts`][] takes it.
+    of its overlaps, as [`jaxgrasp.hand.find_contacts`][] takes it.
     """
     hand, tips = task.hand, np.array(task.tips)
     others = np.setdiff1d(np.arange(len(hand.links)), tips)

@@ -51,9 +51,9 @@ class Assessment(eqx.Module):
     closed: Solution
     optimum: Solution
     hold: Int[Array, "*batch"]
-    """Code of a [`jaxgrasp.Hold`][], by the applied law."""
+    """Code of a [`jaxgrasp.grip.Hold`][], by the applied law."""
     touches: Int[Array, "*batch n"]
-    """Codes of a [`jaxgrasp.Touch`][], by the applied law."""
+    """Codes of a [`jaxgrasp.grip.Touch`][], by the applied law."""
     forces: Float[Array, "*batch n 3"]
     """Of the applied law, on the object [N]; zero where the object is lost."""
     disagrees: Array

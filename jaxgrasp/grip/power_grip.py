@@ -41,7 +41,7 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose
 def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
     """A hand closed on an object that lies in its palm.
 
-    What is too thick or too thin for the hand is closed on as far as it goes: [`jaxgrasp.grip_type`][] tells.
+    What is too thick or too thin for the hand is closed on as far as it goes: [`jaxgrasp.grip.grip_type`][] tells.
 
     Args:
         hand: a human hand.

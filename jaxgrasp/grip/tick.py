@@ -45,7 +45,7 @@ def observe(
         posture: of the hand; any leading axes.
         placed: where the object stands; leading axes that broadcast.
         inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
-        law: which forces the hand applies, as for [`jaxgrasp.monitor`][].
+        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
 
     Returns:
         A Tick: its contacts in the world, its grasp and wrench about the object's centre, along the world's axes.

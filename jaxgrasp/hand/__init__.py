@@ -1,1 +1,65 @@
 """A hand's posture and an object's shape in, contacts out."""
+
+from jaxgrasp.hand.closing import close_hand
+from jaxgrasp.hand.deepest import Kept, keep_deepest
+from jaxgrasp.hand.detection import Contacts, find_contacts
+from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree
+from jaxgrasp.hand.human_hand import human_hand, mirrored
+from jaxgrasp.hand.kinematics import contact_jacobian, joint_torques, pose_hand
+from jaxgrasp.hand.mesh import Mesh, check_mesh, load_mesh, principal_frame
+from jaxgrasp.hand.parallel_jaw import parallel_jaw
+from jaxgrasp.hand.posture_limits import check_clear, check_pose, check_posture, clamp_posture
+from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
+from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.hand.to_grasp import grasp_from_contacts, link_contributions
+from jaxgrasp.hand.world import rigid_body, spring_wrench, world_contacts
+from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Contacts",
+    "Cylinder",
+    "Hand",
+    "HandFrames",
+    "Kept",
+    "LevelError",
+    "Link",
+    "Mesh",
+    "Plane",
+    "Pose",
+    "Posture",
+    "Shape",
+    "Sphere",
+    "SphereTree",
+    "Spheres",
+    "check_clear",
+    "check_mesh",
+    "check_pose",
+    "check_posture",
+    "check_shape",
+    "clamp_posture",
+    "close_hand",
+    "contact_jacobian",
+    "find_contacts",
+    "grasp_from_contacts",
+    "human_hand",
+    "joint_torques",
+    "keep_deepest",
+    "level_errors",
+    "link_contributions",
+    "load_mesh",
+    "mirrored",
+    "parallel_jaw",
+    "pose_hand",
+    "principal_frame",
+    "rigid_body",
+    "signed_distance",
+    "sphere_tree",
+    "spring_wrench",
+    "world_contacts",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

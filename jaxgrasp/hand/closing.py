@@ -29,7 +29,7 @@ def close_hand(
 
     All joints turn together, each by its share of the way. A joint stops where a link that it carries has reached
     the depth, or at its limit; those beyond it go on, so that a finger wraps around what it meets. A hand that starts
-    inside the object stays there: [`jaxgrasp.check_clear`][] finds out.
+    inside the object stays there: [`jaxgrasp.hand.check_clear`][] finds out.
 
     Args:
         hand: one for all postures.

@@ -72,7 +72,7 @@ def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> C
 
     Returns:
         A contact for each link ``(..., L)``, in the world, its normal into the object;
-        [`jaxgrasp.grasp_from_contacts`][] makes a Grasp of them.
+        [`jaxgrasp.hand.grasp_from_contacts`][] makes a Grasp of them.
 
     Raises:
         ValueError: for shapes of arrays that do not fit.

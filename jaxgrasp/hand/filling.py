@@ -77,7 +77,7 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
         seed: of their places.
 
     Raises:
-        ImportError, ValueError: as [`jaxgrasp.sphere_tree`][] does.
+        ImportError, ValueError: as [`jaxgrasp.hand.sphere_tree`][] does.
     """
     mesh = check_mesh(mesh)
     points = sample_surface(mesh, samples, seed)
@@ -92,7 +92,7 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
 
 
 def filling_error(tree: SphereTree, mesh: Mesh, samples: int = 4000, seed: int = 0) -> FillingError:
-    """What a tree leaves out of the checked mesh that it was made of, as [`jaxgrasp.level_errors`][] says it."""
+    """What a tree leaves out of the checked mesh that it was made of, as [`jaxgrasp.hand.level_errors`][] says it."""
     return _left_out(sample_surface(mesh, samples, seed), np.asarray(tree.balls.centers), np.asarray(tree.balls.radii))
 
 

@@ -60,12 +60,12 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
       eigenvalue of their second moment.
 
     Args:
-        hand: with links named as by [`jaxgrasp.human_hand`][]; others touch for no grip that is known here.
+        hand: with links named as by [`jaxgrasp.hand.human_hand`][]; others touch for no grip that is known here.
         posture: any leading axes.
         contacts: of that posture, in the world.
 
     Returns:
-        Codes of a [`jaxgrasp.GripType`][]; of what the hand does now, with no memory of what it did.
+        Codes of a [`jaxgrasp.grip.GripType`][]; of what the hand does now, with no memory of what it did.
     """
     touches = contacts.present > 0.5
 

@@ -206,8 +206,8 @@ def joint_torques(
 
     Args:
         hand: whose tree tells which joints carry which links.
-        frames: of the posed hand, from [`jaxgrasp.pose_hand`][].
-        points: one contact of each link, in the world [m], such as those of [`jaxgrasp.find_contacts`][].
+        frames: of the posed hand, from [`jaxgrasp.hand.pose_hand`][].
+        points: one contact of each link, in the world [m], such as those of [`jaxgrasp.hand.find_contacts`][].
         forces: on the object [N]; zero where a link does not touch.
     """
     moves = ancestry(hand).T.astype(float)

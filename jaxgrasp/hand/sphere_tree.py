@@ -15,7 +15,7 @@ from jaxgrasp.numerics.vec3 import Vec
 
 
 class SphereTree(Shape):
-    """A solid by balls inside it, the same for all poses; from [`jaxgrasp.sphere_tree`][]."""
+    """A solid by balls inside it, the same for all poses; from [`jaxgrasp.hand.sphere_tree`][]."""
 
     balls: Balls
     nodes: Nodes

@@ -20,7 +20,7 @@ def link_contributions(
 
     Args:
         hand: whose links are asked for.
-        table: by finger and phalanx, such as [`jaxgrasp.CYLINDRICAL_POWER_GRIP`][]; ``None`` for 1 everywhere.
+        table: by finger and phalanx, such as [`jaxgrasp.grip.CYLINDRICAL_POWER_GRIP`][]; ``None`` for 1 everywhere.
         thumb: of each of the thumb's links, where the table does not name it.
         palm: of each finger's part of the palm, likewise.
 
@@ -56,7 +56,7 @@ def grasp_from_contacts(
         friction: Coulomb coefficients, for each contact or for all.
         stiffness: K of each contact or of all [N/m]; of two springs in series, object and fingertip, that is
             1 / (1 / K_object + 1 / K_finger).
-        contributions: c of each link, as from [`jaxgrasp.link_contributions`][].
+        contributions: c of each link, as from [`jaxgrasp.hand.link_contributions`][].
 
     Returns:
         Contacts of the world's frame, in which the wrench must be written too.

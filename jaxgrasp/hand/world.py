@@ -16,8 +16,8 @@ OCTANTS = tuple("".join("-+"[up] + axis for up, axis in zip(ups, "xyz", strict=T
 def rigid_body(tree: SphereTree) -> Hand:
     """An object as a Hand without joints, which finds contacts as a hand does: a part for each octant of it.
 
-    Of the contacts of each part one is made, by the rule of [`jaxgrasp.find_contacts`][]; so a box that stands on a
-    table has four.
+    Of the contacts of each part one is made, by the rule of [`jaxgrasp.hand.find_contacts`][]; so a box that stands on
+    a table has four.
 
     Args:
         tree: of the object, in whose frame the octants lie about the middle of what it fills.
@@ -42,7 +42,7 @@ def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Conta
     """Where an object touches what stands in the world.
 
     Args:
-        body: from [`jaxgrasp.rigid_body`][]; one for all poses.
+        body: from [`jaxgrasp.hand.rigid_body`][]; one for all poses.
         placed: where the object stands; any leading axes.
         obstacle: an exact shape, or the tree of another object.
         at: where that stands; leading axes that broadcast.

@@ -53,7 +53,7 @@ def hand_from_urdf(
     Raises:
         ImportError: without MuJoCo.
         ValueError: for a file or a mesh that is not there, or that MuJoCo cannot read, and as
-            [`jaxgrasp.hand_from_mujoco`][] does.
+            [`jaxgrasp.interop.hand_from_mujoco`][] does.
     """
     mujoco = import_mujoco("hand_from_urdf")
     return hand_from_mujoco(_compiled(mujoco, Path(path)), wrist, locked=locked, names=names)

@@ -3,3 +3,33 @@
 They are rivals and references: every one takes the same grasps and wrenches and answers with one type, so that they
 can be compared with each other, with the closed forms and with the constrained optimum. None is differentiable.
 """
+
+from jaxgrasp.force.lagrange import lagrange_forces
+from jaxgrasp.literature.all_methods import LITERATURE_METHODS, Method
+from jaxgrasp.literature.buss import buss
+from jaxgrasp.literature.cheng_orin import cheng_orin
+from jaxgrasp.literature.kerr_roth import kerr_roth
+from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
+from jaxgrasp.literature.kumar_waldron import kumar_waldron
+from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.nakamura import nakamura
+from jaxgrasp.literature.orin_oh import orin_oh
+
+__all__ = [
+    "LITERATURE_METHODS",
+    "Method",
+    "MethodAnswer",
+    "MethodStatus",
+    "buss",
+    "cheng_orin",
+    "kerr_roth",
+    "kuhn_tucker",
+    "kumar_waldron",
+    "lagrange_forces",
+    "nakamura",
+    "orin_oh",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

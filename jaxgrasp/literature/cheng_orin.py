@@ -35,9 +35,9 @@ def cheng_orin(
     pyramid: Pyramid = "inscribed",
     throw: bool = True,
 ) -> MethodAnswer:
-    """What [`jaxgrasp.orin_oh`][] minimises, by the compact dual.
+    """What [`jaxgrasp.literature.orin_oh`][] minimises, by the compact dual.
 
-    Args are those of [`jaxgrasp.orin_oh`][], and so are errors.
+    Args are those of [`jaxgrasp.literature.orin_oh`][], and so are errors.
 
     Returns:
         A MethodAnswer with the same statuses and objectives as the plain program's; forces too, where the optimum is

@@ -50,7 +50,7 @@ class MethodAnswer(eqx.Module):
     forces: Float[AnyArray, "*batch n 3"]
     """What the hand exerts on the object at each contact [N]; zero where the method found none."""
     status: Int[AnyArray, "*batch"]
-    """Code of a [`jaxgrasp.MethodStatus`][]."""
+    """Code of a [`jaxgrasp.literature.MethodStatus`][]."""
     objective: Float[AnyArray, "*batch"]
     """The method's own measure, in its own unit, where SOLVED or OUTSIDE_CONES; else zero."""
     iterations: Int[AnyArray, "*batch"]

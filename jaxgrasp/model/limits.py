@@ -23,8 +23,8 @@ class Limits(eqx.Module):
     """Largest normal force of each contact [N], no smaller than the least; inf where there is none."""
     torque_map: Float[AnyArray, "*batch n c j"] | None
     """Contact Jacobians [m/rad, or 1 for joints that slide]: velocity of the contact by the speed of each joint, as
-    [`jaxgrasp.contact_jacobian`][] gives it; c is 3, or 4 with a last row for the speed of turning about the normal,
-    which the moments of soft fingers work on [1]."""
+    [`jaxgrasp.hand.contact_jacobian`][] gives it; c is 3, or 4 with a last row for the speed of turning about the
+    normal, which the moments of soft fingers work on [1]."""
     torque_max: Float[AnyArray, "*batch j"] | None
     """Largest torque of each joint, in either direction, >= 0 [N.m, or N]; inf where there is none."""
 

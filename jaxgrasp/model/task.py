@@ -38,7 +38,7 @@ class Task(eqx.Module):
 
 
 class Carried(eqx.Module):
-    """The parameters of [`jaxgrasp.carrying`][]."""
+    """The parameters of [`jaxgrasp.grip.carrying`][]."""
 
     held: HeldObject
     path: Callable[[Array], Pose]
@@ -50,9 +50,9 @@ def carrying(held: HeldObject, path: Callable[[Array], Pose], gravity: Float[Any
     """The task of leading an object along a path: its weight and its inertia must be balanced.
 
     Args:
-        held: the object and its contacts: [`jaxgrasp.Held`][], [`jaxgrasp.HeldCylinder`][], or a class of one's own.
-        path: time [s] -> where the object stands in the world: [`jaxgrasp.Turn`][], [`jaxgrasp.Lift`][],
-            [`jaxgrasp.Shake`][], or a Module of one's own. Its accelerations come from its derivatives.
+        held: the object and its contacts: [`jaxgrasp.grip.Held`][], [`jaxgrasp.grip.HeldCylinder`][], or your own.
+        path: time [s] -> where the object stands in the world: [`jaxgrasp.grip.Turn`][], [`jaxgrasp.grip.Lift`][],
+            [`jaxgrasp.grip.Shake`][], or a Module of one's own. Its accelerations come from its derivatives.
         gravity: in the world ``(3,)`` [m/s^2]; (0, 0, -9.81) where not given.
 
     Returns:

@@ -84,3 +84,7 @@ __all__ = [
     "weber",
     "weber_line",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -4,7 +4,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import Read, read
@@ -70,11 +69,11 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
     wrenches miss a direction, are open.
 
     The answer depends on no length and no point; the size of the margin does, as that of
-    [`jaxgrasp.ferrari_canny`][].
+    [`jaxgrasp.quality.ferrari_canny`][].
 
     Args:
         grasp: contacts ``(..., n)``, concrete.
-        length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.ferrari_canny`][].
+        length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.quality.ferrari_canny`][].
         about: where torques are taken, ``(..., 3)`` [m]; likewise.
 
     Raises:
@@ -178,6 +177,8 @@ def _without_idle(body: Body, twist: np.ndarray) -> np.ndarray:
 
 def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """A unit twist that all points work against; or weights with which they balance, where they have 0 among them."""
+    from scipy.optimize import nnls
+
     weights, _ = nnls(np.vstack([points.T, np.ones(len(points))]), np.eye(7)[6])
     nearest = weights @ points / weights.sum()
     size = np.linalg.norm(nearest)
@@ -188,6 +189,8 @@ def _least_of_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
 
 def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Weights of points that make up the target; or a unit twist that it works along, and no point does."""
+    from scipy.optimize import nnls
+
     weights, _ = nnls(points.T, target)
     if weights.sum() > MAKE_BELIEVE * np.linalg.norm(target):
         # Of points that span no more than a hyperplane but for rounding, large weights make anything.

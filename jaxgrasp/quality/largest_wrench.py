@@ -1,14 +1,12 @@
 """How large a wrench of a given direction bounded normal forces exert, between two proven bounds."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.optimize import OptimizeResult, linprog
-from scipy.sparse import csr_array
 
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
@@ -17,6 +15,9 @@ from jaxgrasp.quality.closure import forces_of, unscaled
 from jaxgrasp.quality.grasp_input import Read, check_tolerance, read
 from jaxgrasp.quality.wrench_discs import discs, work
 from jaxgrasp.quality.wrench_sets import Body, Bound, check_bound, check_sides, pyramid
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
 
 ROUNDS = 60
 """Linear programs for one grasp; most need about ten."""
@@ -69,7 +70,7 @@ def largest_wrench(
         grasp: contacts ``(..., n)``, concrete; a batch is a loop.
         task: the wrench ``(..., 6)``, not zero [N, N.m]; its leading axes broadcast to the grasps'.
         bound: what is bounded.
-        sides: as for [`jaxgrasp.ferrari_canny`][].
+        sides: as for [`jaxgrasp.quality.ferrari_canny`][].
         tol: relative distance of the bounds at which the search ends.
 
     Raises:
@@ -167,8 +168,11 @@ def _along(body: Body, task: np.ndarray, tol: float) -> _Along:
     return best
 
 
-def _program(body: Body, task: np.ndarray, points: np.ndarray, owner: np.ndarray) -> OptimizeResult:
+def _program(body: Body, task: np.ndarray, points: np.ndarray, owner: np.ndarray) -> "OptimizeResult":
     """Maximise alpha: weights of points sum up to alpha task, and those that a bound counts to 1 at most."""
+    from scipy.optimize import linprog
+    from scipy.sparse import csr_array
+
     columns = np.arange(len(points))
     rows = np.zeros(len(points), int) if body.bound == "l1" else owner
     counted = csr_array((np.ones(len(points)), (rows, columns)), (rows.max() + 1, len(points) + 1))

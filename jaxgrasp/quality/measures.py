@@ -1,7 +1,4 @@
-"""The measures of quality by name, as columns of numbers for many grasps: what an evaluation can be asked for.
-
-They load when they are first used: SciPy's optimisers take as long as all of a small evaluation.
-"""
+"""The measures of quality by name, as columns of numbers for many grasps: what an evaluation can be asked for."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +8,10 @@ import jax
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality import singular_values
+from jaxgrasp.quality.closure import force_closure
+from jaxgrasp.quality.ferrari_canny import ferrari_canny
+from jaxgrasp.quality.min_weight import min_weight
+from jaxgrasp.quality.singular_values import grasp_isotropy, grasp_volume, least_singular_value
 from jaxgrasp.quality.wrench_sets import Bound
 
 OPEN, CLOSED, UNDECIDED = 0, 1, -1
@@ -27,33 +27,27 @@ class Measure:
 
 
 def _closure(grasp: Grasp) -> dict[str, np.ndarray]:
-    from jaxgrasp.quality.closure import force_closure
-
     found = force_closure(grasp)
     code = np.where(found.closed, CLOSED, np.where(found.decided, OPEN, UNDECIDED))
     return {"closed": code.astype(np.int8), "margin": found.margin}
 
 
 def _ball(bound: Bound, grasp: Grasp) -> dict[str, np.ndarray]:
-    from jaxgrasp.quality.ferrari_canny import ferrari_canny
-
     found = ferrari_canny(grasp, bound)
     return {"lower": found.lower, "upper": found.upper}
 
 
 def _weight(grasp: Grasp) -> dict[str, np.ndarray]:
-    from jaxgrasp.quality.min_weight import min_weight
-
     return {"value": min_weight(grasp).value}
 
 
-def _of_matrix(name: str, grasp: Grasp) -> dict[str, np.ndarray]:
-    return {"value": np.asarray(_compiled(name)(grasp))}
+def _of_matrix(measure: Callable[[Grasp], jax.Array], grasp: Grasp) -> dict[str, np.ndarray]:
+    return {"value": np.asarray(_compiled(measure)(grasp))}
 
 
 @cache
-def _compiled(name: str) -> Callable[[Grasp], jax.Array]:
-    return jax.jit(getattr(singular_values, name))
+def _compiled(measure: Callable[[Grasp], jax.Array]) -> Callable[[Grasp], jax.Array]:
+    return jax.jit(measure)
 
 
 MEASURES = {
@@ -63,9 +57,9 @@ MEASURES = {
         Measure("ferrari-canny-l1", partial(_ball, "l1")),
         Measure("ferrari-canny-linf", partial(_ball, "linf")),
         Measure("min-weight", _weight),
-        Measure("least-singular-value", partial(_of_matrix, "least_singular_value")),
-        Measure("volume", partial(_of_matrix, "grasp_volume")),
-        Measure("isotropy", partial(_of_matrix, "grasp_isotropy")),
+        Measure("least-singular-value", partial(_of_matrix, least_singular_value)),
+        Measure("volume", partial(_of_matrix, grasp_volume)),
+        Measure("isotropy", partial(_of_matrix, grasp_isotropy)),
     )
 }
 

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.optimize import linprog
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
@@ -94,6 +93,8 @@ def _worked(grasp: Grasp, found: MinWeight) -> Array:
 
 def _evenest(edges: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
     """Value, weights and multipliers for edges ``(m, 6)``; weights are the least one plus what is above it."""
+    from scipy.optimize import linprog
+
     count = len(edges)
     program = linprog(
         np.append(np.zeros(count), -1.0),

@@ -15,7 +15,6 @@ reaches no further there.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from jaxgrasp.quality.largest_ball import Ball
 from jaxgrasp.quality.wrench_sets import Body, Reach
@@ -61,6 +60,8 @@ def touch(body: Body, ball: Ball) -> Touch:
 
 def _by_weights(body: Body, direction: np.ndarray, near: Reach) -> Touch:
     """Forces of the point of the hull of some wrenches that comes closest to where the ball ends."""
+    from scipy.optimize import nnls
+
     height = float(body.reach(direction[None]).height[0])
     ones = np.full((1, len(near.points)), body.size)
     target = np.append(height * direction, body.size)
@@ -71,6 +72,8 @@ def _by_weights(body: Body, direction: np.ndarray, near: Reach) -> Touch:
 
 def _of_facet(body: Body, found: Touch, ball: Ball) -> Touch:
     """The plane through the wrenches that carry the point, where no rounding drew them aside."""
+    from scipy.optimize import nnls
+
     corners = ball.touched.points
     used, _ = nnls(np.vstack([corners.T, np.ones(len(corners))]), np.append(found.height * found.direction, 1))
     across, *_ = np.linalg.lstsq(corners[used > COUNTS], np.ones(np.sum(used > COUNTS)))

@@ -27,7 +27,7 @@ def singular_values(grasp: Grasp, *, length: Length = None, about: About = None)
 
     Args:
         grasp: contacts ``(..., n)``.
-        length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.ferrari_canny`][].
+        length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.quality.ferrari_canny`][].
         about: where torques are taken, ``(..., 3)`` [m]; likewise.
 
     Returns:
@@ -41,19 +41,19 @@ def singular_values(grasp: Grasp, *, length: Length = None, about: About = None)
 
 
 def least_singular_value(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
-    """The last of [`jaxgrasp.singular_values`][]: 0 where some wrench is out of reach however large the forces."""
+    """The last of [`jaxgrasp.quality.singular_values`][]: 0 where no forces, however large, reach some wrench."""
     warn_of_lost_precision(grasp)
     return _run(grasp, length, about)[..., -1]
 
 
 def grasp_volume(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
-    """The product of [`jaxgrasp.singular_values`][], sqrt(det G G^T): as the volume of wrenches of unit forces."""
+    """The product of [`jaxgrasp.quality.singular_values`][], sqrt(det G G^T): the volume of wrenches of unit forces."""
     warn_of_lost_precision(grasp)
     return jnp.prod(_run(grasp, length, about), -1)
 
 
 def grasp_isotropy(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
-    """The least of [`jaxgrasp.singular_values`][] over the largest: 1 where all wrenches are as easy to exert."""
+    """The least of [`jaxgrasp.quality.singular_values`][] over the largest: 1 where all wrenches are equally easy."""
     warn_of_lost_precision(grasp)
     values = _run(grasp, length, about)
     return safe_divide(values[..., -1], values[..., 0])

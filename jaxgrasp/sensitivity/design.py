@@ -87,14 +87,14 @@ def raise_worst(
         task: grasp and wrench over time; where it begins must lie between the bounds.
         times: ascending ``(T,)`` [s]. What lies between them is not looked at.
         margin: (grasp, wrench) -> what is to be large, as an array or a tree of arrays for the leading axis of the
-            times: ``Output("friction_margin", "B")`` for the closed form, [`jaxgrasp.friction_reserve`][] for
-            whatever the grasp could do, or one of your own. +inf counts as no limit.
-        within: what may move, by the names of parameters as for [`jaxgrasp.sensitivity_matrix`][], and the least and
-            the largest value of each: numbers, or one for each entry. They are the climb's measure of how far is far:
-            let them be no wider than what is meant.
+            times: ``Output("friction_margin", "B")`` for the closed form, [`jaxgrasp.sensitivity.friction_reserve`][]
+            for whatever the grasp could do, or one of your own. +inf counts as no limit.
+        within: what may move, by the names of parameters as for [`jaxgrasp.sensitivity.sensitivity_matrix`][], and the
+            least and the largest value of each: numbers, or one for each entry. They are the climb's measure of
+            how far is far: let them be no wider than what is meant.
         totals: names of parameters, all of them in ``within``, the sum of whose entries stays as it is, such as
             ``"contributions"``: a hand that may not press harder.
-        labels: as for [`jaxgrasp.sensitivity_matrix`][].
+        labels: as for [`jaxgrasp.sensitivity.sensitivity_matrix`][].
         steps: the most steps of each of the five stages.
 
     Returns:
@@ -103,7 +103,7 @@ def raise_worst(
     Raises:
         ValueError: for names that are unknown or meant twice, a start that is not between its bounds or has a margin
             that is no number, and as
-            [`jaxgrasp.sensitivity_trajectory`][] does.
+            [`jaxgrasp.sensitivity.sensitivity_trajectory`][] does.
     """
     instants = read_times(times)
     task = as_arrays(task)

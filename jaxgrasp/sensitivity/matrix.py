@@ -129,7 +129,7 @@ def sensitivity_matrix(
             this package's functions will do, from a hand's joints to margins and joint torques. It is compiled: let it
             be one function for all calls, not made anew for each.
         parameters: numbers and arrays in dicts, tuples or Modules: a [`jaxgrasp.Grasp`][], a
-            [`jaxgrasp.HeldCylinder`][], a [`jaxgrasp.Posture`][], or ``{"mass": 0.4, "friction": ...}``.
+            [`jaxgrasp.grip.HeldCylinder`][], a [`jaxgrasp.hand.Posture`][], or ``{"mass": 0.4, "friction": ...}``.
         by: names of the parameters to differentiate by, such as ``("friction", "points[0, 2]")``; all where not given.
         labels: of the entries of arrays along their first axis, by the array's name, parameters and outputs alike:
             ``{"contributions": ("thumb", "index", "middle", "ring", "little")}``.

@@ -44,10 +44,10 @@ def study(
         by: names of the task's parameters.
         vary: the name of one.
         values: what it is given.
-        labels: as for [`jaxgrasp.sensitivity_matrix`][], of the slip angles too.
+        labels: as for [`jaxgrasp.sensitivity.sensitivity_matrix`][], of the slip angles too.
 
     Raises:
-        ValueError: as [`jaxgrasp.sensitivity_trajectory`][] does.
+        ValueError: as [`jaxgrasp.sensitivity.sensitivity_trajectory`][] does.
     """
     slips = {
         method: sensitivity_trajectory(

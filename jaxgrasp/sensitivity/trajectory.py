@@ -75,13 +75,13 @@ def sensitivity_trajectory(
         task: grasp and wrench over time.
         times: ascending ``(T,)`` [s].
         output: (grasp, wrench) -> an array or a tree of arrays, for the leading axis of the times: an
-            [`jaxgrasp.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. What it says
-            of an instant must depend on that instant alone, so no sums over time. Let it be one function for all
-            calls, not made anew for each.
-        by: names of parameters, as for [`jaxgrasp.sensitivity_matrix`][]; all of the task's where not given.
+            [`jaxgrasp.sensitivity.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. What
+            it says of an instant must depend on that instant alone, so no sums over time. Let it be one function
+            for all calls, not made anew for each.
+        by: names of parameters, as for [`jaxgrasp.sensitivity.sensitivity_matrix`][]; all of the task's by default.
         vary: values to try, by the name of a parameter, such as ``{"contributions[1]": (0.5, 1.0, 2.0)}``; an array's
             name stands for all of its entries at once.
-        labels: as for [`jaxgrasp.sensitivity_matrix`][].
+        labels: as for [`jaxgrasp.sensitivity.sensitivity_matrix`][].
 
     Returns:
         A SensitivityTrajectory.

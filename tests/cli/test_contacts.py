@@ -93,7 +93,7 @@ def test_what_the_user_says_goes_before_the_file(run):
 
 @pytest.mark.slow
 def test_a_hands_posture_is_taken_as_it_is(scene, run):
-    hand = jaxgrasp.human_hand()
+    hand = jaxgrasp.hand.human_hand()
     transforms = np.tile(np.eye(4), (2, 1, 1))
     transforms[:, :3, 3] = [[-0.09, 0, 0.028], [-0.09, 0, 0.5]]
     np.savez("hand.npz", transforms=transforms, angles=np.zeros((2, len(hand.joints))))

@@ -7,12 +7,13 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp import Body, GripType, Hold, Instant, Pose, Scene, Sphere, contributions_of, human_hand, observe
 from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.grip import _write_report
 from jaxgrasp.cli.main import main
+from jaxgrasp.grip import Body, GripType, Hold, Instant, Scene, contributions_of, observe
 from jaxgrasp.grip.carry import stacked
 from jaxgrasp.grip.power_grip import lay_on
+from jaxgrasp.hand import Pose, Sphere, human_hand
 from jaxgrasp.report import bundle
 from jaxgrasp.report.grip_over_time import history
 

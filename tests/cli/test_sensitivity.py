@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from jaxgrasp import Output, cylinder_task, sensitivity_trajectory
 from jaxgrasp.cli.main import main
+from jaxgrasp.sensitivity import Output, cylinder_task, sensitivity_trajectory
 from jaxgrasp.sensitivity.study import spells
 
 QUICK = ["sensitivity", "--methods", "A", "--by", "mass", "friction[index]", "--step", "0.5", "--out", "out"]

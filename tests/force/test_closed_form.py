@@ -57,7 +57,7 @@ def test_balances_the_wrench(case):
 def test_agrees_with_the_lagrange_system(case):
     problem, weights, solution = case
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    forces, multiplier = jaxgrasp.lagrange_forces(grasp, problem.wrench, weights)
+    forces, multiplier = jaxgrasp.literature.lagrange_forces(grasp, problem.wrench, weights)
     assert relative(solution.forces, forces).max() < 1e-10
     np.testing.assert_allclose(solution.multiplier, multiplier, rtol=1e-8, atol=1e-8 * np.abs(multiplier).max())
 

@@ -9,16 +9,8 @@ import scipy.sparse
 from scipy.spatial.transform import Rotation
 
 from benchmarks import problems as P
-from jaxgrasp import (
-    Grasp,
-    Verdict,
-    closed_form,
-    friction_reserve,
-    grasp_matrix,
-    least_friction,
-    least_squeeze,
-    least_squeeze_factor,
-)
+from jaxgrasp import Grasp, Verdict, closed_form, grasp_matrix, least_friction, least_squeeze, least_squeeze_factor
+from jaxgrasp.sensitivity import friction_reserve
 
 COUNT = 24
 PINCH = Grasp(

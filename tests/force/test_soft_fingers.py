@@ -13,7 +13,7 @@ from jaxgrasp import Grasp, Verdict
 
 COUNT, N = 48, 3
 HARD_ONLY = (
-    jaxgrasp.lagrange_forces,
+    jaxgrasp.literature.lagrange_forces,
     jaxgrasp.pyramid_optimum,
     jaxgrasp.least_squeeze_factor,
     jaxgrasp.split_forces,
@@ -210,5 +210,5 @@ def test_moments_use_up_the_friction_margin():
         jaxgrasp.friction_margin(grasp, forces)
     with pytest.raises(ValueError, match="moments is given"):
         jaxgrasp.friction_margin(Grasp(points, normals, 0.5 * one, one), forces, moments)
-    held = jaxgrasp.monitor(pinch(), jnp.array([0, 0, 0, 0.04, 0, 0]))
-    assert (held.touches == jaxgrasp.Touch.SLIDES).all() and held.hold == jaxgrasp.Hold.SLIPPING
+    held = jaxgrasp.grip.monitor(pinch(), jnp.array([0, 0, 0, 0.04, 0, 0]))
+    assert (held.touches == jaxgrasp.grip.Touch.SLIDES).all() and held.hold == jaxgrasp.grip.Hold.SLIPPING

@@ -7,7 +7,8 @@ import optimistix
 import pytest
 
 from benchmarks import problems as P
-from jaxgrasp import Grasp, Verdict, constrained_optimum, cylinder_task
+from jaxgrasp import Grasp, Verdict, constrained_optimum
+from jaxgrasp.sensitivity import cylinder_task
 
 COUNT = 64
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp import human_hand
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.line import LineError
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE, LucidHost, limits_for, lucidgloves, read_line
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
+from jaxgrasp.hand import human_hand
 
 SAID = b"A0B1023C2047D3071E4095F2047G2048P0IL(AB)100(BB)200(CB)300(DB)400(EB)4095(BAA)10(EAD)4095"
 

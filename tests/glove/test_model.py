@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from jaxgrasp import human_hand
 from jaxgrasp.glove.model import FLEXIONS, GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.hand import human_hand
 
 FILE = """
 name = "ours"

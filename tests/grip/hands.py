@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrasp import Pose, Posture
+from jaxgrasp.hand import Pose, Posture
 
 
 def without_hand(count: int) -> Posture:

@@ -4,19 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp import (
-    CYLINDRICAL_POWER_GRIP,
-    Body,
-    Cylinder,
-    Hold,
-    Pose,
-    Posture,
-    Scene,
-    carry,
-    close_hand,
-    human_hand,
-    link_contributions,
-)
+from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Hold, Scene, carry
+from jaxgrasp.hand import Cylinder, Pose, Posture, close_hand, human_hand, link_contributions
 
 pytestmark = pytest.mark.slow
 HAND = human_hand()

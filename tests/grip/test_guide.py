@@ -6,26 +6,13 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
-from tests.grip.hands import without_hand
 
-from jaxgrasp import (
-    Body,
-    Box,
-    Hold,
-    Obstacle,
-    Pose,
-    Posture,
-    Scene,
-    Verdict,
-    carry,
-    close_hand,
-    observe,
-    parallel_jaw,
-    rigid_body,
-    sphere_tree,
-)
+from jaxgrasp import Verdict
+from jaxgrasp.grip import Body, Hold, Obstacle, Scene, carry, observe
 from jaxgrasp.grip.falling import gone_on
 from jaxgrasp.grip.motion import Motion, guide_at, mobility, moved, spatial_inertia
+from jaxgrasp.hand import Box, Pose, Posture, close_hand, parallel_jaw, rigid_body, sphere_tree
+from tests.grip.hands import without_hand
 
 CUBE, MASS, DT = Box(0.07, 0.07, 0.07), 0.3, 0.01
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -6,7 +6,8 @@ import pytest
 
 import jaxgrasp
 from benchmarks import problems as P
-from jaxgrasp import Grasp, Hold, Touch, Verdict, monitor
+from jaxgrasp import Grasp, Verdict
+from jaxgrasp.grip import Hold, Touch, monitor
 
 COUNT = 64
 

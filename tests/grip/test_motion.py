@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.hand.hands import random_posture, rotations
 
-from jaxgrasp import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
 from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
+from jaxgrasp.hand import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
 from jaxgrasp.numerics.vec3 import Vec
+from tests.hand.hands import random_posture, rotations
 
 SOLIDS = [Sphere(0.04), Box(0.05, 0.08, 0.03), Cylinder(0.03, 0.1), Capsule(0.02, 0.06)]
 each_solid = pytest.mark.parametrize("shape", SOLIDS, ids=[type(shape).__name__ for shape in SOLIDS])

@@ -6,29 +6,24 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
-from tests.grip.hands import without_hand
 
-from jaxgrasp import (
-    Body,
+from jaxgrasp.grip import Body, Hold, Obstacle, Scene, carry, observe
+from jaxgrasp.grip.falling import spun
+from jaxgrasp.grip.motion import spatial_inertia
+from jaxgrasp.hand import (
     Box,
-    Hold,
-    Obstacle,
     Plane,
     Pose,
     Posture,
-    Scene,
     Sphere,
-    carry,
     close_hand,
-    observe,
     parallel_jaw,
     rigid_body,
     sphere_tree,
     world_contacts,
 )
-from jaxgrasp.grip.falling import spun
-from jaxgrasp.grip.motion import spatial_inertia
 from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
+from tests.grip.hands import without_hand
 
 SHAPE, MASS, DT = Box(0.06, 0.08, 0.05), 0.5, 5e-3
 GRAVITY = np.array([0.0, 0.0, -9.81])

@@ -7,24 +7,19 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp import (
+from jaxgrasp import Verdict, constrained_optimum, weight_wrench
+from jaxgrasp.grip import GripType, grip_type, power_grip, precision_grip
+from jaxgrasp.hand import (
     Box,
     Capsule,
     Cylinder,
-    GripType,
     Hand,
     Shape,
     Sphere,
-    Verdict,
     check_posture,
-    constrained_optimum,
     find_contacts,
     grasp_from_contacts,
-    grip_type,
     human_hand,
-    power_grip,
-    precision_grip,
-    weight_wrench,
 )
 
 FRICTION, STIFFNESS, MASS = 0.5, 1000.0, 0.4

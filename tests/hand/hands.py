@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrasp import Hand, Pose, Posture
+from jaxgrasp.hand import Hand, Pose, Posture
 
 
 def rotations(count: int, rng: np.random.Generator) -> np.ndarray:

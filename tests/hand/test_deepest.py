@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp import Contacts, keep_deepest
+from jaxgrasp.hand import Contacts, keep_deepest
 
 
 def contacts(seed: int = 0) -> Contacts:

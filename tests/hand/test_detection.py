@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.hand.hands import random_posture, rotations
 
-from jaxgrasp import Box, Capsule, Cylinder, Plane, Pose, Posture, Sphere, find_contacts, human_hand
+from jaxgrasp.hand import Box, Capsule, Cylinder, Plane, Pose, Posture, Sphere, find_contacts, human_hand
+from tests.hand.hands import random_posture, rotations
 
 HAND = human_hand()
 SHAPES = [Sphere(0.04), Box(0.06, 0.09, 0.05), Cylinder(0.03, 0.12), Capsule(0.025, 0.08), Plane()]
@@ -103,7 +103,7 @@ def test_contacts_are_those_of_mujoco(shape):
 
 
 def pose_frames(posture: Posture) -> Pose:
-    from jaxgrasp import pose_hand
+    from jaxgrasp.hand import pose_hand
 
     return pose_hand(HAND, posture).links
 

@@ -4,27 +4,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.hand.hands import rotations
 
-from jaxgrasp import (
-    CYLINDRICAL_POWER_GRIP,
+from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Contributions, GripType, contributions_of, grip_type, power_grip
+from jaxgrasp.hand import (
     Box,
     Contacts,
-    Contributions,
     Cylinder,
-    GripType,
     Hand,
     Pose,
     Posture,
     Sphere,
-    contributions_of,
     find_contacts,
-    grip_type,
     human_hand,
     link_contributions,
-    power_grip,
 )
 from jaxgrasp.hand.grip_type import CONTRIBUTIONS
+from tests.hand.hands import rotations
 
 HAND = human_hand()
 LINKS = [link.name for link in HAND.links]

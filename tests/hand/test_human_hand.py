@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tests.hand.hands import random_posture
 
-from jaxgrasp import Pose, Posture, human_hand, mirrored, pose_hand
+from jaxgrasp.hand import Pose, Posture, human_hand, mirrored, pose_hand
+from tests.hand.hands import random_posture
 
 HAND = human_hand(length=0.2, breadth=0.09)
 FLAT = Posture(Pose(np.zeros(3), np.eye(3)), np.zeros(19))

@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.hand.hands import random_posture
 
 import jaxgrasp
-from jaxgrasp import Pose, Posture, human_hand, pose_hand
+from jaxgrasp.hand import Pose, Posture, human_hand, pose_hand
+from tests.hand.hands import random_posture
 
 HAND = human_hand()
 COUNT = 50
@@ -51,7 +51,7 @@ def test_places_and_jacobians_are_mujocos(side):
     frames = pose_hand(hand, posture)
     local = hand.skin.centers[:, 3]
     got = frames.links.origin + jnp.einsum("...lij,lj->...li", frames.links.rotation, local)
-    jacobian = jaxgrasp.contact_jacobian(hand, frames, got)
+    jacobian = jaxgrasp.hand.contact_jacobian(hand, frames, got)
     for i in range(COUNT):
         data.qpos[:3] = posture.wrist.origin[i]
         mujoco.mju_mat2Quat(data.qpos[3:7], np.asarray(posture.wrist.rotation[i]).ravel())
@@ -68,7 +68,7 @@ def test_places_and_jacobians_are_mujocos(side):
 def test_the_jacobian_is_that_of_autodiff():
     posture = random_posture(HAND, COUNT)
     frames = pose_hand(HAND, posture)
-    closed = jaxgrasp.contact_jacobian(HAND, frames, places(frames))
+    closed = jaxgrasp.hand.contact_jacobian(HAND, frames, places(frames))
     by_autodiff = jax.vmap(jax.jacobian(lambda a, w: places(pose_hand(HAND, Posture(w, a)))))(
         posture.angles, posture.wrist
     )
@@ -80,8 +80,8 @@ def test_torques_do_the_work_of_the_forces():
     posture = random_posture(HAND, COUNT)
     frames = pose_hand(HAND, posture)
     forces = np.random.default_rng(3).normal(size=(COUNT, len(HAND.links), 3))
-    torques = jaxgrasp.joint_torques(HAND, frames, places(frames), forces)
-    jacobian = jaxgrasp.contact_jacobian(HAND, frames, places(frames))
+    torques = jaxgrasp.hand.joint_torques(HAND, frames, places(frames), forces)
+    jacobian = jaxgrasp.hand.contact_jacobian(HAND, frames, places(frames))
     np.testing.assert_allclose(torques, np.einsum("blcj,blc->bj", jacobian, -forces), atol=1e-13)
 
 
@@ -91,7 +91,7 @@ def test_a_finger_that_presses_feels_its_flexion_resisted():
     press = np.zeros((len(HAND.links), 3))
     tips = [i for i, link in enumerate(HAND.links) if link.phalanx == "distal" and link.finger != "thumb"]
     press[tips, 2] = -1.0
-    torques = jaxgrasp.joint_torques(HAND, frames, places(frames), press)
+    torques = jaxgrasp.hand.joint_torques(HAND, frames, places(frames), press)
     flexions = [j for j, name in enumerate(HAND.joints) if name.split()[1] != "abduction" and "thumb" not in name]
     assert (torques[np.array(flexions)] < -0.001).all()
     index_mp = HAND.joints.index("index MP")

@@ -2,20 +2,11 @@
 
 import numpy as np
 import pytest
-from tests.hand.hands import random_posture
 
 import jaxgrasp
-from jaxgrasp import (
-    Pose,
-    Posture,
-    Sphere,
-    Verdict,
-    check_clear,
-    check_posture,
-    clamp_posture,
-    find_contacts,
-    human_hand,
-)
+from jaxgrasp import Verdict
+from jaxgrasp.hand import Pose, Posture, Sphere, check_clear, check_posture, clamp_posture, find_contacts, human_hand
+from tests.hand.hands import random_posture
 
 HAND = human_hand()
 
@@ -80,7 +71,7 @@ def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone
         assert np.isnan(found.present[2]).any()
         others = np.array([0, 1, 3, 4])
         np.testing.assert_allclose(found.depths[others], sound.depths[others], atol=1e-15)
-        grasp = jaxgrasp.grasp_from_contacts(found, 0.5, 1000.0)
+        grasp = jaxgrasp.hand.grasp_from_contacts(found, 0.5, 1000.0)
         wrench = np.broadcast_to([0.0, 0, 3, 0, 0, 0], (5, 6))
         verdict = jaxgrasp.closed_form(grasp, wrench).verdict
         assert verdict[2] == Verdict.INVALID_DATA and (verdict[others] != Verdict.INVALID_DATA).all()

@@ -4,20 +4,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.hand.hands import random_posture, rotations
 
-from jaxgrasp import (
+from jaxgrasp import Grasp, Verdict, constrained_optimum, weight_wrench
+from jaxgrasp.hand import (
     Box,
-    Grasp,
     Hand,
     Link,
     Pose,
     Posture,
     Sphere,
     Spheres,
-    Verdict,
     close_hand,
-    constrained_optimum,
     contact_jacobian,
     find_contacts,
     grasp_from_contacts,
@@ -25,8 +22,8 @@ from jaxgrasp import (
     mirrored,
     parallel_jaw,
     pose_hand,
-    weight_wrench,
 )
+from tests.hand.hands import random_posture, rotations
 
 JAW = parallel_jaw()
 RIGID = Hand(

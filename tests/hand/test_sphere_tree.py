@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
-from tests.hand.hands import random_posture, rotations
 
-from jaxgrasp import (
-    Body,
+from jaxgrasp.grip import Body
+from jaxgrasp.grip.motion import spatial_inertia
+from jaxgrasp.hand import (
     Box,
     Capsule,
     Cylinder,
@@ -29,10 +29,10 @@ from jaxgrasp import (
     signed_distance,
     sphere_tree,
 )
-from jaxgrasp.grip.motion import spatial_inertia
 from jaxgrasp.hand.descent import try_all
 from jaxgrasp.hand.filling import filling_error
 from jaxgrasp.hand.mesh import Surface
+from tests.hand.hands import random_posture, rotations
 
 HAND = human_hand()
 BOX = Box(0.06, 0.09, 0.05)

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.hand.hands import rotations
 
-from jaxgrasp import (
+from jaxgrasp import weight_wrench
+from jaxgrasp.hand import (
     Box,
     Capsule,
     Cylinder,
@@ -16,9 +16,9 @@ from jaxgrasp import (
     rigid_body,
     sphere_tree,
     spring_wrench,
-    weight_wrench,
     world_contacts,
 )
+from tests.hand.hands import rotations
 
 BOX = Box(0.06, 0.08, 0.05)
 GROUND = Pose(np.zeros(3), np.eye(3))

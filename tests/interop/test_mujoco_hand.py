@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Pose, Posture, hand_from_mujoco, hand_from_urdf, pose_hand
+from jaxgrasp.hand import Pose, Posture, pose_hand
+from jaxgrasp.interop import hand_from_mujoco, hand_from_urdf
 
 mujoco = pytest.importorskip("mujoco")
 COUNT = 1000
@@ -94,7 +95,7 @@ def test_bodies_and_jacobians_are_mujocos(case):
     at = np.asarray(frames.links.origin) + np.einsum("blij,lj->bli", frames.links.rotation, found.positions)
     np.testing.assert_allclose(at, places, atol=1e-9)
     np.testing.assert_allclose(frames.links.rotation @ found.rotations, turns, atol=1e-9)
-    np.testing.assert_allclose(jaxgrasp.contact_jacobian(hand, frames, at), jacobians, atol=1e-7)
+    np.testing.assert_allclose(jaxgrasp.hand.contact_jacobian(hand, frames, at), jacobians, atol=1e-7)
 
 
 def test_it_has_the_joints_that_were_asked_for(case):
@@ -205,7 +206,7 @@ def test_what_slides_in_mujoco_slides_here():
         frames = pose_hand(found.hand, Posture(wrist, row))
         at = np.asarray(frames.links.origin) + np.einsum("lij,lj->li", frames.links.rotation, found.positions)
         np.testing.assert_allclose(at, data.xpos[found.bodies], atol=1e-12)
-        jacobian = jaxgrasp.contact_jacobian(found.hand, frames, at)
+        jacobian = jaxgrasp.hand.contact_jacobian(found.hand, frames, at)
         for link, body in enumerate(found.bodies):
             expected = np.zeros((3, model.nv))
             mujoco.mj_jacBody(model, data, expected, None, body)

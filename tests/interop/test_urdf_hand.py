@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp import Pose, Posture, hand_from_urdf, pose_hand
+from jaxgrasp.hand import Pose, Posture, pose_hand
+from jaxgrasp.interop import hand_from_urdf
 
 pytest.importorskip("mujoco")
 

@@ -4,8 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp import Posture, human_hand, joint_torques, observe, pose_hand
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
+from jaxgrasp.grip import observe
+from jaxgrasp.hand import Posture, human_hand, joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_and_slope
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at

@@ -7,7 +7,8 @@ import pytest
 
 import jaxgrasp
 from benchmarks import problems as P
-from jaxgrasp import LITERATURE_METHODS, Grasp, GraspError, Limits, MethodAnswer, MethodStatus
+from jaxgrasp import Grasp, GraspError, Limits
+from jaxgrasp.literature import LITERATURE_METHODS, MethodAnswer, MethodStatus
 
 COUNT, N = 12, 5
 MOST = 300.0

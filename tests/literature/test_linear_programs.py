@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks import problems as P
-from jaxgrasp import Grasp, GraspError, Limits, MethodStatus, cheng_orin, kerr_roth, orin_oh
+from jaxgrasp import Grasp, GraspError, Limits
+from jaxgrasp.literature import MethodStatus, cheng_orin, kerr_roth, orin_oh
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
 from jaxgrasp.literature.host_problem import posed
 from jaxgrasp.literature.linear import Program, solve_plain

@@ -6,17 +6,8 @@ import pytest
 
 from benchmarks import problems as P
 from benchmarks import references as R
-from jaxgrasp import (
-    Grasp,
-    MethodStatus,
-    buss,
-    closed_form,
-    constrained_optimum,
-    kuhn_tucker,
-    kumar_waldron,
-    nakamura,
-    pyramid_optimum,
-)
+from jaxgrasp import Grasp, closed_form, constrained_optimum, pyramid_optimum
+from jaxgrasp.literature import MethodStatus, buss, kuhn_tucker, kumar_waldron, nakamura
 from jaxgrasp.literature.batch_problem import scale
 from jaxgrasp.literature.kumar_waldron import equilibrating_forces
 from jaxgrasp.literature.method_input import read

@@ -4,8 +4,8 @@ import jax
 import numpy as np
 import pytest
 
-from jaxgrasp import CYLINDRICAL_POWER_GRIP as TABLE
-from jaxgrasp import squeezing
+from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP as TABLE
+from jaxgrasp.grip import squeezing
 
 
 def test_squeeze_is_contribution_times_stiffness_times_depth():

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp import Held, HeldCylinder, Lift, Pose, Shake, Task, Turn, carrying
+from jaxgrasp.grip import Held, HeldCylinder, Lift, Shake, Task, Turn, carrying
+from jaxgrasp.hand import Pose
 
 TIMES = (0.0, 0.3, 0.77, 1.9)
 GRAVITY = np.array([0.4, -2.0, -9.0])

@@ -6,14 +6,15 @@ import pytest
 import jaxgrasp
 from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError
+from jaxgrasp.quality import ferrari_canny, force_closure, min_weight
 from tests.quality import known
 
 ROUNDING = 1e-12
 
 
-def proven(grasp: Grasp) -> jaxgrasp.ForceClosure:
+def proven(grasp: Grasp) -> jaxgrasp.quality.ForceClosure:
     """The answers, after checking what they prove against velocities and forces alone."""
-    found = jaxgrasp.force_closure(grasp)
+    found = force_closure(grasp)
     points, normals, friction = (np.asarray(a) for a in (grasp.points, grasp.normals, grasp.friction))
     linear, angular = found.twist[..., None, :3], found.twist[..., None, 3:]
     velocity = linear + np.cross(angular, points)
@@ -121,16 +122,16 @@ def test_fingers_at_one_point_may_have_it_anywhere():
     grasp = Grasp(np.repeat(points[:, None], 3, 1), normals, 0.8 * every, every, torsion=0.3 * every)
     found = proven(grasp)
     assert found.closed.all() and np.allclose(found.margin, found.margin[0])
-    ball = jaxgrasp.ferrari_canny(grasp)
+    ball = ferrari_canny(grasp)
     assert (ball.lower > 0.05).all() and np.allclose(ball.upper, ball.upper[0], rtol=1e-3)
-    assert np.allclose(jaxgrasp.min_weight(grasp, sides=8).value, 0.746, atol=1e-3)
+    assert np.allclose(min_weight(grasp, sides=8).value, 0.746, atol=1e-3)
 
 
 @pytest.mark.slow
 def test_a_closed_grasp_exerts_any_wrench():
     problem = P.problems("ordinary", 5, 60, 1)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    found = jaxgrasp.force_closure(grasp)
+    found = force_closure(grasp)
     exists = np.isfinite(np.asarray(jaxgrasp.least_squeeze(grasp, -problem.wrench)))
     assert exists[found.closed].all()
 
@@ -157,20 +158,20 @@ def test_neither_frame_nor_order_nor_padding_nor_unit_matters():
         known.padded(grasp),
     ]
     for other in others:
-        np.testing.assert_array_equal(jaxgrasp.force_closure(other).closed, closed)
-    margins = [jaxgrasp.force_closure(grasp, length=length).margin for length in (0.02, 0.2)]
+        np.testing.assert_array_equal(force_closure(other).closed, closed)
+    margins = [force_closure(grasp, length=length).margin for length in (0.02, 0.2)]
     assert (margins[0] > 0).tolist() == (margins[1] > 0).tolist()
 
 
 def test_a_single_grasp_an_empty_one_and_leading_axes():
     grasp = known.ordinary(4, 6)
-    flat = jaxgrasp.force_closure(grasp)
+    flat = force_closure(grasp)
     names = ("points", "normals", "friction", "squeeze")
     fields = (getattr(grasp, name) for name in names)
-    folded = jaxgrasp.force_closure(Grasp(*(array.reshape(2, 3, *array.shape[1:]) for array in fields)))
+    folded = force_closure(Grasp(*(array.reshape(2, 3, *array.shape[1:]) for array in fields)))
     np.testing.assert_array_equal(folded.margin.reshape(6), flat.margin)
     assert folded.forces.shape == (2, 3, 4, 3)
-    nobody = jaxgrasp.force_closure(known.changed(known.triangle(), present=np.zeros(3)))
+    nobody = force_closure(known.changed(known.triangle(), present=np.zeros(3)))
     assert not nobody.closed and nobody.decided and nobody.margin == 0
 
 
@@ -178,7 +179,7 @@ def test_single_precision_counts_its_own_rounding():
     grasp = known.ordinary(5, 20)
     names = ("points", "normals", "friction", "squeeze")
     rounded = Grasp(*(np.asarray(getattr(grasp, f), np.float32) for f in names))
-    fine, coarse = jaxgrasp.force_closure(grasp), jaxgrasp.force_closure(rounded)
+    fine, coarse = force_closure(grasp), force_closure(rounded)
     np.testing.assert_array_equal(fine.closed[coarse.decided], coarse.closed[coarse.decided])
     assert coarse.margin.dtype == np.float64
 
@@ -187,14 +188,14 @@ def test_single_precision_counts_its_own_rounding():
 def test_bad_input_is_named():
     grasp = known.triangle()
     with pytest.raises(GraspError, match=r"torsion\[1\] is -1.0: expected a finite length"):
-        jaxgrasp.force_closure(known.changed(grasp, torsion=np.array([0.0, -1.0, 0.0])))
+        force_closure(known.changed(grasp, torsion=np.array([0.0, -1.0, 0.0])))
     with pytest.raises(GraspError, match=r"torsion is an array of shape \(2,\)"):
-        jaxgrasp.force_closure(known.changed(grasp, torsion=np.zeros(2)))
+        force_closure(known.changed(grasp, torsion=np.zeros(2)))
     with pytest.raises(GraspError, match="length is 0.0: expected a finite length above zero"):
-        jaxgrasp.force_closure(grasp, length=0.0)
+        force_closure(grasp, length=0.0)
     with pytest.raises(GraspError, match=r"about is an array of shape \(2,\)"):
-        jaxgrasp.force_closure(grasp, about=np.zeros(2))
+        force_closure(grasp, about=np.zeros(2))
     with pytest.raises(GraspError, match=r"about\[1\] is nan"):
-        jaxgrasp.force_closure(grasp, about=np.array([0, np.nan, 0]))
+        force_closure(grasp, about=np.array([0, np.nan, 0]))
     with pytest.raises(GraspError, match=r"friction\[2\] is -0.5"):
-        jaxgrasp.force_closure(known.changed(grasp, friction=np.array([0.5, 0.5, -0.5])))
+        force_closure(known.changed(grasp, friction=np.array([0.5, 0.5, -0.5])))

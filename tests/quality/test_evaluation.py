@@ -14,6 +14,7 @@ from jaxgrasp.batch.stream import Plan, evaluate_stream
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.main import main
+from jaxgrasp.quality import ferrari_canny, force_closure, grasp_volume, min_weight
 from jaxgrasp.quality.measures import CLOSED, MEASURES, measures_named
 from tests.batch.conftest import make_sets
 
@@ -30,13 +31,13 @@ def test_every_measure_is_its_functions(sets):
     found = evaluate(sets, methods=("B",), quality=tuple(MEASURES)).quality
     for index in range(len(SIZES)):
         grasp = sets.grasp(index)
-        closure, ball = jaxgrasp.force_closure(grasp), jaxgrasp.ferrari_canny(grasp, "linf")
+        closure, ball = force_closure(grasp), ferrari_canny(grasp, "linf")
         assert (found["force-closure.closed"][index] == CLOSED) == closure.closed
         np.testing.assert_allclose(found["force-closure.margin"][index], closure.margin, rtol=1e-6, atol=1e-15)
         assert found["ferrari-canny-linf.lower"][index] <= ball.upper
         np.testing.assert_allclose(found["ferrari-canny-linf.upper"][index], ball.upper, rtol=1e-6, atol=1e-15)
-        np.testing.assert_allclose(found["min-weight.value"][index], jaxgrasp.min_weight(grasp).value, rtol=1e-8)
-        volume = jaxgrasp.grasp_volume(grasp)
+        np.testing.assert_allclose(found["min-weight.value"][index], min_weight(grasp).value, rtol=1e-8)
+        volume = grasp_volume(grasp)
         np.testing.assert_allclose(found["volume.value"][index], volume, rtol=1e-9, atol=1e-12)
 
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 
-import jaxgrasp
-from jaxgrasp import Epsilon, Grasp
+from jaxgrasp import Grasp
+from jaxgrasp.quality import Epsilon, ferrari_canny, ferrari_canny_at, force_closure
 from jaxgrasp.quality.inner_polytope import Star
 from tests.quality import known
 
@@ -21,7 +21,7 @@ TOL = 1e-3
 def closed_ones(n: int, count: int, torsion: bool = False, least: float = 0.01) -> Grasp:
     """Ordinary grasps that are closed, and not by a hair."""
     grasp = known.ordinary(n, 6 * count, torsion=torsion)
-    kept = np.flatnonzero(jaxgrasp.force_closure(grasp).margin > least)[:count]
+    kept = np.flatnonzero(force_closure(grasp).margin > least)[:count]
     assert len(kept) == count
     return jax.tree.map(lambda array: array[kept], grasp)
 
@@ -50,7 +50,7 @@ def brute_force(grasp: Grasp, bound: str, starts: int = 12) -> float:
 @pytest.mark.parametrize("n", [3, 4])
 def test_cones_lie_between_fine_pyramids(n):
     batch = closed_ones(n, 2)
-    found = jaxgrasp.ferrari_canny(batch)
+    found = ferrari_canny(batch)
     for index in range(2):
         grasp = known.one(batch, index)
         length, about = known.frame_of(grasp)
@@ -66,7 +66,7 @@ def test_cones_lie_between_fine_pyramids(n):
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_bounds_agree_with_brute_force(bound, torsion):
     batch = closed_ones(5, 3, torsion)
-    found = jaxgrasp.ferrari_canny(batch, bound)
+    found = ferrari_canny(batch, bound)
     for index in range(3):
         least = brute_force(known.one(batch, index), bound)
         assert found.lower[index] <= least * (1 + 1e-9)
@@ -76,7 +76,7 @@ def test_bounds_agree_with_brute_force(bound, torsion):
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_no_direction_is_below_the_lower_bound_and_the_one_found_reaches_the_upper(bound):
     batch = closed_ones(5, 3, torsion=True)
-    found = jaxgrasp.ferrari_canny(batch, bound)
+    found = ferrari_canny(batch, bound)
     rng = np.random.default_rng(1)
     for index in range(3):
         grasp, direction = known.one(batch, index), found.direction[index]
@@ -103,7 +103,7 @@ def pyramid_edges(grasp: Grasp, sides: int) -> np.ndarray:
 @pytest.mark.parametrize("sides", [4, 7])
 def test_pyramids_with_a_bounded_sum_are_their_hull(sides):
     batch = closed_ones(5, 3, least=0.03)
-    found = jaxgrasp.ferrari_canny(batch, sides=sides)
+    found = ferrari_canny(batch, sides=sides)
     for index in range(3):
         radius = hull_radius(pyramid_edges(known.one(batch, index), sides).reshape(-1, 6))
         np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
@@ -111,7 +111,7 @@ def test_pyramids_with_a_bounded_sum_are_their_hull(sides):
 
 def test_pyramids_with_each_force_bounded_are_their_minkowski_sum():
     batch = closed_ones(3, 2)
-    found = jaxgrasp.ferrari_canny(batch, "linf", sides=4)
+    found = ferrari_canny(batch, "linf", sides=4)
     assert (found.lower > 0).all()
     for index in range(2):
         edges = pyramid_edges(known.one(batch, index), 4)
@@ -126,7 +126,7 @@ def test_two_soft_fingers(torsion):
 
     Along d = (t, s, 0, 0, 0, s) they work at the rates 2 mu s - t and t: at most mu s, where t = mu s.
     """
-    found = jaxgrasp.ferrari_canny(known.two_fingers(torsion), tol=1e-2)
+    found = ferrari_canny(known.two_fingers(torsion), tol=1e-2)
     expected = min(torsion / 0.05, 0.5 / np.sqrt(2 + 0.5**2))
     assert found.lower <= expected * (1 + 1e-12) and expected <= found.upper * (1 + 1e-12)
     np.testing.assert_allclose(found.upper, expected, rtol=1e-9)
@@ -144,13 +144,13 @@ def test_frame_order_and_padding_do_not_matter(bound):
         known.changed(grasp, **{name: getattr(grasp, name)[:, ::-1] for name in names}),
         known.padded(grasp),
     ]
-    plain = jaxgrasp.ferrari_canny(grasp, bound)
+    plain = ferrari_canny(grasp, bound)
     for other in others:
-        found = jaxgrasp.ferrari_canny(other, bound)
+        found = ferrari_canny(other, bound)
         np.testing.assert_allclose(found.upper, plain.upper, rtol=1e-7)
         assert (found.lower <= plain.upper).all() and (plain.lower <= found.upper).all()
-    given = jaxgrasp.ferrari_canny(known.changed(grasp, points=100 * grasp.points), bound, length=5.0)
-    np.testing.assert_allclose(given.upper, jaxgrasp.ferrari_canny(grasp, bound, length=0.05).upper, rtol=1e-7)
+    given = ferrari_canny(known.changed(grasp, points=100 * grasp.points), bound, length=5.0)
+    np.testing.assert_allclose(given.upper, ferrari_canny(grasp, bound, length=0.05).upper, rtol=1e-7)
 
 
 @pytest.mark.parametrize("bound", BOUNDS)
@@ -158,38 +158,38 @@ def test_more_friction_and_more_contacts_never_hurt_and_a_longer_unit_never_help
     frame = {"length": 0.05, "about": np.zeros(3)}
     grasp = closed_ones(4, 2)
     grasp = known.changed(grasp, points=grasp.points - grasp.points.mean(1, keepdims=True))
-    plain = jaxgrasp.ferrari_canny(grasp, bound, **frame)
-    rough = jaxgrasp.ferrari_canny(known.changed(grasp, friction=1.2 * grasp.friction), bound, **frame)
+    plain = ferrari_canny(grasp, bound, **frame)
+    rough = ferrari_canny(known.changed(grasp, friction=1.2 * grasp.friction), bound, **frame)
     assert (plain.lower <= rough.upper).all() and (rough.upper > plain.upper).all()
     fewer = known.changed(grasp, present=np.array([[1.0, 1, 1, 0]] * 2))
-    assert (jaxgrasp.ferrari_canny(fewer, bound, **frame).lower <= plain.upper).all()
-    longer = jaxgrasp.ferrari_canny(grasp, bound, length=0.1, about=np.zeros(3))
+    assert (ferrari_canny(fewer, bound, **frame).lower <= plain.upper).all()
+    longer = ferrari_canny(grasp, bound, length=0.1, about=np.zeros(3))
     assert (longer.lower <= plain.upper).all() and (2 * longer.upper >= plain.lower).all()
 
 
 def test_each_force_bounded_gives_at_least_what_their_sum_bounded_gives_and_at_most_n_times_that():
     grasp = closed_ones(5, 3)
-    total, each = (jaxgrasp.ferrari_canny(grasp, bound) for bound in BOUNDS)
+    total, each = (ferrari_canny(grasp, bound) for bound in BOUNDS)
     assert (total.lower <= each.upper).all() and (each.lower <= 5 * total.upper).all()
 
 
 def test_few_points_leave_the_bounds_apart_but_true():
     grasp = closed_ones(8, 2)
-    exact = jaxgrasp.ferrari_canny(grasp, "linf")
+    exact = ferrari_canny(grasp, "linf")
     for max_points in (1, 40, 80):
-        rough = jaxgrasp.ferrari_canny(grasp, "linf", max_points=max_points)
+        rough = ferrari_canny(grasp, "linf", max_points=max_points)
         assert (rough.lower > 0).all()
         assert (rough.lower <= exact.upper).all() and (exact.lower <= rough.upper).all()
 
 
 def test_grasps_that_are_not_closed_have_none():
     for grasp in (known.two_fingers(None), known.on_axes(0.0), known.star([0, 50, 100], 0.3)):
-        found = jaxgrasp.ferrari_canny(grasp)
+        found = ferrari_canny(grasp)
         assert found.lower == found.upper == 0 and not found.press.any()
         np.testing.assert_allclose(np.linalg.norm(found.direction), 1)
         assert known.height(grasp, found.direction[None], "l1")[0] < 1e-12
     for sides in (3, 4):
-        assert jaxgrasp.ferrari_canny(known.two_fingers(None), "linf", sides=sides).upper == 0
+        assert ferrari_canny(known.two_fingers(None), "linf", sides=sides).upper == 0
 
 
 def test_every_ray_meets_the_surface_an_odd_number_of_times_even_where_points_coincide():
@@ -226,11 +226,11 @@ def moved(grasp: Grasp, tangent: Grasp, step: float) -> Grasp:
 )
 def test_derivatives_are_those_of_the_value(bound, sides):
     grasp = closed_ones(5, 4, torsion=True)
-    found = jaxgrasp.ferrari_canny(grasp, bound, sides=sides)
+    found = ferrari_canny(grasp, bound, sides=sides)
 
     @jax.jit
     def value(grasp: Grasp):
-        return jaxgrasp.ferrari_canny_at(grasp, found)
+        return ferrari_canny_at(grasp, found)
 
     inputs, tangent = known.of_jax(grasp), known.of_jax(directions_of(grasp))
     there, forward = jax.jvp(value, (inputs,), (tangent,))
@@ -242,18 +242,16 @@ def test_derivatives_are_those_of_the_value(bound, sides):
     )
     np.testing.assert_allclose(product, forward, rtol=1e-9, atol=1e-12)
     step = 1e-5
-    ends = [
-        jaxgrasp.ferrari_canny(moved(grasp, directions_of(grasp), sign * step), bound, sides=sides) for sign in (1, -1)
-    ]
+    ends = [ferrari_canny(moved(grasp, directions_of(grasp), sign * step), bound, sides=sides) for sign in (1, -1)]
     numeric = (ends[0].upper - ends[1].upper) / (2 * step)
     np.testing.assert_allclose(np.asarray(forward)[polished], numeric[polished], rtol=2e-5, atol=1e-6)
 
 
 def test_the_differentiable_value_works_under_jit_and_vmap():
     grasp = closed_ones(4, 3)
-    found = jaxgrasp.ferrari_canny(grasp)
-    whole = jaxgrasp.ferrari_canny_at(known.of_jax(grasp), found)
-    single = jax.jit(jax.vmap(lambda g, *f: jaxgrasp.ferrari_canny_at(g, Epsilon(*f))))(known.of_jax(grasp), *found)
+    found = ferrari_canny(grasp)
+    whole = ferrari_canny_at(known.of_jax(grasp), found)
+    single = jax.jit(jax.vmap(lambda g, *f: ferrari_canny_at(g, Epsilon(*f))))(known.of_jax(grasp), *found)
     np.testing.assert_allclose(single, whole, rtol=1e-12)
     np.testing.assert_allclose(whole, found.upper, rtol=TOL)
 
@@ -262,12 +260,12 @@ def test_the_differentiable_value_works_under_jit_and_vmap():
 def test_bad_options_are_named():
     grasp = known.triangle()
     with pytest.raises(ValueError, match="bound is 'l2': expected 'l1' or 'linf'"):
-        jaxgrasp.ferrari_canny(grasp, "l2")
+        ferrari_canny(grasp, "l2")
     with pytest.raises(ValueError, match="sides is 2: expected a whole number, 3 or more, or None"):
-        jaxgrasp.ferrari_canny(grasp, sides=2)
+        ferrari_canny(grasp, sides=2)
     with pytest.raises(ValueError, match="tol is 0: expected a number between 0 and 1"):
-        jaxgrasp.ferrari_canny(grasp, tol=0)
+        ferrari_canny(grasp, tol=0)
     with pytest.raises(ValueError, match="max_points is 0: expected 1 or more"):
-        jaxgrasp.ferrari_canny(grasp, max_points=0)
+        ferrari_canny(grasp, max_points=0)
     with pytest.raises(TypeError, match="concrete"):
-        jax.jit(lambda points: jaxgrasp.ferrari_canny(known.changed(grasp, points=points)).lower)(grasp.points)
+        jax.jit(lambda points: ferrari_canny(known.changed(grasp, points=points)).lower)(grasp.points)

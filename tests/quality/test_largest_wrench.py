@@ -8,6 +8,7 @@ import pytest
 import jaxgrasp
 from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError
+from jaxgrasp.quality import largest_wrench, largest_wrench_at
 from tests.quality import known
 
 BOUNDS = ("l1", "linf")
@@ -53,7 +54,7 @@ def by_clarabel(grasp: Grasp, task: np.ndarray, bound: str) -> float:
 @pytest.mark.parametrize("n", [pytest.param(3, marks=pytest.mark.slow), 6])
 def test_it_is_what_another_solver_finds(n, torsion, bound):
     grasp, task = known.ordinary(n, 6, torsion=torsion), P.problems("ordinary", n, 6, 1).wrench
-    found = jaxgrasp.largest_wrench(grasp, task, bound)
+    found = largest_wrench(grasp, task, bound)
     expected = [by_clarabel(known.one(grasp, i), task[i], bound) for i in range(6)]
     np.testing.assert_allclose(found.upper, expected, rtol=2e-6)
     assert (found.lower >= (1 - 1.01e-6) * found.upper).all()
@@ -62,7 +63,7 @@ def test_it_is_what_another_solver_finds(n, torsion, bound):
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_both_bounds_are_proven_by_forces_and_by_a_twist(bound):
     grasp, task = known.ordinary(5, 10, torsion=True), P.problems("ordinary", 5, 10, 1).wrench
-    found = jaxgrasp.largest_wrench(grasp, task, bound)
+    found = largest_wrench(grasp, task, bound)
     moment = np.cross(grasp.points, found.forces).sum(1) + (found.moments[..., None] * grasp.normals).sum(1)
     exerted = np.concatenate([found.forces.sum(1), moment], 1)
     size = np.linalg.norm(found.lower[:, None] * task, axis=1, keepdims=True)
@@ -84,25 +85,25 @@ def test_both_bounds_are_proven_by_forces_and_by_a_twist(bound):
 def test_two_fingers_lift_by_friction():
     """A pair that squeezes with 1 N each lifts 2 mu N; with 1 N in all mu N; and turns nothing about its line."""
     pair, lift, turn = known.two_fingers(None), np.eye(6)[2], np.eye(6)[3]
-    np.testing.assert_allclose(jaxgrasp.largest_wrench(pair, lift).upper, 1.0, rtol=1e-9)
-    np.testing.assert_allclose(jaxgrasp.largest_wrench(pair, lift, "l1").upper, 0.5, rtol=1e-9)
-    nothing = jaxgrasp.largest_wrench(pair, turn)
+    np.testing.assert_allclose(largest_wrench(pair, lift).upper, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(largest_wrench(pair, lift, "l1").upper, 0.5, rtol=1e-9)
+    nothing = largest_wrench(pair, turn)
     assert nothing.lower == 0 and nothing.upper < 1e-12
-    np.testing.assert_allclose(jaxgrasp.largest_wrench(known.two_fingers(0.01), turn).upper, 0.02, rtol=1e-9)
+    np.testing.assert_allclose(largest_wrench(known.two_fingers(0.01), turn).upper, 0.02, rtol=1e-9)
 
 
 @pytest.mark.slow
 def test_with_a_bounded_sum_it_is_one_over_the_least_squeeze():
     problem = P.problems("ordinary", 5, 20, 1)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    found = jaxgrasp.largest_wrench(grasp, problem.wrench, "l1")
+    found = largest_wrench(grasp, problem.wrench, "l1")
     np.testing.assert_allclose(1 / found.upper, jaxgrasp.least_squeeze(grasp, problem.wrench), rtol=2e-6)
 
 
 @pytest.mark.parametrize("bound", [pytest.param("l1", marks=pytest.mark.slow), "linf"])
 def test_laws(bound):
     grasp, task = known.ordinary(5, 6), P.problems("ordinary", 5, 6, 1).wrench
-    plain = jaxgrasp.largest_wrench(grasp, task, bound)
+    plain = largest_wrench(grasp, task, bound)
     turned, rotation = known.turned(grasp)
     as_turned = np.concatenate([task[:, :3] @ rotation.T, task[:, 3:] @ rotation.T], 1)
     shift = np.array([0.3, -0.2, 0.5])
@@ -113,16 +114,16 @@ def test_laws(bound):
         (known.padded(grasp), task, 1),
         (grasp, 3 * task, 1 / 3),
     ):
-        np.testing.assert_allclose(jaxgrasp.largest_wrench(other, load, bound).upper, factor * plain.upper, rtol=2e-6)
-    rough = jaxgrasp.largest_wrench(known.changed(grasp, friction=1.3 * grasp.friction), task, bound)
+        np.testing.assert_allclose(largest_wrench(other, load, bound).upper, factor * plain.upper, rtol=2e-6)
+    rough = largest_wrench(known.changed(grasp, friction=1.3 * grasp.friction), task, bound)
     assert (rough.upper >= plain.lower).all()
-    inner = jaxgrasp.largest_wrench(grasp, task, bound, sides=6)
+    inner = largest_wrench(grasp, task, bound, sides=6)
     assert (inner.lower <= plain.upper).all() and (inner.upper > 0.7 * plain.lower).all()
 
 
 def test_derivatives_are_those_of_the_value():
     grasp, task = known.ordinary(5, 6), P.problems("ordinary", 5, 6, 1).wrench
-    found = jaxgrasp.largest_wrench(grasp, task, tol=1e-9)
+    found = largest_wrench(grasp, task, tol=1e-9)
     points, friction = (jnp.asarray(getattr(grasp, name)) for name in ("points", "friction"))
     rng = np.random.default_rng(0)
     tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in ((points, 0.03), (friction, 1), (task, 1)))
@@ -130,7 +131,7 @@ def test_derivatives_are_those_of_the_value():
     @jax.jit
     def of(points, friction, task):
         grown = known.changed(known.of_jax(grasp), points=points, friction=friction)
-        return jaxgrasp.largest_wrench_at(grown, task, found)
+        return largest_wrench_at(grown, task, found)
 
     value, forward = jax.jvp(of, (points, friction, jnp.asarray(task)), tangent)
     np.testing.assert_allclose(value, found.upper, rtol=1e-8)
@@ -142,7 +143,7 @@ def test_derivatives_are_those_of_the_value():
     for sign in (step, -step):
         there = [np.asarray(a) + sign * b for a, b in zip((points, friction, task), tangent)]
         other = known.changed(grasp, points=there[0], friction=there[1])
-        ends.append(jaxgrasp.largest_wrench(other, there[2], tol=1e-9).upper)
+        ends.append(largest_wrench(other, there[2], tol=1e-9).upper)
     np.testing.assert_allclose(forward, (ends[0] - ends[1]) / (2 * step), rtol=1e-4)
 
 
@@ -150,10 +151,10 @@ def test_derivatives_are_those_of_the_value():
 def test_bad_tasks_are_named():
     grasp = known.triangle()
     with pytest.raises(GraspError, match=r"task is .*not all zero"):
-        jaxgrasp.largest_wrench(grasp, np.zeros(6))
+        largest_wrench(grasp, np.zeros(6))
     with pytest.raises(GraspError, match=r"task\[1\] is .*expected six finite numbers"):
-        jaxgrasp.largest_wrench(known.ordinary(3, 2), np.array([[1.0, 0, 0, 0, 0, 0], [np.inf, 0, 0, 0, 0, 0]]))
+        largest_wrench(known.ordinary(3, 2), np.array([[1.0, 0, 0, 0, 0, 0], [np.inf, 0, 0, 0, 0, 0]]))
     with pytest.raises(
         GraspError, match=r"task is an array of shape \(5,\): expected a shape that broadcasts to \(6,\)"
     ):
-        jaxgrasp.largest_wrench(grasp, np.ones(5))
+        largest_wrench(grasp, np.ones(5))

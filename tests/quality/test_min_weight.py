@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-import jaxgrasp
+from jaxgrasp.quality import ferrari_canny, min_weight, min_weight_at
 from tests.quality import known
 from tests.quality.test_ferrari_canny import pyramid_edges
 
@@ -33,7 +33,7 @@ def by_the_dual(edges: np.ndarray) -> float:
 @pytest.mark.parametrize("n", [3, 5, pytest.param(10, marks=pytest.mark.slow)])
 def test_it_is_its_duals_value_and_its_weights_balance(n, sides):
     grasp = known.ordinary(n, 8)
-    found = jaxgrasp.min_weight(grasp, sides=sides)
+    found = min_weight(grasp, sides=sides)
     for index in range(8):
         edges = pyramid_edges(known.one(grasp, index), sides)
         np.testing.assert_allclose(found.value[index], by_the_dual(edges.reshape(-1, 6)), rtol=1e-6, atol=1e-8)
@@ -45,47 +45,47 @@ def test_it_is_its_duals_value_and_its_weights_balance(n, sides):
 
 
 def test_equal_weights_balance_where_all_is_symmetric_and_nothing_does_on_one_side():
-    np.testing.assert_allclose(jaxgrasp.min_weight(known.on_axes(0.5)).value, 1, rtol=1e-12)
-    assert jaxgrasp.min_weight(known.star([0, 50, 100], 0.3)).value < 0
+    np.testing.assert_allclose(min_weight(known.on_axes(0.5)).value, 1, rtol=1e-12)
+    assert min_weight(known.star([0, 50, 100], 0.3)).value < 0
     nobody = known.changed(known.triangle(), present=np.zeros(3))
     for grasp in (known.star([0], 0.5), nobody):
-        found = jaxgrasp.min_weight(grasp)
+        found = min_weight(grasp)
         assert found.value == -np.inf and not found.weights.any()
         assert np.isfinite(
-            jax.grad(
-                lambda p, g=grasp, f=found: jnp.sum(jaxgrasp.min_weight_at(known.changed(known.of_jax(g), points=p), f))
-            )(jnp.asarray(grasp.points))
+            jax.grad(lambda p, g=grasp, f=found: jnp.sum(min_weight_at(known.changed(known.of_jax(g), points=p), f)))(
+                jnp.asarray(grasp.points)
+            )
         ).all()
 
 
 def test_above_zero_it_means_closed():
     grasp = known.ordinary(5, 40, torsion=True)
-    found = jaxgrasp.min_weight(grasp, sides=4)
-    closed = jaxgrasp.ferrari_canny(grasp, sides=4, tol=0.5).lower > 0
+    found = min_weight(grasp, sides=4)
+    closed = ferrari_canny(grasp, sides=4, tol=0.5).lower > 0
     np.testing.assert_array_equal(found.value > 1e-9, closed)
 
 
 def test_neither_place_nor_unit_nor_padding_matters():
     grasp = known.ordinary(5, 6)
-    plain = jaxgrasp.min_weight(grasp).value
+    plain = min_weight(grasp).value
     for other in (
         known.changed(grasp, points=grasp.points + [1.0, 2.0, 3.0]),
         known.changed(grasp, points=100 * grasp.points),
         known.padded(grasp),
     ):
-        np.testing.assert_allclose(jaxgrasp.min_weight(other).value, plain, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(min_weight(other).value, plain, rtol=1e-7, atol=1e-9)
 
 
 def test_derivatives_are_those_of_the_value():
     grasp = known.ordinary(5, 6)
-    found = jaxgrasp.min_weight(grasp)
+    found = min_weight(grasp)
     points, friction = jnp.asarray(grasp.points), jnp.asarray(grasp.friction)
     rng = np.random.default_rng(0)
     tangent = 0.03 * rng.normal(size=points.shape), rng.normal(size=friction.shape)
 
     @jax.jit
     def of(points, friction):
-        return jaxgrasp.min_weight_at(known.changed(known.of_jax(grasp), points=points, friction=friction), found)
+        return min_weight_at(known.changed(known.of_jax(grasp), points=points, friction=friction), found)
 
     value, forward = jax.jvp(of, (points, friction), tangent)
     np.testing.assert_allclose(value, found.value, rtol=1e-9)
@@ -94,7 +94,7 @@ def test_derivatives_are_those_of_the_value():
     np.testing.assert_allclose(product, forward, rtol=1e-9)
     step = 1e-5
     ends = [
-        jaxgrasp.min_weight(
+        min_weight(
             known.changed(grasp, points=grasp.points + s * tangent[0], friction=grasp.friction + s * tangent[1])
         ).value
         for s in (step, -step)
@@ -105,4 +105,4 @@ def test_derivatives_are_those_of_the_value():
 @pytest.mark.usefixtures("unchecked")
 def test_bad_sides_are_named():
     with pytest.raises(ValueError, match=r"sides is 2.5: expected a whole number"):
-        jaxgrasp.min_weight(known.triangle(), sides=2.5)
+        min_weight(known.triangle(), sides=2.5)

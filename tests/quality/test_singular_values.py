@@ -6,25 +6,31 @@ import numpy as np
 import pytest
 
 import jaxgrasp
+from jaxgrasp.quality import grasp_isotropy, grasp_volume, least_singular_value, singular_values
 from tests.quality import known
 
-METRICS = (jaxgrasp.singular_values, jaxgrasp.least_singular_value, jaxgrasp.grasp_volume, jaxgrasp.grasp_isotropy)
+METRICS = (
+    singular_values,
+    least_singular_value,
+    grasp_volume,
+    grasp_isotropy,
+)
 
 
 def test_known_values():
     """On a unit circle three contacts have sqrt(3) four times and sqrt(1.5) twice; six on a unit ball sqrt(6), 2."""
-    triangle = jaxgrasp.singular_values(known.star([0, 120, 240], 0.5, radius=1.0))
+    triangle = singular_values(known.star([0, 120, 240], 0.5, radius=1.0))
     np.testing.assert_allclose(triangle, np.sqrt([3, 3, 3, 3, 1.5, 1.5]), rtol=1e-12)
     six = known.on_axes(0.5)
-    np.testing.assert_allclose(jaxgrasp.singular_values(six), [6**0.5] * 3 + [2.0] * 3, rtol=1e-12)
-    np.testing.assert_allclose(jaxgrasp.grasp_volume(six), 6**1.5 * 8, rtol=1e-12)
-    np.testing.assert_allclose(jaxgrasp.grasp_isotropy(six), 2 / 6**0.5, rtol=1e-12)
+    np.testing.assert_allclose(singular_values(six), [6**0.5] * 3 + [2.0] * 3, rtol=1e-12)
+    np.testing.assert_allclose(grasp_volume(six), 6**1.5 * 8, rtol=1e-12)
+    np.testing.assert_allclose(grasp_isotropy(six), 2 / 6**0.5, rtol=1e-12)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])
 def test_they_are_those_of_the_matrix(n):
     grasp = known.ordinary(n, 20)
-    found = jaxgrasp.singular_values(grasp, length=0.04, about=np.array([0.1, 0.0, 0.0]))
+    found = singular_values(grasp, length=0.04, about=np.array([0.1, 0.0, 0.0]))
     matrix = np.array(jaxgrasp.grasp_matrix(grasp.points - [0.1, 0.0, 0.0]))
     matrix[:, 3:] /= 0.04
     expected = np.zeros((20, 6))
@@ -32,7 +38,9 @@ def test_they_are_those_of_the_matrix(n):
     expected[:, : values.shape[1]] = values
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(
-        jaxgrasp.grasp_volume(grasp, length=0.04), np.prod(jaxgrasp.singular_values(grasp, length=0.04), -1), rtol=1e-12
+        grasp_volume(grasp, length=0.04),
+        np.prod(singular_values(grasp, length=0.04), -1),
+        rtol=1e-12,
     )
 
 
@@ -78,7 +86,7 @@ def test_laws_and_derivatives(metric):
 
 def test_a_longer_unit_lessens_them_and_second_derivatives_are_refused():
     grasp = known.ordinary(5, 10)
-    short, long = (jaxgrasp.singular_values(grasp, length=length) for length in (0.03, 0.06))
+    short, long = (singular_values(grasp, length=length) for length in (0.03, 0.06))
     assert (long <= short * (1 + 1e-12)).all() and (2 * long >= short * (1 - 1e-12)).all()
     with pytest.raises(NotImplementedError, match="first derivatives only"):
-        jax.hessian(lambda p: jaxgrasp.grasp_volume(known.changed(known.triangle(), points=p)))(jnp.eye(3))
+        jax.hessian(lambda p: grasp_volume(known.changed(known.triangle(), points=p)))(jnp.eye(3))

@@ -8,20 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp import (
-    CYLINDRICAL_POWER_GRIP,
-    Body,
+from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Hold, Scene, Touch
+from jaxgrasp.hand import (
     Box,
     Capsule,
     Cylinder,
-    Hold,
     Plane,
     Pose,
     Posture,
-    Scene,
     Shape,
     Sphere,
-    Touch,
     human_hand,
     link_contributions,
     signed_distance,

@@ -7,7 +7,9 @@ import pytest
 from scipy.optimize import minimize
 
 import jaxgrasp
-from jaxgrasp import Grasp, Output, Task, cylinder_task, friction_reserve, raise_worst
+from jaxgrasp import Grasp
+from jaxgrasp.grip import Task
+from jaxgrasp.sensitivity import Output, cylinder_task, friction_reserve, raise_worst
 
 TIMES = (np.arange(24) + 0.5) / 6
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -144,8 +146,8 @@ def test_an_independent_optimiser_climbs_no_higher(by_contributions):
 
     @jax.jit
     def margins(values):
-        held = jaxgrasp.HeldCylinder(**{**vars(task.parameters.held), "contributions": values})
-        carried = jaxgrasp.carrying(held, task.parameters.path, task.parameters.gravity)
+        held = jaxgrasp.grip.HeldCylinder(**{**vars(task.parameters.held), "contributions": values})
+        carried = jaxgrasp.grip.carrying(held, task.parameters.path, task.parameters.gravity)
         return BY_B(*jax.vmap(carried)(jnp.asarray(TIMES)))["friction_margin"].ravel()
 
     slopes = jax.jit(jax.jacfwd(margins))

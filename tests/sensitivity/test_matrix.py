@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Grasp, HeldCylinder, SensitivityMatrix, sensitivity_matrix, slip_angle, squeezing
+from jaxgrasp import Grasp, slip_angle
+from jaxgrasp.grip import HeldCylinder, squeezing
+from jaxgrasp.sensitivity import SensitivityMatrix, sensitivity_matrix
 
 FINGERS = ("thumb", "index", "middle")
 RNG = np.random.default_rng(3)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Body, Cylinder, Pose, Posture, Scene, human_hand, observe, power_grip, sensitivity_matrix
+from jaxgrasp.grip import Body, Scene, observe, power_grip
+from jaxgrasp.hand import Cylinder, Pose, Posture, human_hand
+from jaxgrasp.sensitivity import sensitivity_matrix
 from jaxgrasp.sensitivity.naming import with_values
 
 HAND = human_hand()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp import Output, Task, cylinder_task, sensitivity_trajectory
+from jaxgrasp.grip import Task
+from jaxgrasp.sensitivity import Output, cylinder_task, sensitivity_trajectory
 from jaxgrasp.sensitivity.naming import with_values
 from jaxgrasp.sensitivity.paper_task import FINGERS, INDEX_CONTRIBUTIONS
 
@@ -124,7 +125,7 @@ def test_varied_curves_and_their_prediction():
     for value, curve in zip(values, varied.curves, strict=True):
         held = cylinder_task().parameters.held
         contributions = held.contributions.at[INDEX].set(value)
-        task = jaxgrasp.carrying(
+        task = jaxgrasp.grip.carrying(
             _with(held, contributions), cylinder_task().parameters.path, cylinder_task().parameters.gravity
         )
         np.testing.assert_allclose(np.degrees(curve), slips(task, "B"), atol=1e-9)

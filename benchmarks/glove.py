@@ -29,7 +29,7 @@ from jaxgrasp.glove.loop.child import Child
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
-from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import Exchange
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
 from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
@@ -211,7 +211,7 @@ def network_cut(plan: Plan) -> dict:
             options = {"port": simulator.port, "listen": ["127.0.0.1", 0], "scale": 1.0, "ramp": 0.2}
             host = Child("jaxgrasp.glove.loop.io_process", options)
             port = host.wait_for(lambda told: "listens" in told)["listens"]
-            far = EngineLink(Link("127.0.0.1", port, GloveState.size(CHANNELS)), CHANNELS)
+            far = EngineLink(NetworkLink("127.0.0.1", port, GloveState.size(CHANNELS)), CHANNELS)
             heard: dict[str, GloveState | None] = {}
             engine = Engine(partial(listen, far, heard), partial(speak, far))
             armed(partial(heard.get, "state"), partial(host.order, {"arm": True}))

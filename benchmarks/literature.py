@@ -29,9 +29,9 @@ from benchmarks.problems import problems
 from jaxgrasp import Grasp, Limits, Verdict, closed_form, constrained_optimum, friction_margin
 from jaxgrasp.literature import LITERATURE_METHODS, MethodStatus, kuhn_tucker
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
-from jaxgrasp.literature.host_problem import posed
-from jaxgrasp.literature.linear import Program, solve_plain
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.host_problem import host_problem
+from jaxgrasp.literature.linear import LinearProgram, solve_plain
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
 from jaxgrasp.sensitivity import cylinder_task
 
@@ -198,8 +198,8 @@ def compact_rows(count: int, repeats: int) -> list[dict]:
     rows = []
     for n in SIZES:
         problem = problems("ordinary", n, count, SEED)
-        given = read(grasp_of(problem), problem.wrench)
-        programs = [load_program(posed(given, i), 1.0, 1.0, SIDES, "inscribed") for i in range(count)]
+        given = read_input(grasp_of(problem), problem.wrench)
+        programs = [load_program(host_problem(given, i), 1.0, 1.0, SIDES, "inscribed") for i in range(count)]
         solvers = {"plain": solve_plain, "compact dual": solve_compact_dual}
         loops = {form: partial(_each, solve, programs) for form, solve in solvers.items()}
         spent = interleaved(loops, repeats, 10.0)
@@ -210,14 +210,14 @@ def compact_rows(count: int, repeats: int) -> list[dict]:
     return rows
 
 
-def _each(solve: Callable, programs: list[Program]) -> list:
+def _each(solve: Callable, programs: list[LinearProgram]) -> list:
     return [solve(program) for program in programs]
 
 
 def overhead(repeats: int) -> float:
     """Microseconds that SciPy's interface to HiGHS takes for a program with one unknown."""
     one = np.ones(1)
-    trivial = Program(one, np.zeros((0, 1)), np.zeros(0), -np.eye(1), one)
+    trivial = LinearProgram(one, np.zeros((0, 1)), np.zeros(0), -np.eye(1), one)
     return interleaved({"trivial": lambda: solve_plain(trivial)}, 20 * repeats, 5.0)["trivial"] * 1e6
 
 

@@ -19,7 +19,7 @@ from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import WEBER
 from jaxgrasp.psychophysics.analysis.counts import count
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.prediction.power import cheapest
@@ -34,7 +34,12 @@ NAME = "psychophysics"
 LEVELS = np.array(DIFFERENCES)
 ANSWERS = (10, 50, 100, 500)
 """At each level: of one person and of five at the paper's design, and ten times as many."""
-WIDTHS = {Shape.GAUSSIAN: 0.15, Shape.LOGISTIC: 0.09, Shape.WEIBULL: 0.8, Shape.DIFFERENCE: 1.0}
+WIDTHS = {
+    PsychometricShape.GAUSSIAN: 0.15,
+    PsychometricShape.LOGISTIC: 0.09,
+    PsychometricShape.WEIBULL: 0.8,
+    PsychometricShape.DIFFERENCE: 1.0,
+}
 REAL = 0.10
 """Weber fraction of real weights, as the paper cites it."""
 
@@ -74,7 +79,7 @@ def misfit(effort: Effort) -> list[dict]:
         rng = np.random.default_rng(answers)
         chances = np.asarray(observer.hit_probability(2.0, 2.0 * (1 + LEVELS)))
         hits = rng.binomial(answers, chances, (effort.experiments, len(LEVELS)))
-        for shape in Shape:
+        for shape in PsychometricShape:
             found = by_likelihood(hits, answers, LEVELS, Model(shape), truth)
             rows.append(_row(f"likelihood, {shape}", found["likelihood"], answers=answers))
         for method in ("interpolation", "line", "paper"):
@@ -120,7 +125,7 @@ def _one_person(settings: Settings, observer: Observer, seed: int) -> Threshold:
         levels.append(presented.level)
         right.append(bool(is_right))
         procedure.score(float(is_right))
-    return threshold(count(np.array(levels), np.array(right)), model=Model(Shape.DIFFERENCE))
+    return threshold(count(np.array(levels), np.array(right)), model=Model(PsychometricShape.DIFFERENCE))
 
 
 def power(effort: Effort) -> list[dict]:
@@ -167,7 +172,11 @@ def device(_: Effort) -> list[dict]:
 
 def _row(method: str, one: Recovery, **where) -> dict:
     numbers = {name: value if np.isfinite(value) else None for name, value in asdict(one).items()}
-    return {"method": method, **{name: str(v) if isinstance(v, Shape) else v for name, v in where.items()}, **numbers}
+    return {
+        "method": method,
+        **{name: str(v) if isinstance(v, PsychometricShape) else v for name, v in where.items()},
+        **numbers,
+    }
 
 
 SECTIONS = {"recovery": recovery, "misfit": misfit, "procedures": procedures, "power": power, "device": device}

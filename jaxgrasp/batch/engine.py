@@ -14,12 +14,12 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.batch.blocks import Block
 from jaxgrasp.force.slip import friction_margin, spin_force
-from jaxgrasp.model.compared_methods import Method
+from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import passes
 
 ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate")
@@ -68,7 +68,7 @@ class Engine:
 
     def __init__(
         self,
-        methods: tuple[Method, ...],
+        methods: tuple[ComparedMethod, ...],
         devices: int | None = None,
         announce: Callable[[str], None] = lambda text: None,
     ):
@@ -163,11 +163,11 @@ def _program(function: Callable, mesh: Mesh) -> _Program:
     return _Program(function, mesh)
 
 
-def _problem(sharing: str, block: Block) -> Problem:
+def _problem(sharing: str, block: Block) -> ProblemBatch:
     grasp = jax.tree.map(jnp.asarray, block.grasp)
     weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
     bounds = {} if block.limits is None else {name: getattr(block.limits, name) for name in BOUNDS}
-    return Problem(
+    return ProblemBatch(
         grasp.points,
         grasp.normals,
         grasp.friction,

@@ -8,7 +8,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
 from jaxgrasp.batch.evaluation import run, usable
 from jaxgrasp.batch.sources import GraspSource, looks_like_millimetres
-from jaxgrasp.batch.stream import Plan
+from jaxgrasp.batch.stream import StreamPlan
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.solution import Verdict
@@ -16,7 +16,7 @@ from jaxgrasp.model.solution import Verdict
 SAMPLE = 256
 
 
-def hints(source: GraspSource, plan: Plan, summary: Summary) -> list[str]:
+def hints(source: GraspSource, plan: StreamPlan, summary: Summary) -> list[str]:
     """Sentences for the user; usually none."""
     found: list[str] = []
     sample = next(source.chunks(SAMPLE))
@@ -49,7 +49,7 @@ def _share_that_holds(summary: Summary) -> float:
     return max(holds) / max(1, summary.problems)
 
 
-def _holds_turned_round(sample: ContactSets, plan: Plan) -> bool:
+def _holds_turned_round(sample: ContactSets, plan: StreamPlan) -> bool:
     turned = replace(sample, normals=-sample.normals).astype(np.dtype(plan.dtype))
     engine = Engine(methods_named(("B-optimum",)), devices=1)
     verdicts = run(engine, turned)["B-optimum"].verdict

@@ -27,7 +27,7 @@ MOST_WORKERS = 8
 
 
 @dataclass(frozen=True)
-class Plan:
+class StreamPlan:
     """What to compute, and how."""
 
     methods: tuple[str, ...] = tuple(METHODS)
@@ -56,7 +56,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StreamResult:
     """What is left in memory of a streamed evaluation."""
 
     summary: Summary
@@ -76,11 +76,11 @@ def check_all(source: GraspSource, adjustments: Adjustments, chunk: int) -> None
 
 def evaluate_stream(
     source: GraspSource,
-    plan: Plan,
+    plan: StreamPlan,
     folder: ResultFolder | None = None,
     progress: Callable[[int], None] = lambda grasps: None,
     announce: Callable[[str], None] = lambda text: None,
-) -> Outcome:
+) -> StreamResult:
     """Evaluate every grasp of ``source`` and write the results to ``folder``, if there is one.
 
     Memory holds a few chunks, whatever the source's size. ``progress`` is told of every finished chunk, ``announce``
@@ -108,7 +108,7 @@ def evaluate_stream(
         raise ValueError("there are no grasps to evaluate")
     if folder:
         folder.finish()
-    return Outcome(summary, engine.times, time.perf_counter() - begun, resumed)
+    return StreamResult(summary, engine.times, time.perf_counter() - begun, resumed)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class _Chunk:
 
 
 def _evaluate_chunk(
-    plan: Plan,
+    plan: StreamPlan,
     engine: Engine,
     measures: tuple[Measure, ...],
     rows_per_shape: int,
@@ -164,7 +164,7 @@ def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int)
         pool.shutdown(cancel_futures=True)
 
 
-def _rows_per_shape(source: GraspSource, plan: Plan) -> int:
+def _rows_per_shape(source: GraspSource, plan: StreamPlan) -> int:
     """Chunks of a stream are filled up to one size, so that its short last one needs no compiling of its own."""
     return plan.chunk if len(source) > plan.chunk else 1
 

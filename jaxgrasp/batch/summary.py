@@ -49,7 +49,7 @@ class MethodSummary:
 
 
 @dataclass
-class Comparison:
+class MethodComparison:
     """A closed form against its own optimum, over the problems that have one."""
 
     compared: int
@@ -61,8 +61,8 @@ class Comparison:
     violation: LogHistogram
     """Tangential force of the closed form beyond friction's limit, the worst contact's [N]."""
 
-    def merged(self, other: "Comparison") -> "Comparison":
-        return Comparison(
+    def merged(self, other: "MethodComparison") -> "MethodComparison":
+        return MethodComparison(
             self.compared + other.compared,
             self.already_optimal + other.already_optimal,
             self.price.merged(other.price),
@@ -82,7 +82,7 @@ class Summary:
     sizes: np.ndarray
     """Grasps by number of contacts."""
     methods: dict[str, MethodSummary]
-    comparisons: dict[str, Comparison]
+    comparisons: dict[str, MethodComparison]
     worst: list[dict] = field(default_factory=list)
     """The problems whose closed form is furthest from its optimum, worst first, with their data."""
     qualities: dict[str, QualitySummary] = field(default_factory=dict)
@@ -110,7 +110,7 @@ def summarise(
     sets: ContactSets, results: dict[str, MethodResult], *, numbers: np.ndarray, set_aside: int = 0
 ) -> Summary:
     """The summary of one chunk, whose grasps have these ``numbers`` in the input."""
-    comparisons: dict[str, Comparison] = {}
+    comparisons: dict[str, MethodComparison] = {}
     worst: list[dict] = []
     for name in [method.name for method in METHODS.values() if not method.constrained]:
         optimum = METHODS[f"{name}-optimum"].name
@@ -160,7 +160,7 @@ def _bin(angle: np.ndarray, largest: float) -> np.ndarray:
     return np.minimum((angle * (ANGLE_BINS / largest)).astype(int), ANGLE_BINS - 1)
 
 
-def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> tuple[Comparison, np.ndarray]:
+def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> tuple[MethodComparison, np.ndarray]:
     """The comparison, and the price of every problem (-inf where there is no optimum to compare with)."""
     solved = (optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (optimum.verdict == Verdict.OPTIMAL)
     already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
@@ -168,7 +168,7 @@ def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> 
         price = np.where(already, 0, (optimum.objective - closed.objective) / optimum.objective)
         apart = _length_by_problem(sets, closed.forces - optimum.forces)
         distance = np.where(already, 0, apart / _length_by_problem(sets, optimum.forces))
-    comparison = Comparison(
+    comparison = MethodComparison(
         compared=int(solved.sum()),
         already_optimal=int(already.sum()),
         price=LogHistogram.of(np.maximum(price[solved], 0)),

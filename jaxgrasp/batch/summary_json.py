@@ -4,7 +4,7 @@ import numpy as np
 
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import QualitySummary
-from jaxgrasp.batch.summary import Comparison, MethodSummary, Summary
+from jaxgrasp.batch.summary import MethodComparison, MethodSummary, Summary
 from jaxgrasp.model.solution import Route, Verdict
 
 _HISTOGRAMS = ("price", "distance", "violation")
@@ -60,11 +60,11 @@ def _method_from_json(data: dict) -> MethodSummary:
     )
 
 
-def _comparison_to_json(comparison: Comparison) -> dict:
+def _comparison_to_json(comparison: MethodComparison) -> dict:
     counts = {"compared": comparison.compared, "already_optimal": comparison.already_optimal}
     return counts | {name: getattr(comparison, name).to_json() for name in _HISTOGRAMS}
 
 
-def _comparison_from_json(data: dict) -> Comparison:
+def _comparison_from_json(data: dict) -> MethodComparison:
     histograms = {name: LogHistogram.from_json(data[name]) for name in _HISTOGRAMS}
-    return Comparison(data["compared"], data["already_optimal"], **histograms)
+    return MethodComparison(data["compared"], data["already_optimal"], **histograms)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from jaxgrasp.batch.hints import hints
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments
-from jaxgrasp.batch.stream import Outcome, Plan, evaluate_stream
+from jaxgrasp.batch.stream import StreamPlan, StreamResult, evaluate_stream
 from jaxgrasp.batch.summary_json import to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.arguments import Evaluate
@@ -55,7 +55,7 @@ def _check_values(name: str, values: tuple[float, ...]) -> None:
 
 def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> None:
     quality = _asked(arguments)
-    plan = Plan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments, quality)
+    plan = StreamPlan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments, quality)
     path = data_path(arguments)
     with opened(arguments, adjustments) as source:
         folder = ResultFolder(out, plan.identity(path.name, source), arguments.resume)
@@ -72,7 +72,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         _write_report(out / "report.html", path, outcome, arguments)
 
 
-def _write_summary(path: Path, outcome: Outcome, arguments: Evaluate) -> None:
+def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate) -> None:
     content = {
         "summary": to_json(outcome.summary),
         "times": asdict(outcome.times),
@@ -82,7 +82,7 @@ def _write_summary(path: Path, outcome: Outcome, arguments: Evaluate) -> None:
     replace_file(path, lambda stream: stream.write(json.dumps(content).encode()))
 
 
-def _write_report(path: Path, data: Path, outcome: Outcome, arguments: Evaluate) -> None:
+def _write_report(path: Path, data: Path, outcome: StreamResult, arguments: Evaluate) -> None:
     from jaxgrasp.report.page import write_report
 
     try:

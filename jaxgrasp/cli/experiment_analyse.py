@@ -14,7 +14,7 @@ from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.session import EVERYONE
 
@@ -43,7 +43,7 @@ def _model(arguments: Analyse, plan: Plan) -> Model:
     """Lines know nothing of lapses."""
     shape = arguments.shape or suited_shape(plan)
     most = arguments.lapse if arguments.method in ("likelihood", "posterior") else 0.0
-    return Model(Shape(shape), arguments.criterion, 0.5, (0.0, most))
+    return Model(PsychometricShape(shape), arguments.criterion, 0.5, (0.0, most))
 
 
 def said(found: Analysis) -> list[str]:

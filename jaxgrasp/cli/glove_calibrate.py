@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.cli.glove_arguments import Calibrate
-from jaxgrasp.glove.calibrate import Line, fit_encoders, fit_gauges, load_model, save_sensors
+from jaxgrasp.glove.calibrate import CalibrationLine, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.report.calibration_picture import write_calibration_picture
@@ -21,7 +21,7 @@ def calibrate_command(arguments: Calibrate) -> int:
     model, nominal = load_model({"model": arguments.model})
     pairs = read_pairs(arguments.pairs, model)
     encoders, gauges = nominal.encoders, nominal.gauges
-    lines: dict[str, Line] = {}
+    lines: dict[str, CalibrationLine] = {}
     if "encoder" in pairs:
         encoders, lines["encoder"] = fit_encoders(*pairs["encoder"])
     if "gauge" in pairs:
@@ -83,14 +83,14 @@ def _pair(row: dict[str, str], line: int, path: Path, model: GloveModel) -> tupl
     return row["sensor"], model.joints.index(row["channel"]), counts, value
 
 
-def _said(sensor: str, line: Line, model: GloveModel) -> str:
+def _said(sensor: str, line: CalibrationLine, model: GloveModel) -> str:
     unit, factor = ("\N{DEGREE SIGN}", math.degrees(1)) if sensor == "encoder" else ("N", 1.0)
     worst = int(np.nanargmax(line.rms))
     rms = f"{factor * np.median(line.rms):.3g} {unit}"
     return f"{sensor}s: residuals {rms} in the median, {factor * line.rms[worst]:.3g} {unit} at {model.joints[worst]}"
 
 
-def _plot(arguments: Calibrate, pairs: dict, lines: dict[str, Line], model: GloveModel) -> None:
+def _plot(arguments: Calibrate, pairs: dict, lines: dict[str, CalibrationLine], model: GloveModel) -> None:
     path = arguments.out.with_suffix(".png")
     try:
         write_calibration_picture(path, pairs, lines, model.joints)

@@ -20,7 +20,7 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
@@ -147,7 +147,7 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
 def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None) -> TickTimes:
     host, port = _address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
-    engine = EngineLink(Link(host, port, GloveState.size(channels), key=_key(arguments.key)), channels)
+    engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=_key(arguments.key)), channels)
     print(f"calls {host}:{port}; the glove is armed there", flush=True)
     try:
         return run_loop(

@@ -8,14 +8,14 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
-from jaxgrasp.problem.batch_last import Lanes, Problem, read
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
-from jaxgrasp.problem.scaling import Frame
+from jaxgrasp.problem.scaling import Scaling
 from jaxgrasp.solver import torque_limits
-from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.dispatch import dispatch
 
 
 def verify_certificate(
@@ -60,11 +60,13 @@ def verify_certificate(
     joints = () if limits is None or limits.torque_max is None else np.shape(limits.torque_max)[-1:]
     warn_of_lost_precision(grasp, wrench)
     tails = (("rates", joints),)
-    return ask(_force_needed, grasp, wrench, sharing, limits=limits, tails=tails, certificate=certificate, rates=rates)
+    return dispatch(
+        _force_needed, grasp, wrench, sharing, limits=limits, tails=tails, certificate=certificate, rates=rates
+    )
 
 
-def _force_needed(problem: Problem, certificate: Array, rates: Array | None = None) -> Array:
-    lanes, valid = read(problem)
+def _force_needed(problem: ProblemBatch, certificate: Array, rates: Array | None = None) -> Array:
+    lanes, valid = to_batch_last(problem)
     if problem.torque_map is not None:
         valid = valid & torque_limits.usable(problem)[None]
     if rates is None or problem.torque_max is None:
@@ -73,19 +75,19 @@ def _force_needed(problem: Problem, certificate: Array, rates: Array | None = No
     return jnp.where(valid, _needed(lanes, certificate.T, moved, spent), 0)[0]
 
 
-def _by_joints(problem: Problem, lanes: Lanes, rates: Array) -> tuple[Four, Array]:
+def _by_joints(problem: ProblemBatch, lanes: ContactData, rates: Array) -> tuple[ContactVec, Array]:
     """How joints move the contacts at these rates, and the most that they can do meanwhile."""
     assert problem.torque_max is not None
     one = jnp.ones_like(lanes.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.
-    rows = torque_limits.rows_of(problem, lanes, Frame(lanes.force, one, one, one, one > 0))
+    rows = torque_limits.torque_constraints(problem, lanes, Scaling(lanes.force, one, one, one, one > 0))
     turned = vec3.safe_divide(rates, rows.scale)
     beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_max.T), 0, keepdims=True)
     spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)
-    return torque_limits.pull(rows, turned), jnp.where(beyond, jnp.inf, spent)
+    return torque_limits.velocities_by_joints(rows, turned), jnp.where(beyond, jnp.inf, spent)
 
 
-def _needed(lanes: Lanes, direction: Array, moved: Four | None = None, spent: Array | float = 0.0) -> Array:
+def _needed(lanes: ContactData, direction: Array, moved: ContactVec | None = None, spent: Array | float = 0.0) -> Array:
     linear, angular = spatial.parts(direction)
     can_move = lanes.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
@@ -93,19 +95,19 @@ def _needed(lanes: Lanes, direction: Array, moved: Four | None = None, spent: Ar
     linear = vec3.add(linear, vec3.cross(angular, centre))
     torque = vec3.sub(lanes.torque, vec3.cross(centre, lanes.force))
     spin = None if lanes.lever is None else lanes.lever * vec3.dot(angular, lanes.normals)
-    velocity = Four(vec3.add(linear, vec3.cross(angular, vec3.sub(lanes.arms, centre))), spin)
+    velocity = ContactVec(vec3.add(linear, vec3.cross(angular, vec3.sub(lanes.arms, centre))), spin)
     if moved is not None:
         velocity = contact_vec.sub(velocity, moved)
-    endless, bounded = friction_cone.work_of(friction_cone.push(velocity, lanes.cone), lanes.cone)
+    endless, bounded = friction_cone.largest_work(friction_cone.work_per_normal_force(velocity, lanes.cone), lanes.cone)
     fixed = jnp.where(can_move, bounded, lanes.squeeze * vec3.dot(velocity.linear, lanes.normals))
     work = vec3.dot(lanes.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
     whole = friction_cone.Cone(lanes.normals, lanes.friction)
-    reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.split(velocity, whole)))
+    reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.cone_side(velocity, whole)))
     largest = jnp.max(jnp.where(can_move & (endless > 0), reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)
 
 
-def _middle(arms: Vec, counted: Array) -> Vec:
+def _middle(arms: Vec3, counted: Array) -> Vec3:
     count = jnp.maximum(jnp.sum(counted, 0, keepdims=True), 1).astype(arms.x.dtype)
-    return Vec(*(jnp.sum(jnp.where(counted, c, 0), 0, keepdims=True) / count for c in arms))
+    return Vec3(*(jnp.sum(jnp.where(counted, c, 0), 0, keepdims=True) / count for c in arms))

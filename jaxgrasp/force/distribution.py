@@ -14,10 +14,10 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers, warn_of_lost_precision
 from jaxgrasp.solver import by_optimistix, transforms
-from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.dispatch import dispatch
 
 
 def closed_form(
@@ -48,7 +48,7 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    return _distribute(grasp, wrench, sharing, free, solve=transforms.solver(False))
+    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.solver(False))
 
 
 def constrained_optimum(
@@ -100,7 +100,7 @@ def constrained_optimum(
     divisor = _read_safety(grasp, safety)
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
-    return _distribute(grasp, wrench, sharing, free, divisor, start, limits, solve=transforms.solver(True, solver))
+    return _solve_batch(grasp, wrench, sharing, free, divisor, start, limits, solve=transforms.solver(True, solver))
 
 
 def closed_form_and_optimum(
@@ -114,7 +114,7 @@ def closed_form_and_optimum(
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
-    return _distribute(grasp, wrench, sharing, free, solve=transforms.both())
+    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.closed_form_and_optimum())
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:
@@ -163,7 +163,7 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     )
 
 
-def _distribute(
+def _solve_batch(
     grasp: Grasp,
     wrench: AnyArray,
     sharing: Sharing,
@@ -172,17 +172,17 @@ def _distribute(
     start: AnyArray | None = None,
     limits: Limits | None = None,
     *,
-    solve: Callable[[Problem], Any],
+    solve: Callable[[ProblemBatch], Any],
 ) -> Any:
     warn_of_lost_precision(grasp, wrench, free)
-    return ask(_from_start(solve), grasp, wrench, sharing, free=free, limits=limits, safety=safety, start=start)
+    return dispatch(_from_start(solve), grasp, wrench, sharing, free=free, limits=limits, safety=safety, start=start)
 
 
 @cache
-def _from_start(solve: Callable[[Problem], Any]) -> Callable[..., Any]:
+def _from_start(solve: Callable[[ProblemBatch], Any]) -> Callable[..., Any]:
     """A solver to which the multiplier to begin from is given beside the problem."""
 
-    def begun(problem: Problem, start: Array | None = None) -> Any:
+    def begun(problem: ProblemBatch, start: Array | None = None) -> Any:
         return solve(eqx.tree_at(lambda p: p.start, problem, start, is_leaf=lambda x: x is None))
 
     return begun

@@ -13,13 +13,13 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import Lanes, Problem, read
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import unstretched
-from jaxgrasp.solver.dispatch import ask
+from jaxgrasp.solver.coordinates import plain_axes
+from jaxgrasp.solver.dispatch import dispatch
 
 
 def dual_value(
@@ -73,21 +73,23 @@ def multiplier_forces(
 
 def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) -> tuple[Array, Array]:
     warn_of_lost_precision(grasp, wrench, multiplier)
-    return ask(_evaluate, grasp, wrench, sharing, multiplier=multiplier)
+    return dispatch(_evaluate, grasp, wrench, sharing, multiplier=multiplier)
 
 
-def _evaluate(problem: Problem, multiplier: Array) -> tuple[Array, Array]:
+def _evaluate(problem: ProblemBatch, multiplier: Array) -> tuple[Array, Array]:
     """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
-    lanes, valid = read(problem)
+    lanes, valid = to_batch_last(problem)
     value, best = _value_and_forces(lanes, multiplier.T)
     forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best.linear]).transpose(2, 1, 0)
     return jnp.where(valid, value, jnp.nan)[0], forces
 
 
-def _value_and_forces(lanes: Lanes, multiplier: Six) -> tuple[Array, Four]:
+def _value_and_forces(lanes: ContactData, multiplier: SpatialVec) -> tuple[Array, ContactVec]:
     one = jnp.ones_like(lanes.force.x)
-    plain = unstretched(one)
-    best = dual.best_forces(lanes, multiplier, plain)
-    work = spatial.inner(dual.load(lanes, plain), multiplier)
-    own = dual.spread_by(lanes, best.forces, dual.pull(lanes, best, one)) - contact_vec.dot(best.twist, best.forces)
+    plain = plain_axes(one)
+    best = dual.candidate_forces(lanes, multiplier, plain)
+    work = spatial.inner(dual.required_wrench(lanes, plain), multiplier)
+    own = dual.deviation_cost_by(lanes, best.forces, dual.weighted_deviation(lanes, best, one)) - contact_vec.dot(
+        best.twist, best.forces
+    )
     return work + jnp.sum(own, 0, keepdims=True), best.forces

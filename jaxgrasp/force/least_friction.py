@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force.least_squeeze import bounded_total, total_moves
+from jaxgrasp.force.least_squeeze import bounded_total, total_tangent
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_tiles
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
-from jaxgrasp.solver.dispatch import ask
-from jaxgrasp.solver.wrench_boundary import Limit
+from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.wrench_boundary import BoundaryPoint
 
 WIDEST = 1e4
 """Factors beyond this, or below its inverse, are not looked for."""
@@ -56,10 +56,10 @@ def least_friction(
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp, wrench)
-    return ask(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total)
+    return dispatch(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total)
 
 
-def _least_share(problem: Problem, total: Array | None = None) -> Array:
+def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
     if total is None:
         there = 1.0 if problem.present is None else problem.present > 0.5
         total = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
@@ -67,14 +67,14 @@ def _least_share(problem: Problem, total: Array | None = None) -> Array:
 
 
 @jax.custom_jvp
-def _share(problem: Problem, total: Array) -> Array:
+def _share(problem: ProblemBatch, total: Array) -> Array:
     # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
     all_there = replace(problem, count=None)
     return jnp.exp(over_tiles(lambda these: _search(*these), (all_there, total), problem.size, TILE, problem.count))
 
 
 @_share.defjvp
-def _share_moves(primals, tangents):
+def _share_tangent(primals, tangents):
     """At the share the least total is the one allowed, and stays it."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
     share = _share(problem, total)
@@ -82,18 +82,18 @@ def _share_moves(primals, tangents):
     # An infinite share times a derivative of zero would be no number, in one direction or the other.
     finite = jnp.where(inside, share, 1)
     here = jnp.log(finite)
-    seen = _look(problem, total, here)
-    scaled, scaled_moved = jax.jvp(lambda problem: _scaled(problem, here), (problem,), (problem_moved,))
+    seen = _evaluate(problem, total, here)
+    scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, here), (problem,), (problem_moved,))
     # Elsewhere what is allowed is not what bounds the share.
     falls = inside & (seen.slope < 0) & (jnp.abs(seen.excess) <= _narrow(total))
     needed = jnp.where(falls, seen.needed, 1)
-    rise = total_moves(scaled, scaled_moved, seen.needed, seen.limit) / needed - total_moved / jnp.where(
+    rise = total_tangent(scaled, scaled_moved, seen.needed, seen.limit) / needed - total_moved / jnp.where(
         falls, total, 1
     )
     return share, jnp.where(falls, finite * -rise / jnp.where(falls, seen.slope, 1), 0)
 
 
-class _Look(NamedTuple):
+class _ShareEvaluation(NamedTuple):
     """What is known at a share of the friction; shares are logarithms."""
 
     excess: Array
@@ -102,21 +102,21 @@ class _Look(NamedTuple):
     """Its derivative; 0 where it has none."""
     needed: Array
     """The least total [N]."""
-    limit: Limit
+    limit: BoundaryPoint
     """What bounds it."""
 
 
-def _look(problem: Problem, total: Array, share: Array) -> _Look:
-    scaled = _scaled(problem, share)
+def _evaluate(problem: ProblemBatch, total: Array, share: Array) -> _ShareEvaluation:
+    scaled = _with_share(problem, share)
     needed, limit = bounded_total(scaled)
     still = jax.tree.map(jnp.zeros_like, scaled)
     growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
     finite = jnp.isfinite(needed) & (needed > 0)
-    slope = jnp.where(finite, total_moves(scaled, growing, needed, limit) / jnp.where(finite, needed, 1), 0)
-    return _Look(_log_ratio(needed, total), slope, needed, limit)
+    slope = jnp.where(finite, total_tangent(scaled, growing, needed, limit) / jnp.where(finite, needed, 1), 0)
+    return _ShareEvaluation(_log_ratio(needed, total), slope, needed, limit)
 
 
-def _scaled(problem: Problem, share: Array) -> Problem:
+def _with_share(problem: ProblemBatch, share: Array) -> ProblemBatch:
     return eqx.tree_at(lambda p: p.friction, problem, problem.friction * jnp.exp(share)[:, None])
 
 
@@ -126,7 +126,7 @@ def _log_ratio(needed: Array, total: Array) -> Array:
     return jnp.where(some, ratio, -jnp.inf)
 
 
-class _Search(NamedTuple):
+class _Bracket(NamedTuple):
     low: Array
     high: Array
     low_tried: Array
@@ -135,15 +135,15 @@ class _Search(NamedTuple):
     done: Array
 
 
-def _search(problem: Problem, total: Array) -> Array:
+def _search(problem: ProblemBatch, total: Array) -> Array:
     """Where the excess falls to zero, or from infinity to below it: its logarithm."""
     widest = jnp.full_like(total, jnp.log(WIDEST))
     no = jnp.zeros_like(total, bool)
-    start = varying_like(_Search(-widest, widest, no, no, jnp.zeros_like(total), no), problem, total)
+    start = varying_like(_Bracket(-widest, widest, no, no, jnp.zeros_like(total), no), problem, total)
 
     def step(carry):
         count, state = carry
-        moved = _step(state, _look(problem, total, state.here))
+        moved = _step(state, _evaluate(problem, total, state.here))
         return count + 1, jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, moved)
 
     _, state = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].done), step, (jnp.int32(0), start))
@@ -157,7 +157,7 @@ def _narrow(like: Array) -> float:
     return float(jnp.finfo(like.dtype).eps) ** 0.4
 
 
-def _step(state: _Search, seen: _Look) -> _Search:
+def _step(state: _Bracket, seen: _ShareEvaluation) -> _Bracket:
     """Newton's, where forces exist; what leads out of the bounds is halved, once these have been tried."""
     eps = float(jnp.finfo(state.here.dtype).eps)
     enough = seen.excess <= 0
@@ -169,4 +169,4 @@ def _step(state: _Search, seen: _Look) -> _Search:
     tried = ((led <= low) & low_tried) | ((led >= high) & high_tried)
     met, arrived = high - low <= _narrow(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
     there = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
-    return _Search(low, high, low_tried, high_tried, there, met | arrived)
+    return _Bracket(low, high, low_tried, high_tried, there, met | arrived)

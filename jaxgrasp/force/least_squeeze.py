@@ -8,11 +8,11 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.tiling import over_tiles
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
 from jaxgrasp.solver import reach, transforms
-from jaxgrasp.solver.dispatch import ask
-from jaxgrasp.solver.wrench_boundary import Limit, bare, limit_of, work_along
+from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.wrench_boundary import BoundaryPoint, boundary_point, without_sharing, work_along
 
 TILE = 32
 
@@ -41,34 +41,34 @@ def least_squeeze(
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp, wrench)
-    return ask(least_total, grasp, wrench, sharing)
+    return dispatch(least_total, grasp, wrench, sharing)
 
 
 @jax.custom_jvp
-def least_total(problem: Problem) -> Array:
+def least_total(problem: ProblemBatch) -> Array:
     """Of a flat batch."""
     return bounded_total(problem)[0]
 
 
 @least_total.defjvp
-def _least_moves(primals, tangents):
+def _least_total_tangent(primals, tangents):
     """The envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
     (problem,), (moved,) = primals, tangents
     total, limit = bounded_total(problem)
-    return total, total_moves(problem, moved, total, limit)
+    return total, total_tangent(problem, moved, total, limit)
 
 
-def total_moves(problem: Problem, moved: Problem, total: Array, limit: Limit) -> Array:
+def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, limit: BoundaryPoint) -> Array:
     """How a total that is known moves with its problem; zero where it is infinite."""
 
-    def lagrangian(problem: Problem) -> Array:
+    def lagrangian(problem: ProblemBatch) -> Array:
         return _held(problem) - work_along(problem, problem.wrench, limit)
 
     return jnp.where(jnp.isfinite(total), jax.jvp(lagrangian, (problem,), (moved,))[1], 0)
 
 
 @jax.custom_jvp
-def bounded_total(problem: Problem) -> tuple[Array, Limit]:
+def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
     """Likewise, ``(B,)``, with what bounds it; +inf where no forces exist or none were found."""
     # That forces exist is known first: where none do, they only grow.
     solved = transforms.solver(True)(problem).verdict <= Verdict.OPTIMAL
@@ -80,7 +80,7 @@ def _no_second_derivative(primals, tangents):
     raise NotImplementedError("least_squeeze and least_friction have first derivatives only")
 
 
-def _held(problem: Problem) -> Array:
+def _held(problem: ProblemBatch) -> Array:
     """What contacts that cannot move press with, ``(B,)``."""
     there = problem.weights <= 0
     if problem.present is not None:
@@ -88,11 +88,11 @@ def _held(problem: Problem) -> Array:
     return jnp.sum(jnp.where(there, problem.squeeze, 0), 1)
 
 
-def _least_of_tile(arguments: tuple[Problem, Array]) -> tuple[Array, Limit]:
+def _least_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     problem, solved = arguments
-    there = bare(problem)
+    there = without_sharing(problem)
     found = solved[None] & there.valid
-    least, path = reach.least_push(there.lanes, ~found)
-    last, before = (reach.tolled(there.lanes, price) for price in (path.price, path.price_before))
-    limit = limit_of(there, last, before, path, jnp.ones_like(path.price))
+    least, path = reach.least_normal_force(there.lanes, ~found)
+    last, before = (reach.with_normal_cost(there.lanes, price) for price in (path.price, path.price_before))
+    limit = boundary_point(there, last, before, path, jnp.ones_like(path.price))
     return jnp.where(found[0], (there.frame.load * least)[0] + _held(problem), jnp.inf), limit

@@ -8,7 +8,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 NOISE = 64
 """Roundings that are nothing."""
@@ -47,16 +47,16 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
     return jnp.where(balances & (least <= most), least, jnp.inf)
 
 
-def _parts(forces: Array, normals: Vec, noise: Array) -> tuple[Vec, Array]:
+def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:
     """Across and along the normals; zero where that is noise."""
     force = vec3.from_axis(forces, -1)
     along = vec3.dot(force, normals)
     across = vec3.sub(force, vec3.scale(along, normals))
     *kept, pressed = (jnp.where(jnp.abs(part) > noise, part, 0) for part in (*across, along))
-    return Vec(*kept), pressed
+    return Vec3(*kept), pressed
 
 
-def _interval(outer: Vec, outer_press: Array, inner: Vec, inner_press: Array, friction: Array) -> tuple[Array, Array]:
+def _interval(outer: Vec3, outer_press: Array, inner: Vec3, inner_press: Array, friction: Array) -> tuple[Array, Array]:
     """The factors x for which outer + x inner lies in its cone; low above high where none does.
 
     Across less than friction times along, squared, is a x^2 + 2 b x + c <= 0, a double cone; that outer_press + x

@@ -11,13 +11,20 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import spatial
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import reach
-from jaxgrasp.solver.dispatch import ask
-from jaxgrasp.solver.wrench_boundary import Bare, Limit, bare, limit_of, loaded, work_along
+from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.wrench_boundary import (
+    BoundaryPoint,
+    UnsharedProblem,
+    boundary_point,
+    with_wrench,
+    without_sharing,
+    work_along,
+)
 
 TILE = 32
 
@@ -55,22 +62,22 @@ def wrench_margin(
         NotImplementedError: when differentiated twice.
     """
     warn_of_lost_precision(grasp, wrench)
-    return ask(_margin, grasp, wrench, sharing, direction=direction)
+    return dispatch(_margin, grasp, wrench, sharing, direction=direction)
 
 
 @jax.custom_jvp
-def _margin(problem: Problem, direction: Array) -> Array:
+def _margin(problem: ProblemBatch, direction: Array) -> Array:
     return over_tiles(_margin_of_tile, (problem, direction), problem.size, TILE, problem.count)
 
 
 @_margin.defjvp
-def _margin_moves(primals, tangents):
+def _margin_tangent(primals, tangents):
     """The envelope theorem: theta + normal.(G f - wrench - theta direction) is stationary at the limit."""
     theta, limit = _bound(*primals)
     finite = jnp.isfinite(theta)
     far = jnp.where(finite, theta, 0)[:, None]
 
-    def work(problem: Problem, direction: Array) -> Array:
+    def work(problem: ProblemBatch, direction: Array) -> Array:
         return work_along(problem, problem.wrench + far * direction, limit)
 
     _, moved = jax.jvp(work, primals, tangents)
@@ -78,7 +85,7 @@ def _margin_moves(primals, tangents):
 
 
 @jax.custom_jvp
-def _bound(problem: Problem, direction: Array) -> tuple[Array, Limit]:
+def _bound(problem: ProblemBatch, direction: Array) -> tuple[Array, BoundaryPoint]:
     return over_tiles(_bound_of_tile, (problem, direction), problem.size, TILE)
 
 
@@ -90,8 +97,8 @@ def _no_second_derivative(primals, tangents):
 class _Line(NamedTuple):
     """Wrenches load + theta ray."""
 
-    there: Bare
-    ray: Six
+    there: UnsharedProblem
+    ray: SpatialVec
     """Of length 1, or 0."""
     size: Array
     """Length of the direction that the ray stands for."""
@@ -102,25 +109,25 @@ class _End(NamedTuple):
     """Where a line leaves what is in reach."""
 
     theta: Array
-    path: reach.Path
+    path: reach.PenaltyPath
     """Its multipliers are normal to the hyperplane that bounds what is in reach."""
 
 
-def _line(problem: Problem, direction: Array) -> _Line:
-    there = bare(problem)
+def _line(problem: ProblemBatch, direction: Array) -> _Line:
+    there = without_sharing(problem)
     limits = tolerances(direction.dtype)
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
     valid = there.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
-    ray = reach.wrench_in(jnp.where(valid, direction.T, 0), there.frame)
+    ray = reach.wrench_to_scaled(jnp.where(valid, direction.T, 0), there.frame)
     size = spatial.length(ray)
     return _Line(there, vec3.safe_divide(ray, size), size, valid)
 
 
 def _end(line: _Line) -> _End:
     lanes, metric = line.there.lanes, reach.identity(line.size)
-    never_fails = reach.nearest(loaded(lanes, line.ray), metric, ~line.valid).reached
-    start, somewhere = reach.nearest(lanes, metric, ~line.valid, line.ray)
-    theta, path = reach.along_ray(lanes, line.ray, start, never_fails | ~somewhere)
+    never_fails = reach.nearest_wrench(with_wrench(lanes, line.ray), metric, ~line.valid).reached
+    start, somewhere = reach.nearest_wrench(lanes, metric, ~line.valid, line.ray)
+    theta, path = reach.ray_search(lanes, line.ray, start, never_fails | ~somewhere)
     theta = jnp.where(never_fails, jnp.inf, theta)
     return _End(jnp.where(somewhere & line.valid, theta, -jnp.inf), path)
 
@@ -131,12 +138,12 @@ def _in_units(line: _Line, end: _End) -> Array:
     return jnp.where(finite, line.there.frame.load * vec3.safe_divide(theta, line.size), end.theta)[0]
 
 
-def _margin_of_tile(arguments: tuple[Problem, Array]) -> Array:
+def _margin_of_tile(arguments: tuple[ProblemBatch, Array]) -> Array:
     line = _line(*arguments)
     return _in_units(line, _end(line))
 
 
-def _bound_of_tile(arguments: tuple[Problem, Array]) -> tuple[Array, Limit]:
+def _bound_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     line = _line(*arguments)
     end, lanes = _end(line), line.there.lanes
-    return _in_units(line, end), limit_of(line.there, lanes, lanes, end.path, line.size)
+    return _in_units(line, end), boundary_point(line.there, lanes, lanes, end.path, line.size)

@@ -21,17 +21,17 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_tiles
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
-from jaxgrasp.problem.batch_last import Lanes, Problem, read, squeezing
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.flatten import Sharing, refuse_soft_fingers, warn_of_lost_precision
-from jaxgrasp.problem.scaling import principal
+from jaxgrasp.problem.scaling import scale_in_principal_axes
 from jaxgrasp.solver import dual, pseudo_inverse
 from jaxgrasp.solver.by_optimistix import write_to_tolerance
-from jaxgrasp.solver.coordinates import Stretch
-from jaxgrasp.solver.dispatch import ask
-from jaxgrasp.solver.result import Answer, Outcome
+from jaxgrasp.solver.coordinates import ScaledAxes
+from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.result import PassResult, ScaledResult
 
 TILE = 128
 """Problems that run together: each waits for the slowest of its tile."""
@@ -43,7 +43,7 @@ GAP = 100.0
 """Relative duality gap of an answer, in tolerances: residuals count by the multipliers, which can be large."""
 
 
-class Settings(NamedTuple):
+class PyramidSettings(NamedTuple):
     """What the caller asks of the pyramids and of their solver."""
 
     sides: int
@@ -52,7 +52,7 @@ class Settings(NamedTuple):
     max_steps: int
 
 
-class Program(NamedTuple):
+class PyramidProgram(NamedTuple):
     """Minimise |y|^2 / 2 subject to A y = b and C y <= d."""
 
     a: Array
@@ -61,7 +61,7 @@ class Program(NamedTuple):
     d: Array
 
 
-class Found(NamedTuple):
+class PyramidResult(NamedTuple):
     """What the solver proposes for one program."""
 
     y: Array
@@ -113,12 +113,12 @@ def pyramid_optimum(
         NotImplementedError: when it is differentiated.
     """
     refuse_soft_fingers(grasp)
-    settings = Settings(sides, solver, tol, max_steps)
+    settings = PyramidSettings(sides, solver, tol, max_steps)
     _check(settings)
     return _solve(grasp, wrench, sharing, settings)
 
 
-def _check(settings: Settings) -> None:
+def _check(settings: PyramidSettings) -> None:
     if settings.sides < 3:
         raise ValueError(f"sides is {settings.sides}: expected 3 or more")
     if settings.solver not in ("osqp", "box_osqp"):
@@ -129,14 +129,14 @@ def _check(settings: Settings) -> None:
         raise ValueError(f"max_steps is {settings.max_steps}: expected 1 or more")
 
 
-def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: Settings) -> Solution:
+def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: PyramidSettings) -> Solution:
     warn_of_lost_precision(grasp, wrench)
-    return ask(_solver(settings), grasp, wrench, sharing)
+    return dispatch(_solver(settings), grasp, wrench, sharing)
 
 
 @cache
-def _solver(settings: Settings) -> Callable[[Problem], Solution]:
-    def solve(problem: Problem) -> Solution:
+def _solver(settings: PyramidSettings) -> Callable[[ProblemBatch], Solution]:
+    def solve(problem: ProblemBatch) -> Solution:
         answer = _answers(problem, settings)
         return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
 
@@ -144,7 +144,7 @@ def _solver(settings: Settings) -> Callable[[Problem], Solution]:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _answers(problem: Problem, settings: Settings) -> Answer:
+def _answers(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
     return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE, problem.count)
 
 
@@ -154,10 +154,10 @@ def _no_derivatives(settings, primals, tangents):
     raise NotImplementedError("pyramid_optimum has no derivatives: differentiate constrained_optimum instead")
 
 
-def _tile(problem: Problem, settings: Settings) -> Answer:
-    lanes, valid = read(problem)
+def _tile(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
+    lanes, valid = to_batch_last(problem)
     tangents = _tangents(lanes.normals)
-    lanes, frame = principal(lanes)
+    lanes, frame = scale_in_principal_axes(lanes)
     assert frame.axes is not None
     first, second = (vec3.rotate(frame.axes, tangent) for tangent in tangents)
     _, unknowns = pseudo_inverse.whitened_metric(lanes, frame)
@@ -165,14 +165,14 @@ def _tile(problem: Problem, settings: Settings) -> Answer:
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
     found = jax.vmap(partial(_splitting, settings=settings))(program)
-    own = jnp.broadcast_to(dual.price_of_nothing(lanes)[0], problem.size)
+    own = jnp.broadcast_to(dual.objective_of_no_force(lanes)[0], problem.size)
     solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
     y, twist = (_finite(x, lanes.squeeze.dtype) for x in (found.y, -found.equality))
-    moved = vec3.scale(jnp.sqrt(lanes.weights), Vec(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
-    forces = contact_vec.add(squeezing(lanes), Four(moved))
+    moved = vec3.scale(jnp.sqrt(lanes.weights), Vec3(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
+    forces = contact_vec.add(squeezing_forces(lanes), ContactVec(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
-    sides = friction_cone.split(forces, lanes.cone)
-    outcome = Outcome(
+    sides = friction_cone.cone_side(forces, lanes.cone)
+    outcome = ScaledResult(
         forces=friction_cone.project(forces, lanes.cone, sides),
         multiplier=twist.T,
         verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
@@ -187,34 +187,34 @@ def _finite(array: Array, dtype: jnp.dtype) -> Array:
     return jnp.where(jnp.isfinite(array), array, 0).astype(dtype)
 
 
-def _program(lanes: Lanes, unknowns: Stretch, facets: tuple[Array, Array], size: int) -> Program:
+def _program(lanes: ContactData, unknowns: ScaledAxes, facets: tuple[Array, Array], size: int) -> PyramidProgram:
     """The programs of all lanes, batch-first."""
     rows, bounds = facets
     contacts, each = rows.shape[1:3]
     # Facets of a contact see its own force alone.
     apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
-    program = Program(
+    program = PyramidProgram(
         a=_balance(lanes, unknowns),
-        b=dual.residual(lanes, squeezing(lanes), unknowns).T,
+        b=dual.residual(lanes, squeezing_forces(lanes), unknowns).T,
         c=apart.reshape(-1, contacts * each, 3 * contacts),
         d=bounds.reshape(-1, contacts * each),
     )
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape[1:])), program)
 
 
-def _balance(lanes: Lanes, unknowns: Stretch) -> Array:
+def _balance(lanes: ContactData, unknowns: ScaledAxes) -> Array:
     """A = G W^(1/2), ``(B, 6, 3n)``."""
     root, zero = jnp.sqrt(lanes.weights), jnp.zeros_like(lanes.weights)
     columns = []
     for axis in range(3):
-        unit = Vec(*(root if i == axis else zero for i in range(3)))
+        unit = Vec3(*(root if i == axis else zero for i in range(3)))
         torque = vec3.times(unknowns.scales, vec3.cross(lanes.arms, unit))
         columns.append(jnp.stack(jnp.broadcast_arrays(*unit, *torque)))
     matrix = jnp.stack(columns, 2)  # (6, n, 3, B)
     return matrix.transpose(3, 0, 1, 2).reshape(matrix.shape[-1], 6, -1)
 
 
-def _facets(lanes: Lanes, tangents: tuple[Vec, Vec], sides: int) -> tuple[Array, Array]:
+def _facets(lanes: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple[Array, Array]:
     """Rows g and bounds d with g.y <= d for each facet, ``(B, n, sides + 1, 3)`` and ``(B, n, sides + 1)``.
 
     Between two edges a + mu t on the cone the facet's distance from the axis is mu cos(pi / m) per unit of
@@ -231,16 +231,16 @@ def _facets(lanes: Lanes, tangents: tuple[Vec, Vec], sides: int) -> tuple[Array,
     return rows.transpose(3, 2, 0, 1), bounds.transpose(2, 1, 0)
 
 
-def _tangents(normal: Vec) -> tuple[Vec, Vec]:
+def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
     """Two unit vectors across each normal, from the coordinate axis that is farthest from it."""
     least = jnp.argmin(jnp.abs(jnp.stack(normal)), 0)
-    axis = Vec(*((least == i).astype(normal.x.dtype) for i in range(3)))
+    axis = Vec3(*((least == i).astype(normal.x.dtype) for i in range(3)))
     across = vec3.cross(normal, axis)
-    first = Vec(*(vec3.safe_divide(c, vec3.norm(across)) for c in across))
+    first = Vec3(*(vec3.safe_divide(c, vec3.norm(across)) for c in across))
     return first, vec3.cross(normal, first)
 
 
-def _splitting(program: Program, settings: Settings) -> Found:
+def _splitting(program: PyramidProgram, settings: PyramidSettings) -> PyramidResult:
     """One program by jaxopt, from the closed form on; under ``vmap`` all of them."""
     jaxopt = _jaxopt()
     a, b, c, d = program
@@ -260,10 +260,10 @@ def _splitting(program: Program, settings: Settings) -> Found:
         start = start._replace(dual_eq=jnp.concatenate([-b, jnp.zeros_like(d)]))
         found, state = solver.run(start, objective, both, (lower, upper))
         y, equality, facets = found.primal[0], found.dual_eq[:6], found.dual_eq[6:]
-    return Found(y, equality, facets, state.status == jaxopt.BoxOSQP.SOLVED, state.iter_num)
+    return PyramidResult(y, equality, facets, state.status == jaxopt.BoxOSQP.SOLVED, state.iter_num)
 
 
-def _is_optimum(program: Program, found: Found, own: Array, tol: float) -> Array:
+def _is_optimum(program: PyramidProgram, found: PyramidResult, own: Array, tol: float) -> Array:
     """Whether the Karush-Kuhn-Tucker conditions hold, and the duality gap is small beside the objective or ``own``."""
     a, b, c, d = program
     slack = d - c @ found.y

@@ -13,15 +13,21 @@ from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.tiling import over_chosen
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
-from jaxgrasp.problem.batch_last import Lanes, Problem, read
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
-from jaxgrasp.problem.scaling import Frame, certificate_out, forces_out, moments_out, principal
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.scaling import (
+    Scaling,
+    certificate_from_scaled,
+    forces_from_scaled,
+    moments_from_scaled,
+    scale_in_principal_axes,
+)
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, reach, transforms
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.dispatch import ask
-from jaxgrasp.solver.guided_motion import restricted, unwhitened
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.dispatch import dispatch
+from jaxgrasp.solver.guided_motion import restricted_metric, unwhitened_coordinates
 
 TILE = 32
 
@@ -80,11 +86,11 @@ def reachable_wrench(
         NotImplementedError: when differentiated.
     """
     warn_of_lost_precision(grasp, wrench, free)
-    return ask(_closest, grasp, wrench, sharing, free=free, tails=(("inertia", (6, 6)),), inertia=inertia)
+    return dispatch(_closest, grasp, wrench, sharing, free=free, tails=(("inertia", (6, 6)),), inertia=inertia)
 
 
 @jax.custom_jvp
-def _closest(problem: Problem, inertia: Array | None = None) -> Reachable:
+def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
     solution = transforms.solver(True)(problem)
     solved = solution.verdict <= Verdict.OPTIMAL
@@ -110,15 +116,15 @@ def _no_derivative(primals, tangents):
     )
 
 
-def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Reachable:
+def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -> Reachable:
     problem, inertia = arguments
-    lanes, valid = read(problem)
-    lanes, frame = principal(lanes)
+    lanes, valid = to_batch_last(problem)
+    lanes, frame = scale_in_principal_axes(lanes)
     whole, mass, sound = _metric(lanes, frame, inertia)
     valid = jnp.broadcast_to(valid & sound & frame.sound, (1, problem.size))
-    unknowns = unwhitened(problem, lanes, frame)
-    metric = restricted(whole, unknowns)
-    point = reach.nearest(lanes, metric, ~valid, unknowns=unknowns).point
+    unknowns = unwhitened_coordinates(problem, lanes, frame)
+    metric = restricted_metric(whole, unknowns)
+    point = reach.nearest_wrench(lanes, metric, ~valid, unknowns=unknowns).point
     forces = _rescaled(lanes, metric, unknowns, point)
     one = jnp.ones_like(point[:1])
     rest = dual.residual(lanes, forces, unknowns)
@@ -129,28 +135,28 @@ def _projected(arguments: tuple[Problem, Array | None], prior: Reachable) -> Rea
     verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
     ok = valid[0]
     if problem.free is not None:
-        rest = reach.times(whole, spatial.six(*unknowns.twist(across)))
-    missed = reach.wrench_out(frame.load * rest, frame).T
-    moments = moments_out(lanes, forces.spin, frame)
-    stacked = jnp.stack([c * one for c in forces_out(forces.linear, frame)]).transpose(2, 1, 0)
-    linear, angular = certificate_out(*unknowns.twist(vec3.safe_divide(point, spatial.length(point))), frame)
+        rest = reach.times(whole, spatial.join(*unknowns.twist(across)))
+    missed = reach.wrench_from_scaled(frame.load * rest, frame).T
+    moments = moments_from_scaled(lanes, forces.spin, frame)
+    stacked = jnp.stack([c * one for c in forces_from_scaled(forces.linear, frame)]).transpose(2, 1, 0)
+    linear, angular = certificate_from_scaled(*unknowns.twist(vec3.safe_divide(point, spatial.length(point))), frame)
     return Reachable(
         wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
         moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
         distance=jnp.where(ok, (frame.load * distance / jnp.sqrt(mass))[0], jnp.inf),
-        certificate=jnp.where(ok[:, None], spatial.six(linear, angular).T, 0),
+        certificate=jnp.where(ok[:, None], spatial.join(linear, angular).T, 0),
         verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
     )
 
 
-def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, Array, Array]:
+def _metric(lanes: ContactData, frame: Scaling, inertia: Array | None) -> tuple[Lower, Array, Array]:
     """The metric per unit of mass in the lanes' coordinates, that mass, and which lanes have a sound one."""
     one = jnp.ones_like(lanes.force.x)
     if inertia is None:
         return reach.identity(one), one, one > 0
-    half = [reach.wrench_in(inertia[:, :, j].T, frame) for j in range(6)]  # A J, column by column
-    whole = [reach.wrench_in(jnp.stack([column[i] for column in half]), frame) for i in range(6)]  # A (A J)^T
+    half = [reach.wrench_to_scaled(inertia[:, :, j].T, frame) for j in range(6)]  # A J, column by column
+    whole = [reach.wrench_to_scaled(jnp.stack([column[i] for column in half]), frame) for i in range(6)]  # A (A J)^T
     mass = (whole[0][:1] + whole[1][1:2] + whole[2][2:3]) / 3
     entries = [[vec3.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
     _, pivots = ldl.factor(entries)
@@ -160,9 +166,9 @@ def _metric(lanes: Lanes, frame: Frame, inertia: Array | None) -> tuple[Lower, A
     return metric, jnp.where(sound, mass, 1), sound
 
 
-def _rescaled(lanes: Lanes, metric: Lower, unknowns: Unknowns, point: Six) -> Four:
+def _rescaled(lanes: ContactData, metric: Lower, unknowns: Coordinates, point: SpatialVec) -> ContactVec:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
-    forces = dual.best_forces(lanes, point, unknowns).forces
+    forces = dual.candidate_forces(lanes, point, unknowns).forces
     can_move, nothing = lanes.weights > 0, contact_vec.sub(forces, forces)
     held, free = contact_vec.where(can_move, nothing, forces), contact_vec.where(can_move, forces, nothing)
     asked = dual.residual(lanes, held, unknowns)
@@ -173,14 +179,16 @@ def _rescaled(lanes: Lanes, metric: Lower, unknowns: Unknowns, point: Six) -> Fo
     return contact_vec.add(held, contact_vec.scale(share, free))
 
 
-def _is_closest(lanes: Lanes, metric: Lower, unknowns: Unknowns, forces: Four, point: Six, distance: Array) -> Array:
+def _is_closest(
+    lanes: ContactData, metric: Lower, unknowns: Coordinates, forces: ContactVec, point: SpatialVec, distance: Array
+) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
-    twist = dual.twist_at(lanes, point, unknowns)
+    twist = dual.contact_velocities(lanes, point, unknowns)
     can_move = lanes.weights > 0
-    push = jnp.max(jnp.where(can_move, friction_cone.push(twist, lanes.cone), 0), 0, keepdims=True)
+    push = jnp.max(jnp.where(can_move, friction_cone.work_per_normal_force(twist, lanes.cone), 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, lanes.squeeze * vec3.dot(twist.linear, lanes.normals))
-    work = spatial.inner(dual.load(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
-    best = work - push * dual.total_push(lanes, forces)
+    work = spatial.inner(dual.required_wrench(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
+    best = work - push * dual.total_normal_force(lanes, forces)
     size = jnp.sqrt(spatial.inner(point, reach.times(metric, point)))
     loose = 2**10 * jnp.finfo(distance.dtype).eps ** 0.5
     return (distance > 0) & (best >= (1 - loose) * size * distance)

@@ -6,13 +6,13 @@ build a device.
 """
 
 from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, load_sensors, save_sensors
-from jaxgrasp.glove.guard import Guard, GuardState, Output
+from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState, Reading
 from jaxgrasp.glove.line import Line, LineError, SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import FLEXIONS, GloveModel, load_glove, lrp_hand_master
-from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.glove.protocol.device import Device, DeviceState
@@ -22,23 +22,23 @@ from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.glove.tension import TensionControl, TensionWatch
 
 __all__ = [
-    "FLEXIONS",
     "Device",
     "DeviceState",
     "Encoders",
+    "FLEXIONS",
     "Gauges",
     "GloveHost",
     "GloveModel",
     "GloveProcess",
     "GloveState",
     "Guard",
+    "GuardOutput",
     "GuardState",
     "Line",
     "LineError",
-    "Link",
     "LinkState",
     "LucidHost",
-    "Output",
+    "NetworkLink",
     "Reading",
     "Sensors",
     "SerialLine",

@@ -20,7 +20,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class CalibrationLine:
     """value = at_zero + counts x per_count for each channel, and how well it fits; arrays ``(channels,)``."""
 
     at_zero: Float[np.ndarray, "channels"]
@@ -42,7 +42,7 @@ def fit_line(
     counts: Int[np.ndarray, "pairs channels"],
     values: Float[np.ndarray, "pairs channels"],
     used: Bool[np.ndarray, "pairs channels"] | None = None,
-) -> Line:
+) -> CalibrationLine:
     """The straight line through pairs of each channel by least squares.
 
     Args:
@@ -77,12 +77,12 @@ def fit_line(
         error_at_zero = deviation * np.sqrt(1 / len(x) + middle**2 / spread)
         found.append((at_zero, slope, error_at_zero, deviation / np.sqrt(spread)))
     at_zero, slopes, errors_at_zero, errors = np.array(found).T
-    return Line(at_zero, slopes, errors_at_zero, errors, residuals)
+    return CalibrationLine(at_zero, slopes, errors_at_zero, errors, residuals)
 
 
 def fit_encoders(
     counts: Int[np.ndarray, "pairs channels"], angles: Float[np.ndarray, "pairs channels"]
-) -> tuple[Encoders, Line]:
+) -> tuple[Encoders, CalibrationLine]:
     """Encoders that read recorded angles [rad].
 
     Raises:
@@ -98,7 +98,7 @@ def fit_gauges(
     tensions: Float[np.ndarray, "pairs channels"],
     arm: Float[np.ndarray, "channels"],
     full: float,
-) -> tuple[Gauges, Line]:
+) -> tuple[Gauges, CalibrationLine]:
     """Gauges that read recorded tensions [N]; those at ``full`` and beyond, where no gauge is linear, are left out.
 
     Raises:
@@ -187,7 +187,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < HUGE
 
 
-def _check_slope(line: Line) -> None:
+def _check_slope(line: CalibrationLine) -> None:
     flat = np.abs(line.per_count) <= 1e-12 * np.nanmax(np.abs(line.residuals) + np.abs(line.at_zero), initial=1e-300)
     if np.any(flat):
         raise ValueError(f"channel {np.argmax(flat)} does not change with its counts: expected a slope other than 0")

@@ -24,7 +24,7 @@ class GuardState(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Output:
+class GuardOutput:
     """What leaves for one instant, and what it leaves out; arrays ``(channels,)``."""
 
     state: GuardState
@@ -124,7 +124,7 @@ class Guard:
             self.state, self.cause = GuardState.LATCHED, cause
         self._level[:] = 0
 
-    def step(self, now: float, wanted: Any, measured_at: float) -> Output:
+    def step(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
         """What may leave at a time.
 
         Args:
@@ -136,7 +136,7 @@ class Guard:
         passed = min(now - self._now, self._longest) if self.state == GuardState.ARMED else 0.0
         if self.state != GuardState.ARMED:
             nothing = np.zeros(len(self._limits))
-            return Output(self.state, nothing.astype(np.int16), nothing, nothing, nothing, nothing)
+            return GuardOutput(self.state, nothing.astype(np.int16), nothing, nothing, nothing, nothing)
         self._now = now
         resisting = np.maximum(asked, 0)
         allowed = self._projected(resisting)
@@ -146,7 +146,7 @@ class Guard:
         # Down, so that no count exceeds its level; and no rounding of the level may exceed the limit.
         counts = np.clip(np.floor(self._level / self.model.quantum), 0, self._most).astype(np.int16)
         torques = counts * self.model.quantum
-        return Output(self.state, counts, torques, resisting - asked, resisting - allowed, allowed - self._level)
+        return GuardOutput(self.state, counts, torques, resisting - asked, resisting - allowed, allowed - self._level)
 
     def _read(self, now: float, wanted: Any, measured_at: float) -> np.ndarray:
         """The torques that are asked for; it trips at what cannot be one."""

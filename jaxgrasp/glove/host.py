@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.glove.guard import Guard, GuardState, Output
+from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.protocol.device import Cause, DeviceState
@@ -78,7 +78,7 @@ class Reading:
 
 
 @dataclass
-class Counts:
+class HostCounts:
     """What a host has seen and done since it began."""
 
     commands: int = 0
@@ -125,7 +125,7 @@ class GloveHost:
         self.state = LinkState.CLOSED
         self.trouble = "not opened yet"
         """Why there is no link."""
-        self.counts = Counts()
+        self.counts = HostCounts()
         self.reader = FrameReader()
         self.order = Sequence()
         nothing = np.full(len(model.joints), np.nan)
@@ -181,7 +181,7 @@ class GloveHost:
         self._lose_patience(now)
         return self.reading
 
-    def send(self, now: float, wanted: Any, measured_at: float) -> Output:
+    def send(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
         """Send a command; what the guard made of it.
 
         Args:
@@ -237,7 +237,7 @@ class GloveHost:
         self.state, self.trouble, self._next = LinkState.GREETING, trouble, now
         self._session = random.randrange(SESSIONS)
 
-    def _command(self, now: float, output: Output) -> None:
+    def _command(self, now: float, output: GuardOutput) -> None:
         armed = self.state == LinkState.ARMED
         values = tuple(int(count) for count in output.counts)
         if self._send(now, Kind.COMMAND, values, Flag.ENABLE if armed else NO_FLAGS):

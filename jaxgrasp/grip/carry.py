@@ -58,7 +58,7 @@ def stacked(record: list[Instant]) -> Instant:
     return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
 
 
-class Carried(NamedTuple):
+class CarryState(NamedTuple):
     """Where an object is on its way."""
 
     placed: Pose
@@ -109,16 +109,16 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
     return instants
 
 
-def set_down(scene: Scene, placed: Pose) -> Carried:
+def set_down(scene: Scene, placed: Pose) -> CarryState:
     """An object at rest, before anything happens to it."""
     start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
     still = Motion(jnp.zeros(3), jnp.zeros(3))
-    return Carried(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
+    return CarryState(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
 
 
 def advance(
-    scene: Scene, dt: float, carried: Carried, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
-) -> tuple[Instant, Carried]:
+    scene: Scene, dt: float, carried: CarryState, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
+) -> tuple[Instant, CarryState]:
     """An instant of ``carry``, and where the object is at the next; for hands whose future nobody knows.
 
     Args:
@@ -141,7 +141,7 @@ def advance(
 def _tick(
     scene: Scene,
     dt: float | AnyArray,
-    state: Carried,
+    state: CarryState,
     posture: Posture,
     now: HandFrames,
     later: HandFrames,
@@ -181,7 +181,9 @@ def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
 
 
 @jax.jit
-def _go_on(scene: Scene, dt: float | AnyArray, state: Carried, led: Motion, missed: Array, hold: Array) -> Carried:
+def _go_on(
+    scene: Scene, dt: float | AnyArray, state: CarryState, led: Motion, missed: Array, hold: Array
+) -> CarryState:
     """The object's next pose and motion: as it was led, less what was missed; or as it falls."""
     placed, lost = state.placed, hold == Hold.LOST
     lag = mobility(scene.body, placed, scene.guide) @ missed * dt
@@ -197,7 +199,7 @@ def _go_on(scene: Scene, dt: float | AnyArray, state: Carried, led: Motion, miss
     there = moved(placed, motion, dt, scene.guide)
     held = None if scene.guide is None else placed
     there, motion, stands = rest_on(scene.table, scene.body.shape, there, motion, held)
-    return Carried(there, motion, stands | blocked, placed)
+    return CarryState(there, motion, stands | blocked, placed)
 
 
 def _either(condition: Array, one: Motion, other: Motion) -> Motion:

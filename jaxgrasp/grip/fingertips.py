@@ -26,7 +26,7 @@ COUPLING = 2 / 3
 """Flexion of a finger's last joint by that of the one before, as tendons couple them (Rijpkema and Girard 1991)."""
 
 
-class Task(eqx.Module):
+class FingertipTask(eqx.Module):
     """Which fingertips are to touch what, and how deep."""
 
     hand: Hand
@@ -89,7 +89,7 @@ WEIGHED = {
 """How much of each counts as much as how much of the others: depths are met, comfort is a wish."""
 
 
-def misses(task: Task, angles: Array, placed: Pose) -> Misses:
+def misses(task: FingertipTask, angles: Array, placed: Pose) -> Misses:
     """What is missing, where the wrist stands at the world's origin.
 
     A fingertip that does not touch counts by its sphere that is nearest to the object; one that does by the mean

@@ -14,7 +14,7 @@ from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.rotation import cross_matrix, rotation_by
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 PAD = 2e-3
 """Half the width of what a contact holds on to [m]: a fingertip turns what it touches, if only a little."""
@@ -165,4 +165,4 @@ def rest_on(
 def _height(table: Pose, shape: Shape, placed: Pose) -> Array:
     """Of an object's lowest point above a table."""
     up = jnp.asarray(table.rotation)[:, 2]
-    return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec(*(-up @ placed.rotation)))
+    return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec3(*(-up @ placed.rotation)))

@@ -74,12 +74,12 @@ def stop(scene: Scene, placed: Pose, motion: Motion, dt: float | AnyArray) -> St
 class _Met(NamedTuple):
     """What an object meets on its way, where it is then, and when."""
 
-    parts: "_Parts"
+    parts: "_ObstacleContacts"
     origin: Array
     time: Array
 
 
-def _first_met(scene: Scene, placed: Pose, before: "_Parts", motion: Motion, dt: float | AnyArray) -> _Met:
+def _first_met(scene: Scene, placed: Pose, before: "_ObstacleContacts", motion: Motion, dt: float | AnyArray) -> _Met:
     """The first place on the way where any part is deeper than before, else the last.
 
     Places are no further apart than the object's smallest ball is wide, so that it jumps over no thin board.
@@ -112,7 +112,7 @@ class _Found(NamedTuple):
     least: Array
 
 
-class _Parts(NamedTuple):
+class _ObstacleContacts(NamedTuple):
     """Contacts of every part of the object with every obstacle, ``(m, 3)`` or ``(m,)``."""
 
     points: Array
@@ -120,7 +120,9 @@ class _Parts(NamedTuple):
     depths: Array
 
 
-def _parts(scene: Scene, placed: Pose) -> _Parts:
+def _parts(scene: Scene, placed: Pose) -> _ObstacleContacts:
     assert scene.outline is not None
     each = [world_contacts(scene.outline, placed, o.shape, o.placed) for o in scene.obstacles]
-    return _Parts(*(jnp.concatenate([getattr(found, name) for found in each]) for name in _Parts._fields))
+    return _ObstacleContacts(
+        *(jnp.concatenate([getattr(found, name) for found in each]) for name in _ObstacleContacts._fields)
+    )

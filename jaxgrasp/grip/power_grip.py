@@ -8,7 +8,7 @@ from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.human_hand import check_human, open_angles
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
@@ -31,7 +31,7 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose
     knuckles = [hand.joints.index(name) for name in ("index abduction", "little abduction")]
     palm = [link.name for link in hand.links].index("middle palm")
     origins, rotation = np.asarray(hand.origins), np.array(ACROSS)
-    above = float(shape._support(Vec(*jnp.asarray(rotation[2]))))
+    above = float(shape._support(Vec3(*jnp.asarray(rotation[2]))))
     x = float(origins[knuckles, 0].max())
     z = -(above + float(hand.skin.radii[palm, -1]) - depth)
     wrist = Pose(jnp.zeros(3), jnp.eye(3))

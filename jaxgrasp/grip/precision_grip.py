@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.grip.fingertips import APART, CLEARANCE, COUPLING, Misses, Task, misses, weighed
+from jaxgrasp.grip.fingertips import APART, CLEARANCE, COUPLING, FingertipTask, Misses, misses, weighed
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import check_human, open_angles
 from jaxgrasp.hand.kinematics import pose_hand
@@ -62,14 +62,14 @@ def precision_grip(hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e
         raise ValueError(f"fingers is {fingers}: expected 3, 4 or 5, since fewer hard contacts do not hold an object")
     if not (np.isfinite(depth) and depth > 0):
         raise ValueError(f"depth is {depth}: expected a positive number of metres")
-    task = Task(hand, shape, depth, FINGERS[:fingers])
+    task = FingertipTask(hand, shape, depth, FINGERS[:fingers])
     angles, placed, missed = _solve(task, *_preshapes(task))
     _check_reached(task, jax.device_get(missed))
     posture = Posture(Pose(jnp.zeros(3), jnp.eye(3)), angles)
     return posture, placed, find_contacts(hand, posture, shape, placed)
 
 
-def _preshapes(task: Task) -> tuple[np.ndarray, Pose]:
+def _preshapes(task: FingertipTask) -> tuple[np.ndarray, Pose]:
     """Angles ``(S, J)`` to set out from, the object midway between thumb and fingers."""
     starts = []
     for flexion, bend, abduction in np.radians(list(product(*PRESHAPES.values()))):
@@ -94,7 +94,7 @@ def _preshapes(task: Task) -> tuple[np.ndarray, Pose]:
 
 
 @jax.jit
-def _solve(task: Task, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, Misses]:
+def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, Misses]:
     """The best end of all starts: angles, the object's pose, and what is still missing."""
     free = np.array(task.joints)
     middle, half = (task.hand.upper + task.hand.lower)[free] / 2, (task.hand.upper - task.hand.lower)[free] / 2
@@ -120,7 +120,7 @@ def _solve(task: Task, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, Mis
     return turned, pose, misses(task, turned, pose)
 
 
-def _check_reached(task: Task, missed: Misses) -> None:
+def _check_reached(task: FingertipTask, missed: Misses) -> None:
     """Raise ValueError with what a grip lacks, the first thing of each kind."""
     links = [link.name for link in task.hand.links]
     tips = [links[i] for i in task.tips]

@@ -18,7 +18,7 @@ from jax import Array, lax
 
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 Tree = TypeVar("Tree")
 
@@ -47,9 +47,9 @@ class Balls(eqx.Module):
         """[m]"""
         return jnp.stack([self.x, self.y, self.z], -1)
 
-    def some(self, index: Array) -> tuple[Vec, Array]:
+    def some(self, index: Array) -> tuple[Vec3, Array]:
         """Centres and radii of some."""
-        return Vec(*(jnp.asarray(c)[index] for c in (self.x, self.y, self.z))), jnp.asarray(self.radii)[index]
+        return Vec3(*(jnp.asarray(c)[index] for c in (self.x, self.y, self.z))), jnp.asarray(self.radii)[index]
 
 
 class Nodes(eqx.Module):
@@ -112,13 +112,13 @@ def _each(function: Callable[[Array, Tree], Seen], tree: Tree, poses: Array) -> 
 
 def _try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
     """One pose."""
-    all_balls, sizes = Vec(*map(jnp.asarray, (balls.x, balls.y, balls.z))), jnp.asarray(balls.radii)
+    all_balls, sizes = Vec3(*map(jnp.asarray, (balls.x, balls.y, balls.z))), jnp.asarray(balls.radii)
 
     @jax.checkpoint
     def of_sphere(one: tuple[Array, Array]) -> tuple[Array, Array]:
         center, radius = one
-        gap, weighted = _overlaps(Vec(*center), radius, all_balls, sizes)
-        return jnp.min(gap), jnp.stack(vec3.unit(Vec(*map(jnp.sum, weighted))))
+        gap, weighted = _overlaps(Vec3(*center), radius, all_balls, sizes)
+        return jnp.min(gap), jnp.stack(vec3.unit(Vec3(*map(jnp.sum, weighted))))
 
     distance, out = lax.map(of_sphere, (centers, radii))
     return Seen(distance, out, jnp.int32(radii.size * balls.radii.size))
@@ -152,10 +152,10 @@ def _met(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Arra
     ties, total, *out = (
         jnp.zeros(count + 1, gap.dtype).at[pairs.sphere].add(part)[:-1] for part in (nearest, nearest * gap, *weighted)
     )
-    return jnp.where(ties > 0, vec3.safe_divide(total, ties), FAR), jnp.stack(vec3.unit(Vec(*out)), -1)
+    return jnp.where(ties > 0, vec3.safe_divide(total, ties), FAR), jnp.stack(vec3.unit(Vec3(*out)), -1)
 
 
-def _overlaps(centers: Vec, radii: Array, balls: Vec, ball_radii: Array) -> tuple[Array, Vec]:
+def _overlaps(centers: Vec3, radii: Array, balls: Vec3, ball_radii: Array) -> tuple[Array, Vec3]:
     """Distances of spheres' centres from balls, and the ways out of those that they overlap.
 
     These are weighted by the square of the overlap, so that their mean does not jump where the nearest ball changes.
@@ -167,9 +167,9 @@ def _overlaps(centers: Vec, radii: Array, balls: Vec, ball_radii: Array) -> tupl
     return gap, vec3.scale(vec3.safe_divide(overlap * overlap, length), way)
 
 
-def _columns(vectors: Array, index: Array) -> Vec:
+def _columns(vectors: Array, index: Array) -> Vec3:
     """Some of the vectors ``(N, 3)`` by components."""
-    return Vec(*(vectors[:, i][index] for i in range(3)))
+    return Vec3(*(vectors[:, i][index] for i in range(3)))
 
 
 def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pairs, Array]:

@@ -24,7 +24,7 @@ from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 TILE = 32
 
@@ -170,7 +170,7 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
     center = scene.posture.wrist.origin + scene.posture.wrist.rotation @ middle
     seen = jnp.einsum("bji,bj->bi", scene.placed.rotation, center - scene.placed.origin)
     # A NaN goes on to the closer look, which shows it.
-    return ~(scene.shape._bound(Vec(*seen.T)) > reach)
+    return ~(scene.shape._bound(Vec3(*seen.T)) > reach)
 
 
 def _nothing(hand: Hand, scene: _Scene) -> Contacts:
@@ -186,7 +186,7 @@ def _look(hand: Hand, scene: _Scene) -> Contacts:
     size = jnp.maximum(jnp.sum(radii > 0, -1, keepdims=True), 1)
     middle = jnp.sum(leaves * (radii > 0)[..., None], 1) / size
     reach = jnp.max(jnp.where(radii > 0, jnp.linalg.norm(leaves - middle[:, None], axis=-1) + radii, 0), -1)
-    center = vec3.add(seen.origin, vec3.rotate_back(seen.axes, Vec(*(middle[:, i, None] for i in range(3)))))
+    center = vec3.add(seen.origin, vec3.rotate_back(seen.axes, Vec3(*(middle[:, i, None] for i in range(3)))))
     # A NaN goes on to the closer look, which shows it.
     near = jnp.any(~(scene.shape._bound(center) > reach[:, None]))
     found = lax.cond(near, lambda: _touching(hand, scene, seen), lambda: _nothing(hand, scene))
@@ -214,8 +214,8 @@ def _touching(hand: Hand, scene: _Scene, seen: Bodies) -> Contacts:
     known = jnp.isfinite(reduce(jnp.add, jax.tree.leaves(seen)) + merged.depth)
     size = merged.depth.shape[-1]
     return Contacts(
-        points=vectors(Vec(*(jnp.where(touching, c, 0) for c in point)), (size,)),
-        normals=vectors(Vec(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal))), (size,)),
+        points=vectors(Vec3(*(jnp.where(touching, c, 0) for c in point)), (size,)),
+        normals=vectors(Vec3(*(jnp.where(touching, c, i == 0) for i, c in enumerate(normal))), (size,)),
         depths=jnp.where(known, merged.depth, jnp.nan).T,
         present=jnp.where(known, touching.astype(merged.depth.dtype), jnp.nan).T,
         tests=1 + near.tests,
@@ -228,20 +228,20 @@ def _seen_from(frame: Bodies, bodies: Bodies) -> Bodies:
     return Bodies(vec3.rotate(frame.axes, vec3.sub(bodies.origin, frame.origin)), (x, y, z))
 
 
-def _leaves(hand: Hand, links: Bodies) -> Vec:
+def _leaves(hand: Hand, links: Bodies) -> Vec3:
     """Centres of all spheres, ``(L, m, B)``."""
-    local = Vec(*(jnp.asarray(hand.skin.centers)[..., i, None] for i in range(3)))
+    local = Vec3(*(jnp.asarray(hand.skin.centers)[..., i, None] for i in range(3)))
     beside = jax.tree.map(lambda c: c[:, None], links)
     return vec3.add(beside.origin, vec3.rotate_back(beside.axes, local))
 
 
 class _Merged(NamedTuple):
-    point: Vec
-    normal: Vec
+    point: Vec3
+    normal: Vec3
     depth: Array
 
 
-def _merge(depth: Array, points: Vec, out: Vec) -> _Merged:
+def _merge(depth: Array, points: Vec3, out: Vec3) -> _Merged:
     """One contact of each link from its overlaps ``(L, m, B)``."""
     weight = depth * depth
     total = jnp.sum(weight, 1)
@@ -249,10 +249,10 @@ def _merge(depth: Array, points: Vec, out: Vec) -> _Merged:
     def mean(array: Array) -> Array:
         return vec3.safe_divide(jnp.sum(weight * array, 1), total)
 
-    normal = Vec(*(-mean(c) for c in out))
+    normal = Vec3(*(-mean(c) for c in out))
     length = vec3.norm(normal)
     return _Merged(
-        point=Vec(*map(mean, points)),
-        normal=Vec(*(vec3.safe_divide(c, length) for c in normal)),
+        point=Vec3(*map(mean, points)),
+        normal=Vec3(*(vec3.safe_divide(c, length) for c in normal)),
         depth=mean(depth),
     )

@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.hand.descent import Balls, Nodes
-from jaxgrasp.hand.mesh import Mesh, Nearest, Surface, check_mesh, mass_properties, sample_surface
+from jaxgrasp.hand.mesh import Mesh, MeshSurface, NearestPoints, check_mesh, mass_properties, sample_surface
 from jaxgrasp.hand.octree import Octree, octree_balls
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 LEVELS = 5
 """How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""
@@ -115,7 +115,7 @@ def _outside(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.n
 class _Outline(NamedTuple):
     """What the octree asks of a solid."""
 
-    nearest: Callable[[np.ndarray], Nearest]
+    nearest: Callable[[np.ndarray], NearestPoints]
     low: np.ndarray
     high: np.ndarray
     moments: np.ndarray
@@ -128,18 +128,18 @@ def _outline(solid: Mesh | Shape, levels: int) -> _Outline:
         return _Outline(lambda points: _nearest(solid, points), low, high, np.array(solid._moments()))
     mesh = check_mesh(solid)
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    return _Outline(Surface(mesh, 2 * cell_size(mesh, levels)).nearest, low, high, _principal_moments(mesh))
+    return _Outline(MeshSurface(mesh, 2 * cell_size(mesh, levels)).nearest, low, high, _principal_moments(mesh))
 
 
 def _ends(shape: Shape, sign: float) -> np.ndarray:
     """How far a shape reaches along x, y and z, or against them."""
     x, y, z = sign * np.eye(3)
-    return np.asarray(shape._support(Vec(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
+    return np.asarray(shape._support(Vec3(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
 
 
-def _nearest(shape: Shape, points: np.ndarray) -> Nearest:
+def _nearest(shape: Shape, points: np.ndarray) -> NearestPoints:
     distance, out = (np.asarray(part, float) for part in signed_distance(shape, jnp.asarray(points)))
-    return Nearest(distance, points - distance[:, None] * out, out)
+    return NearestPoints(distance, points - distance[:, None] * out, out)
 
 
 def _principal_moments(mesh: Mesh) -> np.ndarray:

@@ -66,7 +66,7 @@ OPPOSITION = 0.6
 """Abduction of the thumb, with which its tip comes to face the fingers' [rad]."""
 
 
-class _Parts(NamedTuple):
+class _FingerParts(NamedTuple):
     """What a finger adds to the hand."""
 
     joints: list[str]
@@ -103,7 +103,7 @@ def human_hand(length: float = LENGTH, breadth: float | None = None, side: str =
             raise ValueError(f"{name} is {value!r}: expected a positive number of metres")
     if side not in ("right", "left"):
         raise ValueError(f"side is {side!r}: expected 'right' or 'left'")
-    parts = _Parts([], [], [], [], [], [], [], [])
+    parts = _FingerParts([], [], [], [], [], [], [], [])
     _add_thumb(parts, length, breadth)
     for name, finger in FINGERS.items():
         _add_finger(parts, name, finger, length, breadth)
@@ -144,7 +144,7 @@ def mirrored(hand: Hand) -> Hand:
     )
 
 
-def _add_finger(parts: _Parts, name: str, finger: Finger, length: float, breadth: float) -> None:
+def _add_finger(parts: _FingerParts, name: str, finger: Finger, length: float, breadth: float) -> None:
     scale = np.array([length, breadth])
     base, knuckle = (np.append(scale * place, 0) for place in (finger.base, finger.knuckle))
     radii = np.array(finger.breadths) * breadth / 2
@@ -161,7 +161,7 @@ def _add_finger(parts: _Parts, name: str, finger: Finger, length: float, breadth
         _add_link(parts, Link(name, phalanx, _last(parts)), np.zeros(3), end, radii[i], radii[i + 1])
 
 
-def _add_thumb(parts: _Parts, length: float, breadth: float) -> None:
+def _add_thumb(parts: _FingerParts, length: float, breadth: float) -> None:
     radial, palmar, turned = np.radians(THUMB_ATTITUDE)
     attitude = _about(2, radial) @ _about(1, palmar) @ _about(0, -turned)
     radii = np.array(THUMB_BREADTHS) * breadth / 2
@@ -178,11 +178,11 @@ def _add_thumb(parts: _Parts, length: float, breadth: float) -> None:
         )
 
 
-def _last(parts: _Parts) -> int:
+def _last(parts: _FingerParts) -> int:
     return len(parts.joints) - 1
 
 
-def _add_joint(parts: _Parts, name: str, parent: int, origin, rest, axis, limits) -> None:
+def _add_joint(parts: _FingerParts, name: str, parent: int, origin, rest, axis, limits) -> None:
     parts.joints.append(name)
     parts.parents.append(parent)
     parts.origins.append(origin)
@@ -191,13 +191,13 @@ def _add_joint(parts: _Parts, name: str, parent: int, origin, rest, axis, limits
     parts.limits.append(np.radians(limits))
 
 
-def _add_link(parts: _Parts, link: Link, start: np.ndarray, end: np.ndarray, first: float, last: float) -> None:
+def _add_link(parts: _FingerParts, link: Link, start: np.ndarray, end: np.ndarray, first: float, last: float) -> None:
     along = np.linspace(0, 1, LEAVES)[:, None]
     parts.links.append(link)
     parts.spheres.append((start + along * (end - start), (first + along * (last - first))[:, 0]))
 
 
-def _assemble(parts: _Parts) -> Hand:
+def _assemble(parts: _FingerParts) -> Hand:
     limits = np.array(parts.limits)
     centers, radii = (np.stack(each) for each in zip(*parts.spheres, strict=True))
     return Hand(

@@ -12,9 +12,9 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import spread
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
-Axes = tuple[Vec, Vec, Vec]
+Axes = tuple[Vec3, Vec3, Vec3]
 """A rotation by its columns."""
 Tree = TypeVar("Tree")
 
@@ -22,7 +22,7 @@ Tree = TypeVar("Tree")
 class Bodies(NamedTuple):
     """Frames of several bodies in batches: components of shape ``(bodies, B)``."""
 
-    origin: Vec
+    origin: Vec3
     axes: Axes
 
 
@@ -30,7 +30,7 @@ class Standing(NamedTuple):
     """A posed hand, batch-last."""
 
     joints: Bodies
-    axes: Vec
+    axes: Vec3
     links: Bodies
 
 
@@ -120,7 +120,7 @@ def _ancestry(parents: tuple[int, ...], links: tuple[Link, ...]) -> np.ndarray:
 def body(pose: Pose) -> Bodies:
     """A flat batch of poses as one body, batch-last."""
     origin, rotation = pose.origin.T[:, None], jnp.moveaxis(pose.rotation, 0, -1)[:, :, None]
-    return Bodies(Vec(*origin), (Vec(*rotation[:, 0]), Vec(*rotation[:, 1]), Vec(*rotation[:, 2])))
+    return Bodies(Vec3(*origin), (Vec3(*rotation[:, 0]), Vec3(*rotation[:, 1]), Vec3(*rotation[:, 2])))
 
 
 def compose(outer: Axes, inner: Axes) -> Axes:
@@ -138,9 +138,9 @@ def _joined(parts: list[Tree]) -> Tree:
     return jax.tree.map(lambda *arrays: jnp.concatenate(arrays), *parts)
 
 
-def _column(rows: AnyArray) -> Vec:
+def _column(rows: AnyArray) -> Vec3:
     """``(J, 3)`` as components ``(J, 1)``."""
-    return Vec(*(jnp.asarray(rows)[:, i : i + 1] for i in range(3)))
+    return Vec3(*(jnp.asarray(rows)[:, i : i + 1] for i in range(3)))
 
 
 def _columns(rotations: AnyArray) -> Axes:
@@ -148,20 +148,20 @@ def _columns(rotations: AnyArray) -> Axes:
     return _column(rotations[..., 0]), _column(rotations[..., 1]), _column(rotations[..., 2])
 
 
-def _rotation(axis: Vec, angle: Array) -> Axes:
+def _rotation(axis: Vec3, angle: Array) -> Axes:
     """Rodrigues' rotation about a unit axis, by its columns."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     zero = jnp.zeros_like(angle)
 
-    def column(i: int) -> Vec:
-        unit = Vec(*(zero + (i == j) for j in range(3)))
+    def column(i: int) -> Vec3:
+        unit = Vec3(*(zero + (i == j) for j in range(3)))
         along = vec3.scale((1 - cosine) * axis[i], axis)
         return vec3.add(vec3.add(vec3.scale(cosine, unit), vec3.scale(sine, vec3.cross(axis, unit))), along)
 
     return (column(0), column(1), column(2))
 
 
-def vectors(vector: Vec, batch: tuple[int, ...]) -> Array:
+def vectors(vector: Vec3, batch: tuple[int, ...]) -> Array:
     """Components ``(bodies, B)`` as ``(..., bodies, 3)``."""
     return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, vector.x.shape[0], 3)
 

@@ -116,7 +116,7 @@ def sample_surface(mesh: Mesh, count: int, seed: int) -> np.ndarray:
     return np.asarray(trimesh.sample.sample_surface(trimesh.Trimesh(*mesh, process=False), count, seed=seed)[0])
 
 
-class Nearest(NamedTuple):
+class NearestPoints(NamedTuple):
     """Of some points: what a surface looks like from there."""
 
     distance: np.ndarray
@@ -127,7 +127,7 @@ class Nearest(NamedTuple):
     """``(P, 3)``: a way out at the foot, of any length; at an edge between those of its faces."""
 
 
-class Surface:
+class MeshSurface:
     """Looks up the nearest points of a checked mesh, exactly.
 
     The mesh is cut into triangles no longer than ``size``. The nearest of their centres bounds the distance, and
@@ -150,12 +150,12 @@ class Surface:
             raise ImportError(MISSING) from None
         return cKDTree(self._centers)
 
-    def nearest(self, points: np.ndarray) -> Nearest:
+    def nearest(self, points: np.ndarray) -> NearestPoints:
         """Distances and feet of points ``(P, 3)``."""
         parts = [self._nearest(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
-        return Nearest(*map(np.concatenate, zip(*parts, strict=True)))
+        return NearestPoints(*map(np.concatenate, zip(*parts, strict=True)))
 
-    def _nearest(self, points: np.ndarray) -> Nearest:
+    def _nearest(self, points: np.ndarray) -> NearestPoints:
         bound, _ = self._tree.query(points)
         lists = self._tree.query_ball_point(points, bound + self._reach * (1 + 1e-9), return_sorted=False)
         sizes = np.array([len(found) for found in lists])
@@ -168,7 +168,7 @@ class Surface:
         way = points - foot
         normal = self._pseudonormal(foot, triangle)
         outside = np.einsum("pi,pi->p", way, normal) >= 0
-        return Nearest(np.where(outside, distance, -distance), foot, normal)
+        return NearestPoints(np.where(outside, distance, -distance), foot, normal)
 
     def _pseudonormal(self, foot: np.ndarray, triangle: np.ndarray) -> np.ndarray:
         """A vector at the foot whose side tells inside from out: of the face, the edge, or the vertex.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.hand.mesh import Nearest
+from jaxgrasp.hand.mesh import NearestPoints
 
 ROUND = 1.0
 """Largest radius of a ball at the surface, in edges of its cell: larger ones leave flatter gaps, but many more of
@@ -45,7 +45,9 @@ class Octree(NamedTuple):
         return self.radii > 0
 
 
-def octree_balls(nearest: Callable[[np.ndarray], Nearest], low: np.ndarray, high: np.ndarray, levels: int) -> Octree:
+def octree_balls(
+    nearest: Callable[[np.ndarray], NearestPoints], low: np.ndarray, high: np.ndarray, levels: int
+) -> Octree:
     """Balls in a solid within a box, from how far points are from its surface.
 
     Args:
@@ -67,7 +69,9 @@ def octree_balls(nearest: Callable[[np.ndarray], Nearest], low: np.ndarray, high
         if last:
             # Where the nearest point lies in another cell, the surface clips a corner only, and that cell has it.
             cut = kept & ~inside & (np.abs(found.foot - cells).max(1) <= half * (1 + ROUNDING))
-            centers[cut], radii[cut] = _surface_balls(nearest, cells[cut], Nearest(*(a[cut] for a in found)), 2 * half)
+            centers[cut], radii[cut] = _surface_balls(
+                nearest, cells[cut], NearestPoints(*(a[cut] for a in found)), 2 * half
+            )
             kept &= radii > SMALL * 2 * half
         parts.append((centers[kept], radii[kept], parents[kept], np.full(kept.sum(), level)))
         first, count = count, count + int(kept.sum())
@@ -79,7 +83,7 @@ def octree_balls(nearest: Callable[[np.ndarray], Nearest], low: np.ndarray, high
 
 
 def _surface_balls(
-    nearest: Callable[[np.ndarray], Nearest], cells: np.ndarray, found: Nearest, edge: float
+    nearest: Callable[[np.ndarray], NearestPoints], cells: np.ndarray, found: NearestPoints, edge: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Balls inside, each touching the surface at the point nearest to a cell's centre where it can.
 

@@ -18,7 +18,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import shared_or_spread
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 Size = Float[AnyArray, "*batch"] | float
 
@@ -27,7 +27,7 @@ class Near(NamedTuple):
     """Of spheres, batch-last: how far their centres are from a solid, exactly where they reach into it."""
 
     distance: Array
-    out: Vec
+    out: Vec3
     """The way out of the solid."""
     tests: Array
     """``(B,)``: how many distances were computed for it."""
@@ -51,19 +51,19 @@ class Shape(eqx.Module):
         return jax.tree.map(partial(shared_or_spread, batch), self)
 
     @abstractmethod
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         """Signed distance and outward unit normal; sizes broadcast against the last axis of components."""
 
-    def _bound(self, point: Vec) -> Array:
+    def _bound(self, point: Vec3) -> Array:
         """At most the signed distance, and quick to find."""
         return self._distance(point)[0]
 
-    def _near(self, centers: Vec, radii: Array) -> Near:
+    def _near(self, centers: Vec3, radii: Array) -> Near:
         """What spheres ``(L, m, B)`` meet, whose radii ``(L, m, 1)`` are those of all poses."""
         distance, out = self._distance(centers)
         return Near(distance, out, jnp.full(distance.shape[-1], radii.size, jnp.int32))
 
-    def _support(self, direction: Vec) -> Array:
+    def _support(self, direction: Vec3) -> Array:
         """How far the solid reaches from its origin along a direction."""
         raise NotImplementedError(f"a {type(self).__name__} has no end")
 
@@ -77,11 +77,11 @@ class Sphere(Shape):
 
     radius: Size
 
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         length = vec3.norm(point)
         return length - self.radius, vec3.unit(point)
 
-    def _support(self, direction: Vec) -> Array:
+    def _support(self, direction: Vec3) -> Array:
         return jnp.asarray(self.radius) * vec3.norm(direction)
 
     def _moments(self) -> tuple[Array, Array, Array]:
@@ -92,9 +92,9 @@ class Sphere(Shape):
 class Plane(Shape):
     """The half space z < 0: a table's top, or with its pose turned, a wall."""
 
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         zero = jnp.zeros_like(point.z)
-        return point.z, Vec(zero, zero, zero + 1)
+        return point.z, Vec3(zero, zero, zero + 1)
 
 
 class Box(Shape):
@@ -104,15 +104,15 @@ class Box(Shape):
     width: Size
     height: Size
 
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         edges = (self.length, self.width, self.height)
         beyond = [jnp.abs(c) - jnp.asarray(e) / 2 for c, e in zip(point, edges, strict=True)]
         distance, normal = _rounded(beyond)
-        return distance, Vec(*(jnp.where(c < 0, -n, n) for c, n in zip(point, normal, strict=True)))
+        return distance, Vec3(*(jnp.where(c < 0, -n, n) for c, n in zip(point, normal, strict=True)))
 
-    def _support(self, direction: Vec) -> Array:
-        edges = Vec(*map(jnp.asarray, (self.length, self.width, self.height)))
-        return vec3.dot(Vec(*map(jnp.abs, direction)), edges) / 2
+    def _support(self, direction: Vec3) -> Array:
+        edges = Vec3(*map(jnp.asarray, (self.length, self.width, self.height)))
+        return vec3.dot(Vec3(*map(jnp.abs, direction)), edges) / 2
 
     def _moments(self) -> tuple[Array, Array, Array]:
         x, y, z = (jnp.asarray(edge) ** 2 / 12 for edge in (self.length, self.width, self.height))
@@ -125,17 +125,17 @@ class Cylinder(Shape):
     radius: Size
     height: Size
 
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         across = vec3.safe_sqrt(point.x**2 + point.y**2)
         beyond = [across - self.radius, jnp.abs(point.z) - jnp.asarray(self.height) / 2]
         distance, (radial, axial) = _rounded(beyond)
         # On the axis any way out is as short: x.
         x = jnp.where(across > 0, vec3.safe_divide(point.x, across), 1)
-        return distance, Vec(
+        return distance, Vec3(
             radial * x, radial * vec3.safe_divide(point.y, across), jnp.where(point.z < 0, -axial, axial)
         )
 
-    def _support(self, direction: Vec) -> Array:
+    def _support(self, direction: Vec3) -> Array:
         across = vec3.safe_sqrt(direction.x**2 + direction.y**2)
         return jnp.asarray(self.radius) * across + jnp.asarray(self.height) / 2 * jnp.abs(direction.z)
 
@@ -151,13 +151,13 @@ class Capsule(Shape):
     radius: Size
     height: Size
 
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         half = jnp.asarray(self.height) / 2
         offset = point._replace(z=point.z - jnp.clip(point.z, -half, half))
         length = vec3.norm(offset)
         return length - self.radius, vec3.unit(offset)
 
-    def _support(self, direction: Vec) -> Array:
+    def _support(self, direction: Vec3) -> Array:
         return jnp.asarray(self.radius) * vec3.norm(direction) + jnp.asarray(self.height) / 2 * jnp.abs(direction.z)
 
     def _moments(self) -> tuple[Array, Array, Array]:
@@ -199,7 +199,7 @@ def signed_distance(
         Distances ``(...)`` [m], negative inside, and outward unit normals ``(..., 3)``.
     """
     points = jnp.asarray(points)
-    distance, normal = shape._distance(Vec(*(points[..., i] for i in range(3))))
+    distance, normal = shape._distance(Vec3(*(points[..., i] for i in range(3))))
     return distance, jnp.stack(jnp.broadcast_arrays(*normal), -1)
 
 

@@ -11,7 +11,7 @@ from jaxgrasp.hand.descent import Balls, Nodes, descend, try_all
 from jaxgrasp.hand.shapes import Near, Shape, Size
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 
 class SphereTree(Shape):
@@ -35,7 +35,7 @@ class SphereTree(Shape):
     def _flat(self, batch: tuple[int, ...]) -> "SphereTree":
         return jax.tree.map(lambda x: jnp.asarray(x)[None], self)
 
-    def _distance(self, point: Vec) -> tuple[Array, Vec]:
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
         """From the nearest ball, by trying all."""
         centers, radii = self.balls.centers, jnp.asarray(self.balls.radii)
 
@@ -43,28 +43,28 @@ class SphereTree(Shape):
             way = one - centers
             length = jnp.sqrt(jnp.sum(way * way, -1))
             nearest = jnp.argmin(length - radii)
-            shortest = Vec(*way[nearest])
+            shortest = Vec3(*way[nearest])
             return vec3.norm(shortest) - radii[nearest], jnp.stack(vec3.unit(shortest))
 
         distance, out = lax.map(of_one, jnp.stack(point, -1).reshape(-1, 3))
         shape = jnp.shape(point.x)
-        return distance.reshape(shape), Vec(*(out[:, i].reshape(shape) for i in range(3)))
+        return distance.reshape(shape), Vec3(*(out[:, i].reshape(shape) for i in range(3)))
 
-    def _bound(self, point: Vec) -> Array:
+    def _bound(self, point: Vec3) -> Array:
         bounds = self.nodes.bounds
-        root = Vec(*(jnp.asarray(c)[:, 0] for c in (bounds.x, bounds.y, bounds.z)))
+        root = Vec3(*(jnp.asarray(c)[:, 0] for c in (bounds.x, bounds.y, bounds.z)))
         return vec3.norm(vec3.sub(point, root)) - bounds.radii[:, 0]
 
-    def _near(self, centers: Vec, radii: Array) -> Near:
+    def _near(self, centers: Vec3, radii: Array) -> Near:
         shape = centers.x.shape
         points = jnp.moveaxis(jnp.stack(centers, -1).reshape(-1, shape[-1], 3), 0, 1)
         sizes = jnp.broadcast_to(radii, (*shape[:-1], 1)).ravel()
         try_some = partial(descend, self.balls, self.nodes) if self.descends else partial(try_all, self.balls)
         seen = try_some(points, sizes)
-        out = Vec(*(seen.out[..., i].T.reshape(shape) for i in range(3)))
+        out = Vec3(*(seen.out[..., i].T.reshape(shape) for i in range(3)))
         return Near(seen.distance.T.reshape(shape), out, seen.tests)
 
-    def _support(self, direction: Vec) -> Array:
+    def _support(self, direction: Vec3) -> Array:
         along = jnp.stack(direction, -1) @ self.balls.centers.T
         return jnp.max(along + self.balls.radii * vec3.norm(direction)[..., None], -1)
 

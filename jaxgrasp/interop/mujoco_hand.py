@@ -40,16 +40,16 @@ class MujocoHand:
 
 
 @dataclass
-class _Carrier:
+class _CarryingJoint:
     """A body's frame in that of the joint that carries it."""
 
     joint: int
     position: np.ndarray
     rotation: np.ndarray
 
-    def carry(self, position: np.ndarray, rotation: np.ndarray) -> _Carrier:
+    def carry(self, position: np.ndarray, rotation: np.ndarray) -> _CarryingJoint:
         """A frame given in this body's."""
-        return _Carrier(self.joint, self.position + self.rotation @ position, self.rotation @ rotation)
+        return _CarryingJoint(self.joint, self.position + self.rotation @ position, self.rotation @ rotation)
 
 
 def hand_from_mujoco(
@@ -85,7 +85,7 @@ def hand_from_mujoco(
         if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) < 0:
             raise ValueError(f"locked names {name!r}: the model has no joint of that name")
     tree = _Tree(mujoco, model, locked)
-    carriers = {root: _Carrier(-1, np.zeros(3), np.eye(3))}
+    carriers = {root: _CarryingJoint(-1, np.zeros(3), np.eye(3))}
     for body in range(root + 1, model.nbody):
         parent = int(model.body_parentid[body])
         if parent in carriers:
@@ -104,14 +104,14 @@ class _Tree:
         self.origins: list[np.ndarray] = []
         self.rests: list[np.ndarray] = []
 
-    def add_joints(self, body: int, place: _Carrier) -> _Carrier:
+    def add_joints(self, body: int, place: _CarryingJoint) -> _CarryingJoint:
         """The body's frame in that of its last joint."""
         first = int(self.model.body_jntadr[body])
         for joint in range(first, first + int(self.model.body_jntnum[body])):
             place = self._add(joint, place)
         return place
 
-    def _add(self, joint: int, place: _Carrier) -> _Carrier:
+    def _add(self, joint: int, place: _CarryingJoint) -> _CarryingJoint:
         model, name = self.model, self.model.joint(joint).name
         anchor, axis = model.jnt_pos[joint], model.jnt_axis[joint]
         kinds = self.mujoco.mjtJoint
@@ -132,12 +132,14 @@ class _Tree:
         self.origins.append(here.position)
         self.rests.append(here.rotation)
         if slide:
-            return _Carrier(len(self.joints) - 1, -reference * axis - anchor, np.eye(3))
+            return _CarryingJoint(len(self.joints) - 1, -reference * axis - anchor, np.eye(3))
         back = _turn(self.mujoco, axis, -reference)
-        return _Carrier(len(self.joints) - 1, -back @ anchor, back)
+        return _CarryingJoint(len(self.joints) - 1, -back @ anchor, back)
 
 
-def _finish(mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int, _Carrier], names: dict) -> MujocoHand:
+def _finish(
+    mujoco: Any, model: mujoco.MjModel, tree: _Tree, carriers: dict[int, _CarryingJoint], names: dict
+) -> MujocoHand:
     links, spheres, kept, left_out = [], [], [], []
     for body, place in carriers.items():
         first = int(model.body_geomadr[body])
@@ -189,7 +191,9 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
-def _spheres(mujoco: Any, model: mujoco.MjModel, geom: int, place: _Carrier) -> tuple[np.ndarray, np.ndarray] | None:
+def _spheres(
+    mujoco: Any, model: mujoco.MjModel, geom: int, place: _CarryingJoint
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Spheres inside the geom, along its longest side or all over a box, in the link's frame; None for other geoms."""
     kinds = mujoco.mjtGeom
     # As MuJoCo's own kind: it calls no NumPy number its equal.

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.literature.linear import Program, solve_plain
+from jaxgrasp.literature.linear import LinearProgram, solve_plain
 
 ROUNDING = 1e-11
 """Of slacks, steps and multipliers, relative to the size of the vectors."""
@@ -35,7 +35,7 @@ def first_point(problem: Shortest) -> tuple[np.ndarray | None, int]:
     if np.all(bounds >= 0):
         return np.zeros(unknowns), 0
     distance = np.append(np.zeros(unknowns), 1.0)
-    program = Program(
+    program = LinearProgram(
         cost=-distance,
         equal=np.zeros((0, unknowns + 1)),
         right=np.zeros(0),

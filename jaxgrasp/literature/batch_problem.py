@@ -9,10 +9,10 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.literature.method_answer import MethodAnswer
-from jaxgrasp.literature.method_input import Given
+from jaxgrasp.literature.method_input import MethodInput
 
 
-class Scaled(NamedTuple):
+class ScaledBatch(NamedTuple):
     """B problems: lengths in radii about the centroid of the contacts that are present, forces in units of the load.
 
     Absent contacts stay in their place: ``present`` is 0 there, and so are arms, normals and friction.
@@ -25,7 +25,7 @@ class Scaled(NamedTuple):
     wrench: Array
 
 
-class Outcome(NamedTuple):
+class BatchResult(NamedTuple):
     """What a method finds, forces in units of the load."""
 
     forces: Array
@@ -34,7 +34,7 @@ class Outcome(NamedTuple):
     iterations: Array
 
 
-def solve_all(given: Given, solve: Callable[[Scaled, Array], Outcome], unit: int) -> MethodAnswer:
+def solve_all(given: MethodInput, solve: Callable[[ScaledBatch, Array], BatchResult], unit: int) -> MethodAnswer:
     """All problems in one call, in double precision whatever JAX's mode.
 
     Args:
@@ -52,7 +52,7 @@ def solve_all(given: Given, solve: Callable[[Scaled, Array], Outcome], unit: int
     return given.answer(forces, found.status, load**unit * found.objective, found.iterations)
 
 
-def scale(given: Given) -> tuple[Scaled, np.ndarray]:
+def scale(given: MethodInput) -> tuple[ScaledBatch, np.ndarray]:
     """The problems scaled, as arrays of JAX's current precision, and their loads [N].
 
     A load is the sum of squeezing forces, force, and torque over the radius.
@@ -73,4 +73,4 @@ def scale(given: Given) -> tuple[Scaled, np.ndarray]:
     normals = given.normals / np.where(size > 0, size, 1.0)
     wrench = np.concatenate([force, torque], -1) / load[:, None]
     arrays = (arms / length[:, None, None], normals, given.friction, present, wrench)
-    return Scaled(*map(jnp.asarray, arrays)), load
+    return ScaledBatch(*map(jnp.asarray, arrays)), load

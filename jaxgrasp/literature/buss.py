@@ -26,10 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import Outcome, Scaled, solve_all
+from jaxgrasp.literature.batch_problem import BatchResult, ScaledBatch, solve_all
 from jaxgrasp.literature.internal import internal
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.positive_definite import Trade, descend, first_inside, own_axes
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -71,7 +71,7 @@ def buss(
         raise ValueError(f"flow is {flow!r}: expected 'dikin' or 'gradient'")
     if max_steps < 1:
         raise ValueError(f"max_steps is {max_steps}: expected 1 or more")
-    given = read(grasp, wrench, throw=throw)
+    given = read_input(grasp, wrench, throw=throw)
     # In units of the load the margin's weight, a square of forces, shrinks with the load's square.
     return solve_all(
         given,
@@ -81,11 +81,11 @@ def buss(
 
 
 @partial(jax.jit, static_argnames=("flow", "max_steps"))
-def _solve(problem: Scaled, effort: Array, margin: Array, flow: str, max_steps: int) -> Outcome:
+def _solve(problem: ScaledBatch, effort: Array, margin: Array, flow: str, max_steps: int) -> BatchResult:
     return jax.vmap(partial(_one, flow=flow, max_steps=max_steps))(problem, effort, margin)
 
 
-def _one(problem: Scaled, effort: Array, margin: Array, flow: str, max_steps: int) -> Outcome:
+def _one(problem: ScaledBatch, effort: Array, margin: Array, flow: str, max_steps: int) -> BatchResult:
     parts = internal(problem)
     axes = own_axes(problem)
     start = first_inside(problem, parts, axes, max_steps)
@@ -97,4 +97,4 @@ def _one(problem: Scaled, effort: Array, margin: Array, flow: str, max_steps: in
     nobody = ~(problem.present > 0.5).any()
     solved = jnp.where(inside & end.converged, MethodStatus.SOLVED, MethodStatus.NOT_CONVERGED)
     status = jnp.where(impossible, MethodStatus.INFEASIBLE, jnp.where(nobody, MethodStatus.SOLVED, solved))
-    return Outcome(forces.reshape(-1, 3), status, jnp.where(nobody, 0, end.value), start.steps + end.steps)
+    return BatchResult(forces.reshape(-1, 3), status, jnp.where(nobody, 0, end.value), start.steps + end.steps)

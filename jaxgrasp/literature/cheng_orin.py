@@ -14,9 +14,9 @@ manifold gain in 1990 is little now.
 """
 
 from jaxgrasp.literature.compact import solve_compact_dual
-from jaxgrasp.literature.host_problem import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.host_problem import HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.literature.method_answer import MethodAnswer
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import check_weights, forces_of, load_program
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -46,8 +46,8 @@ def cheng_orin(
     check_pyramid(sides, pyramid)
     check_weights(energy, balance)
 
-    def solve(problem: Posed) -> Found:
+    def solve(problem: HostProblem) -> HostResult:
         program = load_program(problem, energy, balance, sides, pyramid)
         return forces_of(problem, balanced(problem), solve_compact_dual(program))
 
-    return solve_each(read(grasp, wrench, limits, throw), solve)
+    return solve_each(read_input(grasp, wrench, limits, throw), solve)

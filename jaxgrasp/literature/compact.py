@@ -4,7 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.literature.linear import INFEASIBLE, OPTIMAL, STOPPED, UNBOUNDED, Optimum, Program, Size, highs, optimum
+from jaxgrasp.literature.linear import (
+    INFEASIBLE,
+    OPTIMAL,
+    STOPPED,
+    UNBOUNDED,
+    LinearOptimum,
+    LinearProgram,
+    Size,
+    highs,
+    optimum,
+)
 from jaxgrasp.literature.method_answer import MethodStatus
 
 RANK_CUT = 1e-11
@@ -24,7 +34,7 @@ class Compact(NamedTuple):
     basis: np.ndarray
 
 
-def solve_compact_dual(program: Program) -> Optimum:
+def solve_compact_dual(program: LinearProgram) -> LinearOptimum:
     """By the dual simplex method on the compact dual; the unknowns are the multipliers of its equations."""
     compact = eliminate(program)
     if compact is None:
@@ -42,7 +52,7 @@ def solve_compact_dual(program: Program) -> Optimum:
     return optimum(UNBOUNDED if _any_point(compact) else INFEASIBLE, None, 0.0, found.nit)
 
 
-def eliminate(program: Program) -> Compact | None:
+def eliminate(program: LinearProgram) -> Compact | None:
     """The program in its free unknowns, by row-reduced echelon form; None where its equations contradict each other."""
     from scipy.linalg import qr, solve_triangular
 
@@ -68,7 +78,7 @@ def eliminate(program: Program) -> Compact | None:
     )
 
 
-def sizes_of(program: Program) -> tuple[Size, Size]:
+def sizes_of(program: LinearProgram) -> tuple[Size, Size]:
     """What a simplex method is given: by the plain program, and by its compact dual; bounds of unknowns aside."""
     plain = np.concatenate([program.equal, program.rows])
     compact = eliminate(program)
@@ -87,9 +97,9 @@ def _any_point(compact: Compact) -> bool:
     return highs(compact.bounds, None, None, rows, np.zeros(len(rows)), (0, None)).status == OPTIMAL
 
 
-def _without_choice(compact: Compact) -> Optimum:
+def _without_choice(compact: Compact) -> LinearOptimum:
     """The equations alone decide."""
     scale = 1 + np.abs(compact.bounds)
     if np.any(compact.bounds < -CONSISTENT * scale):
         return optimum(INFEASIBLE, None, 0.0, 0)
-    return Optimum(MethodStatus.SOLVED, compact.particular, compact.constant, 0)
+    return LinearOptimum(MethodStatus.SOLVED, compact.particular, compact.constant, 0)

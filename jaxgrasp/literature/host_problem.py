@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import Given
+from jaxgrasp.literature.method_input import MethodInput
 
 RANK_CUT = 1e-11
 """Singular values of the scaled grasp matrix below this share of the largest count as zero."""
@@ -17,7 +17,7 @@ REACH = 1e-9
 """Part of a wrench that forces may leave unbalanced, relative to it, before it counts as out of reach."""
 
 
-class Posed(NamedTuple):
+class HostProblem(NamedTuple):
     """One problem of m contacts; force vectors are flat ``(3m,)``, contact after contact."""
 
     there: np.ndarray
@@ -54,7 +54,7 @@ class Balance(NamedTuple):
     """Whether any forces, allowed or not, give the wrench."""
 
 
-class Found(NamedTuple):
+class HostResult(NamedTuple):
     """What a method finds for one problem; ``forces`` in units of the load, None where there are none."""
 
     status: MethodStatus
@@ -63,7 +63,7 @@ class Found(NamedTuple):
     iterations: int = 0
 
 
-def posed(given: Given, index: int) -> Posed:
+def host_problem(given: MethodInput, index: int) -> HostProblem:
     """One problem of the batch, with at least one contact."""
     there = np.flatnonzero(given.present[index])
     points, normals = given.points[index, there], given.normals[index, there]
@@ -81,7 +81,7 @@ def posed(given: Given, index: int) -> Posed:
     first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), -1)])
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     rows = given.torque_map[index, there].reshape(3 * len(there), -1).T
-    return Posed(
+    return HostProblem(
         there=there,
         balance=_grasp_matrix(arms / length),
         wrench=np.concatenate([force, torque]) / load,
@@ -104,7 +104,7 @@ def _grasp_matrix(arms: np.ndarray) -> np.ndarray:
     return np.concatenate([units, torques], -1).reshape(-1, 6).T
 
 
-def balanced(problem: Posed) -> Balance:
+def balanced(problem: HostProblem) -> Balance:
     """The general solution of G f = w, by a singular value decomposition."""
     left, sizes, right = np.linalg.svd(problem.balance, full_matrices=True)
     rank = int(np.sum(sizes > RANK_CUT * sizes[0]))
@@ -119,7 +119,7 @@ def balanced(problem: Posed) -> Balance:
     return Balance(particular, right[rank:].T, inverse, reached)
 
 
-def solve_each(given: Given, solve: Callable[[Posed], Found]) -> MethodAnswer:
+def solve_each(given: MethodInput, solve: Callable[[HostProblem], HostResult]) -> MethodAnswer:
     """One problem after the other, on the host."""
     count, n = given.friction.shape
     forces, objective = np.zeros((count, n, 3)), np.zeros(count)
@@ -129,7 +129,7 @@ def solve_each(given: Given, solve: Callable[[Posed], Found]) -> MethodAnswer:
             # Nothing balances nothing.
             status[index] = MethodStatus.INFEASIBLE if given.wrench[index].any() else MethodStatus.SOLVED
             continue
-        problem = posed(given, index)
+        problem = host_problem(given, index)
         found = solve(problem)
         status[index], objective[index], iterations[index] = found.status, found.objective, found.iterations
         if found.forces is not None:

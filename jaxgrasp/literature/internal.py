@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import Scaled
+from jaxgrasp.literature.batch_problem import ScaledBatch
 from jaxgrasp.model.wrench import grasp_matrix
 
 RANK_CUT = 1e-11
@@ -32,7 +32,7 @@ class Internal(NamedTuple):
         return forces + self.inverse @ (wrench - self.matrix @ forces)
 
 
-def internal(problem: Scaled) -> Internal:
+def internal(problem: ScaledBatch) -> Internal:
     """The general solution of G f = w for one problem, by a singular value decomposition."""
     there = jnp.repeat(problem.present, 3)
     matrix = grasp_matrix(problem.arms) * there

@@ -16,10 +16,10 @@ planes the simplex method picks any. A contact without friction has a distance o
 
 import numpy as np
 
-from jaxgrasp.literature.host_problem import Found, Posed, balanced, solve_each
-from jaxgrasp.literature.linear import Program, solve_plain
+from jaxgrasp.literature.host_problem import HostProblem, HostResult, balanced, solve_each
+from jaxgrasp.literature.linear import LinearProgram, solve_plain
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -56,20 +56,20 @@ def kerr_roth(
     check_pyramid(sides, pyramid)
     if limits.normal_max is None and limits.torque_max is None:
         raise ValueError("limits bound nothing from above: expected normal_max, or torque_map with torque_max")
-    return solve_each(read(grasp, wrench, limits, throw), lambda problem: _solve(problem, sides, pyramid))
+    return solve_each(read_input(grasp, wrench, limits, throw), lambda problem: _solve(problem, sides, pyramid))
 
 
-def _solve(problem: Posed, sides: int, pyramid: Pyramid) -> Found:
+def _solve(problem: HostProblem, sides: int, pyramid: Pyramid) -> HostResult:
     """Over internal forces z and the distance d >= 0: rows (p + N z) + d <= bounds."""
     balance = balanced(problem)
     if not balance.reached:
-        return Found(MethodStatus.INFEASIBLE)
+        return HostResult(MethodStatus.INFEASIBLE)
     rows, bounds = constraint_rows(problem, sides, pyramid)
     internal = np.column_stack([rows @ balance.basis, np.ones(len(rows))])
     unknowns = internal.shape[1]
     cost = np.zeros(unknowns)
     cost[-1] = -1.0
-    program = Program(
+    program = LinearProgram(
         cost=cost,
         equal=np.zeros((0, unknowns)),
         right=np.zeros(0),
@@ -78,6 +78,6 @@ def _solve(problem: Posed, sides: int, pyramid: Pyramid) -> Found:
     )
     found = solve_plain(program)
     if found.x is None:
-        return Found(found.status, iterations=found.pivots)
+        return HostResult(found.status, iterations=found.pivots)
     forces = balance.particular + balance.basis @ found.x[:-1]
-    return Found(found.status, forces, problem.load * found.x[-1], found.pivots)
+    return HostResult(found.status, forces, problem.load * found.x[-1], found.pivots)

@@ -14,9 +14,9 @@ candidate is taken instead of the best, which cannot go on for ever.
 import numpy as np
 
 from jaxgrasp.literature.active_set import Shortest, first_point, shortest
-from jaxgrasp.literature.host_problem import Found, Posed, balanced, solve_each
+from jaxgrasp.literature.host_problem import HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, facet_rows, normal_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -61,11 +61,11 @@ def kuhn_tucker(
         raise ValueError(f"sharing is {sharing!r}: expected 'squeeze' or 'uniform'")
     if max_steps < 1:
         raise ValueError(f"max_steps is {max_steps}: expected 1 or more")
-    given = read(grasp, wrench, throw=throw)
+    given = read_input(grasp, wrench, throw=throw)
     return solve_each(given, lambda problem: _solve(problem, sharing, sides, pyramid, max_steps))
 
 
-def _solve(problem: Posed, sharing: str, sides: int, pyramid: Pyramid, max_steps: int) -> Found:
+def _solve(problem: HostProblem, sharing: str, sides: int, pyramid: Pyramid, max_steps: int) -> HostResult:
     """In y = (f - s a) / sqrt(k) = particular + basis z, whose length is that of z but for a constant."""
     weights = problem.squeeze if sharing == "squeeze" else np.ones_like(problem.squeeze)
     roots = np.repeat(np.sqrt(weights), 3)
@@ -77,20 +77,20 @@ def _solve(problem: Posed, sharing: str, sides: int, pyramid: Pyramid, max_steps
     bounds = faces.bounds - faces.rows @ balance.particular
     moving = size > HOLDS * np.sqrt(weights.max())
     if not balance.reached or np.any(bounds[~moving] < -HOLDS):
-        return Found(MethodStatus.INFEASIBLE)
+        return HostResult(MethodStatus.INFEASIBLE)
     reduced = Shortest(faces.rows[moving] @ balance.basis / size[moving, None], bounds[moving] / size[moving])
     start, pivots = first_point(reduced)
     if start is None:
-        return Found(MethodStatus.INFEASIBLE, iterations=pivots)
+        return HostResult(MethodStatus.INFEASIBLE, iterations=pivots)
     found = shortest(reduced, start, max_steps)
     if found is None:
-        return Found(MethodStatus.NOT_CONVERGED, iterations=pivots + max_steps)
+        return HostResult(MethodStatus.NOT_CONVERGED, iterations=pivots + max_steps)
     y = balance.particular + balance.basis @ found.z
     unit = problem.load if sharing == "squeeze" else problem.load**2
-    return Found(MethodStatus.SOLVED, own + roots * y, unit * float(y @ y) / 2, pivots + found.changes)
+    return HostResult(MethodStatus.SOLVED, own + roots * y, unit * float(y @ y) / 2, pivots + found.changes)
 
 
-def _faces(problem: Posed, sides: int, pyramid: Pyramid, own: np.ndarray, roots: np.ndarray) -> Shortest:
+def _faces(problem: HostProblem, sides: int, pyramid: Pyramid, own: np.ndarray, roots: np.ndarray) -> Shortest:
     """Facets and the bar on pulling, in y."""
     parts = (facet_rows(problem, sides, pyramid), normal_rows(problem))
     rows, bounds = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -26,9 +26,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import Outcome, Scaled, solve_all
+from jaxgrasp.literature.batch_problem import BatchResult, ScaledBatch, solve_all
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 
@@ -66,12 +66,12 @@ def kumar_waldron(
     """
     if not 1 <= safety < np.inf:
         raise ValueError(f"safety is {safety}: expected a finite number, 1 or more")
-    given = read(grasp, wrench, throw=throw)
+    given = read_input(grasp, wrench, throw=throw)
     return solve_all(given, partial(_solve, safety=safety), unit=1)
 
 
 @jax.jit
-def _solve(problem: Scaled, load: Array, safety: Array | float) -> Outcome:
+def _solve(problem: ScaledBatch, load: Array, safety: Array | float) -> BatchResult:
     friction = problem.friction / safety
     forces = equilibrating_forces(problem)
     low, high = _strengths(forces, -problem.arms, problem.normals, friction)
@@ -85,7 +85,7 @@ def _solve(problem: Scaled, load: Array, safety: Array | float) -> Outcome:
     reached = rest <= jnp.maximum(REACH * jnp.linalg.norm(problem.wrench, axis=-1), 64 * jnp.finfo(rest.dtype).eps)
     status = jnp.where(held, MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES)
     strongest = strength * jnp.max(jnp.linalg.norm(problem.arms, axis=-1), -1)
-    return Outcome(
+    return BatchResult(
         forces=jnp.where(held[:, None, None], pressed, forces),
         status=jnp.where(reached, status, MethodStatus.INFEASIBLE),
         objective=jnp.where(held, strongest, 0),
@@ -93,7 +93,7 @@ def _solve(problem: Scaled, load: Array, safety: Array | float) -> Outcome:
     )
 
 
-def equilibrating_forces(problem: Scaled) -> Array:
+def equilibrating_forces(problem: ScaledBatch) -> Array:
     """The helicoidal field ``(B, n, 3)``: one force for all, and one vector that each arm is crossed with.
 
     About the centroid the first follows from the force alone, and the second from the torque through the tensor of
@@ -111,14 +111,14 @@ def equilibrating_forces(problem: Scaled) -> Array:
     return forces + _field(problem, _unbalanced(problem, forces), axes, by_torque)
 
 
-def _field(problem: Scaled, wrench: Array, axes: Array, by_torque: Array) -> Array:
+def _field(problem: ScaledBatch, wrench: Array, axes: Array, by_torque: Array) -> Array:
     count = jnp.maximum(problem.present.sum(-1, keepdims=True), 1)
     spin = jnp.einsum("bij,bi->bj", axes, by_torque * jnp.einsum("bij,bj->bi", axes, wrench[:, 3:]))
     field = (wrench[:, :3] / count)[:, None] + jnp.cross(spin[:, None], problem.arms)
     return problem.present[..., None] * field
 
 
-def _unbalanced(problem: Scaled, forces: Array) -> Array:
+def _unbalanced(problem: ScaledBatch, forces: Array) -> Array:
     resultant = jnp.concatenate([forces.sum(1), jnp.cross(problem.arms, forces).sum(1)], -1)
     return problem.wrench - resultant
 

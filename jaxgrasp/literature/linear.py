@@ -10,7 +10,7 @@ OPTIMAL, STOPPED, INFEASIBLE, UNBOUNDED = 0, 1, 2, 3
 """SciPy's codes; a further one says that HiGHS met numerical difficulties, or could not tell the last two apart."""
 
 
-class Program(NamedTuple):
+class LinearProgram(NamedTuple):
     """Minimise cost . x subject to equal x = right and rows x <= bounds, x of any sign."""
 
     cost: np.ndarray
@@ -20,7 +20,7 @@ class Program(NamedTuple):
     bounds: np.ndarray
 
 
-class Optimum(NamedTuple):
+class LinearOptimum(NamedTuple):
     """What was found; ``x`` is None unless SOLVED."""
 
     status: MethodStatus
@@ -37,7 +37,7 @@ class Size(NamedTuple):
     nonzeros: int
 
 
-def solve_plain(program: Program) -> Optimum:
+def solve_plain(program: LinearProgram) -> LinearOptimum:
     """By the dual simplex method, on the program as it stands."""
     found = highs(program.cost, program.rows, program.bounds, program.equal, program.right, (None, None))
     if found.status in (OPTIMAL, STOPPED, INFEASIBLE):
@@ -55,11 +55,11 @@ def highs(cost, rows, bounds, equal, right, within):
     return linprog(cost, rows, bounds, equal, right, bounds=within, method="highs-ds")
 
 
-def optimum(code: int, x: np.ndarray | None, value: float | None, pivots: int) -> Optimum:
+def optimum(code: int, x: np.ndarray | None, value: float | None, pivots: int) -> LinearOptimum:
     status = {
         OPTIMAL: MethodStatus.SOLVED,
         INFEASIBLE: MethodStatus.INFEASIBLE,
         UNBOUNDED: MethodStatus.UNBOUNDED,
     }.get(code, MethodStatus.NOT_CONVERGED)
     solved = status == MethodStatus.SOLVED
-    return Optimum(status, x if solved else None, float(value or 0.0) if solved else 0.0, int(pivots))
+    return LinearOptimum(status, x if solved else None, float(value or 0.0) if solved else 0.0, int(pivots))

@@ -14,7 +14,7 @@ from jaxgrasp.model.limit_faults import limit_faults
 from jaxgrasp.model.limits import BOUNDS, Limits
 
 
-class Given(NamedTuple):
+class MethodInput(NamedTuple):
     """B problems of n contacts, float64; limits that were not given do not limit."""
 
     points: np.ndarray
@@ -44,7 +44,7 @@ class Given(NamedTuple):
         return MethodAnswer(*shaped)
 
 
-def read(grasp: Grasp, wrench: AnyArray, limits: Limits | None = None, throw: bool = True) -> Given:
+def read_input(grasp: Grasp, wrench: AnyArray, limits: Limits | None = None, throw: bool = True) -> MethodInput:
     """Problems as a flat batch, checked before anything is computed.
 
     Args:
@@ -169,7 +169,7 @@ def _value_faults(fields: dict[str, np.ndarray]) -> Iterator[Fault]:
     yield from limit_faults(limits, np.ones((), bool))
 
 
-def _harmless(flat: dict[str, np.ndarray], valid: np.ndarray, batch: tuple[int, ...]) -> Given:
+def _harmless(flat: dict[str, np.ndarray], valid: np.ndarray, batch: tuple[int, ...]) -> MethodInput:
     """Problems whose absent contacts and invalid data hold nothing that could spread."""
     there = (flat.pop("present") > 0.5) & valid[:, None]
     for name, idle in (("points", 0), ("normals", 0), ("torque_map", 0), ("friction", 0), ("squeeze", 0)):
@@ -179,4 +179,4 @@ def _harmless(flat: dict[str, np.ndarray], valid: np.ndarray, batch: tuple[int, 
     flat["normal_max"] = np.where(there, flat["normal_max"], np.inf)
     flat["torque_max"] = np.where(valid[:, None], flat["torque_max"], np.inf)
     flat["wrench"] = np.where(valid[:, None], flat["wrench"], 0)
-    return Given(present=there, valid=valid, batch=batch, **flat)
+    return MethodInput(present=there, valid=valid, batch=batch, **flat)

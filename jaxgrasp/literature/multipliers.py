@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import Scaled
+from jaxgrasp.literature.batch_problem import ScaledBatch
 from jaxgrasp.literature.internal import Internal
 from jaxgrasp.numerics import vec3
 from jaxgrasp.problem import friction_cone
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.friction_cone import Cone
 
 RAISE, STIFFEST = 4.0, 1e6
@@ -55,7 +55,7 @@ class _Inner(NamedTuple):
     steps: Array
 
 
-def least_internal(problem: Scaled, parts: Internal, max_rounds: int) -> Least:
+def least_internal(problem: ScaledBatch, parts: Internal, max_rounds: int) -> Least:
     """Rounds until forces meet their cones, or the multipliers prove that they cannot."""
     nothing = jnp.zeros_like(parts.particular)
     inside = jnp.linalg.norm(_shadow(problem, -parts.particular)[0]) <= CLOSE
@@ -90,7 +90,7 @@ def _is_hopeless(parts: Internal, multiplier: Array) -> Array:
     return clear & (lacking > FAR * pull)
 
 
-def _minimise(problem: Scaled, parts: Internal, state: _Round) -> _Inner:
+def _minimise(problem: ScaledBatch, parts: Internal, state: _Round) -> _Inner:
     """Newton's method with halved steps, from the last round's internal forces on."""
 
     def value(h: Array) -> Array:
@@ -121,15 +121,15 @@ def _minimise(problem: Scaled, parts: Internal, state: _Round) -> _Inner:
     return jax.lax.while_loop(going, step, _Inner(state.internal, jnp.array(jnp.inf), jnp.zeros((), int)))
 
 
-def _shadow(problem: Scaled, u: Array) -> tuple[Array, Array]:
+def _shadow(problem: ScaledBatch, u: Array) -> tuple[Array, Array]:
     """The projection of each contact's part of u on the dual of its cone, and its derivative ``(3n, 3n)``.
 
     By Moreau's decomposition it is u plus the projection of -u on the cone itself.
     """
     n = len(problem.friction)
-    opposite = Four(vec3.from_axis(-u.reshape(n, 3), -1))
+    opposite = ContactVec(vec3.from_axis(-u.reshape(n, 3), -1))
     cone = Cone(vec3.from_axis(problem.normals, -1), problem.friction)
-    parts = friction_cone.split(opposite, cone)
+    parts = friction_cone.cone_side(opposite, cone)
     on_cone = jnp.stack(friction_cone.project(opposite, cone, parts).linear, -1)
     lower = friction_cone.derivative(cone, parts)
     each = jnp.stack([jnp.stack([lower[max(i, j)][min(i, j)] for j in range(3)], -1) for i in range(3)], -2)

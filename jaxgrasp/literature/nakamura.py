@@ -21,10 +21,10 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxgrasp.literature.batch_problem import Outcome, Scaled, solve_all
+from jaxgrasp.literature.batch_problem import BatchResult, ScaledBatch, solve_all
 from jaxgrasp.literature.internal import internal
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.multipliers import least_internal
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -56,22 +56,22 @@ def nakamura(
     """
     if max_rounds < 1:
         raise ValueError(f"max_rounds is {max_rounds}: expected 1 or more")
-    given = read(grasp, wrench, throw=throw)
+    given = read_input(grasp, wrench, throw=throw)
     return solve_all(given, lambda problem, load: _solve(problem, max_rounds), unit=1)
 
 
 @partial(jax.jit, static_argnames="max_rounds")
-def _solve(problem: Scaled, max_rounds: int) -> Outcome:
+def _solve(problem: ScaledBatch, max_rounds: int) -> BatchResult:
     return jax.vmap(partial(_one, max_rounds=max_rounds))(problem)
 
 
-def _one(problem: Scaled, max_rounds: int) -> Outcome:
+def _one(problem: ScaledBatch, max_rounds: int) -> BatchResult:
     parts = internal(problem)
     found = least_internal(problem, parts, max_rounds)
     forces = parts.balanced(parts.particular + found.internal, problem.wrench)
     status = jnp.where(found.converged, MethodStatus.SOLVED, MethodStatus.NOT_CONVERGED)
     impossible = ~parts.reached | (found.hopeless & ~found.converged)
-    return Outcome(
+    return BatchResult(
         forces=forces.reshape(-1, 3),
         status=jnp.where(impossible, MethodStatus.INFEASIBLE, status),
         objective=jnp.linalg.norm(found.internal),

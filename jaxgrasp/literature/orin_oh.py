@@ -14,10 +14,10 @@ from vertex to vertex as the load turns; it is often not unique, and then the si
 
 import numpy as np
 
-from jaxgrasp.literature.host_problem import Balance, Found, Posed, balanced, solve_each
-from jaxgrasp.literature.linear import Optimum, Program, solve_plain
+from jaxgrasp.literature.host_problem import Balance, HostProblem, HostResult, balanced, solve_each
+from jaxgrasp.literature.linear import LinearOptimum, LinearProgram, solve_plain
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -59,11 +59,11 @@ def orin_oh(
     check_pyramid(sides, pyramid)
     check_weights(energy, balance)
 
-    def solve(problem: Posed) -> Found:
+    def solve(problem: HostProblem) -> HostResult:
         program = load_program(problem, energy, balance, sides, pyramid)
         return forces_of(problem, balanced(problem), solve_plain(program))
 
-    return solve_each(read(grasp, wrench, limits, throw), solve)
+    return solve_each(read_input(grasp, wrench, limits, throw), solve)
 
 
 def check_weights(energy: float, balance: float) -> None:
@@ -75,7 +75,7 @@ def check_weights(energy: float, balance: float) -> None:
         raise ValueError("energy and balance are both 0: expected at least one above 0")
 
 
-def load_program(problem: Posed, energy: float, balance: float, sides: int, pyramid: Pyramid) -> Program:
+def load_program(problem: HostProblem, energy: float, balance: float, sides: int, pyramid: Pyramid) -> LinearProgram:
     """The program in forces, torques' sizes where there is a map, and the largest normal force."""
     rows, bounds = constraint_rows(problem, sides, pyramid)
     contacts, joints = len(problem.there), len(problem.torque_rows)
@@ -85,7 +85,7 @@ def load_program(problem: Posed, energy: float, balance: float, sides: int, pyra
     torques, sizes = problem.torque_rows, np.eye(joints)
     nothing = np.zeros((joints, 1))
     efforts = np.zeros(3 * contacts) if joints else energy * normals.sum(0)
-    return Program(
+    return LinearProgram(
         cost=np.concatenate([efforts, np.full(joints, energy), [balance]]),
         equal=np.concatenate([problem.balance, np.zeros((6, joints + 1))], 1),
         right=problem.wrench,
@@ -101,12 +101,12 @@ def load_program(problem: Posed, energy: float, balance: float, sides: int, pyra
     )
 
 
-def forces_of(problem: Posed, balance: Balance, found: Optimum) -> Found:
+def forces_of(problem: HostProblem, balance: Balance, found: LinearOptimum) -> HostResult:
     """The forces of an optimum, which HiGHS balances to its tolerance, balanced to rounding."""
     if not balance.reached:
-        return Found(MethodStatus.INFEASIBLE, iterations=found.pivots)
+        return HostResult(MethodStatus.INFEASIBLE, iterations=found.pivots)
     if found.x is None:
-        return Found(found.status, iterations=found.pivots)
+        return HostResult(found.status, iterations=found.pivots)
     forces = found.x[: 3 * len(problem.there)]
     forces = forces + balance.inverse @ (problem.wrench - problem.balance @ forces)
-    return Found(found.status, forces, problem.load * found.value, found.pivots)
+    return HostResult(found.status, forces, problem.load * found.value, found.pivots)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import Scaled
+from jaxgrasp.literature.batch_problem import ScaledBatch
 from jaxgrasp.literature.internal import Internal
 
 LONGEST, SHORTEST = 6, -30
@@ -52,7 +52,7 @@ class End(NamedTuple):
     steps: Array
 
 
-class _Search(NamedTuple):
+class _CentringState(NamedTuple):
     internal: Array
     shift: Array
     hopeless: Array
@@ -60,7 +60,7 @@ class _Search(NamedTuple):
     steps: Array
 
 
-def own_axes(problem: Scaled) -> Array:
+def own_axes(problem: ScaledBatch) -> Array:
     """From all forces ``(3n,)`` to g of all contacts, as one matrix ``(3n, 3n)``; zero for absent contacts."""
     n = len(problem.friction)
     farthest = jnp.eye(3)[jnp.argmin(jnp.abs(problem.normals), -1)]
@@ -71,19 +71,21 @@ def own_axes(problem: Scaled) -> Array:
     return jnp.zeros((n, 3, n, 3)).at[jnp.arange(n), :, jnp.arange(n)].set(rows).reshape(3 * n, 3 * n)
 
 
-def first_inside(problem: Scaled, parts: Internal, axes: Array, max_steps: int) -> Start:
+def first_inside(problem: ScaledBatch, parts: Internal, axes: Array, max_steps: int) -> Start:
     """Lower s in P + s I > 0 by Dikin steps, until P itself is positive definite with some room."""
     still, inward = axes @ parts.particular, jnp.zeros_like(axes[0]).at[::3].set(problem.present.repeat(3)[::3])
     to_own = jnp.column_stack([axes @ parts.projection, inward])
     lack = jnp.max(jnp.linalg.norm(_each(still)[:, 1:], axis=-1) - still[::3], initial=0.0)
     downhill = jnp.zeros(len(still) + 1).at[-1].set(1.0)
     zero = jnp.zeros((), int)
-    start = _Search(jnp.zeros_like(still), jnp.where(lack > -ROOM, 1.5 * lack + 0.5, -ROOM), zero > 0, zero > 0, zero)
+    start = _CentringState(
+        jnp.zeros_like(still), jnp.where(lack > -ROOM, 1.5 * lack + 0.5, -ROOM), zero > 0, zero > 0, zero
+    )
 
-    def going(state: _Search) -> Array:
+    def going(state: _CentringState) -> Array:
         return (state.shift > -ROOM) & ~state.hopeless & ~state.stuck & (state.steps < max_steps)
 
-    def step(state: _Search) -> _Search:
+    def step(state: _CentringState) -> _CentringState:
         own = still + to_own @ jnp.append(state.internal, state.shift)
         curved = _blocks(jax.vmap(jax.hessian(_barrier))(_safe(own, problem)))
         way, radius = _steepest(to_own.T @ curved @ to_own, parts, downhill)
@@ -93,7 +95,7 @@ def first_inside(problem: Scaled, parts: Internal, axes: Array, max_steps: int) 
         )
         share = BRISK * jnp.where(fine(moves).any(), moves[jnp.argmax(fine(moves))], 0)
         multipliers = -curved @ to_own @ way
-        return _Search(
+        return _CentringState(
             internal=state.internal + share[:-1],
             shift=state.shift + share[-1],
             hopeless=_is_hopeless(still, multipliers, problem),
@@ -106,7 +108,7 @@ def first_inside(problem: Scaled, parts: Internal, axes: Array, max_steps: int) 
     return Start(end.internal, found, end.hopeless, end.steps)
 
 
-def _is_hopeless(still: Array, multipliers: Array, problem: Scaled) -> Array:
+def _is_hopeless(still: Array, multipliers: Array, problem: ScaledBatch) -> Array:
     """Whether multipliers q of the cones prove that s stays above zero: q.g >= 0 asks for s >= -q.g(particular)."""
     q = _each(multipliers)
     outside = jnp.max(jnp.where(problem.present > 0.5, jnp.linalg.norm(q[:, 1:], axis=-1) - q[:, 0], 0), initial=0.0)
@@ -115,7 +117,7 @@ def _is_hopeless(still: Array, multipliers: Array, problem: Scaled) -> Array:
 
 
 def descend(
-    problem: Scaled,
+    problem: ScaledBatch,
     parts: Internal,
     axes: Array,
     trade: Trade,
@@ -191,12 +193,12 @@ def _barrier(g: Array) -> Array:
     return -jnp.log(g[0]) - jnp.log(g[0] ** 2 - g[1] ** 2 - g[2] ** 2)
 
 
-def _is_inside(own: Array, problem: Scaled) -> Array:
+def _is_inside(own: Array, problem: ScaledBatch) -> Array:
     g = _each(own)
     return jnp.all((jnp.linalg.norm(g[:, 1:], axis=-1) < g[:, 0]) | (problem.present < 0.5))
 
 
-def _safe(own: Array, problem: Scaled) -> Array:
+def _safe(own: Array, problem: ScaledBatch) -> Array:
     """g of each contact ``(n, 3)``, with the identity where P is not positive definite or the contact is absent."""
     g = _each(own)
     fine = (jnp.linalg.norm(g[:, 1:], axis=-1) < g[:, 0]) & (problem.present > 0.5)

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from jaxgrasp.literature.host_problem import Posed
+from jaxgrasp.literature.host_problem import HostProblem
 
 Pyramid = Literal["inscribed", "circumscribed"]
 """Edges on the cone, so that all forces are ones that friction allows; or facets on the cone, which contain it."""
@@ -21,14 +21,14 @@ def check_pyramid(sides: int, pyramid: Pyramid) -> None:
         raise ValueError(f"pyramid is {pyramid!r}: expected 'inscribed' or 'circumscribed'")
 
 
-def constraint_rows(problem: Posed, sides: int, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
+def constraint_rows(problem: HostProblem, sides: int, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
     """All inequalities: facets, then normal forces from below and above, then torques both ways."""
     parts = (facet_rows(problem, sides, pyramid), normal_rows(problem), torque_rows(problem))
     rows, bounds = (np.concatenate(part) for part in zip(*parts, strict=True))
     return rows, bounds
 
 
-def facet_rows(problem: Posed, sides: int, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
+def facet_rows(problem: HostProblem, sides: int, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
     """``(m sides, 3m)`` facets; the first edge leans towards the first tangent.
 
     Where the edges point depends on the frame, and jumps as a normal turns.
@@ -41,7 +41,7 @@ def facet_rows(problem: Posed, sides: int, pyramid: Pyramid) -> tuple[np.ndarray
     return _apart(rows), np.zeros(rows.shape[0] * sides)
 
 
-def normal_rows(problem: Posed) -> tuple[np.ndarray, np.ndarray]:
+def normal_rows(problem: HostProblem) -> tuple[np.ndarray, np.ndarray]:
     """No pulling, nor less than a preload; and no more than the largest normal forces, where these are bounded."""
     normals = _apart(problem.normals[:, None])
     bounded = np.isfinite(problem.normal_max)
@@ -49,7 +49,7 @@ def normal_rows(problem: Posed) -> tuple[np.ndarray, np.ndarray]:
     return rows, np.concatenate([-problem.normal_min, problem.normal_max[bounded]])
 
 
-def torque_rows(problem: Posed) -> tuple[np.ndarray, np.ndarray]:
+def torque_rows(problem: HostProblem) -> tuple[np.ndarray, np.ndarray]:
     """Torques in either direction, of the joints that are bounded and that any contact loads."""
     size = np.linalg.norm(problem.torque_rows, axis=-1)
     kept = np.isfinite(problem.torque_max) & (size > 0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Method:
+class ComparedMethod:
     """One way to distribute forces."""
 
     name: str
@@ -20,15 +20,15 @@ class Method:
 METHODS = {
     method.name: method
     for method in (
-        Method("A", "method A (eq. 11), uniform sharing", "uniform", constrained=False),
-        Method("B", "method B (eq. 15), sharing by squeeze", "squeeze", constrained=False),
-        Method("A-optimum", "constrained optimum, uniform sharing", "uniform", constrained=True),
-        Method("B-optimum", "constrained optimum, sharing by squeeze", "squeeze", constrained=True),
+        ComparedMethod("A", "method A (eq. 11), uniform sharing", "uniform", constrained=False),
+        ComparedMethod("B", "method B (eq. 15), sharing by squeeze", "squeeze", constrained=False),
+        ComparedMethod("A-optimum", "constrained optimum, uniform sharing", "uniform", constrained=True),
+        ComparedMethod("B-optimum", "constrained optimum, sharing by squeeze", "squeeze", constrained=True),
     )
 }
 
 
-def methods_named(names: tuple[str, ...]) -> tuple[Method, ...]:
+def methods_named(names: tuple[str, ...]) -> tuple[ComparedMethod, ...]:
     """The methods of these names, each once, in the order of the table above."""
     for name in names:
         if name not in METHODS:

@@ -8,17 +8,17 @@ barriers keep them apart.
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 
-def minus_cross(t: Vec, a: Vec, b: Vec) -> Vec:
+def minus_cross(t: Vec3, a: Vec3, b: Vec3) -> Vec3:
     """t - a x b, where the difference may be far smaller than its terms."""
     start, left, right = (jnp.stack(jnp.broadcast_arrays(*each)) for each in (t, a, b))
     p, p_error = _product(_after(left, 1), _after(right, 2))
     m, m_error = _product(_after(left, 2), _after(right, 1))
     first, first_error = _sum(start, -p)
     second, second_error = _sum(first, m)
-    return Vec(*(second + (first_error + second_error + (m_error - p_error))))
+    return Vec3(*(second + (first_error + second_error + (m_error - p_error))))
 
 
 def _after(array: Array, places: int) -> Array:

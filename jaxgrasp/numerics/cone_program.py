@@ -39,7 +39,7 @@ class Cones(NamedTuple):
     """h ``(B, m, d)``."""
 
 
-class Program(NamedTuple):
+class ConeProgram(NamedTuple):
     """A batch of programs in k variables with e equations."""
 
     quadratic: Array
@@ -53,7 +53,7 @@ class Program(NamedTuple):
     cones: tuple[Cones, ...]
 
 
-class Optimum(NamedTuple):
+class ConeOptimum(NamedTuple):
     """Where each program stands, strictly inside its cones."""
 
     point: Array
@@ -98,7 +98,7 @@ class _Move(NamedTuple):
     """W dz."""
 
 
-def solve(program: Program) -> Optimum:
+def solve(program: ConeProgram) -> ConeOptimum:
     """The optimum of each program; where it is not ``solved``, the best that was met."""
     size = program.right.shape[:1]
     start = _judged(program, _start(program), jnp.zeros(size, jnp.int32))
@@ -121,11 +121,11 @@ def solve(program: Program) -> Optimum:
     return lax.while_loop(unfinished, advance, carry)[2]
 
 
-def _merit(at: Optimum) -> Array:
+def _merit(at: ConeOptimum) -> Array:
     return jnp.maximum(at.gap, at.error)
 
 
-def _judged(program: Program, at: Optimum, steps: Array) -> Optimum:
+def _judged(program: ConeProgram, at: ConeOptimum, steps: Array) -> ConeOptimum:
     """With gap and errors of where it stands."""
     dual, equal, *cones = _rest(program, at)
     missed = jnp.zeros_like(dual[:, 0])
@@ -141,7 +141,7 @@ def _judged(program: Program, at: Optimum, steps: Array) -> Optimum:
     return at._replace(gap=gap, error=error, missed=missed, steps=steps, solved=solved)
 
 
-def _rest(program: Program, at: Optimum) -> list[Array]:
+def _rest(program: ConeProgram, at: ConeOptimum) -> list[Array]:
     """What is left of stationarity, of the equations, and of each kind of cones."""
     dual = _times(program.quadratic, at.point) + program.linear + _pulled(program.equations, at.equality)
     for cones, z in zip(program.cones, at.duals, strict=True):
@@ -150,7 +150,7 @@ def _rest(program: Program, at: Optimum) -> list[Array]:
     return [dual, _times(program.equations, at.point) - program.right, *beyond]
 
 
-def _start(program: Program) -> Optimum:
+def _start(program: ConeProgram) -> ConeOptimum:
     """The least-squares solutions with unit scaling, moved into the cones."""
     ones = [_identity(cones.offset) for cones in program.cones]
     scalings = [_Scaling(one, one[..., :1], one) for one in ones]
@@ -161,7 +161,7 @@ def _start(program: Program) -> Optimum:
     left = [offset - _seen(cones, point) for cones, offset in zip(program.cones, offsets, strict=True)]
     slack = [_into(s, one) for s, one in zip(left, ones, strict=True)]
     duals = [_into(-s, one) for s, one in zip(left, ones, strict=True)]
-    return Optimum(
+    return ConeOptimum(
         point,
         equality,
         tuple(slack),
@@ -180,7 +180,7 @@ def _into(given: Array, one: Array) -> Array:
     return jnp.where(short < 0, given, given + (1 + jnp.maximum(short, 0)) * one)
 
 
-def _advance(program: Program, at: Optimum) -> tuple[Optimum, Array]:
+def _advance(program: ConeProgram, at: ConeOptimum) -> tuple[ConeOptimum, Array]:
     """Predictor and corrector; the length of the step."""
     scalings = [_scaling(s, z) for s, z in zip(at.slack, at.duals, strict=True)]
     system = _system(program, scalings)
@@ -214,7 +214,7 @@ def _advance(program: Program, at: Optimum) -> tuple[Optimum, Array]:
     return _moved(at, whole, length), length
 
 
-def _moved(at: Optimum, step: Optimum, length: Array) -> Optimum:
+def _moved(at: ConeOptimum, step: ConeOptimum, length: Array) -> ConeOptimum:
     def move(x: Array, dx: Array) -> Array:
         return x + beside(length, x) * dx
 
@@ -222,7 +222,7 @@ def _moved(at: Optimum, step: Optimum, length: Array) -> Optimum:
     return at._replace(**moves)
 
 
-def _inside(at: Optimum) -> Array:
+def _inside(at: ConeOptimum) -> Array:
     """Whether all slack and duals are inside their cones ``(B,)``."""
     inside = jnp.ones_like(at.gap, bool)
     for part in (*at.slack, *at.duals):
@@ -251,7 +251,7 @@ def _crossing(inside: Array, moved: Array) -> Array:
 class _System(NamedTuple):
     """The linear equations of a step: the scaled rows, the factors of H = P + sum of G^T W^-2 G and of A H^-1 A^T."""
 
-    program: Program
+    program: ConeProgram
     rows: list[Cones]
     """W^-1 G."""
     scalings: list[_Scaling]
@@ -284,7 +284,7 @@ class _System(NamedTuple):
         return plain - _times(self.across, equality), equality
 
 
-def _system(program: Program, scalings: list[_Scaling]) -> _System:
+def _system(program: ConeProgram, scalings: list[_Scaling]) -> _System:
     rows = [
         Cones(jnp.moveaxis(_unscaled(_wider(s), jnp.moveaxis(c.rows, 3, 1)), 1, 3), c.offset)
         for s, c in zip(scalings, program.cones, strict=True)

@@ -43,7 +43,7 @@ LARGEST_REDUCTION = 4095
 CALLED = (ClosedJaxpr, Jaxpr)
 
 
-def one_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
+def fused_cpu_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
     """``function``, compiled as one kernel.
 
     It stays as it is where XLA is not known to do so, where it is differentiated or mapped, and where it holds what

@@ -11,7 +11,7 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.shard_map_loop import varying_like
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 Lower = Sequence[Sequence[Array]]
 
@@ -57,7 +57,7 @@ SWEEPS = 5
 """Sweeps of Jacobi's rotations that reach machine precision from any start; the last ones converge quadratically."""
 
 
-def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec, Vec, Vec]:
+def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec3, Vec3, Vec3]:
     """Orthonormal eigenvectors of 3x3 matrices, by Jacobi's rotations; in no order.
 
     The coordinate axes as they are, at no cost, where the scalar ``wanted`` is false. Unlike what else stands here this
@@ -79,7 +79,7 @@ def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec, Vec, Vec
         return mix(cosine, sine, halfway.swapaxes(0, 1)), mix(cosine, sine, axes)
 
     _, axes = lax.fori_loop(0, jnp.where(wanted, 3 * SWEEPS, 0), turn, (entries, identity))
-    return Vec(*axes[0]), Vec(*axes[1]), Vec(*axes[2])
+    return Vec3(*axes[0]), Vec3(*axes[1]), Vec3(*axes[2])
 
 
 def _rotation(first: Array, off: Array, second: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ FIRST_DAMPING, GROWTH, DECAY = 1e-2, 4.0, 1 / 3
 """Of the damping after a step that failed, and after one that did not."""
 
 
-class Found(NamedTuple):
+class LeastSquaresResult(NamedTuple):
     """Where the sum of squares is least, as far as it was found."""
 
     point: Array
@@ -26,14 +26,14 @@ class Found(NamedTuple):
 
 
 class _Step(NamedTuple):
-    best: Found
+    best: LeastSquaresResult
     jacobian: Array
     """At the best point."""
     proposed: Array
     damping: Array
 
 
-def least_squares(residuals: Callable[[Array], Array], start: Array, steps: int) -> Found:
+def least_squares(residuals: Callable[[Array], Array], start: Array, steps: int) -> LeastSquaresResult:
     """Go down the sum of squares of residuals from a point, in so many steps; works under ``vmap``.
 
     Args:
@@ -48,7 +48,7 @@ def least_squares(residuals: Callable[[Array], Array], start: Array, steps: int)
 
     def advance(step: _Step, _: None) -> tuple[_Step, None]:
         jacobian, value = jax.jacfwd(look, has_aux=True)(step.proposed)
-        trial = Found(step.proposed, value, jnp.sum(value**2))
+        trial = LeastSquaresResult(step.proposed, value, jnp.sum(value**2))
         # A NaN is no improvement.
         better = trial.cost < step.best.cost
         best, jacobian = jax.tree.map(
@@ -61,7 +61,7 @@ def least_squares(residuals: Callable[[Array], Array], start: Array, steps: int)
         return _Step(best, jacobian, best.point - down, damping), None
 
     shape = jax.eval_shape(residuals, start)
-    nothing = Found(start, jnp.zeros(shape.shape, shape.dtype), jnp.asarray(jnp.inf, shape.dtype))
+    nothing = LeastSquaresResult(start, jnp.zeros(shape.shape, shape.dtype), jnp.asarray(jnp.inf, shape.dtype))
     first = _Step(
         nothing,
         jnp.zeros((*shape.shape, len(start)), shape.dtype),

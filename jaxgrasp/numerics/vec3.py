@@ -20,7 +20,7 @@ BLOCK = 5
 a longer one it goes problem by problem, which at twenty contacts made a batch half as slow again."""
 
 
-class Vec(NamedTuple):
+class Vec3(NamedTuple):
     """Three components that broadcast against each other."""
 
     x: Array
@@ -28,34 +28,34 @@ class Vec(NamedTuple):
     z: Array
 
 
-def from_axis(array: Array, axis: int) -> Vec:
+def from_axis(array: Array, axis: int) -> Vec3:
     """The components of ``array`` along ``axis``, which has length 3."""
-    return Vec(*(jnp.take(array, i, axis) for i in range(3)))
+    return Vec3(*(jnp.take(array, i, axis) for i in range(3)))
 
 
-def add(a: Vec, b: Vec) -> Vec:
-    return Vec(a.x + b.x, a.y + b.y, a.z + b.z)
+def add(a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(a.x + b.x, a.y + b.y, a.z + b.z)
 
 
-def sub(a: Vec, b: Vec) -> Vec:
-    return Vec(a.x - b.x, a.y - b.y, a.z - b.z)
+def sub(a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(a.x - b.x, a.y - b.y, a.z - b.z)
 
 
-def scale(factor: Array, a: Vec) -> Vec:
-    return Vec(factor * a.x, factor * a.y, factor * a.z)
+def scale(factor: Array, a: Vec3) -> Vec3:
+    return Vec3(factor * a.x, factor * a.y, factor * a.z)
 
 
-def times(a: Vec, b: Vec) -> Vec:
+def times(a: Vec3, b: Vec3) -> Vec3:
     """Componentwise product."""
-    return Vec(a.x * b.x, a.y * b.y, a.z * b.z)
+    return Vec3(a.x * b.x, a.y * b.y, a.z * b.z)
 
 
-def dot(a: Vec, b: Vec) -> Array:
+def dot(a: Vec3, b: Vec3) -> Array:
     return a.x * b.x + a.y * b.y + a.z * b.z
 
 
-def cross(a: Vec, b: Vec) -> Vec:
-    return Vec(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+def cross(a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
 
 
 def totals(*terms: Array) -> list[Array]:
@@ -90,35 +90,35 @@ def _by_blocks(reduction: Callable[..., Array], array: Array, axis: int) -> list
     return [reduction(lax.slice_in_dim(array, *part, axis=axis), axis, keepdims=True) for part in ends]
 
 
-def where(condition: Array, a: Vec, b: Vec) -> Vec:
-    return Vec(*(jnp.where(condition, p, q) for p, q in zip(a, b, strict=True)))
+def where(condition: Array, a: Vec3, b: Vec3) -> Vec3:
+    return Vec3(*(jnp.where(condition, p, q) for p, q in zip(a, b, strict=True)))
 
 
-def rotate(rows: tuple[Vec, Vec, Vec], a: Vec) -> Vec:
+def rotate(rows: tuple[Vec3, Vec3, Vec3], a: Vec3) -> Vec3:
     """Components of ``a`` along three axes."""
-    return Vec(dot(rows[0], a), dot(rows[1], a), dot(rows[2], a))
+    return Vec3(dot(rows[0], a), dot(rows[1], a), dot(rows[2], a))
 
 
-def rotate_back(rows: tuple[Vec, Vec, Vec], a: Vec) -> Vec:
+def rotate_back(rows: tuple[Vec3, Vec3, Vec3], a: Vec3) -> Vec3:
     """The vector whose components along three orthonormal axes are ``a``."""
     return add(add(scale(a.x, rows[0]), scale(a.y, rows[1])), scale(a.z, rows[2]))
 
 
-def taxicab(a: Vec) -> Array:
+def taxicab(a: Vec3) -> Array:
     """Sum of the components' sizes, which neither overflows nor underflows where squares would."""
     return abs(a.x) + abs(a.y) + abs(a.z)
 
 
-def norm(a: Vec) -> Array:
+def norm(a: Vec3) -> Array:
     """Length; zero has derivative zero instead of NaN."""
     return safe_sqrt(dot(a, a))
 
 
-def unit(a: Vec) -> Vec:
+def unit(a: Vec3) -> Vec3:
     """The vector at length 1; x where it has none."""
     length = norm(a)
     x, y, z = (safe_divide(c, length) for c in a)
-    return Vec(jnp.where(length > 0, x, 1), y, z)
+    return Vec3(jnp.where(length > 0, x, 1), y, z)
 
 
 def safe_sqrt(square: Array) -> Array:

@@ -14,12 +14,20 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
-from jaxgrasp.numerics.zero_tangent import still
+from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
-from jaxgrasp.objectives.cone_problem import Posed, Units, forces_in, forces_out, pose, unbalanced, units_of
+from jaxgrasp.objectives.cone_problem import (
+    ConeProblem,
+    Units,
+    cone_problem,
+    forces_in,
+    forces_out,
+    unbalanced,
+    units_of,
+)
 from jaxgrasp.objectives.multiplier_bounds import velocity_of
-from jaxgrasp.objectives.search import Found
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.objectives.search import SearchResult
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten, warn_of_lost_precision
 from jaxgrasp.solver import transforms
 
@@ -128,16 +136,16 @@ def _bounded(limits: Limits | None) -> Limits | None:
     return eqx.tree_at(lambda x: x.torque_max, limits, endless, is_leaf=lambda x: x is None)
 
 
-def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Problem, tuple[int, ...]]:
+def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[ProblemBatch, tuple[int, ...]]:
     """Problems without squeezing forces, a grasp that all wrenches share repeated for each."""
     calm = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(jnp.asarray(grasp.squeeze)))
     fields, _, batch = flatten(calm, wrench, None, "uniform", limits=limits)
-    problem = Problem(**fields)
+    problem = ProblemBatch(**fields)
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), problem), batch
 
 
 @jax.jit
-def _solved(problem: Problem) -> Solution:
+def _solved(problem: ProblemBatch) -> Solution:
     return transforms.solver(True)(problem)
 
 
@@ -167,7 +175,7 @@ def _answer(
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _best(problem: Problem, solution: Solution, objective: Objective) -> BestForces:
+def _best(problem: ProblemBatch, solution: Solution, objective: Objective) -> BestForces:
     return _search(problem, solution, objective)[0]
 
 
@@ -175,37 +183,39 @@ def _best(problem: Problem, solution: Solution, objective: Objective) -> BestFor
 def _best_moves(objective, primals, tangents):
     """The envelope theorem: the Lagrangian is stationary in forces and multipliers at the optimum."""
     best, found = _search(*primals, objective)
-    unmoved = jax.tree.map(still, best)
+    unmoved = jax.tree.map(zero_tangent, best)
     return best, unmoved._replace(value=_moved(primals[0], tangents[0], found, jnp.isfinite(best.value), objective))
 
 
 @partial(jax.jit, static_argnames=("objective",))
-def _moved(problem: Problem, tangent: Problem, found: Found, solved: Array, objective: Objective) -> Array:
+def _moved(
+    problem: ProblemBatch, tangent: ProblemBatch, found: SearchResult, solved: Array, objective: Objective
+) -> Array:
     """How the value moves with the problem."""
     units = units_of(_only(problem, solved))
     if objective != "largest_margin":
         # That has no derivative there: a contact has a margin to lose as soon as it has friction.
         found = found._replace(y=_leaning(_only(problem, solved), units, found))
 
-    def lagrangian(problem: Problem) -> Array:
-        posed = pose(_only(problem, solved), units)
+    def lagrangian(problem: ProblemBatch) -> Array:
+        posed = cone_problem(_only(problem, solved), units)
         return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
 
     return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
 
 
-def _leaning(problem: Problem, units: Units, found: Found) -> Array:
+def _leaning(problem: ProblemBatch, units: Units, found: SearchResult) -> Array:
     """Forces with the lean that the first friction of a contact without any would be used for."""
     slick = (problem.friction == 0)[..., None]
     rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
-    across = velocity_of(pose(rough, units), found.prices)[..., 1:3]
+    across = velocity_of(cone_problem(rough, units), found.prices)[..., 1:3]
     press, rest = found.y[..., :1], found.y[..., 3:]
     lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
     return jnp.concatenate([press, jnp.where(slick, lean, found.y[..., 1:3]), rest], -1)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _search(problem: Problem, solution: Solution, objective: Objective) -> tuple[BestForces, Found]:
+def _search(problem: ProblemBatch, solution: Solution, objective: Objective) -> tuple[BestForces, SearchResult]:
     return _searched(problem, solution, objective)
 
 
@@ -215,7 +225,7 @@ def _no_second_derivative(objective, primals, tangents):
 
 
 @partial(jax.jit, static_argnames=("objective",))
-def _searched(problem: Problem, solution: Solution, objective: Objective) -> tuple[BestForces, Found]:
+def _searched(problem: ProblemBatch, solution: Solution, objective: Objective) -> tuple[BestForces, SearchResult]:
     solved = solution.verdict <= Verdict.OPTIMAL
     tile = partial(_tile, objective=objective)
     forces, moments, value, bound, close, found = over_tiles(tile, (problem, solution), problem.size, TILE)
@@ -226,12 +236,12 @@ def _searched(problem: Problem, solution: Solution, objective: Objective) -> tup
     return best._replace(verdict=jnp.where(solved, judged, best.verdict)), found
 
 
-def _tile(given: tuple[Problem, Solution], objective: Objective):
+def _tile(given: tuple[ProblemBatch, Solution], objective: Objective):
     problem, solution = given
     solved = solution.verdict <= Verdict.OPTIMAL
     problem = _only(problem, solved)
     units = units_of(problem)
-    posed = pose(problem, units)
+    posed = cone_problem(problem, units)
     method = METHODS[objective]
     found = method.search(posed)
     # A search that got lost leaves the forces that are known.
@@ -246,7 +256,7 @@ def _tile(given: tuple[Problem, Solution], objective: Objective):
     return forces, moments, scale * value, scale * bound, close & ~lost, found
 
 
-def _believed(posed: Posed, value: Array, bound: Array, objective: Objective) -> Array:
+def _believed(posed: ConeProblem, value: Array, bound: Array, objective: Objective) -> Array:
     """The bound; of forces that rounding lets beat it, what needs no proof."""
     tiny = float(jnp.finfo(value.dtype).eps) ** NOTHING
     if objective == "largest_margin":
@@ -261,7 +271,7 @@ def _scale(units: Units, objective: Objective) -> Array:
     return units.load * units.torque if objective == "least_torque" else units.load
 
 
-def _only(problem: Problem, solved: Array) -> Problem:
+def _only(problem: ProblemBatch, solved: Array) -> ProblemBatch:
     """Problems that have an answer; of others nothing but a shape, so that they neither spoil nor delay any."""
     present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
     wrench = jnp.where(solved[:, None], problem.wrench, 0)

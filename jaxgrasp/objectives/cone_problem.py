@@ -14,8 +14,8 @@ from jax import Array, lax
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.cone_program import Cones
 from jaxgrasp.numerics.vec3 import safe_divide
-from jaxgrasp.problem.batch_last import Problem
-from jaxgrasp.quality.wrench_discs import Discs, discs, tangents
+from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs, tangents
 
 
 class Units(NamedTuple):
@@ -31,7 +31,7 @@ class Units(NamedTuple):
     """``(B,)``: of joints, for each newton of a contact."""
 
 
-class Posed(NamedTuple):
+class ConeProblem(NamedTuple):
     """Problems in these units."""
 
     columns: Array
@@ -54,7 +54,7 @@ class Posed(NamedTuple):
         return self.columns.shape[2] * self.columns.shape[3]
 
 
-def units_of(problem: Problem) -> Units:
+def units_of(problem: ProblemBatch) -> Units:
     problem = lax.stop_gradient(problem)
     shapes = discs(_grasp(problem))
     wrench = _scaled_wrench(problem, shapes)
@@ -70,14 +70,14 @@ def units_of(problem: Problem) -> Units:
     return Units(jnp.asarray(shapes.about), jnp.asarray(shapes.length), load, torque)
 
 
-def pose(problem: Problem, units: Units) -> Posed:
+def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     shapes = discs(_grasp(problem), units.length, units.about)
     load, there = units.load[:, None], _there(problem)
     spans = shapes.spans if problem.torsion is not None else shapes.spans[..., :2]
     columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
     rows = None if problem.torque_map is None else _rows(problem, shapes) / units.torque[:, None, None, None]
     limit = None if problem.torque_max is None else problem.torque_max / (load * units.torque[:, None])
-    return Posed(
+    return ConeProblem(
         columns=columns,
         right=_scaled_wrench(problem, shapes) / load,
         friction=jnp.where(there, problem.friction, 0),
@@ -89,23 +89,23 @@ def pose(problem: Problem, units: Units) -> Posed:
     )
 
 
-def _grasp(problem: Problem) -> Grasp:
+def _grasp(problem: ProblemBatch) -> Grasp:
     return Grasp(
         problem.points, problem.normals, problem.friction, problem.squeeze, problem.present, torsion=problem.torsion
     )
 
 
-def _there(problem: Problem) -> Array:
+def _there(problem: ProblemBatch) -> Array:
     return jnp.ones(problem.friction.shape, bool) if problem.present is None else problem.present > 0.5
 
 
-def _scaled_wrench(problem: Problem, shapes: Discs) -> Array:
+def _scaled_wrench(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     force, torque = problem.wrench[:, :3], problem.wrench[:, 3:]
     moved = torque - jnp.cross(shapes.about, force)
     return jnp.concatenate([force, moved / shapes.length[:, None]], -1)
 
 
-def _rows(problem: Problem, shapes: Discs) -> Array:
+def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     """Joint torques of each component of y ``(B, j, n, c)``."""
     assert problem.torque_map is not None
     there = _there(problem)
@@ -122,7 +122,7 @@ def _rows(problem: Problem, shapes: Discs) -> Array:
     return jnp.stack(rows, -1)
 
 
-def forces_out(posed: Posed, units: Units, problem: Problem, y: Array) -> tuple[Array, Array | None]:
+def forces_out(posed: ConeProblem, units: Units, problem: ProblemBatch, y: Array) -> tuple[Array, Array | None]:
     """Forces ``(B, n, 3)`` and, of soft fingers, moments, of y ``(B, n, c)``, in the user's units."""
     y = jnp.where(posed.there[..., None], y, 0) * units.load[:, None, None]
     # The first three rows of a column are a force.
@@ -133,7 +133,7 @@ def forces_out(posed: Posed, units: Units, problem: Problem, y: Array) -> tuple[
     return forces, turning * y[..., 3]
 
 
-def forces_in(posed: Posed, units: Units, problem: Problem, forces: Array, moments: Array | None) -> Array:
+def forces_in(posed: ConeProblem, units: Units, problem: ProblemBatch, forces: Array, moments: Array | None) -> Array:
     """y ``(B, n, c)`` of forces, the inverse of ``forces_out``."""
     # Columns of friction are friction times a tangent.
     along = jnp.einsum("bxnc,bnx->bnc", posed.columns[:, :3, :, :3], forces, precision=lax.Precision.HIGHEST)
@@ -143,13 +143,13 @@ def forces_in(posed: Posed, units: Units, problem: Problem, forces: Array, momen
     return jnp.concatenate(parts, -1) / units.load[:, None, None]
 
 
-def unbalanced(posed: Posed, y: Array) -> Array:
+def unbalanced(posed: ConeProblem, y: Array) -> Array:
     """How much of the wrench is left ``(B,)``."""
     rest = posed.right - jnp.einsum("bxnc,bnc->bx", posed.columns, y, precision=lax.Precision.HIGHEST)
     return jnp.sqrt(jnp.sum(rest**2, -1))
 
 
-def friction_cones(posed: Posed, extra: int) -> Cones:
+def friction_cones(posed: ConeProblem, extra: int) -> Cones:
     """y of each contact in its cone; of absent ones nothing. ``extra`` variables follow those of y."""
     size, _, n, c = posed.columns.shape
     blocks = -jnp.eye(n * c, dtype=posed.columns.dtype).reshape(n, c, n * c)
@@ -158,14 +158,14 @@ def friction_cones(posed: Posed, extra: int) -> Cones:
     return Cones(jnp.pad(rows, [(0, 0)] * 3 + [(0, extra)]), jnp.broadcast_to(offset, (size, n, c)))
 
 
-def absent(posed: Posed, extra: int) -> Array:
+def absent(posed: ConeProblem, extra: int) -> Array:
     """A quadratic term that keeps absent contacts at zero ``(B, k, k)``."""
     c = posed.columns.shape[3]
     idle = jnp.repeat((~posed.there).astype(posed.right.dtype), c, -1)
     return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(posed.width + extra, dtype=posed.right.dtype)
 
 
-def press_rows(posed: Posed, extra: int) -> Array:
+def press_rows(posed: ConeProblem, extra: int) -> Array:
     """The press of each contact as rows ``(n, k)``."""
     n, c = posed.columns.shape[2:]
     return jnp.pad(jnp.eye(n * c, dtype=posed.right.dtype)[::c], [(0, 0), (0, extra)])

@@ -4,13 +4,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics.cone_program import Cones
-from jaxgrasp.objectives.cone_problem import Posed, press_rows
+from jaxgrasp.objectives.cone_problem import ConeProblem, press_rows
 
 Inequalities = dict[str, tuple[Array, Array]]
 """Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""
 
 
-def limits_of(posed: Posed, extra: int) -> Inequalities:
+def limits_of(posed: ConeProblem, extra: int) -> Inequalities:
     """Bounds of presses and of torques."""
     size, n = posed.right.shape[0], posed.columns.shape[2]
     presses = jnp.broadcast_to(press_rows(posed, extra), (size, n, posed.width + extra))

@@ -14,14 +14,14 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import cone_program
-from jaxgrasp.numerics.cone_program import Program
+from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import beside, merged, over_chosen
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
-from jaxgrasp.objectives.cone_problem import Posed, absent, friction_cones
+from jaxgrasp.objectives.cone_problem import ConeProblem, absent, friction_cones
 from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
 from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, spent
-from jaxgrasp.objectives.search import Found
+from jaxgrasp.objectives.search import SearchResult
 
 FIRST = 10
 """Looks that all take; those that need more are gathered."""
@@ -47,7 +47,7 @@ ENDLESS = 1e3
 """Loads that a contact presses with at the most where no limit is nearer: with more there is always more margin."""
 
 
-class _Look(NamedTuple):
+class _MarginEvaluation(NamedTuple):
     """What cones narrower by some angle exert."""
 
     times: Array
@@ -61,7 +61,7 @@ class _Look(NamedTuple):
     missed: Array
 
 
-def search(posed: Posed) -> Found:
+def search(posed: ConeProblem) -> SearchResult:
     """Forces of some margin; its bound is that of narrower cones, which were proven not to do."""
     posed = _bounded(posed)
     state = _bracket(posed)
@@ -79,10 +79,10 @@ def search(posed: Posed) -> Found:
     unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
     prices = jax.tree.map(lambda x: x * beside(unit, x), state.beyond)
     y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(posed, state.low)[..., None]], -1)
-    return Found(y, state.proven, prices, shares, kept.missed)
+    return SearchResult(y, state.proven, prices, shares, kept.missed)
 
 
-def value(posed: Posed, y: Array) -> Array:
+def value(posed: ConeProblem, y: Array) -> Array:
     """Smallest margin of a loaded contact with friction ``(B,)``."""
     lean = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1))
     angles = jnp.arctan(posed.friction)
@@ -91,12 +91,12 @@ def value(posed: Posed, y: Array) -> Array:
     return jnp.min(jnp.where(counts, left, widest(posed)[:, None]), -1)
 
 
-def widest(posed: Posed) -> Array:
+def widest(posed: ConeProblem) -> Array:
     """The largest friction angle ``(B,)``, which no margin exceeds."""
     return jnp.max(_angles(posed), -1)
 
 
-def lagrangian(posed: Posed, found: Found) -> Array:
+def lagrangian(posed: ConeProblem, found: SearchResult) -> Array:
     """Moves as the margin does with the problem: as the root, or as the friction angle where that is a jump."""
     assert found.shares is not None
     margin = value(lax.stop_gradient(posed), found.y)
@@ -107,7 +107,7 @@ def lagrangian(posed: Posed, found: Found) -> Array:
     return jnp.sum(found.shares * jnp.arctan(posed.friction), -1) + rest
 
 
-def _bounded(posed: Posed) -> Posed:
+def _bounded(posed: ConeProblem) -> ConeProblem:
     assert posed.most is not None
     return posed._replace(most=jnp.where(posed.there, jnp.minimum(posed.most, ENDLESS), jnp.inf))
 
@@ -116,12 +116,12 @@ def _apart(like: Array) -> float:
     return float(jnp.finfo(like.dtype).eps) ** APART
 
 
-def _angles(posed: Posed) -> Array:
+def _angles(posed: ConeProblem) -> Array:
     """Friction angles of contacts ``(B, n)``; 0 of those that are absent."""
     return jnp.where(posed.there, jnp.arctan(posed.friction), 0)
 
 
-def _narrowed(posed: Posed, margin: Array) -> Posed:
+def _narrowed(posed: ConeProblem, margin: Array) -> ConeProblem:
     """Cones narrower by an angle ``(B,)``; a contact whose own angle is smaller is gone."""
     share = _shares(posed, margin)
     there = posed.there & ((_angles(posed) >= margin[:, None]) | (posed.friction == 0))
@@ -134,7 +134,7 @@ def _narrowed(posed: Posed, margin: Array) -> Posed:
     return posed._replace(columns=lean(posed.columns), friction=share * posed.friction, there=there, rows=rows)
 
 
-def _shares(posed: Posed, margin: Array) -> Array:
+def _shares(posed: ConeProblem, margin: Array) -> Array:
     """Friction that is left over friction ``(B, n)``."""
     left = jnp.tan(jnp.maximum(jnp.arctan(posed.friction) - margin[:, None], 0))
     return safe_divide(left, posed.friction)
@@ -147,14 +147,14 @@ def _inside(y: Array) -> Array:
     return jnp.concatenate([press, y[..., 1:] * jnp.where(lean > press, safe_divide(press, lean), 1)], -1)
 
 
-def _look(whole: Posed, margin: Array) -> _Look:
+def _look(whole: ConeProblem, margin: Array) -> _MarginEvaluation:
     posed = _narrowed(whole, margin)
     size, _, n, c = posed.columns.shape
     inequalities = _inequalities(posed)
     equations = jnp.concatenate([posed.columns.reshape(size, 6, n * c), -posed.right[..., None]], -1)
     aim = jnp.zeros((size, posed.width + 1), posed.right.dtype).at[:, -1].set(-1)
     cones = (friction_cones(posed, 1), as_cones(inequalities))
-    best = cone_program.solve(Program(absent(posed, 1), aim, equations, jnp.zeros_like(posed.right), cones))
+    best = cone_program.solve(ConeProgram(absent(posed, 1), aim, equations, jnp.zeros_like(posed.right), cones))
     bounds = multipliers(inequalities, best.duals[-1])
     enough = bounds.pop("enough")[:, 0]
     prices = Prices(-best.equality, bounds)
@@ -164,10 +164,10 @@ def _look(whole: Posed, margin: Array) -> _Look:
         # A contact that is gone cannot press as it must.
         lacking = jnp.any(whole.there & ~posed.there & (posed.least > 0), -1)
         times, most = jnp.where(lacking, 0, times), jnp.where(lacking, 0, most)
-    return _Look(times, most, _slope(whole, posed, prices, y), y, prices, best.missed)
+    return _MarginEvaluation(times, most, _slope(whole, posed, prices, y), y, prices, best.missed)
 
 
-def _slope(whole: Posed, posed: Posed, prices: Prices, y: Array) -> Array:
+def _slope(whole: ConeProblem, posed: ConeProblem, prices: Prices, y: Array) -> Array:
     """How what is exerted changes with the angle ``(B,)``: as friction that pays does."""
     # Of tan: what a radian takes off the friction that is left, as a part of it.
     shrinks = -safe_divide(1 + posed.friction**2, posed.friction)
@@ -175,7 +175,7 @@ def _slope(whole: Posed, posed: Posed, prices: Prices, y: Array) -> Array:
     return jnp.sum(jnp.where(posed.there & (whole.friction > 0), pays * shrinks, 0), -1)
 
 
-def _inequalities(posed: Posed) -> Inequalities:
+def _inequalities(posed: ConeProblem) -> Inequalities:
     """Limits; least presses, like the wrench, as many times as they are exerted."""
     found = limits_of(posed, 1)
     if posed.least is not None:
@@ -186,7 +186,7 @@ def _inequalities(posed: Posed) -> Inequalities:
     return found
 
 
-def _most(posed: Posed, prices: Prices, enough: Array) -> Array:
+def _most(posed: ConeProblem, prices: Prices, enough: Array) -> Array:
     """What the prices prove, those of largest presses raised until no contact works along them ``(B,)``."""
     assert posed.most is not None
     push = jnp.maximum(push_of(posed, prices).most, 0)
@@ -211,13 +211,13 @@ class _State(NamedTuple):
     """Where the search ended."""
     phase: Array
     """0 in search of the root; then 1 for a look at its near side, and the others for those at its far side."""
-    kept: _Look
+    kept: _MarginEvaluation
     """What was seen at ``low``."""
     beyond: Prices
     """The proof at ``proven``, where one was seen."""
 
 
-def _bracket(posed: Posed) -> _State:
+def _bracket(posed: ConeProblem) -> _State:
     """Two angles a little apart, between which the wrench gets out of reach, and what was seen at the smaller."""
     whole = widest(posed)
     zero = 0 * whole
@@ -228,7 +228,7 @@ def _bracket(posed: Posed) -> _State:
     return over_chosen(partial(_looked, count=STEPS), posed, state, state.phase < OVER, LEFT)
 
 
-def _looked(posed: Posed, state: _State, count: int) -> _State:
+def _looked(posed: ConeProblem, state: _State, count: int) -> _State:
     """After so many more looks, where there are so many to take."""
 
     def step(carry):
@@ -250,7 +250,7 @@ def _halved(angles: Array, low: Array, high: Array) -> Array:
     return jnp.where(behind, low + apart / 2, jnp.where(jnp.any(between, -1), nearest, middle))
 
 
-def _step(state: _State, seen: _Look) -> _State:
+def _step(state: _State, seen: _MarginEvaluation) -> _State:
     """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out."""
     apart = _apart(state.here)
     eps = float(jnp.finfo(state.here.dtype).eps)

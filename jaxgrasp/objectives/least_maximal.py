@@ -8,15 +8,15 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import cone_program
-from jaxgrasp.numerics.cone_program import Cones, Program
+from jaxgrasp.numerics.cone_program import ConeProgram, Cones
 from jaxgrasp.numerics.vec3 import safe_sqrt
-from jaxgrasp.objectives.cone_problem import Posed, absent, friction_cones
+from jaxgrasp.objectives.cone_problem import ConeProblem, absent, friction_cones
 from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
 from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, reach, spent
-from jaxgrasp.objectives.search import Found
+from jaxgrasp.objectives.search import SearchResult
 
 
-def search(posed: Posed) -> Found:
+def search(posed: ConeProblem) -> SearchResult:
     inequalities = limits_of(posed, 1)
     cones = [friction_cones(posed, 1), _balls(posed)]
     if inequalities:
@@ -24,39 +24,39 @@ def search(posed: Posed) -> Found:
     size, _, n, c = posed.columns.shape
     equations = jnp.pad(posed.columns.reshape(size, 6, n * c), [(0, 0), (0, 0), (0, 1)])
     last = jnp.zeros((size, n * c + 1), posed.right.dtype).at[:, -1].set(1)
-    best = cone_program.solve(Program(absent(posed, 1), last, equations, posed.right, tuple(cones)))
+    best = cone_program.solve(ConeProgram(absent(posed, 1), last, equations, posed.right, tuple(cones)))
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds)
     shares = best.duals[1][..., 0]
-    return Found(y, _bound(posed, prices), prices, shares, best.missed)
+    return SearchResult(y, _bound(posed, prices), prices, shares, best.missed)
 
 
-def lagrangian(posed: Posed, found: Found) -> Array:
+def lagrangian(posed: ConeProblem, found: SearchResult) -> Array:
     """Stationary in forces and multipliers at the optimum, where it is the value."""
     assert found.shares is not None
     return jnp.sum(found.shares * _sizes(posed, found.y), -1) + constraints(posed, found.prices, found.y)
 
 
-def value(posed: Posed, y: Array) -> Array:
+def value(posed: ConeProblem, y: Array) -> Array:
     """Size of the largest force ``(B,)``."""
     return jnp.max(_sizes(posed, y), -1, initial=0)
 
 
-def _sizes(posed: Posed, y: Array) -> Array:
+def _sizes(posed: ConeProblem, y: Array) -> Array:
     """Of each force ``(B, n)``."""
     lean = posed.friction[..., None] * y[..., 1:]
     return safe_sqrt(y[..., 0] ** 2 + jnp.sum(lean**2, -1))
 
 
-def _bound(posed: Posed, prices: Prices) -> Array:
+def _bound(posed: ConeProblem, prices: Prices) -> Array:
     """What no forces stay below ``(B,)``; 0 where nothing is proven."""
     left = asked(posed, prices) - spent(posed, prices)
     able = jnp.sum(reach(posed, push_of(posed, prices)), -1)
     return jnp.where((left > 0) & (able > 0), left / jnp.where(able > 0, able, 1), 0)
 
 
-def _balls(posed: Posed) -> Cones:
+def _balls(posed: ConeProblem) -> Cones:
     """|f_i| no larger than the last variable."""
     size, _, n, c = posed.columns.shape
     scale = jnp.concatenate(

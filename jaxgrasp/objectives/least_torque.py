@@ -8,12 +8,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import cone_program
-from jaxgrasp.numerics.cone_program import Program
+from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.vec3 import safe_sqrt
-from jaxgrasp.objectives.cone_problem import Posed, absent, friction_cones
+from jaxgrasp.objectives.cone_problem import ConeProblem, absent, friction_cones
 from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
 from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, spent
-from jaxgrasp.objectives.search import Found
+from jaxgrasp.objectives.search import SearchResult
 
 TIE = 1e-13
 """Of forces that ask for the same torques the smaller ones, at this price for their squares beside the torques'."""
@@ -23,7 +23,7 @@ REACH = 1e3
 """Where no limit bounds a press, the bound is proven up to so many times the sum of presses found."""
 
 
-def search(posed: Posed) -> Found:
+def search(posed: ConeProblem) -> SearchResult:
     assert posed.rows is not None
     inequalities = limits_of(posed, 0)
     size, _, n, c = posed.columns.shape
@@ -32,23 +32,23 @@ def search(posed: Posed) -> Found:
     squares = jnp.einsum("bji,bjk->bik", rows, rows) + absent(posed, 0) + price * jnp.eye(n * c, dtype=rows.dtype)
     cones = [friction_cones(posed, 0)] + ([as_cones(inequalities)] if inequalities else [])
     equations = posed.columns.reshape(size, 6, n * c)
-    best = cone_program.solve(Program(squares, jnp.zeros_like(squares[:, 0]), equations, posed.right, tuple(cones)))
+    best = cone_program.solve(ConeProgram(squares, jnp.zeros_like(squares[:, 0]), equations, posed.right, tuple(cones)))
     bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(posed.there[..., None], best.point.reshape(size, n, c), 0)
     prices = Prices(-best.equality, bounds, _torques(posed, y))
-    return Found(y, _bound(posed, prices, y[..., 0]), prices, None, best.missed)
+    return SearchResult(y, _bound(posed, prices, y[..., 0]), prices, None, best.missed)
 
 
-def _torques(posed: Posed, y: Array) -> Array:
+def _torques(posed: ConeProblem, y: Array) -> Array:
     assert posed.rows is not None
     return jnp.einsum("bjnc,bnc->bj", posed.rows, y)
 
 
-def value(posed: Posed, y: Array) -> Array:
+def value(posed: ConeProblem, y: Array) -> Array:
     return jnp.sqrt(jnp.sum(_torques(posed, y) ** 2, -1))
 
 
-def _bound(posed: Posed, prices: Prices, press: Array) -> Array:
+def _bound(posed: ConeProblem, prices: Prices, press: Array) -> Array:
     """What no torques stay below, of forces within the limits and ``REACH`` ``(B,)``."""
     farthest = REACH * jnp.sum(press, -1, keepdims=True)
     if posed.most is not None:
@@ -57,14 +57,14 @@ def _bound(posed: Posed, prices: Prices, press: Array) -> Array:
     return _root(_half(posed, prices) - gained)
 
 
-def lagrangian(posed: Posed, found: Found) -> Array:
+def lagrangian(posed: ConeProblem, found: SearchResult) -> Array:
     """Stationary in forces and multipliers at the optimum, where it is the value."""
     half = jnp.sum(_torques(posed, found.y) ** 2, -1) / 2
     some = half > float(jnp.finfo(half.dtype).eps) ** NOTHING
     return _root(jnp.where(some, half + constraints(posed, found.prices._replace(drive=None), found.y), 0))
 
 
-def _half(posed: Posed, prices: Prices) -> Array:
+def _half(posed: ConeProblem, prices: Prices) -> Array:
     assert prices.drive is not None
     return asked(posed, prices) - spent(posed, prices) - jnp.sum(prices.drive**2, -1) / 2
 

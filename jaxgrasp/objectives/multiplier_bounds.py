@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
-from jaxgrasp.objectives.cone_problem import Posed
+from jaxgrasp.objectives.cone_problem import ConeProblem
 
 
 class Prices(NamedTuple):
@@ -39,13 +39,13 @@ class Push(NamedTuple):
         return self.along + self.across
 
 
-def push_of(posed: Posed, prices: Prices) -> Push:
+def push_of(posed: ConeProblem, prices: Prices) -> Push:
     velocity = velocity_of(posed, prices)
     across = safe_sqrt(jnp.sum(velocity[..., 1:] ** 2, -1))
     return Push(velocity[..., 0], across)
 
 
-def velocity_of(posed: Posed, prices: Prices) -> Array:
+def velocity_of(posed: ConeProblem, prices: Prices) -> Array:
     """What each component of y works against ``(B, n, c)``."""
     velocity = jnp.einsum("bxnc,bx->bnc", posed.columns, prices.twist)
     rates = _rates(prices)
@@ -56,7 +56,7 @@ def velocity_of(posed: Posed, prices: Prices) -> Array:
     return jnp.where(posed.there[..., None], velocity, 0)
 
 
-def constraints(posed: Posed, prices: Prices, y: Array) -> Array:
+def constraints(posed: ConeProblem, prices: Prices, y: Array) -> Array:
     """What a Lagrangian adds to the objective of forces y ``(B,)``: nothing at the optimum, where it is stationary.
 
     The friction cones are not among them: y is in the same cones whatever the problem.
@@ -73,7 +73,7 @@ def _rates(prices: Prices) -> Array | None:
     return rates
 
 
-def asked(posed: Posed, prices: Prices) -> Array:
+def asked(posed: ConeProblem, prices: Prices) -> Array:
     """Work that forces of the wrench do at the least, least presses taken off ``(B,)``."""
     work = jnp.sum(posed.right * prices.twist, -1)
     if posed.least is not None:
@@ -81,7 +81,7 @@ def asked(posed: Posed, prices: Prices) -> Array:
     return work
 
 
-def spent(posed: Posed, prices: Prices) -> Array:
+def spent(posed: ConeProblem, prices: Prices) -> Array:
     """What upper bounds of presses and torques let them do at the most ``(B,)``."""
     given = jnp.zeros_like(posed.right[:, 0])
     if posed.most is not None:
@@ -96,7 +96,7 @@ def _worth(price: Array, end: Array) -> Array:
     return jnp.sum(jnp.where(holds, price * jnp.where(holds, end, 0), 0), -1)
 
 
-def reach(posed: Posed, push: Push) -> Array:
+def reach(posed: ConeProblem, push: Push) -> Array:
     """Largest power of each contact, of forces of size 1 inside its cone ``(B, n)``."""
     slide = safe_divide(push.across, posed.friction)
     inside = (push.along > 0) & (push.across <= posed.friction**2 * push.along)

@@ -7,7 +7,7 @@ from jax import Array
 from jaxgrasp.objectives.multiplier_bounds import Prices
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """In the units of ``Posed``."""
 
     y: Array

@@ -13,14 +13,14 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
-from jaxgrasp.numerics.vec3 import Vec
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.friction_cone import Cone
 from jaxgrasp.problem.tolerances import tolerances
 
 
-class Problem(eqx.Module):
+class ProblemBatch(eqx.Module):
     """A flat batch of problems; the grasp's leading axis may be 1 when all wrenches share it."""
 
     points: Float[Array, "#B n 3"]
@@ -49,16 +49,16 @@ class Problem(eqx.Module):
         return self.wrench.shape[0]
 
 
-class Lanes(NamedTuple):
+class ContactData(NamedTuple):
     """One problem in each lane of the last axis."""
 
-    arms: Vec
-    normals: Vec
+    arms: Vec3
+    normals: Vec3
     friction: Array
     squeeze: Array
     weights: Array
-    force: Vec
-    torque: Vec
+    force: Vec3
+    torque: Vec3
     toll: Array | None = None
     """What a unit of normal force costs, in questions of how little is enough; None where it costs nothing."""
     lever: Array | None = None
@@ -73,13 +73,13 @@ class Lanes(NamedTuple):
         return Cone(self.normals, self.friction, self.least, self.most)
 
 
-def squeezing(lanes: Lanes) -> Four:
+def squeezing_forces(lanes: ContactData) -> ContactVec:
     """The squeezing forces s a."""
-    return Four(vec3.scale(lanes.squeeze, lanes.normals), None if lanes.lever is None else 0 * lanes.lever)
+    return ContactVec(vec3.scale(lanes.squeeze, lanes.normals), None if lanes.lever is None else 0 * lanes.lever)
 
 
-@one_kernel
-def read(problem: Problem) -> tuple[Lanes, Array]:
+@fused_cpu_kernel
+def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
     """Batch-last copies, and which lanes hold usable data.
 
     Absent contacts and unusable lanes are replaced by contacts that carry nothing, so that no NaN enters
@@ -117,19 +117,19 @@ def read(problem: Problem) -> tuple[Lanes, Array]:
     def keep(array: Array) -> Array:
         return jnp.where(use, array, 0)
 
-    kept = Vec(*map(keep, normals))
+    kept = Vec3(*map(keep, normals))
     # From what was kept, so that no derivative meets what was not.
     inverse = 1 / jnp.sqrt(jnp.where(use, vec3.dot(kept, kept), 1))
     least = None if least is None else keep(least)
     most = None if most is None else jnp.where(use, most, jnp.inf)
-    lanes = Lanes(
-        arms=Vec(*map(keep, points)),
+    lanes = ContactData(
+        arms=Vec3(*map(keep, points)),
         normals=vec3.scale(inverse, kept),
         friction=keep(friction),
         squeeze=_allowed(keep(squeeze), keep(weights), least, most),
         weights=keep(weights),
-        force=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
-        torque=Vec(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
+        force=Vec3(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
+        torque=Vec3(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
         lever=None if torsion is None else vec3.safe_divide(keep(torsion), keep(friction)),
         least=least,
         most=most,
@@ -145,5 +145,5 @@ def _allowed(squeeze: Array, weights: Array, least: Array | None, most: Array | 
     return squeeze
 
 
-def _components(array: Array) -> Vec:
-    return Vec(*jnp.transpose(array, (2, 1, 0)))
+def _components(array: Array) -> Vec3:
+    return Vec3(*jnp.transpose(array, (2, 1, 0)))

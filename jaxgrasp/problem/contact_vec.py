@@ -10,52 +10,52 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
 
-class Four(NamedTuple):
+class ContactVec(NamedTuple):
     """A force or a velocity of every contact."""
 
-    linear: Vec
+    linear: Vec3
     spin: Array | None = None
     """None where all contacts are hard."""
 
 
-def add(a: Four, b: Four) -> Four:
-    return Four(vec3.add(a.linear, b.linear), None if a.spin is None or b.spin is None else a.spin + b.spin)
+def add(a: ContactVec, b: ContactVec) -> ContactVec:
+    return ContactVec(vec3.add(a.linear, b.linear), None if a.spin is None or b.spin is None else a.spin + b.spin)
 
 
-def sub(a: Four, b: Four) -> Four:
-    return Four(vec3.sub(a.linear, b.linear), None if a.spin is None or b.spin is None else a.spin - b.spin)
+def sub(a: ContactVec, b: ContactVec) -> ContactVec:
+    return ContactVec(vec3.sub(a.linear, b.linear), None if a.spin is None or b.spin is None else a.spin - b.spin)
 
 
-def scale(factor: Array, a: Four) -> Four:
-    return Four(vec3.scale(factor, a.linear), None if a.spin is None else factor * a.spin)
+def scale(factor: Array, a: ContactVec) -> ContactVec:
+    return ContactVec(vec3.scale(factor, a.linear), None if a.spin is None else factor * a.spin)
 
 
-def dot(a: Four, b: Four) -> Array:
+def dot(a: ContactVec, b: ContactVec) -> Array:
     linear = vec3.dot(a.linear, b.linear)
     return linear if a.spin is None or b.spin is None else linear + a.spin * b.spin
 
 
-def norm(a: Four) -> Array:
+def norm(a: ContactVec) -> Array:
     """Length; zero has derivative zero instead of NaN."""
     return vec3.safe_sqrt(dot(a, a))
 
 
-def where(condition: Array, a: Four, b: Four) -> Four:
+def where(condition: Array, a: ContactVec, b: ContactVec) -> ContactVec:
     spin = None if a.spin is None or b.spin is None else jnp.where(condition, a.spin, b.spin)
-    return Four(vec3.where(condition, a.linear, b.linear), spin)
+    return ContactVec(vec3.where(condition, a.linear, b.linear), spin)
 
 
-def along(size: Array, a: Vec, like: Four) -> Four:
+def along(size: Array, a: Vec3, like: ContactVec) -> ContactVec:
     """``size`` along the unit vectors ``a``, with nothing about them, in as many components as ``like`` has."""
-    return Four(vec3.scale(size, a), None if like.spin is None else jnp.zeros_like(like.spin))
+    return ContactVec(vec3.scale(size, a), None if like.spin is None else jnp.zeros_like(like.spin))
 
 
-def components(a: Four) -> tuple[Array, ...]:
+def components(a: ContactVec) -> tuple[Array, ...]:
     return (*a.linear,) if a.spin is None else (*a.linear, a.spin)
 
 
-def of_components(parts: tuple[Array, ...] | list[Array]) -> Four:
-    return Four(Vec(*parts[:3]), parts[3] if len(parts) == 4 else None)
+def of_components(parts: tuple[Array, ...] | list[Array]) -> ContactVec:
+    return ContactVec(Vec3(*parts[:3]), parts[3] if len(parts) == 4 else None)

@@ -27,7 +27,7 @@ def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
     raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
 
 
-class Flat(NamedTuple):
+class FlatInput(NamedTuple):
     """Arrays with their leading axes broadcast and flattened into one."""
 
     fields: dict[str, Any]
@@ -49,7 +49,7 @@ def flatten(
     safety: float | AnyArray | None = None,
     each: Mapping[str, tuple[Any, tuple[int, ...]]] = MappingProxyType({}),
     numpy: Any = jnp,
-) -> Flat:
+) -> FlatInput:
     """Inputs of any leading axes as a flat batch in one precision.
 
     ``free`` are the twists that a guide allows, ``limits`` what the hand can exert. Friction is divided by ``safety``.
@@ -87,7 +87,7 @@ def flatten(
         else:
             flat[name] = numpy.broadcast_to(array, batch + tail).reshape(math.prod(batch), *tail)
     more = {name: flat.pop(name) for name in each}
-    return Flat({"present": None, "weights": flat.pop("sharing"), **flat}, more, batch)
+    return FlatInput({"present": None, "weights": flat.pop("sharing"), **flat}, more, batch)
 
 
 def _safer(friction: AnyArray, present: AnyArray | None, safety: float | AnyArray, numpy: Any) -> AnyArray:

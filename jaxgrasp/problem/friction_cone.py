@@ -12,22 +12,22 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.contact_vec import ContactVec
 
 
 class Cone(NamedTuple):
     """Coulomb's cone of each contact, perhaps cut off below and above."""
 
-    normal: Vec
+    normal: Vec3
     friction: Array
     least: Array | None = None
     """Of the normal force; None where none is bounded, and so for ``most``."""
     most: Array | None = None
 
 
-class Bound(NamedTuple):
+class NormalBound(NamedTuple):
     """What bounds of the normal force make of a projection."""
 
     holds: Array
@@ -35,23 +35,23 @@ class Bound(NamedTuple):
     """Normal component of the projection, where one holds it."""
 
 
-class Split(NamedTuple):
+class ConeSide(NamedTuple):
     """A vector against a cone: its parts, and on which side it lies."""
 
     along: Array
     """Component along the normal."""
-    tangent: Four
+    tangent: ContactVec
     """Unit tangential direction; zero where there is none."""
     size: Array
     """Length of the tangential part."""
     inside: Array
     polar: Array
     """Whether the vector lies in the polar cone, whose projection is the apex."""
-    bound: Bound | None = None
+    bound: NormalBound | None = None
     """None where no normal force is bounded."""
 
 
-def split(u: Four, cone: Cone) -> Split:
+def cone_side(u: ContactVec, cone: Cone) -> ConeSide:
     along, across = _along_and_across(u, cone)
     square = contact_vec.dot(across, across)
     size = vec3.safe_sqrt(square)
@@ -61,23 +61,23 @@ def split(u: Four, cone: Cone) -> Split:
     # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
     limit = cone.friction * along
     inside = (along >= 0) & (square <= limit * limit) & (cone.friction > 0)
-    sides = Split(along, tangent, size, inside, polar)
+    sides = ConeSide(along, tangent, size, inside, polar)
     if cone.least is None and cone.most is None:
         return sides
     free = jnp.where(inside, along, jnp.where(polar, 0, _height(cone, sides)))
     height = _clip(free, cone)
     holds = height != free
     # What a bound holds is neither in the cone nor in its polar: it lies on a disc.
-    return sides._replace(inside=inside & ~holds, polar=polar & ~holds, bound=Bound(holds, height))
+    return sides._replace(inside=inside & ~holds, polar=polar & ~holds, bound=NormalBound(holds, height))
 
 
-def _along_and_across(u: Four, cone: Cone) -> tuple[Array, Four]:
+def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
     """The component along the normal, and what is left."""
     along = vec3.dot(u.linear, cone.normal)
-    return along, Four(vec3.sub(u.linear, vec3.scale(along, cone.normal)), u.spin)
+    return along, ContactVec(vec3.sub(u.linear, vec3.scale(along, cone.normal)), u.spin)
 
 
-def _height(cone: Cone, parts: Split) -> Array:
+def _height(cone: Cone, parts: ConeSide) -> Array:
     """Normal component of the projection on the cone's edge."""
     rise = parts.along + cone.friction * parts.size
     # Beside the polar cone the compiler may round this below zero, and the force would pull.
@@ -89,7 +89,7 @@ def _clip(height: Array, cone: Cone) -> Array:
     return height if cone.most is None else jnp.minimum(height, cone.most)
 
 
-def contains(u: Four, cone: Cone) -> Array:
+def contains(u: ContactVec, cone: Cone) -> Array:
     """Whether ``u`` is allowed, rounding aside."""
     along, across = _along_and_across(u, cone)
     slack = 8 * jnp.finfo(along.dtype).eps
@@ -100,7 +100,7 @@ def contains(u: Four, cone: Cone) -> Array:
     return allowed if cone.most is None else allowed & (along <= (1 + slack) * cone.most)
 
 
-def project(u: Four, cone: Cone, parts: Split) -> Four:
+def project(u: ContactVec, cone: Cone, parts: ConeSide) -> ContactVec:
     """The closest allowed force."""
     zero = contact_vec.scale(jnp.zeros_like(parts.along), u)
     edge = contact_vec.add(
@@ -117,7 +117,7 @@ def project(u: Four, cone: Cone, parts: Split) -> Four:
     return contact_vec.where(holds, on_disc, on_cone)
 
 
-def derivative(cone: Cone, parts: Split) -> list[list[Array]]:
+def derivative(cone: Cone, parts: ConeSide) -> list[list[Array]]:
     """The projection's derivative by ``u``, a symmetric matrix as its lower triangle: 3x3, of soft fingers 4x4.
 
     On the cone's surface, at its apex and at its bounds, where the projection has kinks, one of the limits from its
@@ -142,7 +142,7 @@ def derivative(cone: Cone, parts: Split) -> list[list[Array]]:
     return [[jnp.where(parts.bound.holds, p, q) for p, q in zip(*rows, strict=True)] for rows in zip(held, matrix)]
 
 
-def _disc_derivative(cone: Cone, parts: Split, height: Array) -> list[list[Array]]:
+def _disc_derivative(cone: Cone, parts: ConeSide, height: Array) -> list[list[Array]]:
     """That of the projection on a disc across the cone: all that is tangential, or what turns along its rim."""
     flat = parts.size <= cone.friction * height
     turning = jnp.where(flat, 0, vec3.safe_divide(cone.friction * height, parts.size))
@@ -157,18 +157,18 @@ def _disc_derivative(cone: Cone, parts: Split, height: Array) -> list[list[Array
     return rows
 
 
-def _as_long(normal: Vec, like: tuple[Array, ...]) -> tuple[Array, ...]:
+def _as_long(normal: Vec3, like: tuple[Array, ...]) -> tuple[Array, ...]:
     """The normal's components, and a zero beside the moment about it."""
     return (*normal, *[jnp.zeros_like(c) for c in like[3:]])
 
 
-def push(direction: Four, cone: Cone) -> Array:
+def work_per_normal_force(direction: ContactVec, cone: Cone) -> Array:
     """Work along ``direction`` of the force that does most, of those of unit normal component."""
     along, across = _along_and_across(direction, cone)
     return along + cone.friction * contact_vec.norm(across)
 
 
-def work_of(push: Array, cone: Cone) -> tuple[Array, Array]:
+def largest_work(push: Array, cone: Cone) -> tuple[Array, Array]:
     """The most work that each contact does along a direction, from its ``push``: for each unit of normal force
     where none is bounded, 0 where it does none; and all of it where a bound of the normal force ends it."""
     if cone.least is None and cone.most is None:

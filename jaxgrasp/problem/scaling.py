@@ -12,30 +12,30 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import compensated, ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
-from jaxgrasp.numerics.vec3 import Vec
-from jaxgrasp.problem.batch_last import Lanes
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.tolerances import tolerances
 
 
-class Frame(NamedTuple):
+class Scaling(NamedTuple):
     """How a lane's coordinates came about, to bring results back."""
 
-    centre: Vec
+    centre: Vec3
     length: Array
     weight: Array
     """Sum of the sharing weights; 0 where no contact can carry a force."""
     load: Array
     sound: Array
     """Whether lengths, loads and weights are numbers whose squares keep their digits."""
-    axes: tuple[Vec, Vec, Vec] | None = None
+    axes: tuple[Vec3, Vec3, Vec3] | None = None
 
 
-class Place(NamedTuple):
+class Placement(NamedTuple):
     """Where the contacts are, which says all of a frame but its load."""
 
-    first: Vec
-    rest: Vec
+    first: Vec3
+    rest: Vec3
     """The centre is their sum: the first mean is off by rounding of the frame's distance, a second one mends that."""
     length: Array
     blur: Array
@@ -45,17 +45,17 @@ class Place(NamedTuple):
     weight: Array
 
     @property
-    def centre(self) -> Vec:
+    def centre(self) -> Vec3:
         return vec3.add(self.first, self.rest)
 
 
-def place(lanes: Lanes) -> tuple[Lanes, Place]:
+def place_contacts(lanes: ContactData) -> tuple[ContactData, Placement]:
     """Arms about the weighted centroid, lengths and weights of order one; forces and torque as they are."""
     (weight,) = vec3.totals(lanes.weights)
     k = lanes.weights / jnp.where(weight > 0, weight, 1)
-    first = Vec(*vec3.totals(*vec3.scale(k, lanes.arms)))
+    first = Vec3(*vec3.totals(*vec3.scale(k, lanes.arms)))
     rough = vec3.sub(lanes.arms, first)
-    rest = Vec(*vec3.totals(*vec3.scale(k, rough)))
+    rest = Vec3(*vec3.totals(*vec3.scale(k, rough)))
     arms = vec3.sub(rough, rest)
     centre = vec3.add(first, rest)
     size2, size = vec3.dot(arms, arms), vec3.taxicab(arms)
@@ -68,10 +68,10 @@ def place(lanes: Lanes) -> tuple[Lanes, Place]:
     length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec3.dot(centre, centre)), 1))
     lever = None if lanes.lever is None else lanes.lever / length
     placed = lanes._replace(arms=vec3.scale(1 / length, arms), weights=k, lever=lever)
-    return placed, Place(first, rest, length, blur, reach, weight)
+    return placed, Placement(first, rest, length, blur, reach, weight)
 
 
-def torque_about(place: Place, lanes: Lanes, carefully: bool) -> Vec:
+def torque_about(place: Placement, lanes: ContactData, carefully: bool) -> Vec3:
     """The torque about the centre.
 
     Moving it from a frame far away leaves little of its digits: in single arithmetic, contacts 1e-7 off a line ten
@@ -84,7 +84,9 @@ def torque_about(place: Place, lanes: Lanes, carefully: bool) -> Vec:
     return vec3.sub(moved, vec3.cross(place.rest, lanes.force))
 
 
-def loaded(place: Place, lanes: Lanes, axes: tuple[Vec, Vec, Vec] | None = None) -> tuple[Lanes, Frame]:
+def scale_by_load(
+    place: Placement, lanes: ContactData, axes: tuple[Vec3, Vec3, Vec3] | None = None
+) -> tuple[ContactData, Scaling]:
     """Placed lanes whose forces are of order one too, and the whole frame; ``axes`` are those they were turned into."""
     (squeeze,) = vec3.totals(lanes.squeeze)
     load = squeeze + vec3.norm(lanes.force) + vec3.norm(lanes.torque) / place.length
@@ -92,11 +94,11 @@ def loaded(place: Place, lanes: Lanes, axes: tuple[Vec, Vec, Vec] | None = None)
     sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight, load)))
     sound = sound & ((place.reach <= place.blur) | (place.reach >= smallest))
     load = jnp.where(load > 0, load, 1)
-    frame = Frame(place.centre, place.length, place.weight, load, sound, axes)
-    return _in_loads(lanes, frame), frame
+    frame = Scaling(place.centre, place.length, place.weight, load, sound, axes)
+    return _divide_by_load(lanes, frame), frame
 
 
-def _in_loads(lanes: Lanes, frame: Frame) -> Lanes:
+def _divide_by_load(lanes: ContactData, frame: Scaling) -> ContactData:
     """Forces in units of the load, the torque in those of the length too."""
     return lanes._replace(
         squeeze=lanes.squeeze / frame.load,
@@ -107,25 +109,25 @@ def _in_loads(lanes: Lanes, frame: Frame) -> Lanes:
     )
 
 
-def normalise(lanes: Lanes, carefully: bool = False) -> tuple[Lanes, Frame]:
+def normalise(lanes: ContactData, carefully: bool = False) -> tuple[ContactData, Scaling]:
     """Coordinates of order one about the weighted centroid; ``carefully``, so that the torque keeps its digits."""
-    placed, where = place(lanes)
-    return loaded(where, placed._replace(torque=torque_about(where, lanes, carefully)))
+    placed, where = place_contacts(lanes)
+    return scale_by_load(where, placed._replace(torque=torque_about(where, lanes, carefully)))
 
 
-def scaled(lanes: Lanes, frame: Frame, arms: Vec, weights: Array, torque: Vec) -> Lanes:
+def with_scaling(lanes: ContactData, frame: Scaling, arms: Vec3, weights: Array, torque: Vec3) -> ContactData:
     """The lanes in a frame's units, with these arms, weights and torque about its centre."""
     lever = None if lanes.lever is None else lanes.lever / frame.length
     placed = lanes._replace(arms=vec3.scale(1 / frame.length, arms), weights=weights, torque=torque, lever=lever)
-    return _in_loads(placed, frame)
+    return _divide_by_load(placed, frame)
 
 
-def blur(frame: Frame | Place) -> Array:
+def rounding_growth(frame: Scaling | Placement) -> Array:
     """By how much the frame's distance multiplies the rounding of points: 1 where it is near."""
     return 1 + jnp.sqrt(vec3.dot(frame.centre, frame.centre)) / frame.length
 
 
-def inertia(lanes: Lanes) -> list[list[Array]]:
+def inertia(lanes: ContactData) -> list[list[Array]]:
     """Sum of k (|r|^2 I - r r^T), of soft fingers + k l^2 a a^T, over the contacts: the torque block of G W G^T."""
     xx, yy, zz, xy, xz, yz = _moments(lanes.arms, lanes.weights)
     matrix = [[yy + zz], [-xy, xx + zz], [-xz, -yz, xx + yy]]
@@ -136,13 +138,13 @@ def inertia(lanes: Lanes) -> list[list[Array]]:
     return [[p + q for p, q in zip(*rows, strict=True)] for rows in zip(matrix, spins, strict=True)]
 
 
-def _moments(a: Vec, weights: Array) -> list[Array]:
+def _moments(a: Vec3, weights: Array) -> list[Array]:
     """Sums of weights a a^T."""
     b = vec3.scale(weights, a)
     return vec3.totals(b.x * a.x, b.y * a.y, b.z * a.z, b.x * a.y, b.x * a.z, b.y * a.z)
 
 
-def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
+def rotate(lanes: ContactData, axes: tuple[Vec3, Vec3, Vec3]) -> ContactData:
     """The lanes written along ``axes``."""
     return lanes._replace(
         arms=vec3.rotate(axes, lanes.arms),
@@ -152,8 +154,8 @@ def turn(lanes: Lanes, axes: tuple[Vec, Vec, Vec]) -> Lanes:
     )
 
 
-@one_kernel
-def principal(lanes: Lanes, turned: bool | Array = True) -> tuple[Lanes, Frame]:
+@fused_cpu_kernel
+def scale_in_principal_axes(lanes: ContactData, turned: bool | Array = True) -> tuple[ContactData, Scaling]:
     """Coordinates of order one, carefully, along the principal axes of inertia; along the user's if not ``turned``.
 
     Arms that are tiny in one direction then keep their own digits, and the inertia matrix is
@@ -162,21 +164,21 @@ def principal(lanes: Lanes, turned: bool | Array = True) -> tuple[Lanes, Frame]:
     """
     lanes, frame = normalise(lanes, carefully=True)
     axes = ldl.principal_axes(inertia(lanes), turned)
-    return turn(lanes, axes), frame._replace(axes=axes)
+    return rotate(lanes, axes), frame._replace(axes=axes)
 
 
-def forces_out(forces: Vec, frame: Frame) -> Vec:
+def forces_from_scaled(forces: Vec3, frame: Scaling) -> Vec3:
     """Forces in the user's axes and units."""
     turned = forces if frame.axes is None else vec3.rotate_back(frame.axes, forces)
     return vec3.scale(frame.load, turned)
 
 
-def moments_out(lanes: Lanes, spin: Array | None, frame: Frame) -> Array | None:
+def moments_from_scaled(lanes: ContactData, spin: Array | None, frame: Scaling) -> Array | None:
     """Moments about the normals in the user's units; None where all contacts are hard."""
     return None if spin is None or lanes.lever is None else frame.load * frame.length * lanes.lever * spin
 
 
-def multiplier_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+def multiplier_from_scaled(linear: Vec3, angular: Vec3, frame: Scaling) -> tuple[Vec3, Vec3]:
     """A multiplier about the user's origin, in the user's units."""
     if frame.axes is not None:
         linear, angular = vec3.rotate_back(frame.axes, linear), vec3.rotate_back(frame.axes, angular)
@@ -185,16 +187,16 @@ def multiplier_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
     return vec3.sub(linear, vec3.cross(angular, frame.centre)), angular
 
 
-def multiplier_in(multiplier: Array, frame: Frame) -> tuple[Vec, Vec]:
+def multiplier_to_scaled(multiplier: Array, frame: Scaling) -> tuple[Vec3, Vec3]:
     """The inverse of ``multiplier_out``, from ``(B, 6)``."""
     columns = multiplier.T
-    linear, angular = Vec(*(columns[i : i + 1] for i in range(3))), Vec(*(columns[i : i + 1] for i in range(3, 6)))
-    linear, angular = twist_in(linear, angular, frame)
+    linear, angular = Vec3(*(columns[i : i + 1] for i in range(3))), Vec3(*(columns[i : i + 1] for i in range(3, 6)))
+    linear, angular = twist_to_scaled(linear, angular, frame)
     unit = frame.weight / frame.load
     return vec3.scale(unit, linear), vec3.scale(unit * frame.length, angular)
 
 
-def twist_in(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+def twist_to_scaled(linear: Vec3, angular: Vec3, frame: Scaling) -> tuple[Vec3, Vec3]:
     """A twist about the user's origin as one about the lane's centre, along its axes; in the user's units."""
     linear = vec3.add(linear, vec3.cross(angular, frame.centre))
     if frame.axes is not None:
@@ -202,7 +204,7 @@ def twist_in(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
     return linear, angular
 
 
-def certificate_out(linear: Vec, angular: Vec, frame: Frame) -> tuple[Vec, Vec]:
+def certificate_from_scaled(linear: Vec3, angular: Vec3, frame: Scaling) -> tuple[Vec3, Vec3]:
     """A direction of wrench space as a twist about the user's origin, of unit size in the lane's coordinates."""
     if frame.axes is not None:
         linear, angular = vec3.rotate_back(frame.axes, linear), vec3.rotate_back(frame.axes, angular)

@@ -3,20 +3,20 @@
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 
-Six = Array
+SpatialVec = Array
 """``(6, B)``: linear components over angular ones."""
 
 
-def six(linear: Vec, angular: Vec) -> Six:
+def join(linear: Vec3, angular: Vec3) -> SpatialVec:
     return jnp.concatenate(jnp.broadcast_arrays(*linear, *angular))
 
 
-def parts(x: Six) -> tuple[Vec, Vec]:
+def parts(x: SpatialVec) -> tuple[Vec3, Vec3]:
     """The linear and the angular components, each ``(1, B)``."""
     rows = [x[i : i + 1] for i in range(6)]
-    return Vec(*rows[:3]), Vec(*rows[3:])
+    return Vec3(*rows[:3]), Vec3(*rows[3:])
 
 
 def inner(a: Array, b: Array) -> Array:

@@ -16,8 +16,8 @@ from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analys
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
-from jaxgrasp.psychophysics.analysis.signal_detection import Sensitivity, sensitivity
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
+from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivity, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
 from jaxgrasp.psychophysics.observer import Observer
@@ -40,6 +40,7 @@ __all__ = [
     "Answers",
     "ConstantStimuli",
     "Counts",
+    "DetectionSensitivity",
     "Finding",
     "Goodness",
     "IdealStimulus",
@@ -50,11 +51,10 @@ __all__ = [
     "Person",
     "Plan",
     "Precision",
+    "PsychometricShape",
     "Rendered",
     "RenderingError",
-    "Sensitivity",
     "SessionPlan",
-    "Shape",
     "SimulatedPerson",
     "Staircase",
     "Stimulus",
@@ -66,6 +66,7 @@ __all__ = [
     "analyse",
     "cheapest",
     "count",
+    "detection_sensitivity",
     "goodness",
     "hit_probability",
     "jnd_through",
@@ -79,7 +80,6 @@ __all__ = [
     "repeated_measures",
     "rounding_interval",
     "run_experiment",
-    "sensitivity",
     "threshold",
     "weber",
     "weber_line",

@@ -16,7 +16,7 @@ RATIO_STEP, WEBER_STEP, JND_STEP = 0.01, 0.001, 0.01
 """Of the last digit printed."""
 
 
-class Outcome(StrEnum):
+class RecomputedNumber(StrEnum):
     """How a printed number stands."""
 
     REPRODUCED = "reproduced"
@@ -33,7 +33,7 @@ class Row:
     printed: str
     recomputed: str
     """With the smallest and largest value that the rounding of what it is computed from allows."""
-    outcome: Outcome
+    outcome: RecomputedNumber
     note: str = ""
 
 
@@ -74,7 +74,7 @@ def _design() -> list[Row]:
         ("trials of each comparison in a session", printed.TRIALS_OF_COMPARISON, plan.series * plan.repeats),
     )
     rows = [
-        Row(name, str(was), str(now), Outcome.REPRODUCED if was == now else Outcome.IMPOSSIBLE)
+        Row(name, str(was), str(now), RecomputedNumber.REPRODUCED if was == now else RecomputedNumber.IMPOSSIBLE)
         for name, was, now in counts
     ]
     answers = printed.SUBJECTS * printed.TRIALS_OF_COMPARISON
@@ -85,7 +85,7 @@ def _design() -> list[Row]:
         f"{odd} of {len(ratios)} hit ratios are no share of {answers} answers (five persons, one session); two "
         f"sessions each, {2 * answers} answers, fit"
     )
-    outcome = Outcome.IMPOSSIBLE if odd else Outcome.REPRODUCED
+    outcome = RecomputedNumber.IMPOSSIBLE if odd else RecomputedNumber.REPRODUCED
     return [*rows, Row("answers behind each hit ratio", f"{answers}", f"{2 * answers}", outcome, note)]
 
 
@@ -97,11 +97,11 @@ def _thresholds() -> list[Row]:
             ("Weber fraction", 1.0, printed.WEBER[k], WEBER_STEP, ""),
         ):
             literal, line = (np.array(threshold_range(method, k)) * scale for method in ("interpolation", "paper"))
-            outcome, found, note = Outcome.IMPOSSIBLE, literal, ""
+            outcome, found, note = RecomputedNumber.IMPOSSIBLE, literal, ""
             if _meet(was, step, literal):
-                outcome = Outcome.REPRODUCED
+                outcome = RecomputedNumber.REPRODUCED
             elif _meet(was, step, line):
-                outcome, found = Outcome.OTHERWISE, line
+                outcome, found = RecomputedNumber.OTHERWISE, line
                 note = (
                     f"linear interpolation gives {literal[0]:.3f}{unit} ({literal[1]:.3f} to {literal[2]:.3f}); this "
                     "is a line of least squares through the four points and chance at zero"
@@ -114,7 +114,7 @@ def _thresholds() -> list[Row]:
 def _deviations() -> list[Row]:
     note = "the subjects' own hit ratios are not printed"
     return [
-        Row(f"deviation of the Weber fraction at {reference:g} N", f"{was:g}", "-", Outcome.UNKNOWN, note)
+        Row(f"deviation of the Weber fraction at {reference:g} N", f"{was:g}", "-", RecomputedNumber.UNKNOWN, note)
         for reference, was in zip(REFERENCE_WEIGHTS, printed.WEBER_DEVIATIONS, strict=True)
     ]
 
@@ -122,7 +122,9 @@ def _deviations() -> list[Row]:
 def _mean() -> Row:
     values = np.array(printed.WEBER[1:])
     found = np.array([values.mean(), *(values.mean() + np.array([-1, 1]) * WEBER_STEP / 2)])
-    outcome = Outcome.REPRODUCED if _meet(printed.MEAN_WEBER, WEBER_STEP, found) else Outcome.IMPOSSIBLE
+    outcome = (
+        RecomputedNumber.REPRODUCED if _meet(printed.MEAN_WEBER, WEBER_STEP, found) else RecomputedNumber.IMPOSSIBLE
+    )
     text = f"{found[0]:.4f} ({found[1]:.4f} to {found[2]:.4f})"
     return Row("mean Weber fraction at 2 and 3 N", f"{printed.MEAN_WEBER:g}", text, outcome)
 
@@ -134,16 +136,18 @@ def _variance() -> list[Row]:
         sizes = [printed.SUBJECTS] * 2
         found = one_way_of_summaries(means, deviations, sizes)
         ends = rounding_interval(means, deviations, sizes, WEBER_STEP)
-        outcome = Outcome.REPRODUCED if _meet(was, 0.1, np.array([found.f, *ends])) else Outcome.IMPOSSIBLE
+        outcome = (
+            RecomputedNumber.REPRODUCED if _meet(was, 0.1, np.array([found.f, *ends])) else RecomputedNumber.IMPOSSIBLE
+        )
         weights = " and ".join(f"{REFERENCE_WEIGHTS[k]:g}" for k in pair)
         note = "the same persons at both weights would call for repeated measures, F[1, 4]"
-        if outcome is Outcome.IMPOSSIBLE:
+        if outcome is RecomputedNumber.IMPOSSIBLE:
             note = f"no means and deviations that round to the printed ones give it; {note}"
         text = f"{found.f:.2f} ({ends[0]:.2f} to {ends[1]:.2f})"
         freedom = f"F[{found.between:g}, {found.within:g}]"
         rows.append(Row(f"{freedom} of {weights} N", f"{was:g}", text, outcome, note))
         level, holds = ("< 0.01", found.p_value < 0.01) if is_significant else ("> 0.05", found.p_value > 0.05)
-        outcome = Outcome.REPRODUCED if holds else Outcome.IMPOSSIBLE
+        outcome = RecomputedNumber.REPRODUCED if holds else RecomputedNumber.IMPOSSIBLE
         rows.append(Row(f"p of {weights} N", level, f"{found.p_value:.4f}", outcome))
     return rows
 

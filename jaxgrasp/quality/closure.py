@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.grasp_input import Read, read
+from jaxgrasp.quality.grasp_input import GraspInput, read_grasps
 from jaxgrasp.quality.wrench_discs import About, Length
-from jaxgrasp.quality.wrench_sets import Body
+from jaxgrasp.quality.wrench_sets import WrenchSet
 
 ROUNDS = 60
 """Times that wrenches are added to those in sight of a question; it is decided within ten, near its limit later."""
@@ -80,7 +80,7 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
         GraspError: for the first entry that is not usable, before anything is computed.
         TypeError: for traced arrays.
     """
-    given = read(grasp, length, about)
+    given = read_grasps(grasp, length, about)
     shape = given.present.shape
     closed, decided, margin = np.zeros(shape[:-1], bool), np.zeros(shape[:-1], bool), np.zeros(shape[:-1])
     twists, press, lean = np.zeros((*shape[:-1], 6)), np.zeros(shape), np.zeros((*shape, 3))
@@ -93,20 +93,20 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
     return ForceClosure(closed, decided, margin, twists, forces, moments)
 
 
-def unscaled(twist: np.ndarray, given: Read, index: tuple[int, ...]) -> np.ndarray:
+def unscaled(twist: np.ndarray, given: GraspInput, index: tuple[int, ...]) -> np.ndarray:
     """A scaled twist as a velocity (linear, angular) about the frame's origin."""
     angular = twist[3:] / given.shapes.length[index]
     return np.concatenate([twist[:3] - np.cross(angular, given.shapes.about[index]), angular])
 
 
-def forces_of(given: Read, press: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def forces_of(given: GraspInput, press: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton."""
     exerted = press[..., None] * given.shapes.centres + np.einsum("...njk,...nk->...nj", given.shapes.spans, lean)
     moment = np.einsum("...j,...j->...", given.shapes.spans[..., 3:, 2], given.shapes.centres[..., :3])
     return exerted[..., :3], moment * lean[..., 2] * np.asarray(given.shapes.length)[..., None]
 
 
-def decide(body: Body) -> Decision:
+def decide(body: WrenchSet) -> Decision:
     """Force closure of one grasp."""
     count = len(body.centres)
     if not count:
@@ -126,7 +126,7 @@ class _InSight(NamedTuple):
     lean: np.ndarray
 
 
-def _separate_or_balance(body: Body, whitening: np.ndarray) -> Decision:
+def _separate_or_balance(body: WrenchSet, whitening: np.ndarray) -> Decision:
     """By a growing set of the contacts' wrenches: a twist that keeps away from all, or a balance of some.
 
     The search, but not the proof, is in coordinates where the discs' matrix is a rotation: contacts almost on a line
@@ -152,7 +152,7 @@ def _separate_or_balance(body: Body, whitening: np.ndarray) -> Decision:
     return _undecided(body)
 
 
-def _first_wrenches(body: Body) -> _InSight:
+def _first_wrenches(body: WrenchSet) -> _InSight:
     """Each disc's, at both ends of every column of its span."""
     count = len(body.centres)
     lean = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (count, 1))
@@ -160,7 +160,7 @@ def _first_wrenches(body: Body) -> _InSight:
     return _InSight(body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], lean), owner, lean)
 
 
-def _without_idle(body: Body, twist: np.ndarray) -> np.ndarray:
+def _without_idle(body: WrenchSet, twist: np.ndarray) -> np.ndarray:
     """The twist without what is left in it of wrenches that it should not move at all.
 
     Where two contacts hold each other, a twist that opens the grasp turns about the line between them: no power
@@ -203,7 +203,7 @@ def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.zeros(6), weights
 
 
-def _balance(body: Body, sight: _InSight, weights: np.ndarray, whitening: np.ndarray) -> Decision | None:
+def _balance(body: WrenchSet, sight: _InSight, weights: np.ndarray, whitening: np.ndarray) -> Decision | None:
     """One newton at every contact and what makes up for it, if that is proven to be strictly inside.
 
     The forces (press, lean) of all contacts may move by ``room`` each and stay inside. In white coordinates such
@@ -226,12 +226,12 @@ def _balance(body: Body, sight: _InSight, weights: np.ndarray, whitening: np.nda
     return Decision(True, True, radius / (1 + np.sqrt(count) * room), np.zeros(6), press, lean)
 
 
-def _open(twist: np.ndarray, body: Body, decided: bool) -> Decision:
+def _open(twist: np.ndarray, body: WrenchSet, decided: bool) -> Decision:
     values, _ = body.supports(twist[None])
     count = len(body.centres)
     margin = min(float(values.max(initial=-np.inf)), 0.0) if count else 0.0
     return Decision(False, decided, margin, twist, np.zeros(count), np.zeros((count, 3)))
 
 
-def _undecided(body: Body) -> Decision:
+def _undecided(body: WrenchSet) -> Decision:
     return _open(np.zeros(6), body, False)

@@ -10,11 +10,11 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import decide
-from jaxgrasp.quality.grasp_input import check_tolerance, read
+from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.largest_ball import largest_ball
 from jaxgrasp.quality.refine_facet import touch
 from jaxgrasp.quality.wrench_discs import About, Length, discs, work
-from jaxgrasp.quality.wrench_sets import Body, Bound, check_bound, check_sides, pyramid
+from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
 
 MAX_POINTS = 1000
 
@@ -84,7 +84,7 @@ def ferrari_canny(
     check_tolerance(tol)
     if max_points < 1:
         raise ValueError(f"max_points is {max_points}: expected 1 or more")
-    given = read(grasp, length, about)
+    given = read_grasps(grasp, length, about)
     corners = None if sides is None else pyramid(sides, given.soft)
     shape = given.present.shape
     lower, upper, directions = np.zeros(shape[:-1]), np.zeros(shape[:-1]), np.zeros((*shape[:-1], 6))
@@ -127,7 +127,7 @@ def _worked(grasp: Grasp, found: Epsilon, length: Length, about: About) -> Array
     return work(shapes, *(array.astype(shapes.centres.dtype) for array in (found.press, found.lean, found.direction)))
 
 
-def _of_body(body: Body, tol: float, max_points: int) -> tuple[tuple[float, float], tuple[np.ndarray, ...]]:
+def _of_body(body: WrenchSet, tol: float, max_points: int) -> tuple[tuple[float, float], tuple[np.ndarray, ...]]:
     """The bounds, and (direction, press, lean)."""
     count = len(body.centres)
     nothing = np.zeros(count), np.zeros((count, 3))
@@ -141,7 +141,7 @@ def _of_body(body: Body, tol: float, max_points: int) -> tuple[tuple[float, floa
     return (ball.lower, min(ball.upper, found.height + body.slack)), found[1:]
 
 
-def _wrenches_alone(body: Body) -> Body:
+def _wrenches_alone(body: WrenchSet) -> WrenchSet:
     """The body of summed forces that has its discs, or the edges of its pyramids as contacts without friction."""
     if body.corners is None:
         return replace(body, bound="l1")
@@ -150,6 +150,6 @@ def _wrenches_alone(body: Body) -> Body:
     return replace(body, centres=edges, spans=np.zeros((len(edges), 6, 3)), bound="l1", corners=None)
 
 
-def _some_reach(body: Body) -> float:
+def _some_reach(body: WrenchSet) -> float:
     """Along the coordinate axes: an upper bound where nothing better is known."""
     return float(body.reach(np.concatenate([np.eye(6), -np.eye(6)])).height.min() + body.slack)

@@ -9,17 +9,17 @@ import numpy as np
 
 from jaxgrasp.model.faults import Fault, GraspError, check_grasp, entries
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.wrench_discs import About, Discs, Length, discs
-from jaxgrasp.quality.wrench_sets import Body
+from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs
+from jaxgrasp.quality.wrench_sets import WrenchSet
 
 ROUNDING = 32.0
 """Rounding of the products and sums behind a support, in units in the last place."""
 
 
-class Read(NamedTuple):
+class GraspInput(NamedTuple):
     """A batch of grasps as discs in float64."""
 
-    shapes: Discs
+    shapes: WrenchDiscs
     """Of NumPy arrays."""
     present: np.ndarray
     """``(..., n)`` of truth."""
@@ -32,16 +32,16 @@ class Read(NamedTuple):
     def batch(self) -> tuple[int, ...]:
         return self.present.shape[:-1]
 
-    def bodies(self) -> Iterator[tuple[tuple[int, ...], np.ndarray, Body]]:
+    def bodies(self) -> Iterator[tuple[tuple[int, ...], np.ndarray, WrenchSet]]:
         """Each grasp: its index, which contacts it has, and what these reach."""
         for index in np.ndindex(self.batch):
             own = self.present[index]
             centres, spans = (np.asarray(array[index])[own] for array in (self.shapes.centres, self.shapes.spans))
-            body = Body(centres, spans, float(self.rounding[index]))
+            body = WrenchSet(centres, spans, float(self.rounding[index]))
             yield index, own, body
 
 
-def read(grasp: Grasp, length: Length = None, about: About = None) -> Read:
+def read_grasps(grasp: Grasp, length: Length = None, about: About = None) -> GraspInput:
     """The grasps, checked; computed in float64 whatever JAX's mode and the precision of the data.
 
     Raises:
@@ -57,7 +57,7 @@ def read(grasp: Grasp, length: Length = None, about: About = None) -> Read:
     present = np.ones(wide.friction.shape, bool) if grasp.present is None else np.asarray(wide.present) > 0.5
     reach = np.max(np.where(present[..., None], np.abs(wide.points), 0), (-1, -2), initial=0)
     soft = wide.torsion is not None and bool(np.any(np.where(present, wide.torsion, 0) > 0))
-    return Read(shapes, present, ROUNDING * precision * (1 + reach / shapes.length), soft)
+    return GraspInput(shapes, present, ROUNDING * precision * (1 + reach / shapes.length), soft)
 
 
 _discs = jax.jit(discs)

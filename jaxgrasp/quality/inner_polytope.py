@@ -15,7 +15,7 @@ NEARLY_FLAT = 1e-9
 """Relative singular value of a facet's corners under which they span no plane but a smaller flat."""
 
 
-class Star:
+class InnerPolytope:
     """A surface of five-dimensional simplices in six dimensions."""
 
     def __init__(self, radius: float):

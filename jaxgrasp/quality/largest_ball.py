@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.quality.inner_polytope import Star
-from jaxgrasp.quality.wrench_sets import Body, Reach
+from jaxgrasp.quality.inner_polytope import InnerPolytope
+from jaxgrasp.quality.wrench_sets import Reach, WrenchSet
 
 AT_ONCE = 8
 """Facets that are looked at together: more of them take in points that others have made useless."""
@@ -30,7 +30,7 @@ class Ball(NamedTuple):
     """Points of the body about as far along the direction."""
 
 
-def largest_ball(body: Body, inside: float, tol: float, max_points: int) -> Ball:
+def largest_ball(body: WrenchSet, inside: float, tol: float, max_points: int) -> Ball:
     """The bounds, within ``tol`` of each other relative to the upper one unless there are ``max_points`` before.
 
     Args:
@@ -40,7 +40,7 @@ def largest_ball(body: Body, inside: float, tol: float, max_points: int) -> Ball
         max_points: of the surface.
     """
     rng = np.random.default_rng(0)
-    star, seen = Star(inside), [body.reach(np.concatenate([np.eye(6), -np.eye(6)]))]
+    star, seen = InnerPolytope(inside), [body.reach(np.concatenate([np.eye(6), -np.eye(6)]))]
     upper, direction = np.inf, np.zeros(6)
     while True:
         facets = star.lowest(AT_ONCE)

@@ -12,9 +12,9 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import forces_of, unscaled
-from jaxgrasp.quality.grasp_input import Read, check_tolerance, read
+from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
 from jaxgrasp.quality.wrench_discs import discs, work
-from jaxgrasp.quality.wrench_sets import Body, Bound, check_bound, check_sides, pyramid
+from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult
@@ -81,7 +81,7 @@ def largest_wrench(
     check_bound(bound)
     check_sides(sides)
     check_tolerance(tol)
-    given = read(grasp)
+    given = read_grasps(grasp)
     tasks = _scaled_tasks(task, given)
     shape = given.present.shape
     lower, upper, twists = np.zeros(shape[:-1]), np.zeros(shape[:-1]), np.zeros((*shape[:-1], 6))
@@ -119,7 +119,7 @@ def _worked(grasp: Grasp, task: Array, found: LargestWrench) -> Array:
     return work(shapes, press, lean, twist) / jnp.sum(twist * task, -1)
 
 
-def _scaled_tasks(task: AnyArray, given: Read) -> np.ndarray:
+def _scaled_tasks(task: AnyArray, given: GraspInput) -> np.ndarray:
     """``(..., 6)`` about the contacts' middle."""
     array = np.asarray(task, np.float64)
     wanted = (*given.batch, 6)
@@ -145,7 +145,7 @@ class _Along(NamedTuple):
     lean: np.ndarray
 
 
-def _along(body: Body, task: np.ndarray, tol: float) -> _Along:
+def _along(body: WrenchSet, task: np.ndarray, tol: float) -> _Along:
     count = len(body.centres)
     best = _Along(0.0, np.inf, task, np.zeros(count), np.zeros((count, 3)))
     directions, owner, lean = task[None], np.zeros(0, int), np.zeros((0, 3))
@@ -168,7 +168,7 @@ def _along(body: Body, task: np.ndarray, tol: float) -> _Along:
     return best
 
 
-def _program(body: Body, task: np.ndarray, points: np.ndarray, owner: np.ndarray) -> "OptimizeResult":
+def _program(body: WrenchSet, task: np.ndarray, points: np.ndarray, owner: np.ndarray) -> "OptimizeResult":
     """Maximise alpha: weights of points sum up to alpha task, and those that a bound counts to 1 at most."""
     from scipy.optimize import linprog
     from scipy.sparse import csr_array
@@ -189,7 +189,7 @@ def _program(body: Body, task: np.ndarray, points: np.ndarray, owner: np.ndarray
 
 def _better(
     best: _Along,
-    body: Body,
+    body: WrenchSet,
     task: np.ndarray,
     twist: np.ndarray,
     weights: np.ndarray,

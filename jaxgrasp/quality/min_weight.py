@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.grasp_input import read
+from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.wrench_discs import discs
 from jaxgrasp.quality.wrench_sets import check_sides, pyramid
 
@@ -53,7 +53,7 @@ def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
         TypeError: for traced arrays.
     """
     check_sides(sides)
-    given = read(grasp)
+    given = read_grasps(grasp)
     corners = pyramid(sides, given.soft)
     edges = given.shapes.centres[..., None, :] + np.einsum("...njc,kc->...nkj", given.shapes.spans, corners)
     shape = given.present.shape

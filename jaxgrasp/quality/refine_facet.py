@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.quality.largest_ball import Ball
-from jaxgrasp.quality.wrench_sets import Body, Reach
+from jaxgrasp.quality.wrench_sets import Reach, WrenchSet
 
 STEPS = 20
 SOLVED = 1e-10
@@ -26,7 +26,7 @@ COUNTS = 1e-6
 """Share of the whole force that a contact presses with, if it presses."""
 
 
-class Touch(NamedTuple):
+class TouchingPoint(NamedTuple):
     """A direction that the body reaches least along, as far as known, and the forces of the point where it ends."""
 
     height: float
@@ -46,7 +46,7 @@ class _Guess(NamedTuple):
     """``(1,)`` or ``(n,)``: the multipliers of bounds."""
 
 
-def touch(body: Body, ball: Ball) -> Touch:
+def touch(body: WrenchSet, ball: Ball) -> TouchingPoint:
     """The best that is known of where the body's largest ball touches it."""
     found = _by_weights(body, ball.direction, ball.touched)
     if body.corners is not None:
@@ -58,7 +58,7 @@ def touch(body: Body, ball: Ball) -> Touch:
     return found
 
 
-def _by_weights(body: Body, direction: np.ndarray, near: Reach) -> Touch:
+def _by_weights(body: WrenchSet, direction: np.ndarray, near: Reach) -> TouchingPoint:
     """Forces of the point of the hull of some wrenches that comes closest to where the ball ends."""
     from scipy.optimize import nnls
 
@@ -67,10 +67,10 @@ def _by_weights(body: Body, direction: np.ndarray, near: Reach) -> Touch:
     target = np.append(height * direction, body.size)
     weights, _ = nnls(np.vstack([near.points.T, ones]), target)
     weights = weights / weights.sum()
-    return Touch(height, direction, weights @ near.press, np.einsum("p,pnk->nk", weights, near.lean))
+    return TouchingPoint(height, direction, weights @ near.press, np.einsum("p,pnk->nk", weights, near.lean))
 
 
-def _of_facet(body: Body, found: Touch, ball: Ball) -> Touch:
+def _of_facet(body: WrenchSet, found: TouchingPoint, ball: Ball) -> TouchingPoint:
     """The plane through the wrenches that carry the point, where no rounding drew them aside."""
     from scipy.optimize import nnls
 
@@ -82,7 +82,7 @@ def _of_facet(body: Body, found: Touch, ball: Ball) -> Touch:
     return better if better.height <= found.height else found
 
 
-def _newton(body: Body, start: Touch) -> Touch | None:
+def _newton(body: WrenchSet, start: TouchingPoint) -> TouchingPoint | None:
     """The equations' solution near the start, where there is one; cones only."""
     discs = np.concatenate([body.centres[..., None], body.spans], 2) / body.size
     count = len(discs)
@@ -147,6 +147,6 @@ def _project(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside[:, None], vectors, projected), np.where(inside[:, None, None], np.eye(4), bend)
 
 
-def _checked(body: Body, now: _Guess) -> Touch:
+def _checked(body: WrenchSet, now: _Guess) -> TouchingPoint:
     direction = now.direction / np.linalg.norm(now.direction)
-    return Touch(float(body.reach(direction[None]).height[0]), direction, now.forces[:, 0], now.forces[:, 1:])
+    return TouchingPoint(float(body.reach(direction[None]).height[0]), direction, now.forces[:, 0], now.forces[:, 1:])

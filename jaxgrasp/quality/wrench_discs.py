@@ -24,7 +24,7 @@ Length = Float[AnyArray, "..."] | float | None
 About = Float[AnyArray, "... 3"] | None
 
 
-class Discs(eqx.Module):
+class WrenchDiscs(eqx.Module):
     """Discs of the contacts of a batch of grasps; those of absent contacts are zeros."""
 
     centres: Float[AnyArray, "*batch n 6"]
@@ -37,7 +37,7 @@ class Discs(eqx.Module):
     """What torques are divided by [m]."""
 
 
-def discs(grasp: Grasp, length: Length = None, about: About = None) -> Discs:
+def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDiscs:
     """The discs of a grasp, differentiable by all that makes them.
 
     Args:
@@ -66,7 +66,7 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> Discs:
     first, second = tangents(normals)
     moment = jnp.concatenate([jnp.zeros_like(normals), normals], -1) * (torsion / unit[..., None])[..., None]
     sliding = [friction[..., None] * wrench(tangent) for tangent in (first, second)]
-    return Discs(
+    return WrenchDiscs(
         centres=jnp.where(there[..., None], wrench(normals), 0),
         spans=jnp.stack([*sliding, moment], -1),
         about=middle,
@@ -82,7 +82,7 @@ def tangents(normals: Array) -> tuple[Array, Array]:
     return first, jnp.cross(normals, first)
 
 
-def work(shapes: Discs, press: AnyArray, lean: AnyArray, direction: AnyArray) -> Array:
+def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArray) -> Array:
     """Power along scaled twists ``(..., 6)`` of normal forces ``press`` (..., n) and friction ``lean`` (..., n, 3).
 
     The lean of a contact is u times its normal force: its length is at most the normal force.

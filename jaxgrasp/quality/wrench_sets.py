@@ -28,7 +28,7 @@ class Reach(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Body:
+class WrenchSet:
     """The wrenches of forces inside friction cones, or inside pyramids, whose normal forces are bounded."""
 
     centres: np.ndarray

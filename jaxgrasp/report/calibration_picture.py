@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.glove.calibrate import Line
+from jaxgrasp.glove.calibrate import CalibrationLine
 from jaxgrasp.report.look import GRID, INK, MUTED
 from jaxgrasp.report.png import check_matplotlib, write_png
 
@@ -16,7 +16,10 @@ SHOWN = {
 
 
 def write_calibration_picture(
-    path: Path, pairs: dict[str, tuple[np.ndarray, np.ndarray]], lines: dict[str, Line], joints: tuple[str, ...]
+    path: Path,
+    pairs: dict[str, tuple[np.ndarray, np.ndarray]],
+    lines: dict[str, CalibrationLine],
+    joints: tuple[str, ...],
 ) -> None:
     """Write the picture, whole or not at all.
 

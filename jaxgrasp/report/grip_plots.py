@@ -6,8 +6,8 @@ from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.look import HOLD_COLOURS, INK, MUTED
 from jaxgrasp.report.panels import (
     WORTH_NAMING,
-    Line,
     Panel,
+    PanelLine,
     footnote,
     label_heights,
     levels,
@@ -67,7 +67,7 @@ def _traces(panel: Panel, x: list, name: str) -> list[dict]:
     ]
 
 
-def _labels(named: list[Line], heights: list[float], name: str) -> list[dict]:
+def _labels(named: list[PanelLine], heights: list[float], name: str) -> list[dict]:
     """Names beside the lines."""
     place = {"x": 1.01, "yref": name, "xanchor": "left", **PLAIN}
     return [

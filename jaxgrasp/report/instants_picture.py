@@ -20,7 +20,7 @@ from jaxgrasp.report.look import (
     number,
 )
 from jaxgrasp.report.stage import HEAD, NORMAL, Scale, Stage, largest_reach
-from jaxgrasp.report.surfaces import Surface, arrows, placed
+from jaxgrasp.report.surfaces import DrawnSurface, arrows, placed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -101,7 +101,7 @@ def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
         axes.plot(*edges.T, color=MUTED, linewidth=0.7, zorder=2)
 
 
-def _draw_table(axes, table: Surface, low: np.ndarray, high: np.ndarray) -> None:
+def _draw_table(axes, table: DrawnSurface, low: np.ndarray, high: np.ndarray) -> None:
     """Its part within the axes, below everything; none of a table that is tilted or lies beyond them."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

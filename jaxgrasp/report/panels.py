@@ -12,7 +12,7 @@ WORTH_NAMING = 0.06
 """Share of the time from which a spell of slipping or falling is named."""
 
 
-class Line(NamedTuple):
+class PanelLine(NamedTuple):
     """One quantity over time, drawn in its finger's colour."""
 
     name: str
@@ -27,7 +27,7 @@ class Panel(NamedTuple):
     """A plot with its axis, and a level worth a line of its own."""
 
     title: str
-    lines: list[Line]
+    lines: list[PanelLine]
     least: float
     """The least range of values that is worth the whole height."""
     level: str = ""
@@ -52,7 +52,7 @@ def spells(history: History) -> list[tuple[float, float, Hold]]:
     return [spell for spell in found if spell[2] != Hold.STABLE]
 
 
-def levels(history: History, lines: list[Line]) -> list[float]:
+def levels(history: History, lines: list[PanelLine]) -> list[float]:
     """Where lines end; where the object is lost by then, or nothing known, where they mostly run while it is held."""
     held = history.hold == Hold.STABLE
     lost = bool(history.hold[-1] == Hold.LOST)
@@ -114,8 +114,8 @@ def _forces(history: History, colours: dict[str, str]) -> Panel:
     lines = []
     for finger, own in _links(history, colours):
         lines += [
-            Line(f"{finger}, squeezing force", colours[finger], intended[:, own].sum(1), dotted=True),
-            Line(f"{finger}, normal force", colours[finger], exerted[:, own].sum(1), finger),
+            PanelLine(f"{finger}, squeezing force", colours[finger], intended[:, own].sum(1), dotted=True),
+            PanelLine(f"{finger}, normal force", colours[finger], exerted[:, own].sum(1), finger),
         ]
     return Panel("normal force [N]", lines, 1.0)
 
@@ -128,7 +128,7 @@ def _torques(history: History, colours: dict[str, str]) -> Panel:
     for j, joint in enumerate(history.joints):
         own = np.flatnonzero(fingers == fingers[j])
         named = own[peaks[own].argmax()] == j
-        lines.append(Line(joint, colours[fingers[j]], history.torques[:, j], joint if named else ""))
+        lines.append(PanelLine(joint, colours[fingers[j]], history.torques[:, j], joint if named else ""))
     return Panel("joint torque [N·m]", lines, 0.1, "below 0: against flexion")
 
 
@@ -136,7 +136,7 @@ def _margins(history: History, colours: dict[str, str]) -> Panel:
     margins = np.where(history.drawn & np.isfinite(history.margins), np.degrees(history.margins), np.inf)
     smallest = [(finger, margins[:, own].min(1)) for finger, own in _links(history, colours)]
     lines = [
-        Line(f"{finger}, smallest margin", colours[finger], np.where(np.isfinite(least), least, np.nan), finger)
+        PanelLine(f"{finger}, smallest margin", colours[finger], np.where(np.isfinite(least), least, np.nan), finger)
         for finger, least in smallest
     ]
     return Panel("friction margin [°]", lines, 5.0, "below 0: slides")

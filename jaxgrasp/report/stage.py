@@ -9,7 +9,7 @@ from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.report.grasp_in_3d import round_up
 from jaxgrasp.report.grip_over_time import History
-from jaxgrasp.report.surfaces import Surface, link_surfaces, placed, shape_surface
+from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, placed, shape_surface
 
 NORMAL, HEAD = 0.015, 0.008
 """Lengths of a normal's arrow, and of an arrow's head [m]."""
@@ -45,9 +45,9 @@ class Scale:
 class Stage:
     """Hand, object and table, and the box that they are seen in."""
 
-    links: list[Surface]
-    object: Surface
-    table: Surface | None
+    links: list[DrawnSurface]
+    object: DrawnSurface
+    table: DrawnSurface | None
     box: np.ndarray
     """``(2, 3)``: least and largest coordinates [m]."""
 
@@ -92,11 +92,11 @@ def largest_reach(boxes: Iterable[np.ndarray]) -> float:
     return max(float(np.ptp(box, axis=0).max()) for box in boxes) / 2
 
 
-def _table(scene: Scene, box: np.ndarray) -> Surface:
+def _table(scene: Scene, box: np.ndarray) -> DrawnSurface:
     """A part of the table's top as large as the box, below its middle."""
     origin, rotation = np.asarray(scene.table.origin), np.asarray(scene.table.rotation)
     middle = (box.mean(0) - origin) @ rotation
     reach = float(np.ptp(box[:, :2], axis=0).max()) / 2
     square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]])
     corners = square * reach + [middle[0], middle[1], 0]
-    return Surface(corners @ rotation.T + origin, np.array([[0, 1, 2], [0, 2, 3]]))
+    return DrawnSurface(corners @ rotation.T + origin, np.array([[0, 1, 2], [0, 2, 3]]))

@@ -17,7 +17,7 @@ SHAFT, HEAD = 0.13, 0.36
 """Radii of an arrow, as shares of its head's length."""
 
 
-class Surface(NamedTuple):
+class DrawnSurface(NamedTuple):
     """Triangles; and lines over them, which show how a round thing turns."""
 
     corners: np.ndarray
@@ -28,25 +28,25 @@ class Surface(NamedTuple):
     """``(E, 3)`` [m]: each line is ended by NaN."""
 
 
-def link_surfaces(hand: Hand) -> list[Surface]:
+def link_surfaces(hand: Hand) -> list[DrawnSurface]:
     """The skin of each link."""
     centers, radii = np.asarray(hand.skin.centers), np.asarray(hand.skin.radii)
     return [hull(own, sizes) for own, sizes in zip(centers, radii, strict=True)]
 
 
-def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> Surface:
+def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSurface:
     """The convex hull of spheres: where planes from all around come to rest on them. Radius 0 is no sphere."""
     centers, radii = centers[radii > 0], radii[radii > 0]
     if not len(radii):
-        return Surface(np.zeros((0, 3)), np.zeros((0, 3), int))
+        return DrawnSurface(np.zeros((0, 3)), np.zeros((0, 3), int))
     along = centers[np.linalg.norm(centers - centers[0], axis=1).argmax()] - centers[0]
     size = np.linalg.norm(along)
     directions, faces = _globe(along / size if size > 0 else np.array([0.0, 0.0, 1.0]), sides)
     touched = (centers @ directions.T + radii[:, None]).argmax(0)
-    return Surface(centers[touched] + radii[touched, None] * directions, faces)
+    return DrawnSurface(centers[touched] + radii[touched, None] * directions, faces)
 
 
-def shape_surface(shape: Shape) -> Surface:
+def shape_surface(shape: Shape) -> DrawnSurface:
     """An object's surface.
 
     Raises:
@@ -65,7 +65,7 @@ def shape_surface(shape: Shape) -> Surface:
     raise TypeError(f"a {type(shape).__name__} cannot be drawn")
 
 
-def arrow() -> Surface:
+def arrow() -> DrawnSurface:
     """An arrow's template: across it, across it, along its whole length; the head's length comes in apart.
 
     A corner (u, v, s, h) stands at tail + size (u e1 + v e2) + (s length + h size) d for an arrow along d, whose
@@ -74,10 +74,10 @@ def arrow() -> Surface:
     ring = _circle(ARROW_SIDES)
     place = [(SHAFT, 0, 0), (SHAFT, 1, -1), (HEAD, 1, -1), (0, 1, 0)]
     rings = [np.column_stack([radius * ring, np.tile([s, h], (ARROW_SIDES, 1))]) for radius, s, h in place]
-    return Surface(np.concatenate(rings), _bands(len(place), ARROW_SIDES))
+    return DrawnSurface(np.concatenate(rings), _bands(len(place), ARROW_SIDES))
 
 
-def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> Surface:
+def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
     """Arrows from their tails, as long as their vectors; their heads at most ``head``, and half an arrow [m]."""
     template = arrow()
     lengths = np.linalg.norm(vectors, axis=1)
@@ -90,7 +90,7 @@ def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> Surface:
     corners = tails + corners + (s * lengths + h * sizes)[..., None] * along
     count = len(template.corners)
     faces = template.faces + count * np.arange(len(tails))[:, None, None]
-    return Surface(corners.swapaxes(0, 1).reshape(-1, 3), faces.reshape(-1, 3))
+    return DrawnSurface(corners.swapaxes(0, 1).reshape(-1, 3), faces.reshape(-1, 3))
 
 
 def placed(corners: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ def _circle(count: int) -> np.ndarray:
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-def _rounded(radius: float, height: float) -> Surface:
+def _rounded(radius: float, height: float) -> DrawnSurface:
     """A capsule about z, with its two meridians and the rims of its straight part."""
     ends = np.array([[0, 0, -height / 2], [0, 0, height / 2]])
     skin = hull(ends, np.full(2, radius), ROUND)
@@ -140,7 +140,7 @@ def _rounded(radius: float, height: float) -> Surface:
     return skin._replace(lines=_closed([*rims, *meridians]))
 
 
-def _prism(outline: np.ndarray, height: float, every: int) -> Surface:
+def _prism(outline: np.ndarray, height: float, every: int) -> DrawnSurface:
     """An outline drawn out along z, with its edges; sides and ends share no corners, so that edges look sharp."""
     count = len(outline)
     at, after = np.arange(count), (np.arange(count) + 1) % count
@@ -150,7 +150,9 @@ def _prism(outline: np.ndarray, height: float, every: int) -> Surface:
     fan = np.column_stack([np.zeros(count - 2, int), at[1:-1], at[2:]])
     faces = [fours.reshape(-1, 3), 4 * count + fan[:, ::-1], 5 * count + fan]
     posts = [np.stack([low[i], high[i], np.full(3, np.nan)]) for i in range(0, count, every)]
-    return Surface(np.concatenate([sides, low, high]), np.concatenate(faces), np.vstack([_closed([low, high]), *posts]))
+    return DrawnSurface(
+        np.concatenate([sides, low, high]), np.concatenate(faces), np.vstack([_closed([low, high]), *posts])
+    )
 
 
 def _closed(lines: list[np.ndarray]) -> np.ndarray:

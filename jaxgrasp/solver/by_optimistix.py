@@ -14,17 +14,17 @@ from jax import Array
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import contact_vec, friction_cone
-from jaxgrasp.problem.batch_last import Lanes, Problem, read
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.scaling import Frame, principal
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.scaling import Scaling, scale_in_principal_axes
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, pseudo_inverse
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.guided_motion import whitened
-from jaxgrasp.solver.infeasibility import out_of_range, proof
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.guided_motion import whitened_coordinates
+from jaxgrasp.solver.infeasibility import find_certificate, out_of_range
 from jaxgrasp.solver.newton import has_converged, is_within
-from jaxgrasp.solver.pseudo_inverse import Metric, whitened_square
-from jaxgrasp.solver.result import Answer, Outcome, write
+from jaxgrasp.solver.pseudo_inverse import Metric, squared_norm
+from jaxgrasp.solver.result import PassResult, ScaledResult, to_result
 
 MAX_STEPS = 256
 TILE = 128
@@ -47,36 +47,42 @@ def check_solver(solver: Any) -> None:
         raise TypeError(f"solver {type(solver).__name__} holds arrays: expected settings in Python numbers") from None
 
 
-def solve_optimum(solver: Any, problem: Problem) -> Answer:
+def solve_optimum(solver: Any, problem: ProblemBatch) -> PassResult:
     """The constrained optimum of a flat batch by an optimistix solver."""
     return over_tiles(partial(_tile, solver), problem, problem.size, TILE, problem.count)
 
 
 def write_to_tolerance(
-    lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, tolerance: float
-) -> Answer:
+    lanes: ContactData,
+    frame: Scaling,
+    unknowns: Coordinates,
+    valid: Array,
+    size: int,
+    outcome: ScaledResult,
+    tolerance: float,
+) -> PassResult:
     """``answer.write``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
-    answer = write(lanes, frame, unknowns, valid, size, outcome, Route.GIVEN)
+    answer = to_result(lanes, frame, unknowns, valid, size, outcome, Route.GIVEN)
     disowned = (outcome.verdict[0] == Verdict.OPTIMAL) & (answer.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(disowned & (answer.residual <= tolerance), Verdict.OPTIMAL, answer.verdict)
     return answer._replace(verdict=verdict.astype(jnp.int32))
 
 
-def _tile(solver: Any, problem: Problem) -> Answer:
-    lanes, valid = read(problem)
-    lanes, frame = principal(lanes)
-    metric, unknowns = whitened(problem, lanes, frame)
+def _tile(solver: Any, problem: ProblemBatch) -> PassResult:
+    lanes, valid = to_batch_last(problem)
+    lanes, frame = scale_in_principal_axes(lanes)
+    metric, unknowns = whitened_coordinates(problem, lanes, frame)
     start = pseudo_inverse.closed_multiplier(lanes, unknowns, metric)
-    free = pseudo_inverse.free_forces(lanes, start, unknowns)
+    free = pseudo_inverse.forces_without_cones(lanes, start, unknowns)
     inside = jnp.all(friction_cone.contains(free, lanes.cone), 0, keepdims=True)
     missed, beyond = out_of_range(lanes, frame, unknowns)
     point, steps = _search(solver, lanes, unknowns, start)
     tolerance = float(max(solver.rtol, solver.atol))
-    forces, optimal = _judge(lanes, unknowns, metric, point, tolerance)
-    proven, direction = _proof(lanes, frame, unknowns, start, point)
+    forces, optimal = _check_optimality(lanes, unknowns, metric, point, tolerance)
+    proven, direction = _find_certificate(lanes, frame, unknowns, start, point)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
-    outcome = Outcome(
+    outcome = ScaledResult(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
         verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
@@ -87,16 +93,16 @@ def _tile(solver: Any, problem: Problem) -> Answer:
     return write_to_tolerance(lanes, frame, unknowns, valid, problem.size, outcome, tolerance)
 
 
-def _search(solver: Any, lanes: Lanes, unknowns: Unknowns, start: Six) -> tuple[Six, Array]:
+def _search(solver: Any, lanes: ContactData, unknowns: Coordinates, start: SpatialVec) -> tuple[SpatialVec, Array]:
     """Where the solver ends in each lane, and after how many steps; the start where it runs off to infinity."""
     import optimistix as optx
 
-    def one(lane: tuple[Lanes, Unknowns], start: Six) -> tuple[Six, Array]:
+    def one(lane: tuple[ContactData, Coordinates], start: SpatialVec) -> tuple[SpatialVec, Array]:
         found: optx.Solution
         if isinstance(solver, optx.AbstractMinimiser):
-            found = optx.minimise(_descent, solver, start, lane, max_steps=MAX_STEPS, throw=False)
+            found = optx.minimise(_negative_dual, solver, start, lane, max_steps=MAX_STEPS, throw=False)
         else:
-            found = optx.root_find(_rest, solver, start, lane, max_steps=MAX_STEPS, throw=False)
+            found = optx.root_find(_gradient, solver, start, lane, max_steps=MAX_STEPS, throw=False)
         return found.value, found.stats["num_steps"][None]
 
     size = start.shape[-1]
@@ -106,30 +112,34 @@ def _search(solver: Any, lanes: Lanes, unknowns: Unknowns, start: Six) -> tuple[
     return jnp.where(finite, point, start), steps
 
 
-def _rest(point: Six, lane: tuple[Lanes, Unknowns]) -> Six:
+def _gradient(point: SpatialVec, lane: tuple[ContactData, Coordinates]) -> SpatialVec:
     """The dual's gradient; directions that no contact reaches pull the multiplier to zero instead of nowhere."""
     lanes, unknowns = lane
-    rest = dual.residual(lanes, dual.best_forces(lanes, point, unknowns).forces, unknowns)
+    rest = dual.residual(lanes, dual.candidate_forces(lanes, point, unknowns).forces, unknowns)
     return rest - unknowns.idle() * point
 
 
-def _descent(point: Six, lane: tuple[Lanes, Unknowns]) -> Array:
+def _negative_dual(point: SpatialVec, lane: tuple[ContactData, Coordinates]) -> Array:
     """Minus the dual, whose gradient is minus ``_rest``."""
     lanes, unknowns = lane
-    value = dual.dual_value(lanes, dual.best_forces(lanes, point, unknowns), point, unknowns)
+    value = dual.dual_value(lanes, dual.candidate_forces(lanes, point, unknowns), point, unknowns)
     return jnp.sum(unknowns.idle() * point**2) / 2 - value[0]
 
 
-def _judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six, tolerance: float) -> tuple[Four, Array]:
+def _check_optimality(
+    lanes: ContactData, unknowns: Coordinates, metric: Metric, point: SpatialVec, tolerance: float
+) -> tuple[ContactVec, Array]:
     """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
-    best = dual.best_forces(lanes, point, unknowns)
+    best = dual.candidate_forces(lanes, point, unknowns)
     rest = dual.residual(lanes, best.forces, unknowns)
-    value, push = dual.dual_value(lanes, best, point, unknowns), dual.total_push(lanes, best.forces)
-    found = (lanes, point, rest, whitened_square(metric, rest), value, push)
+    value, push = dual.dual_value(lanes, best, point, unknowns), dual.total_normal_force(lanes, best.forces)
+    found = (lanes, point, rest, squared_norm(metric, rest), value, push)
     return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
 
 
-def _proof(lanes: Lanes, frame: Frame, unknowns: Unknowns, start: Six, point: Six) -> tuple[Array, Six]:
+def _find_certificate(
+    lanes: ContactData, frame: Scaling, unknowns: Coordinates, start: SpatialVec, point: SpatialVec
+) -> tuple[Array, SpatialVec]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
-    rest = dual.residual(lanes, dual.best_forces(lanes, point, unknowns).forces, unknowns)
-    return proof(lanes, frame, unknowns, rest, point - start)
+    rest = dual.residual(lanes, dual.candidate_forces(lanes, point, unknowns).forces, unknowns)
+    return find_certificate(lanes, frame, unknowns, rest, point - start)

@@ -11,30 +11,30 @@ from jax import Array
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
-from jaxgrasp.numerics.vec3 import Vec
-from jaxgrasp.problem.spatial import Six, inner, parts, six
+from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.problem.spatial import SpatialVec, inner, join, parts
 
 
-class Stretch(NamedTuple):
+class ScaledAxes(NamedTuple):
     """The twist of a free object, its angular part scaled along the axes; a scale of 0 removes that direction.
 
     So directions that the contacts hardly reach are as large as the others.
     """
 
-    scales: Vec
+    scales: Vec3
 
-    def twist(self, x: Six) -> tuple[Vec, Vec]:
+    def twist(self, x: SpatialVec) -> tuple[Vec3, Vec3]:
         """Linear and angular parts of the twist that the unknowns stand for."""
         linear, angular = parts(x)
         return linear, vec3.times(self.scales, angular)
 
-    def recover(self, linear: Vec, angular: Vec) -> Six:
+    def recover(self, linear: Vec3, angular: Vec3) -> SpatialVec:
         """The unknowns of a twist."""
-        return six(linear, Vec(*(vec3.safe_divide(a, s) for a, s in zip(angular, self.scales, strict=True))))
+        return join(linear, Vec3(*(vec3.safe_divide(a, s) for a, s in zip(angular, self.scales, strict=True))))
 
-    def wrench(self, force: Vec, torque: Vec) -> Six:
+    def wrench(self, force: Vec3, torque: Vec3) -> SpatialVec:
         """The work that a wrench does for each of the unknowns."""
-        return six(force, vec3.times(self.scales, torque))
+        return join(force, vec3.times(self.scales, torque))
 
     def wrenches(self, several: Array) -> Array:
         """``wrench`` of several ``(6, q, B)``."""
@@ -49,22 +49,22 @@ class Stretch(NamedTuple):
         ]
         return plain[:3] + rows
 
-    def felt(self, wrench: Six) -> Six:
+    def felt(self, wrench: SpatialVec) -> SpatialVec:
         """The part of a wrench that no guide carries."""
         return wrench
 
-    def unreached(self, wrench: Six) -> Six:
+    def unreached(self, wrench: SpatialVec) -> SpatialVec:
         """The part of it that no contact reaches."""
         force, torque = parts(wrench)
         zero = jnp.zeros_like(force.x)
-        return six(Vec(zero, zero, zero), Vec(*(jnp.where(s > 0, 0, t) for s, t in zip(self.scales, torque))))
+        return join(Vec3(zero, zero, zero), Vec3(*(jnp.where(s > 0, 0, t) for s, t in zip(self.scales, torque))))
 
-    def idle(self) -> Six:
+    def idle(self) -> SpatialVec:
         """1 for unknowns that stand for nothing."""
-        zero = Vec(*(jnp.zeros_like(s) for s in self.scales))
-        return six(zero, Vec(*((s == 0).astype(s.dtype) for s in self.scales)))
+        zero = Vec3(*(jnp.zeros_like(s) for s in self.scales))
+        return join(zero, Vec3(*((s == 0).astype(s.dtype) for s in self.scales)))
 
-    def reach(self, arms: Vec, spins: Vec | None) -> Array:
+    def reach(self, arms: Vec3, spins: Vec3 | None) -> Array:
         """How much a unit of force at each contact weighs in ``wrench``; ``spins`` are normals times levers."""
         size2 = vec3.dot(arms, arms)
         reach2 = sum(s * s * (size2 - r * r) for s, r in zip(self.scales, arms, strict=True))
@@ -78,24 +78,24 @@ class Stretch(NamedTuple):
         return sum(((s > 0).astype(jnp.int32) for s in self.scales), jnp.int32(3))
 
 
-class Guided(NamedTuple):
+class GuidedMotion(NamedTuple):
     """Twists along which a guide lets the object move, orthogonal, and scaled as the contacts see them."""
 
-    columns: tuple[Six, ...]
+    columns: tuple[SpatialVec, ...]
     """One for each unknown; zero where it is idle."""
-    lost: tuple[Six, ...]
+    lost: tuple[SpatialVec, ...]
     """Of length 1: twists that the guide allows and no contact reaches; zero where there are none."""
 
-    def twist(self, x: Six) -> tuple[Vec, Vec]:
+    def twist(self, x: SpatialVec) -> tuple[Vec3, Vec3]:
         first, *others = [x[j : j + 1] * column for j, column in enumerate(self.columns)]
         return parts(sum(others, first))
 
-    def recover(self, linear: Vec, angular: Vec) -> Six:
-        twist = six(linear, angular)
+    def recover(self, linear: Vec3, angular: Vec3) -> SpatialVec:
+        twist = join(linear, angular)
         return self._padded([vec3.safe_divide(inner(c, twist), inner(c, c)) for c in self.columns])
 
-    def wrench(self, force: Vec, torque: Vec) -> Six:
-        given = six(force, torque)
+    def wrench(self, force: Vec3, torque: Vec3) -> SpatialVec:
+        given = join(force, torque)
         return self._padded([inner(column, given) for column in self.columns])
 
     def wrenches(self, several: Array) -> Array:
@@ -114,19 +114,19 @@ class Guided(NamedTuple):
             for i in range(6)
         ]
 
-    def felt(self, wrench: Six) -> Six:
+    def felt(self, wrench: SpatialVec) -> SpatialVec:
         along = [vec3.safe_divide(inner(c, wrench), inner(c, c)) * c for c in self.columns]
         return sum(along, self.unreached(wrench))
 
-    def unreached(self, wrench: Six) -> Six:
+    def unreached(self, wrench: SpatialVec) -> SpatialVec:
         return sum((inner(direction, wrench) * direction for direction in self.lost), jnp.zeros_like(wrench))
 
-    def idle(self) -> Six:
+    def idle(self) -> SpatialVec:
         zero = jnp.zeros_like(self.columns[0][:1])
         used = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
         return jnp.concatenate(used + [zero + 1] * (6 - len(used)))
 
-    def reach(self, arms: Vec, spins: Vec | None) -> Array:
+    def reach(self, arms: Vec3, spins: Vec3 | None) -> Array:
         reach2 = jnp.zeros_like(arms.x)
         for column in self.columns:
             linear, angular = parts(column)
@@ -139,16 +139,16 @@ class Guided(NamedTuple):
     def rank(self) -> Array:
         return sum(((inner(c, c) > 0).astype(jnp.int32) for c in self.columns), jnp.int32(0))
 
-    def _padded(self, rows: list[Array]) -> Six:
+    def _padded(self, rows: list[Array]) -> SpatialVec:
         """As many zeros more as make it six."""
         zero = jnp.zeros_like(rows[0])
         return jnp.concatenate(jnp.broadcast_arrays(*rows, *[zero] * (6 - len(rows))))
 
 
-Unknowns = Stretch | Guided
+Coordinates = ScaledAxes | GuidedMotion
 
 
-def unstretched(like: Array) -> Stretch:
+def plain_axes(like: Array) -> ScaledAxes:
     """The twist of a free object as it is."""
     one = jnp.ones_like(like)
-    return Stretch(Vec(one, one, one))
+    return ScaledAxes(Vec3(one, one, one))

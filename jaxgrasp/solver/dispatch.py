@@ -22,8 +22,8 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.problem.batch_last import Problem
-from jaxgrasp.problem.flatten import Flat, Sharing, flatten, read_sharing
+from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, read_sharing
 
 SIZES = (1, 10, 100, 1000, 3000, 10000)
 """What programs are compiled for: round numbers, since users like them. Larger pieces would not be faster: a call is
@@ -42,7 +42,7 @@ Solve = Callable[..., Any]
 """From a flat batch of problems, and one array for each of them by name, to a tree of arrays ``(B, ...)``."""
 
 
-class Given(NamedTuple):
+class Inputs(NamedTuple):
     """What a user gives beside the sharing."""
 
     grasp: Grasp
@@ -54,7 +54,7 @@ class Given(NamedTuple):
     each: Mapping[str, AnyArray | float]
 
 
-def ask(
+def dispatch(
     solve: Solve,
     grasp: Grasp,
     wrench: AnyArray,
@@ -73,7 +73,7 @@ def ask(
     """
     name, weights = read_sharing(sharing)
     there = {key: array for key, array in each.items() if array is not None}
-    given = Given(grasp, wrench, weights, free, limits, safety, there)
+    given = Inputs(grasp, wrench, weights, free, limits, safety, there)
     if not _is_alone(given):
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
     try:
@@ -87,7 +87,7 @@ def ask(
         return _within(given, solve=solve, sharing=name, tails=tails)
 
 
-def _flat(given: Given, sharing: str, tails: tuple, numpy: Any) -> Flat:
+def _flat(given: Inputs, sharing: str, tails: tuple, numpy: Any) -> FlatInput:
     last = dict(tails)
     each = {name: (array, last.get(name, (6,))) for name, array in given.each.items()}
     return flatten(
@@ -103,9 +103,9 @@ def _flat(given: Given, sharing: str, tails: tuple, numpy: Any) -> Flat:
     )
 
 
-def _traced(given: Given, *, solve: Solve, sharing: str, tails: tuple) -> Any:
+def _traced(given: Inputs, *, solve: Solve, sharing: str, tails: tuple) -> Any:
     flat = _flat(given, sharing, tails, jnp)
-    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(Problem(**flat.fields), **flat.each))
+    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(ProblemBatch(**flat.fields), **flat.each))
 
 
 STATIC = ("solve", "sharing", "tails")
@@ -118,7 +118,7 @@ def _exactly() -> Callable[..., Any]:
     return jax.jit(_traced, static_argnames=STATIC, compiler_options=compile_options())
 
 
-def _on_mesh(given: Given, within: Callable[[Given], Any]) -> Any:
+def _on_mesh(given: Inputs, within: Callable[[Inputs], Any]) -> Any:
     """The answers; where axes of a mesh are explicit they are XLA's own inside, since tiles are cut across them."""
     types = [jax.typeof(leaf) for leaf in jax.tree.leaves(given) if isinstance(leaf, Array)]
     spread = [kind.sharding for kind in types if kind.sharding.mesh.explicit_axes]
@@ -133,7 +133,7 @@ def _on_mesh(given: Given, within: Callable[[Given], Any]) -> Any:
     return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(given)
 
 
-def _is_alone(given: Given) -> bool:
+def _is_alone(given: Inputs) -> bool:
     """Whether all is data on this machine's one processor: neither traced, nor spread, nor on another device."""
     if jax.default_backend() != "cpu":
         return False
@@ -144,7 +144,7 @@ def _is_alone(given: Given) -> bool:
     return True
 
 
-def _size(given: Given, tails: tuple) -> int | None:
+def _size(given: Inputs, tails: tuple) -> int | None:
     """How many problems there are, as far as grasp, wrench and ``each`` tell; None where that makes no sense."""
     grasp, last = given.grasp, dict(tails)
     shapes = [np.shape(grasp.points)[:-2], np.shape(grasp.friction)[:-1], np.shape(given.wrench)[:-1]]
@@ -157,7 +157,7 @@ def _size(given: Given, tails: tuple) -> int | None:
         return None  # whoever reads the arrays says what is wrong
 
 
-def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
+def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple) -> Any:
     own: Any = given
     program: Callable
     batch = _plain_batch(given, tails)
@@ -181,7 +181,7 @@ def _in_pieces(solve: Solve, given: Given, sharing: str, tails: tuple) -> Any:
     return _assembled_by_numpy(answers, batch)
 
 
-def _plain_batch(given: Given, tails: tuple) -> tuple[int, ...] | None:
+def _plain_batch(given: Inputs, tails: tuple) -> tuple[int, ...] | None:
     """The leading axis, where all arrays have the same one and no other: then each program reads its piece itself."""
     grasp, last = given.grasp, dict(tails)
     contacts = np.shape(grasp.points)[:-1]
@@ -274,9 +274,9 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
 def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
     """For pieces of what the user gave."""
 
-    def run(given: Given, count: Array) -> Any:
+    def run(given: Inputs, count: Array) -> Any:
         flat = _flat(given, sharing, tails, jnp)
-        return solve(Problem(**flat.fields, count=count), **flat.each)
+        return solve(ProblemBatch(**flat.fields, count=count), **flat.each)
 
     return jax.jit(run, compiler_options=compile_options())
 
@@ -287,6 +287,6 @@ def _flat_program(solve: Solve) -> Callable:
 
     def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array) -> Any:
         fields, each = flat
-        return solve(Problem(**fields, count=count), **each)
+        return solve(ProblemBatch(**fields, count=count), **each)
 
     return jax.jit(run, compiler_options=compile_options())

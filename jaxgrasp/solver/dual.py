@@ -17,69 +17,69 @@ from jax import Array
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
-from jaxgrasp.problem.batch_last import Lanes, squeezing
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.spatial import Six, inner
-from jaxgrasp.solver.coordinates import Unknowns
+from jaxgrasp.problem.batch_last import ContactData, squeezing_forces
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.spatial import SpatialVec, inner
+from jaxgrasp.solver.coordinates import Coordinates
 
 
-def load(lanes: Lanes, unknowns: Unknowns) -> Six:
+def required_wrench(lanes: ContactData, unknowns: Coordinates) -> SpatialVec:
     """The wrench asked for."""
     return unknowns.wrench(lanes.force, lanes.torque)
 
 
-def solve(factors: tuple[list[list[Array]], list[Array]], right: Six) -> Six:
+def solve(factors: tuple[list[list[Array]], list[Array]], right: SpatialVec) -> SpatialVec:
     """x with A x = right, from the factors of A."""
     return jnp.concatenate(ldl.solve(factors, [right[i : i + 1] for i in range(6)]))
 
 
-class Forces(NamedTuple):
+class CandidateForces(NamedTuple):
     """The best forces for a multiplier, and what they came from."""
 
-    twist: Four
+    twist: ContactVec
     """The multiplier's velocity at each contact, less the toll along its normal."""
-    sides: friction_cone.Split
-    forces: Four
+    sides: friction_cone.ConeSide
+    forces: ContactVec
 
 
-class Value(NamedTuple):
+class DualEvaluation(NamedTuple):
     """The dual at a point: value, gradient and minus Hessian."""
 
     value: Array
-    gradient: Six
+    gradient: SpatialVec
     curvature: Lower
     push: Array
     """Sum of the normal forces: how large the numbers are that the gradient is a difference of."""
 
 
-def twist_at(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Four:
+def contact_velocities(lanes: ContactData, multiplier: SpatialVec, unknowns: Coordinates) -> ContactVec:
     """Velocity of the multiplier, as a twist, at each contact."""
     linear, angular = unknowns.twist(multiplier)
     spin = None if lanes.lever is None else lanes.lever * vec3.dot(angular, lanes.normals)
-    return Four(vec3.add(linear, vec3.cross(angular, lanes.arms)), spin)
+    return ContactVec(vec3.add(linear, vec3.cross(angular, lanes.arms)), spin)
 
 
-def best_forces(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Forces:
-    return forces_at(lanes, twist_at(lanes, multiplier, unknowns))
+def candidate_forces(lanes: ContactData, multiplier: SpatialVec, unknowns: Coordinates) -> CandidateForces:
+    return candidate_forces_at(lanes, contact_velocities(lanes, multiplier, unknowns))
 
 
-def forces_at(lanes: Lanes, twist: Four) -> Forces:
+def candidate_forces_at(lanes: ContactData, twist: ContactVec) -> CandidateForces:
     """The best forces for velocities of the contacts, wherever these come from."""
     if lanes.toll is not None:
         twist = twist._replace(linear=vec3.sub(twist.linear, vec3.scale(lanes.toll, lanes.normals)))
-    target = contact_vec.add(squeezing(lanes), contact_vec.scale(lanes.weights, twist))
-    sides = friction_cone.split(target, lanes.cone)
-    return Forces(twist, sides, friction_cone.project(target, lanes.cone, sides))
+    target = contact_vec.add(squeezing_forces(lanes), contact_vec.scale(lanes.weights, twist))
+    sides = friction_cone.cone_side(target, lanes.cone)
+    return CandidateForces(twist, sides, friction_cone.project(target, lanes.cone, sides))
 
 
-def residual(lanes: Lanes, forces: Four, unknowns: Unknowns) -> Six:
+def residual(lanes: ContactData, forces: ContactVec, unknowns: Coordinates) -> SpatialVec:
     """w - G f."""
     return _unbalanced(lanes, unknowns, vec3.totals(*wrench_terms(lanes, forces)))
 
 
-def wrench_terms(lanes: Lanes, forces: Four) -> tuple[Array, ...]:
+def wrench_terms(lanes: ContactData, forces: ContactVec) -> tuple[Array, ...]:
     """What each contact adds to the wrench: force, then torque."""
     torque = vec3.cross(lanes.arms, forces.linear)
     if forces.spin is not None and lanes.lever is not None:
@@ -87,29 +87,31 @@ def wrench_terms(lanes: Lanes, forces: Four) -> tuple[Array, ...]:
     return (*forces.linear, *torque)
 
 
-def _unbalanced(lanes: Lanes, unknowns: Unknowns, wrench: list[Array]) -> Six:
-    linear, angular = vec3.sub(lanes.force, Vec(*wrench[:3])), vec3.sub(lanes.torque, Vec(*wrench[3:]))
+def _unbalanced(lanes: ContactData, unknowns: Coordinates, wrench: list[Array]) -> SpatialVec:
+    linear, angular = vec3.sub(lanes.force, Vec3(*wrench[:3])), vec3.sub(lanes.torque, Vec3(*wrench[3:]))
     return unknowns.wrench(linear, angular)
 
 
-def evaluate(lanes: Lanes, multiplier: Six, unknowns: Unknowns) -> Value:
-    return evaluate_at(lanes, best_forces(lanes, multiplier, unknowns), multiplier, unknowns)
+def evaluate(lanes: ContactData, multiplier: SpatialVec, unknowns: Coordinates) -> DualEvaluation:
+    return evaluate_at(lanes, candidate_forces(lanes, multiplier, unknowns), multiplier, unknowns)
 
 
-def evaluate_at(lanes: Lanes, best: Forces, multiplier: Six, unknowns: Unknowns) -> Value:
+def evaluate_at(
+    lanes: ContactData, best: CandidateForces, multiplier: SpatialVec, unknowns: Coordinates
+) -> DualEvaluation:
     """The dual at a multiplier whose best forces are known."""
     jacobian = friction_cone.derivative(lanes.cone, best.sides)
-    sums = vec3.totals(*_value_terms(lanes, best)) + vec3.stacked_totals(*_curvature_terms(lanes, jacobian))
+    sums = vec3.totals(*_value_terms(lanes, best)) + vec3.stacked_totals(*_hessian_terms(lanes, jacobian))
     value, gradient, push = _value(lanes, multiplier, unknowns, sums[:VALUE_TERMS])
-    return Value(value, gradient, _curvature_of(sums[VALUE_TERMS:], unknowns), push)
+    return DualEvaluation(value, gradient, _hessian_of(sums[VALUE_TERMS:], unknowns), push)
 
 
-def normal_prices(lanes: Lanes, twist: Four) -> Array:
+def normal_multipliers(lanes: ContactData, twist: ContactVec) -> Array:
     """Multipliers of the bounds of the normal forces: positive at upper ones, negative at lower ones, zero elsewhere.
 
     Target less projection is k times a normal of what is allowed: the bound's own, and on a disc's rim the cone's.
     """
-    sides = forces_at(lanes, twist).sides
+    sides = candidate_forces_at(lanes, twist).sides
     if sides.bound is None:
         return jnp.zeros_like(sides.along)
     holds, height = sides.bound
@@ -118,12 +120,12 @@ def normal_prices(lanes: Lanes, twist: Four) -> Array:
     return jnp.where(holds, vec3.safe_divide(price, lanes.weights), 0)
 
 
-def dual_value(lanes: Lanes, best: Forces, multiplier: Six, unknowns: Unknowns) -> Array:
+def dual_value(lanes: ContactData, best: CandidateForces, multiplier: SpatialVec, unknowns: Coordinates) -> Array:
     """The dual at a multiplier whose best forces are known."""
     return _value(lanes, multiplier, unknowns, vec3.totals(*_value_terms(lanes, best)))[0]
 
 
-def total_push(lanes: Lanes, forces: Four) -> Array:
+def total_normal_force(lanes: ContactData, forces: ContactVec) -> Array:
     """Sum of the normal forces."""
     return vec3.totals(vec3.dot(forces.linear, lanes.normals))[0]
 
@@ -131,76 +133,80 @@ def total_push(lanes: Lanes, forces: Four) -> Array:
 VALUE_TERMS = 8
 
 
-def _value_terms(lanes: Lanes, best: Forces) -> tuple[Array, ...]:
+def _value_terms(lanes: ContactData, best: CandidateForces) -> tuple[Array, ...]:
     # w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing.
-    own = spread(lanes, best.forces) - contact_vec.dot(best.twist, best.forces)
+    own = deviation_cost(lanes, best.forces) - contact_vec.dot(best.twist, best.forces)
     return own, vec3.dot(best.forces.linear, lanes.normals), *wrench_terms(lanes, best.forces)
 
 
-def _value(lanes: Lanes, multiplier: Six, unknowns: Unknowns, sums: list[Array]) -> tuple[Array, Six, Array]:
+def _value(
+    lanes: ContactData, multiplier: SpatialVec, unknowns: Coordinates, sums: list[Array]
+) -> tuple[Array, SpatialVec, Array]:
     own, push, *wrench = sums
-    return inner(load(lanes, unknowns), multiplier) + own, _unbalanced(lanes, unknowns, wrench), push
+    return inner(required_wrench(lanes, unknowns), multiplier) + own, _unbalanced(lanes, unknowns, wrench), push
 
 
-def spread(lanes: Lanes, forces: Four) -> Array:
+def deviation_cost(lanes: ContactData, forces: ContactVec) -> Array:
     """|f - s a|^2 / 2k of each contact; 0 where k is 0."""
-    apart = contact_vec.sub(forces, squeezing(lanes))
+    apart = contact_vec.sub(forces, squeezing_forces(lanes))
     return vec3.safe_divide(contact_vec.dot(apart, apart), 2 * lanes.weights)
 
 
-def pull(lanes: Lanes, best: Forces, unit: Array) -> Four:
+def weighted_deviation(lanes: ContactData, best: CandidateForces, unit: Array) -> ContactVec:
     """(f - s a) / k of each contact, and what it tends to as k falls to 0; the squeeze with it, where that is 0 too.
 
     ``unit`` is what one unit of weight means in squeeze where both are the same number to the user.
     """
     moves = lanes.weights > 0
-    apart = contact_vec.scale(1 / jnp.where(moves, lanes.weights, 1), contact_vec.sub(best.forces, squeezing(lanes)))
+    apart = contact_vec.scale(
+        1 / jnp.where(moves, lanes.weights, 1), contact_vec.sub(best.forces, squeezing_forces(lanes))
+    )
     along = contact_vec.along(vec3.dot(best.twist.linear, lanes.normals), lanes.normals, best.twist)
     still = contact_vec.where(lanes.friction > 0, best.twist, along)
     # At s = k = 0 the force is k times a projection.
     target, own = relaxed_target(lanes, best.twist, unit), contact_vec.along(unit, lanes.normals, best.twist)
-    sides = friction_cone.split(target, lanes.cone)
+    sides = friction_cone.cone_side(target, lanes.cone)
     relaxed = contact_vec.sub(friction_cone.project(target, lanes.cone, sides), own)
     return contact_vec.where(moves, apart, contact_vec.where(lanes.squeeze > 0, still, relaxed))
 
 
-def relaxed_target(lanes: Lanes, twist: Four, unit: Array) -> Four:
+def relaxed_target(lanes: ContactData, twist: ContactVec, unit: Array) -> ContactVec:
     """s a + k v where s and k grow from 0 together, as by method B; for each unit of weight."""
     return contact_vec.add(contact_vec.along(unit, lanes.normals, twist), twist)
 
 
-def spread_by(lanes: Lanes, forces: Four, pull: Four) -> Array:
+def deviation_cost_by(lanes: ContactData, forces: ContactVec, pull: ContactVec) -> Array:
     """The same as ``spread`` in value, with the derivative by k that it has at k = 0 too, from above.
 
     Stationary in ``pull``, so that only forces, squeeze and weights move it.
     """
-    apart = contact_vec.sub(forces, squeezing(lanes))
+    apart = contact_vec.sub(forces, squeezing_forces(lanes))
     return contact_vec.dot(pull, apart) - lanes.weights * contact_vec.dot(pull, pull) / 2
 
 
-def price_of_nothing(lanes: Lanes) -> Array:
+def objective_of_no_force(lanes: ContactData) -> Array:
     """The objective of no force at all: what gaps are measured against where the optimum's own is small."""
-    held = squeezing(lanes)
-    return vec3.totals(spread(lanes, contact_vec.sub(held, held)))[0]
+    held = squeezing_forces(lanes)
+    return vec3.totals(deviation_cost(lanes, contact_vec.sub(held, held)))[0]
 
 
-def curvature(lanes: Lanes, jacobian: Lower, unknowns: Unknowns) -> Lower:
+def negative_hessian(lanes: ContactData, jacobian: Lower, unknowns: Coordinates) -> Lower:
     """Sum of k G D G^T over contacts, for a symmetric matrix D of each, 3x3 or 4x4: lower triangle, 6x6."""
-    return _curvature_of(vec3.stacked_totals(*_curvature_terms(lanes, jacobian)), unknowns)
+    return _hessian_of(vec3.stacked_totals(*_hessian_terms(lanes, jacobian)), unknowns)
 
 
-def bend(lanes: Lanes, best: Forces, velocity: Four) -> Four:
+def force_change(lanes: ContactData, best: CandidateForces, velocity: ContactVec) -> ContactVec:
     """How the best forces change with velocities of the contacts, k D v."""
     jacobian = friction_cone.derivative(lanes.cone, best.sides)
     moved = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(velocity)))
     return contact_vec.scale(lanes.weights, moved)
 
 
-def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:
+def _hessian_terms(lanes: ContactData, jacobian: Lower) -> list[Array]:
     k, r = lanes.weights, lanes.arms
     d = [[k * jacobian[max(i, j)][min(i, j)] for j in range(3)] for i in range(3)]
-    columns = [vec3.cross(r, Vec(d[0][j], d[1][j], d[2][j])) for j in range(3)]  # [r]x D, column by column
-    mixed = [Vec(columns[0][i], columns[1][i], columns[2][i]) for i in range(3)]  # its rows
+    columns = [vec3.cross(r, Vec3(d[0][j], d[1][j], d[2][j])) for j in range(3)]  # [r]x D, column by column
+    mixed = [Vec3(columns[0][i], columns[1][i], columns[2][i]) for i in range(3)]  # its rows
     own = None
     if lanes.lever is not None:
         mixed, own = _with_spin(lanes, vec3.scale(lanes.lever, lanes.normals), jacobian[3], mixed)
@@ -213,19 +219,19 @@ def _curvature_terms(lanes: Lanes, jacobian: Lower) -> list[Array]:
     return terms
 
 
-def _with_spin(lanes: Lanes, a: Vec, last: Sequence[Array], mixed: list[Vec]) -> tuple[list[Vec], list[Vec]]:
+def _with_spin(lanes: ContactData, a: Vec3, last: Sequence[Array], mixed: list[Vec3]) -> tuple[list[Vec3], list[Vec3]]:
     """What moments about the normals add, with ``a`` the normals times the levers and (c, d) the last row of k D.
 
     To the torques by forces a c^T. To the torques by torques a (r x c)^T, which follows from that, and the rest.
     """
     *row, diagonal = [lanes.weights * entry for entry in last]
-    c = Vec(*row)
+    c = Vec3(*row)
     turned = vec3.add(vec3.cross(lanes.arms, c), vec3.scale(diagonal, a))
     mixed = [vec3.add(m, vec3.scale(part, c)) for m, part in zip(mixed, a, strict=True)]
     return mixed, [vec3.scale(part, a) for part in turned]
 
 
-def _curvature_of(sums: list[Array], unknowns: Unknowns) -> Lower:
+def _hessian_of(sums: list[Array], unknowns: Coordinates) -> Lower:
     entry = iter(sums)
     linear_rows = [[next(entry) for _ in range(i + 1)] for i in range(3)]
     mixed_rows = [[next(entry) for _ in range(3)] for i in range(3)]

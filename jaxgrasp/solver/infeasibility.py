@@ -9,46 +9,51 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
-from jaxgrasp.problem.batch_last import Lanes
-from jaxgrasp.problem.scaling import Frame, blur
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData
+from jaxgrasp.problem.scaling import Scaling, rounding_growth
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, torque_limits
-from jaxgrasp.solver.coordinates import Unknowns, unstretched
-from jaxgrasp.solver.torque_limits import Rows
+from jaxgrasp.solver.coordinates import Coordinates, plain_axes
+from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
 def proves_infeasible(
-    lanes: Lanes, frame: Frame, direction: Array, unknowns: Unknowns, rows: Rows | None = None
+    lanes: ContactData, frame: Scaling, direction: Array, unknowns: Coordinates, rows: TorqueConstraints | None = None
 ) -> Array:
     """Whether ``direction`` (in the unknowns) shows that the load is out of any sensible force's reach.
 
     With ``rows``, limits of torques, the rates of their joints stand below the unknowns.
     """
-    twist = dual.twist_at(lanes, direction[:6], unknowns)
-    work = spatial.inner(dual.load(lanes, unknowns), direction[:6])
-    size = spatial.length(spatial.six(*unknowns.twist(direction[:6])))
+    twist = dual.contact_velocities(lanes, direction[:6], unknowns)
+    work = spatial.inner(dual.required_wrench(lanes, unknowns), direction[:6])
+    size = spatial.length(spatial.join(*unknowns.twist(direction[:6])))
     if rows is not None:
         rates = direction[6:]
-        twist = contact_vec.sub(twist, torque_limits.pull(rows, rates))
+        twist = contact_vec.sub(twist, torque_limits.velocities_by_joints(rows, rates))
         work = work - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
         size = size + spatial.length(rates)
-    push = friction_cone.push(twist, lanes.cone)
+    push = friction_cone.work_per_normal_force(twist, lanes.cone)
     can_move = lanes.weights > 0
-    endless, bounded = friction_cone.work_of(push, lanes.cone)
+    endless, bounded = friction_cone.largest_work(push, lanes.cone)
     largest = jnp.max(jnp.where(can_move, endless, 0), 0, keepdims=True)
     held = lanes.squeeze * vec3.dot(twist.linear, lanes.normals)
     work = work - vec3.totals(jnp.where(can_move, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
-    rounding = 4 * jnp.finfo(work.dtype).eps * size * blur(frame)
+    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(frame)
     return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
-@one_kernel
-def proof(
-    lanes: Lanes, frame: Frame, unknowns: Unknowns, rest: Array, run: Array, rows: Rows | None = None
+@fused_cpu_kernel
+def find_certificate(
+    lanes: ContactData,
+    frame: Scaling,
+    unknowns: Coordinates,
+    rest: Array,
+    run: Array,
+    rows: TorqueConstraints | None = None,
 ) -> tuple[Array, Array]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves it, and that direction as a twist.
 
@@ -58,17 +63,17 @@ def proof(
     rest, run = lax.optimization_barrier((rest, run))
     by_rest, by_run = (proves_infeasible(lanes, frame, direction, unknowns, rows) for direction in (rest, run))
     proven = jnp.where(by_rest, rest, run / jnp.maximum(spatial.length(run), 1))
-    return by_rest | by_run, jnp.concatenate([spatial.six(*unknowns.twist(proven[:6])), proven[6:]])
+    return by_rest | by_run, jnp.concatenate([spatial.join(*unknowns.twist(proven[:6])), proven[6:]])
 
 
-@one_kernel
-def out_of_range(lanes: Lanes, frame: Frame, unknowns: Unknowns) -> tuple[Array, Six]:
+@fused_cpu_kernel
+def out_of_range(lanes: ContactData, frame: Scaling, unknowns: Coordinates) -> tuple[Array, SpatialVec]:
     """Whether something is asked for along twists that no contact reaches, and that as a direction.
 
     The direction is a twist, since the unknowns leave it out.
     """
-    plain = unstretched(lanes.force.x)
-    direction = unknowns.unreached(dual.load(lanes, plain))
+    plain = plain_axes(lanes.force.x)
+    direction = unknowns.unreached(dual.required_wrench(lanes, plain))
     # Loads are of order one here, so this compares with the whole load.
     missed = spatial.length(direction) > tolerances(direction.dtype).range
     return missed & proves_infeasible(lanes, frame, direction, plain), direction

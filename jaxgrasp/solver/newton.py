@@ -10,41 +10,41 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import spatial
-from jaxgrasp.problem.batch_last import Lanes
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.dual import Value
-from jaxgrasp.solver.pseudo_inverse import Metric, whitened_square
-from jaxgrasp.solver.result import Measured, measure
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.dual import DualEvaluation
+from jaxgrasp.solver.pseudo_inverse import Metric, squared_norm
+from jaxgrasp.solver.result import Measurement, measure_forces
 
 ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
-CUTS = (0.1, 0.5)
+STEP_REDUCTIONS = (0.1, 0.5)
 """A refused step is cut to between these parts of its length."""
-DAMPING, MOST_DAMPING = 0.03, 0.1
+DAMPING, LARGEST_DAMPING = 0.03, 0.1
 """Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
-LAST_SLACK = 16.0
+LOOSE_FACTOR = 16.0
 """In the end an answer may be this much coarser: near the limit of what the contacts can exert, the multiplier is so
 large that its own rounding stands in the way."""
 
 
-class Proximal(NamedTuple):
+class ProximalTerm(NamedTuple):
     """The pull -strength/2 |x - centre|^2 that makes a degenerate dual strongly concave."""
 
     strength: Array
     """A scalar; 0 for the dual as it is."""
-    centre: Six
+    centre: SpatialVec
 
 
 @runtime_checkable
-class Hill(Protocol):
+class ConcaveObjective(Protocol):
     """What is climbed: a concave function of a few unknowns in each lane, perhaps with a ridge along some of them."""
 
     def look(self, point: Array) -> Any:
@@ -68,33 +68,33 @@ class Hill(Protocol):
         ...
 
 
-class Dual(NamedTuple):
+class DualObjective(NamedTuple):
     """The dual as a hill, which has no ridges."""
 
-    lanes: Lanes
-    unknowns: Unknowns
+    lanes: ContactData
+    unknowns: Coordinates
     metric: Metric
-    proximal: Proximal | None = None
+    proximal: ProximalTerm | None = None
 
-    def look(self, point: Six) -> Value:
+    def look(self, point: SpatialVec) -> DualEvaluation:
         at = dual.evaluate(self.lanes, point, self.unknowns)
-        return at if self.proximal is None else _pulled(at, point, self.proximal)
+        return at if self.proximal is None else _with_proximal_term(at, point, self.proximal)
 
-    def size2(self, gradient: Six) -> Array:
-        return whitened_square(self.metric, gradient)
+    def size2(self, gradient: SpatialVec) -> Array:
+        return squared_norm(self.metric, gradient)
 
-    def direction(self, at: Value, point: Six, caution: Array) -> Six:
+    def direction(self, at: DualEvaluation, point: SpatialVec, caution: Array) -> SpatialVec:
         damping = damping_of(self.size2(at.gradient), caution, self.proximal)
         return dual.solve(ldl.factor(damped(at.curvature, self.metric, damping)), at.gradient)
 
-    def arrived(self, at: Value, point: Six) -> Array:
+    def arrived(self, at: DualEvaluation, point: SpatialVec) -> Array:
         return has_converged(self.lanes, point, at.gradient, self.size2(at.gradient), at.value, at.push)
 
-    def onto(self, start: Six, trial: Six) -> Six:
+    def onto(self, start: SpatialVec, trial: SpatialVec) -> SpatialVec:
         return trial
 
 
-class Ascent(NamedTuple):
+class NewtonState(NamedTuple):
     """Where each lane stands."""
 
     point: Array
@@ -114,14 +114,14 @@ class Ascent(NamedTuple):
     """Unable to move on."""
 
 
-def ascend(hill: Hill, start: Array, frozen: Array, limit: int | Array) -> Ascent:
+def maximise(hill: ConcaveObjective, start: Array, frozen: Array, limit: int | Array) -> NewtonState:
     """Climb from ``start`` in at most ``limit`` evaluations; lanes that are ``frozen`` stay where they are."""
     # A grasp that many wrenches share has one column here; where each lane stands is its own.
     frozen = jnp.broadcast_to(frozen, start[:1].shape)
     zero = jnp.zeros_like(start[:1])
     nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
-    state = Ascent(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen)
+    state = NewtonState(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen)
     state = varying_like(state, start, hill)
 
     def unfinished(carry):
@@ -136,21 +136,21 @@ def ascend(hill: Hill, start: Array, frozen: Array, limit: int | Array) -> Ascen
     return state
 
 
-@one_kernel
-def _advance(hill: Hill, state: Ascent) -> Ascent:
+@fused_cpu_kernel
+def _advance(hill: ConcaveObjective, state: NewtonState) -> NewtonState:
     trial = hill.onto(state.point, state.point + state.length * state.direction)
     at = hill.look(trial)
     size2 = hill.size2(at.gradient)
     accepted = _is_better(state, trial, at.value, size2) & ~state.done
-    caution = _caution(state)
+    caution = _next_damping_factor(state)
     direction = hill.direction(at, trial, caution)
     arrived = hill.arrived(at, trial)
-    leap = ~arrived & _next_arrives(state, size2)
-    length = jnp.where(accepted, 1, state.length * _cut(state, at.gradient))
+    leap = ~arrived & _converges_next(state, size2)
+    length = jnp.where(accepted, 1, state.length * _step_reduction(state, at.gradient))
     stuck = ~accepted & ~state.done & (length < SHORTEST_STEP)
     landed = jnp.where(leap, hill.onto(trial, trial + direction), trial)
 
-    return Ascent(
+    return NewtonState(
         point=jnp.where(accepted, landed, state.point),
         value=jnp.where(accepted, at.value, state.value),
         direction=jnp.where(accepted, direction, state.direction),
@@ -169,7 +169,7 @@ def _as_count(condition: Array) -> Array:
     return condition.astype(jnp.int32)
 
 
-def _is_better(state: Ascent, trial: Array, value: Array, size2: Array) -> Array:
+def _is_better(state: NewtonState, trial: Array, value: Array, size2: Array) -> Array:
     """Whether the value rises enough, rounding aside.
 
     It is a difference of numbers as large as the multiplier: where that hides the rise, a smaller residual shows it.
@@ -180,7 +180,7 @@ def _is_better(state: Ascent, trial: Array, value: Array, size2: Array) -> Array
     return (rise >= -noise) | ((rise >= -noise - 8 * eps * spatial.length(trial)) & (size2 < state.size2))
 
 
-def _next_arrives(state: Ascent, size2: Array) -> Array:
+def _converges_next(state: NewtonState, size2: Array) -> Array:
     """Whether the next full step will land at the optimum, so that it can be taken without looking there.
 
     Close to the optimum the residual falls as its own square; the last step's fall gives the factor. Whoever
@@ -191,35 +191,41 @@ def _next_arrives(state: Ascent, size2: Array) -> Array:
     return (state.length == 1) & (size2 < 1e-8) & quadratic
 
 
-def _caution(state: Ascent) -> Array:
+def _next_damping_factor(state: NewtonState) -> Array:
     """More where only a part of the last step was any good, less again with every step that was good as a whole."""
     shortened = (state.length > 0) & (state.length < 1)
     more = state.caution / jnp.where(shortened, jnp.maximum(state.length, 1e-3), 1)
     return jnp.where(shortened, more, jnp.maximum(state.caution / 10, 1))
 
 
-def _cut(state: Ascent, ascent: Array) -> Array:
+def _step_reduction(state: NewtonState, ascent: Array) -> Array:
     """How much to shorten a refused step.
 
     The slope along the line falls from positive to negative, and mostly late, beyond the kink that was not
     foreseen: where its chord meets zero, the value is still rising.
     """
     overshot = jnp.maximum(-spatial.inner(ascent, state.direction), state.slope)
-    return jnp.clip(2 * vec3.safe_divide(state.slope, state.slope + overshot), *CUTS)
+    return jnp.clip(2 * vec3.safe_divide(state.slope, state.slope + overshot), *STEP_REDUCTIONS)
 
 
-def _pulled(at: Value, trial: Six, proximal: Proximal) -> Value:
+def _with_proximal_term(at: DualEvaluation, trial: SpatialVec, proximal: ProximalTerm) -> DualEvaluation:
     """Value, gradient and curvature with the proximal pull."""
     offset, rho = trial - proximal.centre, proximal.strength
     curvature = [list(row) for row in at.curvature]
     for i in range(6):
         curvature[i][i] = curvature[i][i] + rho
     value = at.value - rho * spatial.inner(offset, offset) / 2
-    return Value(value, at.gradient - rho * offset, curvature, at.push)
+    return DualEvaluation(value, at.gradient - rho * offset, curvature, at.push)
 
 
 def has_converged(
-    lanes: Lanes, point: Six, gradient: Six, size2: Array, value: Array, push: Array, slack: float = 1.0
+    lanes: ContactData,
+    point: SpatialVec,
+    gradient: SpatialVec,
+    size2: Array,
+    value: Array,
+    push: Array,
+    slack: float = 1.0,
 ) -> Array:
     """Whether residual and duality gap are at the rounding that forces of this size allow, times ``slack``."""
     tol = tolerances(value.dtype)
@@ -227,47 +233,56 @@ def has_converged(
 
 
 def is_within(
-    lanes: Lanes, point: Six, gradient: Six, size2: Array, value: Array, push: Array, residual: float, gap: float
+    lanes: ContactData,
+    point: SpatialVec,
+    gradient: SpatialVec,
+    size2: Array,
+    value: Array,
+    push: Array,
+    residual: float,
+    gap: float,
 ) -> Array:
     """Whether the residual, beside the forces, and the duality gap, beside the objective, are as small as that."""
     balanced = size2 <= (residual * (1 + push)) ** 2
-    scale = jnp.maximum(jnp.abs(value), dual.price_of_nothing(lanes))
+    scale = jnp.maximum(jnp.abs(value), dual.objective_of_no_force(lanes))
     return balanced & (jnp.abs(spatial.inner(point, gradient)) <= gap * scale)
 
 
-class Judged(NamedTuple):
+class OptimalityCheck(NamedTuple):
     """Whether a point is the optimum, by its forces."""
 
-    forces: Four
+    forces: ContactVec
     optimal: Array
     nearly: Array
     """Whether it is but for ``LAST_SLACK`` times the tolerances."""
 
 
-def as_handed_out(forces: Four) -> Four:
+def as_returned(forces: ContactVec) -> ContactVec:
     """Forces whose judge sees them to the bit as they are handed out: computed anew they might round otherwise."""
     return lax.optimization_barrier(forces)
 
 
-@one_kernel
-def judge(lanes: Lanes, unknowns: Unknowns, metric: Metric, point: Six) -> Judged:
+@fused_cpu_kernel
+def check_optimality(lanes: ContactData, unknowns: Coordinates, metric: Metric, point: SpatialVec) -> OptimalityCheck:
     """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
-    best = as_handed_out(dual.best_forces(lanes, point, unknowns).forces)
-    found = measure(lanes, best, unknowns)
+    best = as_returned(dual.candidate_forces(lanes, point, unknowns).forces)
+    found = measure_forces(lanes, best, unknowns)
     rest = unknowns.wrench(*spatial.parts(found.rest))
-    return judged(lanes, best, point, rest, whitened_square(metric, rest), found)
+    return optimality_by(lanes, best, point, rest, squared_norm(metric, rest), found)
 
 
-def judged(lanes: Lanes, best: Four, point: Array, rest: Array, size2: Array, found: Measured) -> Judged:
+def optimality_by(
+    lanes: ContactData, best: ContactVec, point: Array, rest: Array, size2: Array, found: Measurement
+) -> OptimalityCheck:
     """By what the best forces leave of the wrench, and the squared length of that."""
 
     def within(slack: float) -> Array:
         return has_converged(lanes, point, rest, size2, found.objective, found.push, slack)
 
-    return Judged(best, within(1.0), within(LAST_SLACK))
+    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR))
 
 
-def damping_of(size2: Array, caution: Array, proximal: Proximal | None) -> Array:
+def damping_of(size2: Array, caution: Array, proximal: ProximalTerm | None) -> Array:
     """In proportion to the residual, so that a singular Hessian, as of contacts that have let go, gives a direction
     of sensible length.
 
@@ -278,7 +293,7 @@ def damping_of(size2: Array, caution: Array, proximal: Proximal | None) -> Array
     if proximal is not None:
         # Unless kinks keep cutting the steps short.
         damping = jnp.where(proximal.strength > 0, proximal.strength * (caution - 1), damping)
-    return 16 * jnp.finfo(size2.dtype).eps + jnp.minimum(damping, MOST_DAMPING)
+    return 16 * jnp.finfo(size2.dtype).eps + jnp.minimum(damping, LARGEST_DAMPING)
 
 
 def damped(curvature: Lower, metric: Metric, damping: Array) -> list[list[Array]]:

@@ -15,50 +15,57 @@ from jax import Array, lax
 
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_chosen, over_tiles
 from jaxgrasp.problem import friction_cone, spatial
-from jaxgrasp.problem.batch_last import Lanes, Problem, read, squeezing
-from jaxgrasp.problem.scaling import Frame, multiplier_in, principal
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
+from jaxgrasp.problem.scaling import Scaling, multiplier_to_scaled, scale_in_principal_axes
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import pseudo_inverse, torque_passes
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.guided_motion import whitened
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.guided_motion import whitened_coordinates
 from jaxgrasp.solver.infeasibility import out_of_range
-from jaxgrasp.solver.proximal import STEPS_PER_LEVEL, Effort, Free, Search, begin, proximal_search
-from jaxgrasp.solver.pseudo_inverse import Metric, Suited, suited
-from jaxgrasp.solver.result import Answer, Outcome, write
+from jaxgrasp.solver.proximal import (
+    STEPS_PER_LEVEL,
+    Pass,
+    ProximalState,
+    UnlimitedProblem,
+    initial_state,
+    proximal_search,
+)
+from jaxgrasp.solver.pseudo_inverse import ConditionedProblem, Metric, conditioned
+from jaxgrasp.solver.result import PassResult, ScaledResult, to_result
 
 CAREFUL_TILE = 16
 STEPS = (5, 6, 30)
 """Evaluations that each Newton stage may spend, after each of which the unfinished are gathered again."""
 
 
-def solve_closed(problem: Problem) -> Answer:
+def solve_closed(problem: ProblemBatch) -> PassResult:
     """The closed form of a flat batch; ``undecided`` where the optimum takes its careful pass at once."""
     tile = _closed_width(problem) if problem.free is None else CAREFUL_TILE
     return over_tiles(_closed_tile, torque_passes.without_torques(problem), problem.size, tile, problem.count)
 
 
-def solve_optimum(problem: Problem) -> Answer:
+def solve_optimum(problem: ProblemBatch) -> PassResult:
     """The constrained optimum of a flat batch."""
     return finish_optimum(problem, solve_closed(problem))
 
 
-def solve_both(problem: Problem) -> tuple[Answer, Answer]:
+def solve_both(problem: ProblemBatch) -> tuple[PassResult, PassResult]:
     """Closed form and constrained optimum, which starts from it."""
     closed = solve_closed(problem)
     return closed, finish_optimum(problem, closed)
 
 
-def finish_optimum(problem: Problem, closed: Answer) -> Answer:
+def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     """The constrained optimum everywhere, from the closed form."""
     answer = _finish_without_torques(torque_passes.without_torques(problem), closed)
     return torque_passes.within_torques(problem, answer)
 
 
-def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
+def _finish_without_torques(problem: ProblemBatch, answer: PassResult) -> PassResult:
     outside = answer.verdict == Verdict.OUTSIDE_CONES
     # What the fast passes do not suit is not converged from the outset.
     verdict = jnp.where(answer.undecided, Verdict.NOT_CONVERGED, answer.verdict)
@@ -68,8 +75,8 @@ def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
         given = outside & jnp.all(jnp.isfinite(problem.start), 1)
         answer = answer._replace(multiplier=jnp.where(given[:, None], problem.start, answer.multiplier))
 
-    def improve(stage: Array, answer: Answer) -> Answer:
-        effort = Effort(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[stage])
+    def improve(stage: Array, answer: PassResult) -> PassResult:
+        effort = Pass(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[stage])
         chosen = answer.undecided & (effort.careful | (answer.verdict == Verdict.OUTSIDE_CONES))
         tile = partial(_optimum_tile, effort=effort)
         return over_chosen(tile, problem, answer, chosen, _newton_width(problem))
@@ -78,96 +85,98 @@ def _finish_without_torques(problem: Problem, answer: Answer) -> Answer:
     return lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(answer, problem))
 
 
-def _closed_width(problem: Problem) -> int:
+def _closed_width(problem: ProblemBatch) -> int:
     """Problems in a tile: as many as stay in the cache."""
     return 128 if problem.points.shape[1] <= 10 else 64
 
 
-def _newton_width(problem: Problem) -> int:
+def _newton_width(problem: ProblemBatch) -> int:
     """Problems in a tile: few, since all wait for the slowest, and so few that a step's work stays in the cache."""
     contacts = problem.points.shape[1]
     return max(16, min(64, 2 ** int(math.log2(200 / contacts))))
 
 
-def _closed_tile(problem: Problem) -> Answer:
-    lanes, valid = read(problem)
-    return _closed_answer(_suited(problem, lanes), valid, problem.size)
+def _closed_tile(problem: ProblemBatch) -> PassResult:
+    lanes, valid = to_batch_last(problem)
+    return _closed_answer(_conditioned(problem, lanes), valid, problem.size)
 
 
-@one_kernel
-def _closed_answer(suited: Suited, valid: Array, size: int) -> Answer:
+@fused_cpu_kernel
+def _closed_answer(suited: ConditionedProblem, valid: Array, size: int) -> PassResult:
     lanes, frame, metric, unknowns, ill = suited
     multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric, ill)
-    forces = pseudo_inverse.free_forces(lanes, multiplier, unknowns)
-    missed, direction = _missed(lanes, frame, unknowns, ill)
+    forces = pseudo_inverse.forces_without_cones(lanes, multiplier, unknowns)
+    missed, direction = _out_of_range(lanes, frame, unknowns, ill)
     inside = vec3.every(friction_cone.contains(forces, lanes.cone))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, verdict)
     undecided = ill & (verdict == Verdict.OUTSIDE_CONES)
-    outcome = Outcome(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
-    return write(lanes, frame, unknowns, valid, size, outcome, jnp.where(ill, Route.CAREFUL, Route.CLOSED_FORM))
+    outcome = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
+    return to_result(lanes, frame, unknowns, valid, size, outcome, jnp.where(ill, Route.CAREFUL, Route.CLOSED_FORM))
 
 
-def _suited(problem: Problem, lanes: Lanes) -> Suited:
+def _conditioned(problem: ProblemBatch, lanes: ContactData) -> ConditionedProblem:
     """Coordinates that suit each lane; where a guide holds the object, with care for all."""
     if problem.free is None:
-        return suited(lanes)
-    lanes, frame = principal(lanes)
-    metric, unknowns = whitened(problem, lanes, frame)
-    return Suited(lanes, frame, metric, unknowns, jnp.ones_like(frame.load, bool))
+        return conditioned(lanes)
+    lanes, frame = scale_in_principal_axes(lanes)
+    metric, unknowns = whitened_coordinates(problem, lanes, frame)
+    return ConditionedProblem(lanes, frame, metric, unknowns, jnp.ones_like(frame.load, bool))
 
 
-@one_kernel
-def _missed(lanes: Lanes, frame: Frame, unknowns: Unknowns, ill: Array) -> tuple[Array, Six]:
+@fused_cpu_kernel
+def _out_of_range(lanes: ContactData, frame: Scaling, unknowns: Coordinates, ill: Array) -> tuple[Array, SpatialVec]:
     """Which of the ``ill`` lanes are asked for what no contact reaches; others have contacts that reach everything."""
-    none = jnp.zeros((1, lanes.force.x.shape[-1]), bool), spatial.six(lanes.force, lanes.torque) * 0
+    none = jnp.zeros((1, lanes.force.x.shape[-1]), bool), spatial.join(lanes.force, lanes.torque) * 0
 
-    def look(_, none: tuple[Array, Six]) -> tuple[Array, Six]:
+    def look(_, none: tuple[Array, SpatialVec]) -> tuple[Array, SpatialVec]:
         missed, direction = out_of_range(lanes, frame, unknowns)
         return none[0] | missed & ill, none[1] + direction
 
     return lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), look, varying_like(none, lanes, frame))
 
 
-def _optimum_tile(problem: Problem, prior: Answer, effort: Effort) -> Answer:
+def _optimum_tile(problem: ProblemBatch, prior: PassResult, effort: Pass) -> PassResult:
     """The optimum, as far as an effort goes.
 
     The fast efforts begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
     if more of the same may help. The careful one begins at the beginning.
     """
     careful = effort.careful
-    lanes, valid = read(problem)
-    lanes, frame = principal(lanes, careful)
+    lanes, valid = to_batch_last(problem)
+    lanes, frame = scale_in_principal_axes(lanes, careful)
     metric, unknowns, ill = _coordinates(problem, lanes, frame, careful)
-    missed, direction = _missed(lanes, frame, unknowns, careful)
-    last = spatial.six(*multiplier_in(prior.multiplier, frame))
+    missed, direction = _out_of_range(lanes, frame, unknowns, careful)
+    last = spatial.join(*multiplier_to_scaled(prior.multiplier, frame))
     point = jnp.where(careful, 0, last)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
-    begun = begin(point, squeezing(lanes), verdict, ill | missed)._replace(certificate=direction)
-    ground = Free(lanes, frame, unknowns, metric)
+    begun = initial_state(point, squeezing_forces(lanes), verdict, ill | missed)._replace(certificate=direction)
+    ground = UnlimitedProblem(lanes, frame, unknowns, metric)
     found = proximal_search(ground, begun, effort)
     return _optimum_answer(ground, valid, problem.size, found, careful, ill, prior.steps)
 
 
-@one_kernel
+@fused_cpu_kernel
 def _optimum_answer(
-    ground: Free, valid: Array, size: int, found: Search, careful: Array, ill: Array, before: Array
-) -> Answer:
+    ground: UnlimitedProblem, valid: Array, size: int, found: ProximalState, careful: Array, ill: Array, before: Array
+) -> PassResult:
     lanes, frame, unknowns, _ = ground
     converged = found.verdict == Verdict.OPTIMAL
     steps = found.steps + jnp.where(careful, 0, before)[None]
-    outcome = Outcome(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
-    answer = write(lanes, frame, unknowns, valid, size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
+    outcome = ScaledResult(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
+    answer = to_result(lanes, frame, unknowns, valid, size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
     undecided = ~careful & (answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
     more = undecided & ~(found.stuck | converged | ill)[0]
     return answer._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, answer.verdict), undecided=undecided)
 
 
-@one_kernel
-def _coordinates(problem: Problem, lanes: Lanes, frame: Frame, careful: Array) -> tuple[Metric, Unknowns, Array]:
+@fused_cpu_kernel
+def _coordinates(
+    problem: ProblemBatch, lanes: ContactData, frame: Scaling, careful: Array
+) -> tuple[Metric, Coordinates, Array]:
     """Metric and unknowns, whitened if ``careful``; and which lanes they do not suit."""
     if problem.free is None:
         return pseudo_inverse.metric_for(lanes, frame, careful)
-    metric, unknowns = whitened(problem, lanes, frame)
+    metric, unknowns = whitened_coordinates(problem, lanes, frame)
     return metric, unknowns, jnp.zeros_like(lanes.force.x, bool)

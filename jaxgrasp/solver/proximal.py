@@ -13,28 +13,36 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import contact_vec
-from jaxgrasp.problem.batch_last import Lanes
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.scaling import Frame
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.scaling import Scaling
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.infeasibility import proof
-from jaxgrasp.solver.newton import Ascent, Dual, Hill, Judged, Proximal, ascend, judge
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.infeasibility import find_certificate
+from jaxgrasp.solver.newton import (
+    ConcaveObjective,
+    DualObjective,
+    NewtonState,
+    OptimalityCheck,
+    ProximalTerm,
+    check_optimality,
+    maximise,
+)
 from jaxgrasp.solver.pseudo_inverse import Metric
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
 
 
-class Search(NamedTuple):
+class ProximalState(NamedTuple):
     """Where each lane stands."""
 
     point: Array
-    forces: Four
+    forces: ContactVec
     verdict: Array
     """NOT_CONVERGED for those that are not decided."""
     steps: Array
@@ -47,7 +55,7 @@ class Search(NamedTuple):
     """Whether Newton's method was unable to move on."""
 
 
-class Effort(NamedTuple):
+class Pass(NamedTuple):
     """How hard to try, in scalars, so that all efforts are one compiled code."""
 
     careful: Array
@@ -57,14 +65,14 @@ class Effort(NamedTuple):
 
 
 @runtime_checkable
-class Ground(Protocol):
+class ProximalProblem(Protocol):
     """What the search goes over: a hill, what its points are worth, and what they prove."""
 
-    def pulled(self, proximal: Proximal) -> Hill:
+    def pulled(self, proximal: ProximalTerm) -> ConcaveObjective:
         """The hill with a proximal pull."""
         ...
 
-    def judge(self, point: Array) -> Judged:
+    def judge(self, point: Array) -> OptimalityCheck:
         """The forces of a point, and whether they are the optimum."""
         ...
 
@@ -73,42 +81,42 @@ class Ground(Protocol):
         ...
 
 
-class Free(NamedTuple):
+class UnlimitedProblem(NamedTuple):
     """Lanes without limits that tie their contacts together."""
 
-    lanes: Lanes
-    frame: Frame
-    unknowns: Unknowns
+    lanes: ContactData
+    frame: Scaling
+    unknowns: Coordinates
     metric: Metric
 
-    def pulled(self, proximal: Proximal) -> Hill:
-        return Dual(self.lanes, self.unknowns, self.metric, proximal)
+    def pulled(self, proximal: ProximalTerm) -> ConcaveObjective:
+        return DualObjective(self.lanes, self.unknowns, self.metric, proximal)
 
-    def judge(self, point: Six) -> Judged:
-        return judge(self.lanes, self.unknowns, self.metric, point)
+    def judge(self, point: SpatialVec) -> OptimalityCheck:
+        return check_optimality(self.lanes, self.unknowns, self.metric, point)
 
-    def proof(self, point: Six, before: Six) -> tuple[Array, Six]:
-        forces = dual.best_forces(self.lanes, point, self.unknowns).forces
+    def proof(self, point: SpatialVec, before: SpatialVec) -> tuple[Array, SpatialVec]:
+        forces = dual.candidate_forces(self.lanes, point, self.unknowns).forces
         rest = dual.residual(self.lanes, forces, self.unknowns)
-        return proof(self.lanes, self.frame, self.unknowns, rest, point - before)
+        return find_certificate(self.lanes, self.frame, self.unknowns, rest, point - before)
 
 
-def full_effort() -> Effort:
+def careful_pass() -> Pass:
     """All that can be done."""
-    return Effort(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
+    return Pass(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
 
 
-def begin(point: Array, forces: Four, verdict: Array | Verdict, decided: Array) -> Search:
+def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, decided: Array) -> ProximalState:
     """Before the first step; what is ``decided`` keeps its verdict."""
     # A grasp that many wrenches share has one column; where each lane stands is its own.
     decided = jnp.broadcast_to(decided, point[:1].shape)
     no, none = jnp.zeros_like(decided), jnp.zeros_like(decided, jnp.int32)
     verdict = jnp.where(decided, verdict, Verdict.NOT_CONVERGED) + none
     forces = contact_vec.scale(jnp.ones_like(point[:1]), forces)
-    return Search(point, forces, verdict, none, jnp.zeros_like(point), decided, no, no)
+    return ProximalState(point, forces, verdict, none, jnp.zeros_like(point), decided, no, no)
 
 
-def proximal_search(ground: Ground, search: Search, effort: Effort) -> Search:
+def proximal_search(ground: ProximalProblem, search: ProximalState, effort: Pass) -> ProximalState:
     """The optimum of the lanes that are not decided, or a proof that there is none."""
     weakest = 4 * float(jnp.finfo(search.point.dtype).eps)
 
@@ -127,14 +135,14 @@ def proximal_search(ground: Ground, search: Search, effort: Effort) -> Search:
     return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))
 
 
-def _level(ground: Ground, strength: Array, effort: Effort, search: Search) -> Search:
+def _level(ground: ProximalProblem, strength: Array, effort: Pass, search: ProximalState) -> ProximalState:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
-    hill = ground.pulled(Proximal(strength, search.point))
-    return _decide(ground, effort, search, ascend(hill, search.point, search.decided, effort.steps))
+    hill = ground.pulled(ProximalTerm(strength, search.point))
+    return _decide(ground, effort, search, maximise(hill, search.point, search.decided, effort.steps))
 
 
-@one_kernel
-def _decide(ground: Ground, effort: Effort, search: Search, ascent: Ascent) -> Search:
+@fused_cpu_kernel
+def _decide(ground: ProximalProblem, effort: Pass, search: ProximalState, ascent: NewtonState) -> ProximalState:
     forces, optimal, nearly = ground.judge(ascent.point)
 
     def unproven(point: Array, before: Array) -> tuple[Array, Array]:
@@ -144,7 +152,7 @@ def _decide(ground: Ground, effort: Effort, search: Search, ascent: Ascent) -> S
     hopeless = ~optimal & proven
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
-    return Search(
+    return ProximalState(
         point=jnp.where(open_, ascent.point, search.point),
         forces=contact_vec.where(open_, forces, search.forces),
         verdict=jnp.where(open_, verdict, search.verdict),

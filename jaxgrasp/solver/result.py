@@ -7,19 +7,25 @@ from jax import Array
 
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import Lanes
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.scaling import Frame, certificate_out, forces_out, moments_out, multiplier_out
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.scaling import (
+    Scaling,
+    certificate_from_scaled,
+    forces_from_scaled,
+    moments_from_scaled,
+    multiplier_from_scaled,
+)
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Unknowns, unstretched
+from jaxgrasp.solver.coordinates import Coordinates, plain_axes
 
 
-class Answer(NamedTuple):
+class PassResult(NamedTuple):
     """The fields of a Solution, and whether this stage leaves the problem to the next one."""
 
     forces: Array
@@ -38,10 +44,10 @@ class Answer(NamedTuple):
     certificate_rates: Array | None
 
 
-class Joints(NamedTuple):
+class JointResult(NamedTuple):
     """What limits of joint torques add to an outcome."""
 
-    pull: Four
+    pull: ContactVec
     """Velocities of the contacts that the joints' multipliers take off those of the object's."""
     multiplier: Array
     """``(j, B)``, in the lane's units of the multiplier."""
@@ -49,41 +55,47 @@ class Joints(NamedTuple):
     """``(j, B)``: of the certificate, where that is a proof."""
 
 
-class Outcome(NamedTuple):
+class ScaledResult(NamedTuple):
     """What a stage found in the lanes' own coordinates, before units."""
 
-    forces: Four
-    multiplier: Six
+    forces: ContactVec
+    multiplier: SpatialVec
     verdict: Array
     steps: Array
-    certificate: Six
+    certificate: SpatialVec
     """A twist; read only where the verdict is INFEASIBLE."""
     undecided: Array
-    joints: Joints | None = None
+    joints: JointResult | None = None
     """None where no joint's torque is limited."""
 
 
-@one_kernel
-def write(
-    lanes: Lanes, frame: Frame, unknowns: Unknowns, valid: Array, size: int, outcome: Outcome, route: Route | Array
-) -> Answer:
+@fused_cpu_kernel
+def to_result(
+    lanes: ContactData,
+    frame: Scaling,
+    unknowns: Coordinates,
+    valid: Array,
+    size: int,
+    outcome: ScaledResult,
+    route: Route | Array,
+) -> PassResult:
     """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
     valid = valid & frame.sound
     solved = (outcome.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (outcome.verdict == Verdict.OPTIMAL)
     answered = solved | (outcome.verdict == Verdict.OUTSIDE_CONES)
-    rest, error, objective, _ = measure(lanes, outcome.forces, unknowns)
+    rest, error, objective, _ = measure_forces(lanes, outcome.forces, unknowns)
     unsound = answered & ~(error <= tolerances(error.dtype).balance)
     verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, outcome.verdict)
     verdict = jnp.where(frame.weight > 0, verdict, Verdict.NO_CONTACTS)
     verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
     unit = vec3.safe_divide(frame.load, frame.weight) * frame.load
-    linear, angular = multiplier_out(*unknowns.twist(outcome.multiplier), frame)
+    linear, angular = multiplier_from_scaled(*unknowns.twist(outcome.multiplier), frame)
     one = jnp.ones((1, size), error.dtype)
     certificate = _certificate(frame, outcome, verdict, rest, one)
-    moments = moments_out(lanes, outcome.forces.spin, frame)
+    moments = moments_from_scaled(lanes, outcome.forces.spin, frame)
     proven, joints = verdict == Verdict.INFEASIBLE, outcome.joints
-    return Answer(
-        forces=jnp.stack([c * one for c in forces_out(outcome.forces.linear, frame)]).transpose(2, 1, 0),
+    return PassResult(
+        forces=jnp.stack([c * one for c in forces_from_scaled(outcome.forces.linear, frame)]).transpose(2, 1, 0),
         multiplier=_rows((*linear, *angular), one),
         verdict=_row(verdict, size).astype(jnp.int32),
         residual=_row(error, size),
@@ -94,34 +106,36 @@ def write(
         certificate=certificate,
         undecided=_row(outcome.undecided & valid & (frame.weight > 0), size),
         moments=None if moments is None else (moments * one).T,
-        normal_multiplier=_normal_prices(lanes, frame, unknowns, outcome, one),
-        torque_multiplier=None if joints is None else (joints.multiplier * _price_unit(frame) * one).T,
+        normal_multiplier=_normal_multipliers(lanes, frame, unknowns, outcome, one),
+        torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(frame) * one).T,
         certificate_rates=None if joints is None else (jnp.where(proven, joints.rates, 0) * one).T,
     )
 
 
-def _normal_prices(lanes: Lanes, frame: Frame, unknowns: Unknowns, outcome: Outcome, one: Array) -> Array | None:
+def _normal_multipliers(
+    lanes: ContactData, frame: Scaling, unknowns: Coordinates, outcome: ScaledResult, one: Array
+) -> Array | None:
     if lanes.least is None and lanes.most is None:
         return None
-    twist = dual.twist_at(lanes, outcome.multiplier, unknowns)
+    twist = dual.contact_velocities(lanes, outcome.multiplier, unknowns)
     if outcome.joints is not None:
         twist = contact_vec.sub(twist, outcome.joints.pull)
-    return (dual.normal_prices(lanes, twist) * _price_unit(frame) * one).T
+    return (dual.normal_multipliers(lanes, twist) * _multiplier_unit(frame) * one).T
 
 
-def _price_unit(frame: Frame) -> Array:
+def _multiplier_unit(frame: Scaling) -> Array:
     """A multiplier of forces in the user's units for one of the lane's."""
     return vec3.safe_divide(frame.load, frame.weight)
 
 
-def rank(frame: Frame, unknowns: Unknowns) -> Array:
+def rank(frame: Scaling, unknowns: Coordinates) -> Array:
     return jnp.where(frame.weight > 0, unknowns.rank(), 0)
 
 
-class Measured(NamedTuple):
+class Measurement(NamedTuple):
     """Forces as they are, whatever they were meant to be."""
 
-    rest: Six
+    rest: SpatialVec
     """w - G f, but for what a guide carries of it."""
     error: Array
     objective: Array
@@ -129,7 +143,7 @@ class Measured(NamedTuple):
     """Sum of the normal forces."""
 
 
-def measure(lanes: Lanes, forces: Four, unknowns: Unknowns) -> Measured:
+def measure_forces(lanes: ContactData, forces: ContactVec, unknowns: Coordinates) -> Measurement:
     """What the forces leave of the wrench, their objective, and their backward error
 
     |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the lanes' coordinates and as the unknowns see it: the larger.
@@ -137,28 +151,28 @@ def measure(lanes: Lanes, forces: Four, unknowns: Unknowns) -> Measured:
     The squeezing force counts because f_i is computed from it: where zero is the right answer, an error
     cannot be measured against that.
     """
-    plain = unstretched(lanes.force.x)
+    plain = plain_axes(lanes.force.x)
     push = jnp.maximum(contact_vec.norm(forces), lanes.squeeze)
     spins = None if lanes.lever is None else vec3.scale(lanes.lever, lanes.normals)
     objective, total_push, *through, fx, fy, fz, tx, ty, tz = vec3.totals(
-        dual.spread(lanes, forces),
+        dual.deviation_cost(lanes, forces),
         vec3.dot(forces.linear, lanes.normals),
         plain.reach(lanes.arms, spins) * push,
         unknowns.reach(lanes.arms, spins) * push,
         *dual.wrench_terms(lanes, forces),
     )
-    force, torque = vec3.sub(lanes.force, Vec(fx, fy, fz)), vec3.sub(lanes.torque, Vec(tx, ty, tz))
-    rest, load = unknowns.felt(spatial.six(force, torque)), unknowns.felt(dual.load(lanes, plain))
+    force, torque = vec3.sub(lanes.force, Vec3(fx, fy, fz)), vec3.sub(lanes.torque, Vec3(tx, ty, tz))
+    rest, load = unknowns.felt(spatial.join(force, torque)), unknowns.felt(dual.required_wrench(lanes, plain))
 
-    def relative(seen: Unknowns, through: Array) -> Array:
+    def relative(seen: Coordinates, through: Array) -> Array:
         left, asked = (spatial.length(seen.wrench(*spatial.parts(wrench))) for wrench in (rest, load))
         return vec3.safe_divide(left, asked + through)
 
     error = jnp.maximum(relative(plain, through[0]), relative(unknowns, through[1]))
-    return Measured(rest, error, objective, total_push)
+    return Measurement(rest, error, objective, total_push)
 
 
-def _certificate(frame: Frame, outcome: Outcome, verdict: Array, rest: Six, one: Array) -> Array:
+def _certificate(frame: Scaling, outcome: ScaledResult, verdict: Array, rest: SpatialVec, one: Array) -> Array:
     """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself.
 
     That of contacts which only squeeze may be no more than rounding, which proves nothing.
@@ -167,7 +181,7 @@ def _certificate(frame: Frame, outcome: Outcome, verdict: Array, rest: Six, one:
     proof = jnp.where(proven, outcome.certificate, 0)
     bare = (verdict == Verdict.NO_CONTACTS) & (spatial.length(rest) > tolerances(rest.dtype).range)
     linear, angular = spatial.parts(jnp.where(bare, rest, proof))
-    linear, angular = certificate_out(linear, angular, frame)
+    linear, angular = certificate_from_scaled(linear, angular, frame)
     return _rows((*linear, *angular), one)
 
 

@@ -13,29 +13,29 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, pivoted_ldl, vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.ldl import Lower
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import Lanes, Problem
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.scaling import Frame
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.scaling import Scaling
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, newton
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.dual import Forces
-from jaxgrasp.solver.newton import Judged, Proximal
-from jaxgrasp.solver.pseudo_inverse import Metric, whitened_square
-from jaxgrasp.solver.result import measure
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.dual import CandidateForces
+from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm
+from jaxgrasp.solver.pseudo_inverse import Metric, squared_norm
+from jaxgrasp.solver.result import measure_forces
 
 LARGEST_UNROLLED = 10
 """Unknowns up to which a factorisation is written out: more take long to compile."""
 
 
-class Rows(NamedTuple):
+class TorqueConstraints(NamedTuple):
     """Limits of a few joints in the lanes' coordinates, each row of length 1 as the contacts see it."""
 
-    map: Four
+    map: ContactVec
     """Components ``(q, n, B)``."""
     bound: Array
     """``(q, B)``; 1 for rows of zeros, which nothing can break."""
@@ -43,10 +43,12 @@ class Rows(NamedTuple):
     """``(q, B)``: a row here over the user's."""
 
 
-@one_kernel
-def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None = None) -> Rows:
+@fused_cpu_kernel
+def torque_constraints(
+    problem: ProblemBatch, lanes: ContactData, frame: Scaling, chosen: Array | None = None
+) -> TorqueConstraints:
     """The limits of the joints ``chosen`` by a 1 for each row ``(B, q, j)``; of all joints where not given."""
-    rows, bounds = _in_lane(problem, lanes, frame, chosen)
+    rows, bounds = _in_scaling(problem, lanes, frame, chosen)
     square = contact_vec.dot(rows, rows)
     # By contacts that can move; where none does, the torque is what it is.
     seen, whole = jnp.sum(lanes.weights * square, 1), jnp.sum(square, 1)
@@ -54,16 +56,20 @@ def rows_of(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None =
     return _scaled(rows, bounds, vec3.safe_divide(jnp.ones_like(size), size))
 
 
-def rows_scaled_by(scale: Array, problem: Problem, lanes: Lanes, frame: Frame) -> Rows:
+def torque_constraints_scaled_by(
+    scale: Array, problem: ProblemBatch, lanes: ContactData, frame: Scaling
+) -> TorqueConstraints:
     """The limits of all joints with lengths that are known."""
-    return _scaled(*_in_lane(problem, lanes, frame, None), scale)
+    return _scaled(*_in_scaling(problem, lanes, frame, None), scale)
 
 
-def _scaled(rows: Four, bounds: Array, scale: Array) -> Rows:
-    return Rows(contact_vec.scale(scale[:, None], rows), jnp.where(scale > 0, scale * bounds, 1), scale)
+def _scaled(rows: ContactVec, bounds: Array, scale: Array) -> TorqueConstraints:
+    return TorqueConstraints(contact_vec.scale(scale[:, None], rows), jnp.where(scale > 0, scale * bounds, 1), scale)
 
 
-def _in_lane(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None) -> tuple[Four, Array]:
+def _in_scaling(
+    problem: ProblemBatch, lanes: ContactData, frame: Scaling, chosen: Array | None
+) -> tuple[ContactVec, Array]:
     """Rows and bounds in a lane's axes and loads; rows of zeros for joints that are not bounded."""
     assert problem.torque_map is not None and problem.torque_max is not None
     maps, bounds = jnp.transpose(problem.torque_map, (2, 3, 1, 0)), problem.torque_max.T  # (c, j, n, B), (j, B)
@@ -73,16 +79,16 @@ def _in_lane(problem: Problem, lanes: Lanes, frame: Frame, chosen: Array | None)
         which = jnp.transpose(chosen, (1, 2, 0))  # (q, j, B)
         maps = jnp.sum(which[:, :, None] * maps[:, None], 2)
         bounds = jnp.sum(which * bounds, 1)
-    linear = Vec(*maps[:3])
+    linear = Vec3(*maps[:3])
     if frame.axes is not None:
         linear = vec3.rotate(frame.axes, linear)
     spin = None
     if lanes.lever is not None:
         spin = frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x
-    return Four(linear, spin), bounds / frame.load
+    return ContactVec(linear, spin), bounds / frame.load
 
 
-def usable(problem: Problem) -> Array:
+def usable(problem: ProblemBatch) -> Array:
     """Whether the limits of torques are numbers that can be computed with ``(B,)``."""
     assert problem.torque_map is not None and problem.torque_max is not None
     asked = jnp.sum(jnp.abs(problem.torque_map), (2, 3)) <= tolerances(problem.torque_map.dtype).largest
@@ -91,14 +97,14 @@ def usable(problem: Problem) -> Array:
     return jnp.all(asked, 1) & jnp.all(problem.torque_max >= 0, 1)
 
 
-def cleaned(problem: Problem) -> Problem:
+def cleaned(problem: ProblemBatch) -> ProblemBatch:
     """The problem with zeros where its map of torques has no numbers."""
     given = problem.torque_map
     assert given is not None
     return eqx.tree_at(lambda p: p.torque_map, problem, jnp.where(jnp.isfinite(given), given, 0))
 
 
-def of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:
+def torques_of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:
     """Torques ``(B, j)`` by the user's own map and forces ``(B, n, 3)``, as they came."""
     if torque_map.shape[2] == 4:
         spins = jnp.zeros_like(forces[..., 0]) if moments is None else moments
@@ -108,7 +114,7 @@ def of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:
     return jnp.einsum("bkj,bk->bj", flat, forces.reshape(len(forces), -1), precision=lax.Precision.HIGHEST)
 
 
-def torques(rows: Rows, forces: Four) -> Array:
+def torques(rows: TorqueConstraints, forces: ContactVec) -> Array:
     """R f ``(q, B)``."""
     return jnp.sum(contact_vec.dot(rows.map, forces), 1)
 
@@ -118,13 +124,13 @@ def beyond(torque: Array, bound: Array) -> Array:
     return jnp.sign(torque) * jnp.maximum(jnp.abs(torque) - bound, 0)
 
 
-def pull(rows: Rows, rates: Array) -> Four:
+def velocities_by_joints(rows: TorqueConstraints, rates: Array) -> ContactVec:
     """R^T e: the velocities of the contacts by the joints."""
     parts = [jnp.sum(rates[:, None] * c, 0) for c in contact_vec.components(rows.map)]
     return contact_vec.of_components(parts)
 
 
-class Bordered(NamedTuple):
+class BorderedMatrix(NamedTuple):
     """A symmetric matrix of the object's unknowns and the rates."""
 
     plain: Lower
@@ -135,47 +141,47 @@ class Bordered(NamedTuple):
     """``(q, q, B)``: of the rates."""
 
 
-class Hillside(NamedTuple):
+class TorqueDualEvaluation(NamedTuple):
     """The dual at a point: value, gradient and minus Hessian, as ``dual.Value``."""
 
     value: Array
     gradient: Array
-    curvature: Bordered
+    curvature: BorderedMatrix
     push: Array
 
 
-class Limited(NamedTuple):
+class TorqueLimitedObjective(NamedTuple):
     """The dual of lanes with limits, as a hill: six unknowns of the object over one rate for each row."""
 
-    lanes: Lanes
-    unknowns: Unknowns
+    lanes: ContactData
+    unknowns: Coordinates
     metric: Metric
-    rows: Rows
-    proximal: Proximal | None = None
+    rows: TorqueConstraints
+    proximal: ProximalTerm | None = None
 
-    def forces(self, point: Array) -> Forces:
-        twist = dual.twist_at(self.lanes, point[:6], self.unknowns)
-        return dual.forces_at(self.lanes, contact_vec.sub(twist, pull(self.rows, point[6:])))
+    def forces(self, point: Array) -> CandidateForces:
+        twist = dual.contact_velocities(self.lanes, point[:6], self.unknowns)
+        return dual.candidate_forces_at(self.lanes, contact_vec.sub(twist, velocities_by_joints(self.rows, point[6:])))
 
-    def look(self, point: Array) -> Hillside:
+    def look(self, point: Array) -> TorqueDualEvaluation:
         lanes, rows, rates = self.lanes, self.rows, point[6:]
         best = self.forces(point)
         at = dual.evaluate_at(lanes, best, point[:6], self.unknowns)
         value = at.value - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
-        curvature = bordered(lanes, self.unknowns, rows, best, at.curvature)
+        curvature = bordered_hessian(lanes, self.unknowns, rows, best, at.curvature)
         gradient = jnp.concatenate([at.gradient, torques(rows, best.forces)])
         if self.proximal is not None:
             strength, offset = self.proximal.strength, point - self.proximal.centre
             value, gradient = value - strength * spatial.inner(offset, offset) / 2, gradient - strength * offset
-            curvature = _raised(curvature, strength)
+            curvature = _with_identity(curvature, strength)
         # With the pull, since that decides too on which side of the ridge it goes up.
-        gradient = jnp.concatenate([gradient[:6], _off_ridge(gradient[6:], rates, rows.bound)])
-        return Hillside(value, gradient, curvature, at.push)
+        gradient = jnp.concatenate([gradient[:6], _gradient_by_rates(gradient[6:], rates, rows.bound)])
+        return TorqueDualEvaluation(value, gradient, curvature, at.push)
 
     def size2(self, gradient: Array) -> Array:
-        return whitened_square(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
+        return squared_norm(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
 
-    def direction(self, at: Hillside, point: Array, caution: Array) -> Array:
+    def direction(self, at: TorqueDualEvaluation, point: Array, caution: Array) -> Array:
         damping = newton.damping_of(self.size2(at.gradient), caution, self.proximal)
         plain = newton.damped(at.curvature.plain, self.metric, damping)
         matrix = at.curvature._replace(plain=plain, own=_plus_identity(at.curvature.own, damping))
@@ -198,7 +204,7 @@ class Limited(NamedTuple):
         _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
         return jnp.concatenate([step[:6], jnp.where(lands, -rates, step[6:])])
 
-    def arrived(self, at: Hillside, point: Array) -> Array:
+    def arrived(self, at: TorqueDualEvaluation, point: Array) -> Array:
         size2 = self.size2(at.gradient)
         return newton.has_converged(self.lanes, point, at.gradient, size2, at.value, at.push)
 
@@ -206,26 +212,28 @@ class Limited(NamedTuple):
         rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
         return jnp.concatenate([trial[:6], rates])
 
-    def judge(self, point: Array) -> Judged:
+    def judge(self, point: Array) -> OptimalityCheck:
         """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
-        best = newton.as_handed_out(self.forces(point).forces)
-        found = measure(self.lanes, best, self.unknowns)
-        off = _off_ridge(torques(self.rows, best), point[6:], self.rows.bound)
+        best = newton.as_returned(self.forces(point).forces)
+        found = measure_forces(self.lanes, best, self.unknowns)
+        off = _gradient_by_rates(torques(self.rows, best), point[6:], self.rows.bound)
         rest = jnp.concatenate([self.unknowns.wrench(*spatial.parts(found.rest)), off])
-        return newton.judged(self.lanes, best, point, rest, self.size2(rest), found)
+        return newton.optimality_by(self.lanes, best, point, rest, self.size2(rest), found)
 
 
-def bordered(lanes: Lanes, unknowns: Unknowns, rows: Rows, best: Forces, plain: Lower) -> Bordered:
+def bordered_hessian(
+    lanes: ContactData, unknowns: Coordinates, rows: TorqueConstraints, best: CandidateForces, plain: Lower
+) -> BorderedMatrix:
     """The curvature of the object's unknowns and of the rates."""
-    bent = dual.bend(lanes, best, rows.map)
+    bent = dual.force_change(lanes, best, rows.map)
     wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(lanes, bent)))  # (6, q, n, B)
     pairs = zip(contact_vec.components(rows.map), contact_vec.components(bent), strict=True)
     # One sum over a stack of both: they share so much work that none should compute it alone.
     sums = jnp.sum(jnp.concatenate([wrench, sum(p[:, None] * q for p, q in pairs)]), 2)
-    return Bordered(plain, -unknowns.wrenches(sums[:6]), sums[6:])
+    return BorderedMatrix(plain, -unknowns.wrenches(sums[:6]), sums[6:])
 
 
-def whole(matrix: Bordered, keep: Array) -> Array:
+def full_matrix(matrix: BorderedMatrix, keep: Array) -> Array:
     """All of a matrix, ``(6 + q, 6 + q, B)``, with zeros in rows and columns of rates that are not kept ``(q, B)``."""
     size = range(6)
     corner = jnp.stack([jnp.concatenate([matrix.plain[max(i, j)][min(i, j)] for j in size]) for i in size])
@@ -240,23 +248,23 @@ def _plus_identity(matrix: Array, factor: Array) -> Array:
     return matrix + factor * jnp.eye(len(matrix), dtype=matrix.dtype)[..., None]
 
 
-def _raised(matrix: Bordered, strength: Array) -> Bordered:
+def _with_identity(matrix: BorderedMatrix, strength: Array) -> BorderedMatrix:
     plain = [[*row[:-1], row[-1] + strength] for row in matrix.plain]
     return matrix._replace(plain=plain, own=_plus_identity(matrix.own, strength))
 
 
-def _off_ridge(torque: Array, rates: Array, bound: Array) -> Array:
+def _gradient_by_rates(torque: Array, rates: Array, bound: Array) -> Array:
     """The gradient by the rates: what a torque is beyond its bound, or short of it where the rate is not zero."""
     return jnp.where(rates == 0, beyond(torque, bound), torque - jnp.sign(rates) * bound)
 
 
-def _solve(matrix: Bordered, right: Array, free: Array) -> Array:
+def _solve(matrix: BorderedMatrix, right: Array, free: Array) -> Array:
     """x with matrix x = right, but zero for the rates that are not free."""
     keep = free.astype(right.dtype)
     right = jnp.concatenate([right[:6], keep * right[6:]])
     size = len(right)
     if size > LARGEST_UNROLLED:
-        return pivoted_ldl.solve(pivoted_ldl.factor(whole(matrix, keep), 0.0), right)
+        return pivoted_ldl.solve(pivoted_ldl.factor(full_matrix(matrix, keep), 0.0), right)
     rows = [list(row) for row in matrix.plain]
     for i in range(len(keep)):
         kept = keep[i : i + 1]

@@ -15,24 +15,24 @@ from jax import Array, lax
 
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.fused_cpu_kernel import one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_chosen
-from jaxgrasp.problem.batch_last import Lanes, Problem, read, squeezing
-from jaxgrasp.problem.scaling import Frame, multiplier_in, normalise, principal
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
+from jaxgrasp.problem.scaling import Scaling, multiplier_to_scaled, normalise, scale_in_principal_axes
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, pseudo_inverse, torque_limits
-from jaxgrasp.solver.coordinates import Unknowns
-from jaxgrasp.solver.guided_motion import whitened
-from jaxgrasp.solver.infeasibility import proof
-from jaxgrasp.solver.newton import Judged, Proximal, ascend
-from jaxgrasp.solver.proximal import begin, full_effort, proximal_search
+from jaxgrasp.solver.coordinates import Coordinates
+from jaxgrasp.solver.guided_motion import whitened_coordinates
+from jaxgrasp.solver.infeasibility import find_certificate
+from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm, maximise
+from jaxgrasp.solver.proximal import careful_pass, initial_state, proximal_search
 from jaxgrasp.solver.pseudo_inverse import Metric
-from jaxgrasp.solver.result import Answer, Joints, Outcome, write
-from jaxgrasp.solver.torque_limits import Limited, Rows
+from jaxgrasp.solver.result import JointResult, PassResult, ScaledResult, to_result
+from jaxgrasp.solver.torque_limits import TorqueConstraints, TorqueLimitedObjective
 
 
-class _Pass(NamedTuple):
+class _TorquePass(NamedTuple):
     """Fast passes with so many limits at a time, those that bind or are broken most."""
 
     width: int
@@ -40,25 +40,25 @@ class _Pass(NamedTuple):
     """Evaluations of each, after which the unfinished are gathered again and choose their limits anew."""
 
 
-FAST = (_Pass(3, (4, 4, 8, 20)), _Pass(6, (10, 30)), _Pass(12, (40,)))
+FAST = (_TorquePass(3, (4, 4, 8, 20)), _TorquePass(6, (10, 30)), _TorquePass(12, (40,)))
 ROUNDING = 4.0
 """Torques may be beyond their limits by so many tolerances of forces."""
 TILE = 32
 CAREFUL_TILE = 16
 
 
-def without_torques(problem: Problem) -> Problem:
+def without_torques(problem: ProblemBatch) -> ProblemBatch:
     """The problem with no limits of torques, so that nothing before them has to carry them about."""
     return eqx.tree_at(lambda p: (p.torque_map, p.torque_max), problem, (None, None), is_leaf=lambda x: x is None)
 
 
-def within_torques(problem: Problem, answer: Answer) -> Answer:
+def within_torques(problem: ProblemBatch, answer: PassResult) -> PassResult:
     """The optimum within the limits of torques, from that without."""
     if problem.torque_map is None or problem.torque_max is None:
         return answer
     nothing = jnp.zeros((problem.size, problem.torque_map.shape[-1]), answer.forces.dtype)
     # A first look at all; what it suspects is looked at closely where it is gathered.
-    torque = torque_limits.of_forces(problem.torque_map, answer.forces, answer.moments)
+    torque = torque_limits.torques_of_forces(problem.torque_map, answer.forces, answer.moments)
     within = jnp.all(jnp.abs(torque) <= problem.torque_max, 1)
     strange = ~jnp.all(jnp.isfinite(torque) & (problem.torque_max >= 0), 1)
     answer = answer._replace(undecided=(_solved(answer) & ~within) | strange)
@@ -68,7 +68,7 @@ def within_torques(problem: Problem, answer: Answer) -> Answer:
     return lax.cond(jnp.any(answer.undecided), partial(_within, problem), lambda answer: answer, answer)
 
 
-def _within(problem: Problem, answer: Answer) -> Answer:
+def _within(problem: ProblemBatch, answer: PassResult) -> PassResult:
     """Pass after pass, for the undecided."""
     nothing = answer.certificate_rates
     assert nothing is not None
@@ -83,14 +83,14 @@ def _within(problem: Problem, answer: Answer) -> Answer:
     return over_chosen(_careful_tile, problem, answer, answer.undecided, CAREFUL_TILE)
 
 
-def _solved(answer: Answer) -> Array:
+def _solved(answer: PassResult) -> Array:
     return (answer.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (answer.verdict == Verdict.OPTIMAL)
 
 
-def _fast(problem: Problem, answer: Answer, passes: _Pass) -> Answer:
+def _fast(problem: ProblemBatch, answer: PassResult, passes: _TorquePass) -> PassResult:
     """Newton's method for the undecided, as far as it gets."""
 
-    def newton(stage: Array, answer: Answer) -> Answer:
+    def newton(stage: Array, answer: PassResult) -> PassResult:
         tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[stage])
         return over_chosen(tile, problem, answer, answer.undecided, TILE)
 
@@ -98,34 +98,34 @@ def _fast(problem: Problem, answer: Answer, passes: _Pass) -> Answer:
     return lax.fori_loop(0, len(passes.steps), newton, answer)
 
 
-def _excess(problem: Problem, answer: Answer) -> Array:
+def _excess(problem: ProblemBatch, answer: PassResult) -> Array:
     """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it.
 
     Of a cleaned problem.
     """
     assert problem.torque_map is not None and problem.torque_max is not None
-    torque = torque_limits.of_forces(problem.torque_map, answer.forces, answer.moments)
+    torque = torque_limits.torques_of_forces(problem.torque_map, answer.forces, answer.moments)
     # Forces are known to what rounds the largest of them.
     size = jnp.sum(jnp.abs(problem.torque_map), (1, 2)) * jnp.max(jnp.abs(answer.forces), (1, 2))[:, None]
     beyond = jnp.abs(torque) - problem.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
 
-def _settled(problem: Problem, prior: Answer, excess: Array, valid: Array) -> Array:
+def _settled(problem: ProblemBatch, prior: PassResult, excess: Array, valid: Array) -> Array:
     """Problems that no limit concerns after all."""
     unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~_solved(prior)
     return valid[0] & (unsolved | (_solved(prior) & ~jnp.any(excess > 0, 1)))
 
 
-def _merge(settled: Array, prior: Answer, answer: Answer) -> Answer:
+def _merge(settled: Array, prior: PassResult, answer: PassResult) -> PassResult:
     prior = prior._replace(undecided=jnp.zeros_like(settled))
     return jax.tree.map(
         lambda old, new: jnp.where(jnp.expand_dims(settled, range(1, old.ndim)), old, new), prior, answer
     )
 
 
-def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Answer:
-    lanes, valid = read(problem)
+def _fast_tile(problem: ProblemBatch, prior: PassResult, width: int, limit: Array) -> PassResult:
+    lanes, valid = to_batch_last(problem)
     valid = valid & torque_limits.usable(problem)[None]
     problem = torque_limits.cleaned(problem)
     lanes, frame = normalise(lanes)
@@ -133,35 +133,37 @@ def _fast_tile(problem: Problem, prior: Answer, width: int, limit: Array) -> Ans
     excess = _excess(problem, prior)
     settled = _settled(problem, prior, excess, valid)
     chosen = _choose(excess, prior, width)
-    hill = Limited(lanes, unknowns, metric, torque_limits.rows_of(problem, lanes, frame, chosen))
-    start = unknowns.recover(*multiplier_in(prior.multiplier, frame))
+    hill = TorqueLimitedObjective(
+        lanes, unknowns, metric, torque_limits.torque_constraints(problem, lanes, frame, chosen)
+    )
+    start = unknowns.recover(*multiplier_to_scaled(prior.multiplier, frame))
     known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * frame.weight / frame.load
-    ascent = ascend(hill, jnp.concatenate([start, vec3.safe_divide(known, hill.rows.scale)]), ill, limit)
+    ascent = maximise(hill, jnp.concatenate([start, vec3.safe_divide(known, hill.rows.scale)]), ill, limit)
     best, good, _ = hill.judge(ascent.point)
     good = good & ~ill
     rates = jnp.sum(chosen * (hill.rows.scale * ascent.point[6:]).T[..., None], 1)
-    outcome = Outcome(
+    outcome = ScaledResult(
         forces=best,
         multiplier=ascent.point[:6],
         verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
         steps=ascent.steps + prior.steps[None],
         certificate=jnp.zeros_like(start),
         undecided=~good,
-        joints=Joints(torque_limits.pull(hill.rows, ascent.point[6:]), rates.T, 0 * rates.T),
+        joints=JointResult(torque_limits.velocities_by_joints(hill.rows, ascent.point[6:]), rates.T, 0 * rates.T),
     )
-    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
+    answer = to_result(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
     # Limits that were not chosen may be broken now.
     undecided = (answer.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(problem, answer) > 0, 1)
     return _merge(settled, prior, answer._replace(undecided=undecided & valid[0], certificate_rates=None))
 
 
-def _binding(answer: Answer) -> Array:
+def _binding(answer: PassResult) -> Array:
     assert answer.torque_multiplier is not None
     return answer.torque_multiplier
 
 
-@one_kernel
-def _choose(excess: Array, prior: Answer, width: int) -> Array:
+@fused_cpu_kernel
+def _choose(excess: Array, prior: PassResult, width: int) -> Array:
     """The limits that bind already, and those that are broken most: a 1 for each at its joint ``(B, width, j)``.
 
     By sums with ones and zeros, since sorting and gathering take longer for so few.
@@ -174,45 +176,45 @@ def _choose(excess: Array, prior: Answer, width: int) -> Array:
     return jnp.stack(chosen, 1)
 
 
-class _Ground(NamedTuple):
+class _TorqueLimitedProblem(NamedTuple):
     """Whitened lanes with limits."""
 
-    lanes: Lanes
-    frame: Frame
-    unknowns: Unknowns
+    lanes: ContactData
+    frame: Scaling
+    unknowns: Coordinates
     metric: Metric
-    rows: Rows
+    rows: TorqueConstraints
 
-    def pulled(self, proximal: Proximal | None = None) -> Limited:
-        return Limited(self.lanes, self.unknowns, self.metric, self.rows, proximal)
+    def pulled(self, proximal: ProximalTerm | None = None) -> TorqueLimitedObjective:
+        return TorqueLimitedObjective(self.lanes, self.unknowns, self.metric, self.rows, proximal)
 
-    def judge(self, point: Array) -> Judged:
+    def judge(self, point: Array) -> OptimalityCheck:
         return self.pulled().judge(point)
 
     def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
         forces = self.pulled().forces(point).forces
         beyond = torque_limits.beyond(torque_limits.torques(self.rows, forces), self.rows.bound)
         rest = jnp.concatenate([dual.residual(self.lanes, forces, self.unknowns), beyond])
-        return proof(self.lanes, self.frame, self.unknowns, rest, point - before, self.rows)
+        return find_certificate(self.lanes, self.frame, self.unknowns, rest, point - before, self.rows)
 
 
-def _careful_tile(problem: Problem, prior: Answer) -> Answer:
-    lanes, valid = read(problem)
+def _careful_tile(problem: ProblemBatch, prior: PassResult) -> PassResult:
+    lanes, valid = to_batch_last(problem)
     valid = valid & torque_limits.usable(problem)[None]
     problem = torque_limits.cleaned(problem)
-    lanes, frame = principal(lanes)
-    metric, unknowns = whitened(problem, lanes, frame)
-    rows = torque_limits.rows_of(problem, lanes, frame, None)
+    lanes, frame = scale_in_principal_axes(lanes)
+    metric, unknowns = whitened_coordinates(problem, lanes, frame)
+    rows = torque_limits.torque_constraints(problem, lanes, frame, None)
     start = jnp.zeros((6 + len(rows.bound), problem.size), rows.bound.dtype)
     undecided = jnp.zeros((1, problem.size), bool)
-    begun = begin(start, squeezing(lanes), undecided + Verdict.NOT_CONVERGED, undecided)
-    found = proximal_search(_Ground(lanes, frame, unknowns, metric, rows), begun, full_effort())
-    joints = Joints(
-        pull=torque_limits.pull(rows, found.point[6:]),
+    begun = initial_state(start, squeezing_forces(lanes), undecided + Verdict.NOT_CONVERGED, undecided)
+    found = proximal_search(_TorqueLimitedProblem(lanes, frame, unknowns, metric, rows), begun, careful_pass())
+    joints = JointResult(
+        pull=torque_limits.velocities_by_joints(rows, found.point[6:]),
         multiplier=rows.scale * found.point[6:],
         rates=rows.scale * found.certificate[6:],
     )
-    outcome = Outcome(
+    outcome = ScaledResult(
         found.forces,
         found.point[:6],
         found.verdict,
@@ -221,5 +223,5 @@ def _careful_tile(problem: Problem, prior: Answer) -> Answer:
         undecided,
         joints,
     )
-    answer = write(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
+    answer = to_result(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
     return _merge(_settled(problem, prior, _excess(problem, prior), valid), prior, answer)

@@ -16,32 +16,32 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.numerics.zero_tangent import still
-from jaxgrasp.problem.batch_last import Problem
+from jaxgrasp.numerics.zero_tangent import zero_tangent
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import by_optimistix, derivative, passes
-from jaxgrasp.solver.result import Answer
+from jaxgrasp.solver.result import PassResult
 
 PER_WRENCH = ("wrench", "start")
 """What each of many wrenches that share a grasp has of its own."""
 
 
 @cache
-def solver(constrained: bool, given: Any = None) -> Callable[[Problem], Solution]:
+def solver(constrained: bool, given: Any = None) -> Callable[[ProblemBatch], Solution]:
     """The differentiable flat solver of one method; of the optimum, by a ``given`` solver from outside too."""
-    solve = _route(constrained, given)
+    solve = _passes(constrained, given)
     alone = _differentiable(lambda problem: (solve(problem),), (constrained,))
     return lambda problem: alone(problem)[0]
 
 
 @cache
-def both() -> Callable[[Problem], tuple[Solution, ...]]:
+def closed_form_and_optimum() -> Callable[[ProblemBatch], tuple[Solution, ...]]:
     """Closed form and optimum by one solver, which does their common work once."""
     return _differentiable(passes.solve_both, (False, True))
 
 
 def _differentiable(
-    solve: Callable[[Problem], tuple[Answer, ...]], constrained: tuple[bool, ...]
-) -> Callable[[Problem], tuple[Solution, ...]]:
+    solve: Callable[[ProblemBatch], tuple[PassResult, ...]], constrained: tuple[bool, ...]
+) -> Callable[[ProblemBatch], tuple[Solution, ...]]:
     flat = _batched(solve)
     outer = jax.custom_jvp(flat)
 
@@ -55,21 +55,21 @@ def _differentiable(
     return outer
 
 
-def _route(constrained: bool, given: Any) -> Callable[[Problem], Answer]:
+def _passes(constrained: bool, given: Any) -> Callable[[ProblemBatch], PassResult]:
     if given is not None:
         return partial(by_optimistix.solve_optimum, given)
     return passes.solve_optimum if constrained else passes.solve_closed
 
 
-def _batched(solve: Callable[[Problem], tuple[Answer, ...]]) -> Callable[[Problem], tuple[Solution, ...]]:
+def _batched(solve: Callable[[ProblemBatch], tuple[PassResult, ...]]) -> Callable[[ProblemBatch], tuple[Solution, ...]]:
     names = Solution.__dataclass_fields__
 
     @custom_vmap
-    def flat(problem: Problem) -> tuple[Solution, ...]:
+    def flat(problem: ProblemBatch) -> tuple[Solution, ...]:
         return tuple(Solution(**{name: getattr(answer, name) for name in names}) for answer in solve(problem))
 
     @flat.def_vmap
-    def rule(axis_size: int, in_batched, problem: Problem):
+    def rule(axis_size: int, in_batched, problem: ProblemBatch):
         (batched,) = in_batched
         merged, size = _merge(axis_size, batched, problem)
         split = jax.tree.map(lambda x: x.reshape(axis_size, size, *x.shape[1:]), flat(merged))
@@ -78,10 +78,10 @@ def _batched(solve: Callable[[Problem], tuple[Answer, ...]]) -> Callable[[Proble
     return flat
 
 
-def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem, int]:
+def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tuple[ProblemBatch, int]:
     """The problem with its mapped axis merged into the batch, and the size that each mapped element had."""
     size = problem.wrench.shape[1 if batched.wrench else 0]
-    contacts = [field.name for field in fields(Problem) if field.name not in PER_WRENCH]
+    contacts = [field.name for field in fields(ProblemBatch) if field.name not in PER_WRENCH]
     shared = not any(jax.tree.leaves([getattr(batched, name) for name in contacts])) and problem.points.shape[0] == 1
 
     def merge(array: Array, is_batched: bool) -> Array:
@@ -92,12 +92,12 @@ def _merge(axis_size: int, batched: Problem, problem: Problem) -> tuple[Problem,
     merged = jax.tree.map(merge, problem, batched)
     if shared:
         own = {name: getattr(problem, name) for name in contacts}
-        merged = Problem(**own, **{name: getattr(merged, name) for name in PER_WRENCH})
+        merged = ProblemBatch(**own, **{name: getattr(merged, name) for name in PER_WRENCH})
     return merged, size
 
 
 def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution:
     """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers."""
-    names, unmoved = Solution.__dataclass_fields__, jax.tree.map(still, solution)
+    names, unmoved = Solution.__dataclass_fields__, jax.tree.map(zero_tangent, solution)
     leaves = [getattr(parts, name) if hasattr(parts, name) else getattr(unmoved, name) for name in names]
     return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])

@@ -10,25 +10,25 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import Lanes, Problem, read, squeezing
-from jaxgrasp.problem.contact_vec import Four
-from jaxgrasp.problem.scaling import Frame, principal
-from jaxgrasp.problem.spatial import Six
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.scaling import Scaling, scale_in_principal_axes
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, reach
-from jaxgrasp.solver.coordinates import unstretched
+from jaxgrasp.solver.coordinates import plain_axes
 
 
-class Bare(NamedTuple):
+class UnsharedProblem(NamedTuple):
     """Lanes whose contacts can all move, with one weight, or carry nothing; and hold nothing."""
 
-    lanes: Lanes
-    frame: Frame
+    lanes: ContactData
+    frame: Scaling
     valid: Array
 
 
-class Limit(NamedTuple):
+class BoundaryPoint(NamedTuple):
     """What bounds an answer, batch-first in the user's units and axes."""
 
     centre: Array
@@ -43,39 +43,44 @@ class Limit(NamedTuple):
     """``(B, n)``: moments likewise; None where all contacts are hard."""
 
 
-class _Touch(NamedTuple):
+class _SupportingTwist(NamedTuple):
     """How the contacts touch the hyperplane that bounds what is in reach."""
 
-    normal: Six
+    normal: SpatialVec
     press: Array
-    lean: Four
+    lean: ContactVec
 
 
-def bare(problem: Problem) -> Bare:
+def without_sharing(problem: ProblemBatch) -> UnsharedProblem:
     """A problem's lanes for questions of reach; what contacts of weight zero hold is taken off the load."""
-    lanes, valid = read(problem)
+    lanes, valid = to_batch_last(problem)
     can_move = lanes.weights > 0
     weights = can_move.astype(lanes.weights.dtype)
     lanes = lanes._replace(weights=weights, squeeze=jnp.where(can_move, 0, lanes.squeeze))
-    lanes, frame = principal(lanes)
-    load = dual.residual(lanes, squeezing(lanes), unstretched(lanes.force.x))
-    return Bare(loaded(lanes, load), frame, valid & frame.sound)
+    lanes, frame = scale_in_principal_axes(lanes)
+    load = dual.residual(lanes, squeezing_forces(lanes), plain_axes(lanes.force.x))
+    return UnsharedProblem(with_wrench(lanes, load), frame, valid & frame.sound)
 
 
-def loaded(lanes: Lanes, wrench: Six) -> Lanes:
+def with_wrench(lanes: ContactData, wrench: SpatialVec) -> ContactData:
     """The lanes under another wrench, and nothing held."""
     force, torque = spatial.parts(wrench)
     return lanes._replace(squeeze=0 * lanes.squeeze, force=force, torque=torque)
 
 
-def limit_of(there: Bare, last: Lanes, before: Lanes, path: reach.Path, size: Array) -> Limit:
+def boundary_point(
+    there: UnsharedProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
+) -> BoundaryPoint:
     """What a path of multipliers leads to, in the user's axes and units; ``size`` is that of a unit of its answer.
 
     ``last`` and ``before`` are the lanes as they were at the path's last two prices. The touch is that at the last
     price, less the error that falls with the price.
     """
     share = vec3.safe_divide(path.price_before, path.price - path.price_before)
-    now, then = _touch(last, path.point, path.price), _touch(before, path.point_before, path.price_before)
+    now, then = (
+        _supporting_twist(last, path.point, path.price),
+        _supporting_twist(before, path.point_before, path.price_before),
+    )
     normal = now.normal + share * (now.normal - then.normal)
     press = now.press + share * (now.press - then.press)
     lean = contact_vec.add(now.lean, contact_vec.scale(share, contact_vec.sub(now.lean, then.lean)))
@@ -84,31 +89,31 @@ def limit_of(there: Bare, last: Lanes, before: Lanes, path: reach.Path, size: Ar
     linear, angular = spatial.parts(vec3.safe_divide(normal, size))
     linear = vec3.rotate_back(frame.axes, linear)
     angular = vec3.rotate_back(frame.axes, vec3.scale(1 / frame.length, angular))
-    return Limit(
+    return BoundaryPoint(
         centre=jnp.concatenate([c * one for c in frame.centre]).T,
-        normal=spatial.six(linear, angular).T,
+        normal=spatial.join(linear, angular).T,
         press=(frame.load * press * one).T,
         lean=jnp.stack([c * one for c in vec3.rotate_back(frame.axes, lean.linear)]).transpose(2, 1, 0),
         twirl=None if lean.spin is None else (lean.spin * one).T,
     )
 
 
-def _touch(lanes: Lanes, point: Six, price: Array) -> _Touch:
-    best = dual.best_forces(lanes, point, unstretched(price))
+def _supporting_twist(lanes: ContactData, point: SpatialVec, price: Array) -> _SupportingTwist:
+    best = dual.candidate_forces(lanes, point, plain_axes(price))
     sides = best.sides
     used = jnp.where(sides.inside, vec3.safe_divide(sides.size, lanes.friction * sides.along), 1)
     press = vec3.dot(best.forces.linear, lanes.normals)
-    return _Touch(vec3.safe_divide(point, price), press, contact_vec.scale(used, sides.tangent))
+    return _SupportingTwist(vec3.safe_divide(point, price), press, contact_vec.scale(used, sides.tangent))
 
 
-def work_along(problem: Problem, wrench: Array, limit: Limit) -> Array:
+def work_along(problem: ProblemBatch, wrench: Array, limit: BoundaryPoint) -> Array:
     """normal.(G f - wrench) of each problem ``(B,)``, the tangential forces turning with the cones.
 
     It is zero at the limit; its derivative by the problem and the wrench ``(B, 6)`` is how the answer moves.
     """
-    lanes, _ = read(problem)
-    centre, lean = (Vec(*jnp.moveaxis(a, -1, 0)) for a in (limit.centre, limit.lean))
-    centre, lean = Vec(*(c[None] for c in centre)), Vec(*(c.T for c in lean))
+    lanes, _ = to_batch_last(problem)
+    centre, lean = (Vec3(*jnp.moveaxis(a, -1, 0)) for a in (limit.centre, limit.lean))
+    centre, lean = Vec3(*(c[None] for c in centre)), Vec3(*(c.T for c in lean))
     linear, angular = spatial.parts(limit.normal.T)
     velocity = vec3.add(linear, vec3.cross(angular, vec3.sub(lanes.arms, centre)))
     along = vec3.dot(velocity, lanes.normals)

@@ -16,7 +16,7 @@ from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
-from jaxgrasp.batch.stream import Plan, evaluate_stream
+from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.solution import Verdict
@@ -127,8 +127,8 @@ def read_results(folder):
     return manifest, [np.load(folder / entry["file"], allow_pickle=False) for entry in manifest["shards"]]
 
 
-def plan(**changes) -> Plan:
-    return Plan(chunk=16, **changes)
+def plan(**changes) -> StreamPlan:
+    return StreamPlan(chunk=16, **changes)
 
 
 def streamed(sets, folder, resume=False, **changes):

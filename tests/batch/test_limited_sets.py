@@ -12,7 +12,7 @@ from jaxgrasp.batch import blocks
 from jaxgrasp.batch.contact_sets import OPTIONAL_FIELDS, ContactSets
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, MemorySource
-from jaxgrasp.batch.stream import Plan, evaluate_stream
+from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
 from jaxgrasp.cli.main import main
 from jaxgrasp.model.limits import BOUNDS
 
@@ -119,7 +119,7 @@ def test_evaluations_are_those_of_the_plain_functions(uneven, results):
 
 @pytest.mark.slow
 def test_streams_write_moments_and_multipliers(uneven, results, tmp_path):
-    plan, source = Plan(methods=METHODS, chunk=COUNT), MemorySource(uneven)
+    plan, source = StreamPlan(methods=METHODS, chunk=COUNT), MemorySource(uneven)
     folder = ResultFolder(tmp_path, plan.identity("data", source), resume=False)
     evaluate_stream(source, plan, folder)
     with np.load(tmp_path / "results.npz") as stored:

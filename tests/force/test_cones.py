@@ -7,7 +7,7 @@ import pytest
 
 from jaxgrasp.numerics import vec3
 from jaxgrasp.problem import contact_vec, friction_cone
-from jaxgrasp.problem.contact_vec import Four
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.friction_cone import Cone
 
 COUNT = 2000
@@ -16,8 +16,8 @@ COUNT = 2000
 def projected(u, normal, friction):
     """Projections ``(B, 3)``, their normal parts, and the sizes of their tangential ones."""
     cone = Cone(vec3.from_axis(normal, -1), friction)
-    target = Four(vec3.from_axis(u, -1))
-    force = friction_cone.project(target, cone, friction_cone.split(target, cone)).linear
+    target = ContactVec(vec3.from_axis(u, -1))
+    force = friction_cone.project(target, cone, friction_cone.cone_side(target, cone)).linear
     along = vec3.dot(force, cone.normal)
     across = vec3.sub(force, vec3.scale(along, cone.normal))
     return jnp.stack(force, -1), along, vec3.norm(across)
@@ -68,7 +68,7 @@ def test_two_lengths_at_the_surface_are_told_apart_without_a_root():
     """A length of exactly zero lies inside, however a root of it would be compiled."""
     normal = jnp.tile(jnp.asarray([0.0, 0.0, 1.0]), (3, 1))
     u, friction = jnp.asarray([[0, 0, 1.0], [0, 0, 0.0], [0, 0, -1.0]]), jnp.full(3, 0.5)
-    target = Four(vec3.from_axis(u, -1))
-    sides = friction_cone.split(target, Cone(vec3.from_axis(normal, -1), friction))
+    target = ContactVec(vec3.from_axis(u, -1))
+    sides = friction_cone.cone_side(target, Cone(vec3.from_axis(normal, -1), friction))
     assert sides.inside.tolist() == [True, True, False] and sides.polar.tolist() == [False, False, True]
     assert contact_vec.norm(target).tolist() == [1, 0, 1]

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.network.link import LARGEST, MOST, Link
+from jaxgrasp.glove.network.link import LARGEST, MOST, NetworkLink
 from jaxgrasp.glove.network.messages import Exchange, length_of
 from jaxgrasp.glove.protocol.cobs import stuff
 
@@ -88,8 +88,8 @@ def test_any_bytes_are_survived(data):
 
 @pytest.mark.parametrize("transport", ["udp", "tcp"])
 def test_sockets(transport):
-    server = Link("127.0.0.1", 0, SIZE, listens=True, transport=transport, oldest=0.5)
-    client = Link("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
+    server = NetworkLink("127.0.0.1", 0, SIZE, listens=True, transport=transport, oldest=0.5)
+    client = NetworkLink("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
 
     def talk(until, seconds: float = 10.0) -> None:
         start = time.monotonic()
@@ -108,17 +108,17 @@ def test_sockets(transport):
     client.close()
     time.sleep(0.6)
     assert heard(server) is None, "what it heard is too old"
-    client = Link("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
+    client = NetworkLink("127.0.0.1", server.port, SIZE, transport=transport, oldest=0.5)
     talk(both)
     server.close()
-    server = Link("127.0.0.1", client.port, SIZE, listens=True, transport=transport, oldest=0.5)
+    server = NetworkLink("127.0.0.1", client.port, SIZE, listens=True, transport=transport, oldest=0.5)
     talk(both)
     server.close()
     client.close()
 
 
 def test_a_flood_does_not_keep_the_loop():
-    server = Link("127.0.0.1", 0, SIZE, listens=True, transport="tcp")
+    server = NetworkLink("127.0.0.1", 0, SIZE, listens=True, transport="tcp")
     flood = socket.create_connection(("127.0.0.1", server.port))
     for _ in range(3):
         server.receive(0.0)
@@ -139,8 +139,8 @@ def test_a_flood_does_not_keep_the_loop():
 
 
 def test_answers_go_only_to_who_is_understood():
-    server = Link("127.0.0.1", 0, SIZE, listens=True, oldest=0.5)
-    client = Link("127.0.0.1", server.port, SIZE, oldest=0.5)
+    server = NetworkLink("127.0.0.1", 0, SIZE, listens=True, oldest=0.5)
+    client = NetworkLink("127.0.0.1", server.port, SIZE, oldest=0.5)
     stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     for k in range(20):
         client.send(0.001 * k, np.ones(SIZE))
@@ -167,4 +167,4 @@ def test_answers_go_only_to_who_is_understood():
 )
 def test_bad_settings(unchecked, change, message):
     with pytest.raises(ValueError, match=message):
-        Link(**{"host": "127.0.0.1", "port": 0, "size_in": SIZE, "listens": True, **change})
+        NetworkLink(**{"host": "127.0.0.1", "port": 0, "size_in": SIZE, "listens": True, **change})

@@ -13,7 +13,7 @@ from jaxgrasp.glove.loop.rendering import Rendering
 from jaxgrasp.glove.loop.slot import Slot
 from jaxgrasp.glove.loop.tick_times import EDGES, TickTimes
 from jaxgrasp.glove.model import lrp_hand_master
-from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.cable import Cable
 from jaxgrasp.glove.simulated.virtual_glove import HeldPeer, VirtualGlove
@@ -176,9 +176,9 @@ def test_peers_by_slots_and_by_a_link(folder):
 def test_peers_by_a_link():
     """Times become ages and times again, on clocks that differ; a law that was old when it was sent stays so."""
     angles = np.linspace(0.1, 1.4, 14)
-    link = Link("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=1.0)
+    link = NetworkLink("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=1.0)
     there = LinkPeer(link, 14)
-    engine = EngineLink(Link("127.0.0.1", link.port, GloveState.size(14), oldest=1.0), 14)
+    engine = EngineLink(NetworkLink("127.0.0.1", link.port, GloveState.size(14), oldest=1.0), 14)
     for k in range(300):
         # The engine's clock is another, and the glove's is a large number.
         here, now = 77.0 + 0.001 * k, 1.0e7 + 0.001 * k
@@ -198,8 +198,8 @@ def test_peers_by_a_link():
 
 
 def test_an_engine_calls_again_when_its_glove_was_started_anew():
-    first = Link("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=0.2)
-    engine = EngineLink(Link("127.0.0.1", first.port, GloveState.size(14), oldest=0.2), 14)
+    first = NetworkLink("127.0.0.1", 0, TorqueLaw.size(14), listens=True, oldest=0.2)
+    engine = EngineLink(NetworkLink("127.0.0.1", first.port, GloveState.size(14), oldest=0.2), 14)
 
     def talk(glove: LinkPeer, start: float, seconds: float) -> int:
         heard = 0
@@ -215,7 +215,7 @@ def test_an_engine_calls_again_when_its_glove_was_started_anew():
 
     assert talk(LinkPeer(first, 14), 0.0, 1.0) > 150
     first.close()
-    again = Link("127.0.0.1", first.port, TorqueLaw.size(14), listens=True, oldest=0.2)
+    again = NetworkLink("127.0.0.1", first.port, TorqueLaw.size(14), listens=True, oldest=0.2)
     assert talk(LinkPeer(again, 14), 1.0, 2.0) > 200
     again.close()
     engine.close()

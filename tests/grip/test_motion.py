@@ -7,7 +7,7 @@ import pytest
 
 from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
 from jaxgrasp.hand import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
-from jaxgrasp.numerics.vec3 import Vec
+from jaxgrasp.numerics.vec3 import Vec3
 from tests.hand.hands import random_posture, rotations
 
 SOLIDS = [Sphere(0.04), Box(0.05, 0.08, 0.03), Cylinder(0.03, 0.1), Capsule(0.02, 0.06)]
@@ -50,7 +50,7 @@ def test_support_and_moments_are_those_of_the_solid(shape):
     inside = cloud[np.asarray(signed_distance(shape, cloud)[0]) < 0]
     for direction in rotations(3, RNG)[:, 0]:
         furthest = (inside @ direction).max()
-        reach = float(shape._support(Vec(*jnp.asarray(direction))))
+        reach = float(shape._support(Vec3(*jnp.asarray(direction))))
         assert furthest <= reach < furthest + 2.5e-3
     squares = (inside**2).mean(0)
     expected = squares.sum() - squares
@@ -69,7 +69,7 @@ def test_a_table_lifts_what_sinks_into_it_and_leaves_the_rest(shape):
     turn = rotations(1, RNG)[0]
     sunk, stopped, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.01]), turn), motion)
     assert bool(stands) and not np.any(stopped.linear) and not np.any(stopped.angular)
-    assert float(sunk.origin[2]) == pytest.approx(float(shape._support(Vec(*jnp.asarray(-turn[2])))), rel=1e-12)
+    assert float(sunk.origin[2]) == pytest.approx(float(shape._support(Vec3(*jnp.asarray(-turn[2])))), rel=1e-12)
     free, kept, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.2]), turn), motion)
     assert not bool(stands) and float(kept.linear[2]) == -1.0
     np.testing.assert_array_equal(free.origin, [0.3, 0, 0.2])

@@ -31,7 +31,7 @@ from jaxgrasp.hand import (
 )
 from jaxgrasp.hand.descent import try_all
 from jaxgrasp.hand.filling import filling_error
-from jaxgrasp.hand.mesh import Surface
+from jaxgrasp.hand.mesh import MeshSurface
 from tests.hand.hands import random_posture, rotations
 
 HAND = human_hand()
@@ -100,7 +100,7 @@ def test_no_hole_is_left_inside(make):
     points = np.random.default_rng(0).uniform(low, high, (6000, 3))
     for levels in (4, 5):
         cell = (high - low).max() / 2**levels
-        inside = points[Surface(mesh, 2 * cell).nearest(points).distance < -0.5 * cell]
+        inside = points[MeshSurface(mesh, 2 * cell).nearest(points).distance < -0.5 * cell]
         distance, _ = signed_distance(sphere_tree(mesh, levels), inside)
         assert len(inside) > 1000 and np.max(distance) < 0.1 * cell
 
@@ -291,7 +291,7 @@ def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone
 def test_a_meshs_surface_is_found_exactly(make):
     mesh = check_mesh(make())
     points = np.random.default_rng(0).uniform(-0.06, 0.06, (500, 3))
-    near = Surface(mesh, 0.01).nearest(points)
+    near = MeshSurface(mesh, 0.01).nearest(points)
     triangles = mesh.vertices[mesh.faces]
     feet = trimesh.triangles.closest_point(
         np.repeat(triangles, len(points), 0), np.tile(points, (len(triangles), 1))

@@ -7,9 +7,9 @@ from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError, Limits
 from jaxgrasp.literature import MethodStatus, cheng_orin, kerr_roth, orin_oh
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
-from jaxgrasp.literature.host_problem import posed
-from jaxgrasp.literature.linear import Program, solve_plain
-from jaxgrasp.literature.method_input import read
+from jaxgrasp.literature.host_problem import host_problem
+from jaxgrasp.literature.linear import LinearProgram, solve_plain
+from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
 
 COUNT, N, SIDES, MOST = 10, 4, 6, 200.0
@@ -196,13 +196,13 @@ def test_the_compact_dual_knows_unbounded_from_infeasible():
     rng = np.random.default_rng(0)
     equal, inside = rng.normal(size=(2, 5)), rng.normal(size=5)
     rows = rng.normal(size=(3, 5))
-    falling = Program(rng.normal(size=5), equal, equal @ inside, rows, rows @ inside + 1)
+    falling = LinearProgram(rng.normal(size=5), equal, equal @ inside, rows, rows @ inside + 1)
     cases = [(falling, MethodStatus.UNBOUNDED)]
     apart = falling._replace(rows=np.stack([rows[0], -rows[0]]), bounds=np.array([-1.0, -1.0]))
     cases.append((apart, MethodStatus.INFEASIBLE))
     twice = falling._replace(equal=np.stack([equal[0], equal[0]]), right=np.array([0.0, 1.0]))
     cases.append((twice, MethodStatus.INFEASIBLE))
-    fixed = Program(rng.normal(size=5), np.eye(5), inside, rows, rows @ inside - 1)
+    fixed = LinearProgram(rng.normal(size=5), np.eye(5), inside, rows, rows @ inside - 1)
     cases.append((fixed, MethodStatus.INFEASIBLE))
     cases.append((fixed._replace(bounds=rows @ inside + 1), MethodStatus.SOLVED))
     boxed = falling._replace(rows=np.concatenate([np.eye(5), -np.eye(5)]), bounds=np.full(10, 10.0))
@@ -223,7 +223,7 @@ def test_the_compact_dual_has_few_rows():
     """3n - 6 free forces and the largest normal force; a column for each inequality."""
     for n in (3, 5, 10):
         problem = P.problems("ordinary", n, 1, seed=0)
-        program = load_program(posed(read(grasp_of(problem), problem.wrench), 0), 1.0, 1.0, 8, "inscribed")
+        program = load_program(host_problem(read_input(grasp_of(problem), problem.wrench), 0), 1.0, 1.0, 8, "inscribed")
         plain, dual = sizes_of(program)
         assert plain[:2] == (6 + 10 * n, 3 * n + 1) and dual[:2] == (3 * n - 5, 10 * n)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.numerics.compiled_code import is_known_xla
-from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, one_kernel
+from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel
 
 known = pytest.mark.skipif(not is_known_xla(), reason="a version or a device on which there are no such kernels")
 
@@ -25,7 +25,7 @@ def walk(x, terms, count, *, mirrored=False):
     return {"end": moved, "way": moved - x, "far": jnp.sum(moved * moved) > 3}
 
 
-kernel = one_kernel(walk)
+kernel = fused_cpu_kernel(walk)
 POINTS = jnp.asarray(np.random.default_rng(0).normal(size=(4, 16)))
 TERMS = {"scale": jnp.asarray(0.3), "shift": jnp.linspace(-0.1, 0.1, 16)}
 
@@ -68,7 +68,7 @@ def test_mapped_and_differentiated_it_is_the_function_itself():
 @known
 def test_arguments_that_nothing_depends_on_are_no_harm():
     """XLA ends the process where a kernel leaves an argument unread."""
-    idle = one_kernel(lambda x, y, z: (x * 0 * 2, jnp.zeros_like(y), z - z))
+    idle = fused_cpu_kernel(lambda x, y, z: (x * 0 * 2, jnp.zeros_like(y), z - z))
     given = (POINTS, jnp.arange(3), jnp.asarray(True) | (jnp.arange(2) > 0) * 1)
     assert small_calls(idle, *given) == 1
     assert all(not np.any(x) for x in jax.jit(idle)(*given))
@@ -87,8 +87,8 @@ def test_arguments_that_nothing_depends_on_are_no_harm():
     ],
 )
 def test_what_it_cannot_hold_stays_as_it_is(foreign):
-    assert small_calls(one_kernel(foreign), POINTS) == 0
-    np.testing.assert_allclose(jax.jit(one_kernel(foreign))(POINTS), foreign(POINTS), rtol=1e-12)
+    assert small_calls(fused_cpu_kernel(foreign), POINTS) == 0
+    np.testing.assert_allclose(jax.jit(fused_cpu_kernel(foreign))(POINTS), foreign(POINTS), rtol=1e-12)
 
 
 def test_arrays_without_elements():
@@ -98,6 +98,6 @@ def test_arrays_without_elements():
 
 @known
 def test_one_may_call_another():
-    outer = one_kernel(lambda x: kernel(kernel(x, TERMS, 1)["end"], TERMS, 2)["end"])
+    outer = fused_cpu_kernel(lambda x: kernel(kernel(x, TERMS, 1)["end"], TERMS, 2)["end"])
     asked = walk(walk(POINTS, TERMS, 1)["end"], TERMS, 2)["end"]
     np.testing.assert_allclose(jax.jit(outer)(POINTS), asked, rtol=1e-12)

@@ -9,7 +9,7 @@ from scipy.stats import linregress, norm
 from jaxgrasp.paper.tables import REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import JND
 from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.signal_detection import sensitivity
+from jaxgrasp.psychophysics.analysis.signal_detection import detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import threshold
 from jaxgrasp.psychophysics.analysis.weber import weber, weber_line
 from jaxgrasp.psychophysics.observer import Observer
@@ -18,7 +18,7 @@ from jaxgrasp.psychophysics.observer import Observer
 @pytest.mark.parametrize("share", [0.55, 0.75, 0.9])
 def test_d_prime_without_bias_is_that_of_the_share(share):
     trials = 1000
-    found = sensitivity(round(share * trials), trials, round(share * trials), trials)
+    found = detection_sensitivity(round(share * trials), trials, round(share * trials), trials)
     assert found.d_prime == pytest.approx(math.sqrt(2) * norm.ppf(share)) and found.lean == pytest.approx(0)
     assert found.low < found.d_prime < found.high and not found.corrected
 
@@ -30,21 +30,21 @@ def test_a_lean_is_no_sensitivity():
     found = []
     for one in sure:
         after, before = one.second_probability(1.0, 1.2), 1 - one.second_probability(1.2, 1.0)
-        found.append(sensitivity(round(before * trials), trials, round(after * trials), trials))
+        found.append(detection_sensitivity(round(before * trials), trials, round(after * trials), trials))
     d_primes = [one.d_prime for one in found]
     np.testing.assert_allclose(d_primes, d_primes[1], rtol=1e-4)
     assert found[0].lean < -0.1 and abs(found[1].lean) < 1e-4 and found[2].lean > 0.1
 
 
 def test_swapped_orders_and_extremes():
-    one, other = sensitivity(8, 10, 6, 10), sensitivity(6, 10, 8, 10)
+    one, other = detection_sensitivity(8, 10, 6, 10), detection_sensitivity(6, 10, 8, 10)
     assert one.d_prime == pytest.approx(other.d_prime) and one.lean == pytest.approx(-other.lean)
-    perfect = sensitivity(10, 10, 10, 10)
+    perfect = detection_sensitivity(10, 10, 10, 10)
     assert perfect.corrected and perfect.low < perfect.d_prime < perfect.high < np.inf
-    assert math.isnan(sensitivity(8, 10, 0, 0).lean)
+    assert math.isnan(detection_sensitivity(8, 10, 0, 0).lean)
     for arguments, message in (((3, 2, 1, 2), "first_hits is 3"), ((0, 0, 0, 0), "are 0: expected a trial")):
         with pytest.raises(ValueError, match=message):
-            sensitivity(*arguments)
+            detection_sensitivity(*arguments)
 
 
 @pytest.mark.parametrize("shares", [(0.7, 0.7), (0.95, 0.5), (0.6, 0.9)])
@@ -53,7 +53,7 @@ def test_intervals_of_d_prime_cover(shares):
     rng, trials = np.random.default_rng(0), 80
     truth = sum(norm.ppf(shares)) / math.sqrt(2)
     hits = rng.binomial(trials, shares, (1500, 2))
-    found = [sensitivity(int(first), trials, int(second), trials) for first, second in hits]
+    found = [detection_sensitivity(int(first), trials, int(second), trials) for first, second in hits]
     assert all(one.low < one.d_prime < one.high for one in found)
     assert 0.93 < np.mean([one.low <= truth <= one.high for one in found]) < 0.975
 

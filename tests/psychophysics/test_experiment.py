@@ -7,7 +7,7 @@ from jaxgrasp.psychophysics.analysis.anova import repeated_measures
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.experiment import Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
@@ -17,7 +17,7 @@ from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Re
 
 LONG = ConstantStimuli(series=30)
 PLAN = Plan(session=SessionPlan((1.0, 2.0, 4.0), practice=2), procedure=LONG)
-SETTINGS = AnalysisSettings(model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0)))
+SETTINGS = AnalysisSettings(model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0)))
 OBSERVER = Observer(0.08, 0.08)
 
 

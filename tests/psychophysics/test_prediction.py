@@ -5,7 +5,7 @@ import pytest
 
 from jaxgrasp.paper.tables import DIFFERENCES
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.observer import QUARTILE, Observer
 from jaxgrasp.psychophysics.prediction.power import cheapest, precision
 from jaxgrasp.psychophysics.prediction.recovery import by_bootstrap, by_likelihood
@@ -20,7 +20,10 @@ from jaxgrasp.psychophysics.prediction.simulated_answers import hit_chances, sim
 LEVELS = np.array(DIFFERENCES)
 
 
-@pytest.mark.parametrize("shape, width", [(Shape.DIFFERENCE, 1.0), (Shape.WEIBULL, 0.8), (Shape.GAUSSIAN, 0.15)])
+@pytest.mark.parametrize(
+    "shape, width",
+    [(PsychometricShape.DIFFERENCE, 1.0), (PsychometricShape.WEIBULL, 0.8), (PsychometricShape.GAUSSIAN, 0.15)],
+)
 def test_recovery(shape, width):
     """At a hundred trials a level, little bias and honest intervals; 400 experiments say no more than this."""
     chances = hit_probability(shape, LEVELS, 0.16, width)

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability, quantile, standard
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability, quantile, standard
 
-SHAPES = pytest.mark.parametrize("shape", list(Shape))
+SHAPES = pytest.mark.parametrize("shape", list(PsychometricShape))
 
 
 @SHAPES
@@ -25,7 +25,7 @@ def test_it_passes_the_criterion_and_rises(shape, threshold, width, lapse, crite
     levels = np.linspace(0, 100 * threshold + 100 * width, 200)
     chances = hit_probability(shape, levels, threshold, width, lapse, **options)
     assert np.all(np.diff(chances) >= -1e-12) and np.all((chances >= chance) & (chances <= 1 - lapse + 1e-12))
-    if shape in (Shape.WEIBULL, Shape.DIFFERENCE):
+    if shape in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE):
         assert chances[0] == chance
 
 
@@ -33,7 +33,7 @@ def test_it_passes_the_criterion_and_rises(shape, threshold, width, lapse, crite
 def test_scale(shape):
     levels = np.linspace(0.01, 1, 30)
     once = hit_probability(shape, levels, 0.2, 0.1, 0.02)
-    width = 0.1 if shape is Shape.WEIBULL else 0.7
+    width = 0.1 if shape is PsychometricShape.WEIBULL else 0.7
     np.testing.assert_allclose(hit_probability(shape, 7 * levels, 1.4, width, 0.02), once, rtol=1e-12)
 
 

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from jaxgrasp.paper import tables, weight_perception
-from jaxgrasp.psychophysics.recomputed import Outcome, recomputed, threshold_range
+from jaxgrasp.psychophysics.recomputed import RecomputedNumber, recomputed, threshold_range
 
 ROWS = {row.quantity: row for row in recomputed()}
 
 
 def test_outcomes():
-    assert ROWS["F[1, 8] of 1 and 3 N"].outcome is Outcome.IMPOSSIBLE
-    assert ROWS["F[1, 8] of 2 and 3 N"].outcome is Outcome.REPRODUCED
-    assert ROWS["mean Weber fraction at 2 and 3 N"].outcome is Outcome.REPRODUCED
-    assert ROWS["answers behind each hit ratio"].outcome is Outcome.IMPOSSIBLE
+    assert ROWS["F[1, 8] of 1 and 3 N"].outcome is RecomputedNumber.IMPOSSIBLE
+    assert ROWS["F[1, 8] of 2 and 3 N"].outcome is RecomputedNumber.REPRODUCED
+    assert ROWS["mean Weber fraction at 2 and 3 N"].outcome is RecomputedNumber.REPRODUCED
+    assert ROWS["answers behind each hit ratio"].outcome is RecomputedNumber.IMPOSSIBLE
     for reference in tables.REFERENCE_WEIGHTS:
         for name in ("JND", "Weber fraction"):
-            assert ROWS[f"{name} at {reference:g} N"].outcome is Outcome.OTHERWISE
-        assert ROWS[f"deviation of the Weber fraction at {reference:g} N"].outcome is Outcome.UNKNOWN
+            assert ROWS[f"{name} at {reference:g} N"].outcome is RecomputedNumber.OTHERWISE
+        assert ROWS[f"deviation of the Weber fraction at {reference:g} N"].outcome is RecomputedNumber.UNKNOWN
 
 
 @pytest.mark.parametrize("row", range(3))

@@ -13,7 +13,7 @@ import pytest
 
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
-from jaxgrasp.psychophysics.analysis.psychometric import Shape
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
@@ -259,7 +259,7 @@ def test_lines_through_answers_that_chose_their_levels(folder):
     run(plan, folder)
     with pytest.raises(ValueError, match="levels of the procedure 'staircase' follow the answers"):
         analyse(load_experiment(folder), AnalysisSettings("line"))
-    assert analyse(load_experiment(folder)).settings.model.shape is Shape.DIFFERENCE
+    assert analyse(load_experiment(folder)).settings.model.shape is PsychometricShape.DIFFERENCE
 
 
 def test_what_was_too_brief_to_be_felt_is_said(folder):

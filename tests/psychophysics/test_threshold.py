@@ -13,13 +13,13 @@ from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled, ratio_
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, log_likelihood
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, hit_probability
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.analysis.threshold import threshold
 
 LEVELS = np.array(DIFFERENCES)
 TABLE = [Counts(LEVELS, np.round(100 * np.array(row)).astype(int), np.full(4, 100)) for row in HIT_RATIOS]
 METHODS = pytest.mark.parametrize("method", ["likelihood", "posterior", "interpolation", "line", "paper"])
-GAUSSIAN = Model(Shape.GAUSSIAN, lapse=(0.0, 0.0))
+GAUSSIAN = Model(PsychometricShape.GAUSSIAN, lapse=(0.0, 0.0))
 
 
 def gaussian_loss(location: float, scale: float, counts: Counts) -> float:
@@ -55,12 +55,12 @@ def test_profile_interval_ends_where_the_test_rejects(counts):
         assert 2 * (best.fun - least) == pytest.approx(chi2.isf(0.05, 1), abs=0.1)
 
 
-@pytest.mark.parametrize("shape", list(Shape))
+@pytest.mark.parametrize("shape", list(PsychometricShape))
 @pytest.mark.parametrize("lapse", [(0.0, 0.0), (0.0, 0.05)])
 def test_grid_finds_what_the_search_finds(shape, lapse):
     """Estimates of many sets of answers come from the grid alone."""
     model, trials = Model(shape, lapse=lapse), np.full(4, 100)
-    chances = hit_probability(shape, LEVELS, 0.17, 1.0 if shape is Shape.WEIBULL else 0.15)
+    chances = hit_probability(shape, LEVELS, 0.17, 1.0 if shape is PsychometricShape.WEIBULL else 0.15)
     hits = np.random.default_rng(0).binomial(100, chances, (30, 4))
     grid = Likelihood(LEVELS, model)
     by_grid = grid.estimates(hits, trials)
@@ -93,7 +93,7 @@ def test_scale_and_order(method):
 @pytest.mark.parametrize("interval", ["profile", "credible", "bootstrap", "bca"])
 def test_intervals_agree_where_there_is_much_to_go_by(interval):
     trials = np.full(4, 4000)
-    chances = hit_probability(Shape.WEIBULL, LEVELS, 0.15, 0.8)
+    chances = hit_probability(PsychometricShape.WEIBULL, LEVELS, 0.15, 0.8)
     counts = Counts(LEVELS, np.round(trials * chances).astype(int), trials)
     model = Model(lapse=(0.0, 0.0))
     found, other = threshold(counts, model=model, interval=interval), threshold(counts, model=model)
@@ -109,7 +109,7 @@ def test_psignifit(counts):
     data = np.column_stack([counts.levels, counts.hits, counts.trials])
     theirs = psignifit.psignifit(data, experiment_type="2AFC", sigmoid="norm", fixed_parameters={"eta": 1e-4})
     place, ends = theirs.threshold(0.75)
-    ours = threshold(counts, model=Model(Shape.GAUSSIAN))
+    ours = threshold(counts, model=Model(PsychometricShape.GAUSSIAN))
     assert ours.low <= place <= ours.high
     low, high = ends["0.95"] if isinstance(ends, dict) else ends[0]
     assert low <= ours.estimate <= high
@@ -148,15 +148,15 @@ def test_what_settles_nothing_still_bounds():
 
 
 def test_one_level_is_enough_for_one_parameter():
-    found = threshold(of(15), model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0)))
+    found = threshold(of(15), model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0)))
     assert found.finding is Finding.FOUND and found.value == pytest.approx(0.05, rel=1e-3)
-    assert threshold(of(14), model=Model(Shape.DIFFERENCE, lapse=(0.0, 0.0))).finding is not Finding.FOUND
+    assert threshold(of(14), model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0))).finding is not Finding.FOUND
 
 
 @pytest.mark.parametrize("counts", [of(99, trials=100, levels=(0.1,)), of(97, 97, trials=100, levels=(0.1, 0.2))])
 def test_lapses_may_explain_all(counts):
     """Nearly all right at large levels: any small threshold will do, with lapses, and none is named."""
-    found = threshold(counts, model=Model(Shape.DIFFERENCE))
+    found = threshold(counts, model=Model(PsychometricShape.DIFFERENCE))
     assert found.finding is Finding.BELOW_LEVELS and found.low == 0 and math.isnan(found.value)
 
 
@@ -169,7 +169,7 @@ def test_guesses_do_not_bound_from_above():
 @pytest.mark.parametrize("trials", [10_000, 1_000_000])
 def test_with_very_many_answers(trials):
     rng = np.random.default_rng(0)
-    chances = hit_probability(Shape.WEIBULL, LEVELS, 0.15, 0.8, 0.02)
+    chances = hit_probability(PsychometricShape.WEIBULL, LEVELS, 0.15, 0.8, 0.02)
     for _ in range(6):
         counts = Counts(LEVELS, rng.binomial(trials, chances), np.full(4, trials))
         found = threshold(counts)
@@ -194,7 +194,7 @@ def test_goodness():
 def test_goodness_of_what_is_right_is_even():
     """Over answers drawn from a function, p values are as often below any share as that share."""
     rng = np.random.default_rng(1)
-    model = Model(Shape.DIFFERENCE, lapse=(0.0, 0.0))
+    model = Model(PsychometricShape.DIFFERENCE, lapse=(0.0, 0.0))
     chances = hit_probability(model.shape, LEVELS, 0.15)
     p_values = [
         goodness(Counts(LEVELS, rng.binomial(60, chances), np.full(4, 60)), model, resamples=199, seed=k).p_value

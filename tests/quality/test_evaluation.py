@@ -10,7 +10,7 @@ from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import MemorySource
-from jaxgrasp.batch.stream import Plan, evaluate_stream
+from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.main import main
@@ -44,13 +44,13 @@ def test_every_measure_is_its_functions(sets):
 def test_nothing_is_computed_or_written_that_was_not_asked_for(sets, folder):
     plain = evaluate(sets, methods=("B",))
     assert plain.quality == {} and plain.summary.qualities == {}
-    out = ResultFolder(folder / "out", Plan(("B",)).identity("x", MemorySource(sets)), False)
-    evaluate_stream(MemorySource(sets), Plan(("B",)), out)
+    out = ResultFolder(folder / "out", StreamPlan(("B",)).identity("x", MemorySource(sets)), False)
+    evaluate_stream(MemorySource(sets), StreamPlan(("B",)), out)
     assert not any(name.startswith("quality") for name in np.load(folder / "out" / "results.npz"))
 
 
 def test_chunks_and_a_resumed_run_give_the_same_columns(sets, folder):
-    source, plan = MemorySource(sets), Plan(("B",), chunk=2, quality=SOME)
+    source, plan = MemorySource(sets), StreamPlan(("B",), chunk=2, quality=SOME)
     whole = evaluate(sets, methods=("B",), quality=SOME)
 
     class Stop(Exception):
@@ -61,7 +61,7 @@ def test_chunks_and_a_resumed_run_give_the_same_columns(sets, folder):
 
     with pytest.raises(Stop):
         evaluate_stream(source, plan, ResultFolder(folder, plan.identity("x", source), False), stop)
-    other = Plan(("B",), chunk=2, quality=("volume",))
+    other = StreamPlan(("B",), chunk=2, quality=("volume",))
     with pytest.raises(GraspFileError, match="its results have quality = .*min-weight"):
         ResultFolder(folder, other.identity("x", source), True)
     again = ResultFolder(folder, plan.identity("x", source), True)

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from jaxgrasp import Grasp
 from jaxgrasp.quality import Epsilon, ferrari_canny, ferrari_canny_at, force_closure
-from jaxgrasp.quality.inner_polytope import Star
+from jaxgrasp.quality.inner_polytope import InnerPolytope
 from tests.quality import known
 
 BOUNDS = ("l1", "linf")
@@ -193,7 +193,7 @@ def test_grasps_that_are_not_closed_have_none():
 
 
 def test_every_ray_meets_the_surface_an_odd_number_of_times_even_where_points_coincide():
-    star, rng = Star(0.1), np.random.default_rng(0)
+    star, rng = InnerPolytope(0.1), np.random.default_rng(0)
     for _ in range(60):
         point = np.round(rng.normal(size=6), 1)
         star.grow(point, 1e-9)

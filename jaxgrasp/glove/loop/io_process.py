@@ -24,7 +24,7 @@ from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
 from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.tension import TensionControl
 
 OPTIONS = {
@@ -121,7 +121,7 @@ def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
         key = bytes.fromhex(options.get("key", ""))
         transport = options.get("transport", "udp")
         size = TorqueLaw.size(channels)
-        link = Link(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)
+        link = NetworkLink(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)
         tell({"listens": link.port})
         return LinkPeer(link, channels)
     return SlotPeer(Path(options["slots"]), channels) if options.get("slots") else NoPeer()

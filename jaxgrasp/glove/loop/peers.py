@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.slot import Slot
-from jaxgrasp.glove.network.link import Link
+from jaxgrasp.glove.network.link import NetworkLink
 
 LAW, STATE = "law", "state"
 """Files of the slots in the folder that two processes share."""
@@ -58,7 +58,7 @@ class SlotPeer(Peer):
 class LinkPeer(Peer):
     """A computer elsewhere, by a link whose messages are never older than it allows."""
 
-    def __init__(self, link: Link, channels: int) -> None:
+    def __init__(self, link: NetworkLink, channels: int) -> None:
         """A link whose incoming messages are laws."""
         self._link, self._channels = link, channels
 
@@ -79,7 +79,7 @@ class LinkPeer(Peer):
 class EngineLink:
     """The engine's side of a link to a glove elsewhere: ``state`` and ``write`` as a GloveProcess has them."""
 
-    def __init__(self, link: Link, channels: int) -> None:
+    def __init__(self, link: NetworkLink, channels: int) -> None:
         """A link whose incoming messages are states."""
         self._link, self._channels = link, channels
         self._called_at = -math.inf

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrasp.glove.guard import GuardState, Output
+from jaxgrasp.glove.guard import GuardOutput, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState, Reading
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import AHEAD, Peer
@@ -39,7 +39,7 @@ class Rendering:
         self._oldest, self._control = oldest, control
         self._before = np.nan
 
-    def turn(self, now: float) -> Output:
+    def turn(self, now: float) -> GuardOutput:
         """Read, compute, send."""
         host = self.host
         reading = host.poll(now)
@@ -87,7 +87,7 @@ class Rendering:
         is_armed = self.host.guard.state == GuardState.ARMED and self.host.state == LinkState.ARMED
         return is_armed and now - reading.torques_at <= self._oldest
 
-    def _state(self, now: float, reading: Reading, output: Output) -> GloveState:
+    def _state(self, now: float, reading: Reading, output: GuardOutput) -> GloveState:
         clipped = float(np.max(output.beyond + output.assisting))
         host = self.host
         head = (now, int(host.state), int(host.guard.state), clipped, reading.angles_at)

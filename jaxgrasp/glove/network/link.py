@@ -21,7 +21,7 @@ MOST = 16
 """Pieces that are taken at a time, so that nobody who sends without end keeps the loop from its work."""
 
 
-class Link:
+class NetworkLink:
     """One end of a link, driven by calls that never wait.
 
     One side listens, the other connects; either may come, go and come back. Nothing is queued here: a message that the
@@ -67,7 +67,7 @@ class Link:
             raise ValueError(f"oldest is {oldest}: expected a positive time [s]")
         self.exchange = Exchange(random.randrange(NUMBERS), size_in, key)
         self._oldest = oldest
-        self._carrier: _Carrier = (
+        self._carrier: _Transport = (
             _Datagrams(host, port, listens) if transport == "udp" else _Stream(host, port, listens, length_of(size_in))
         )
 
@@ -94,7 +94,7 @@ class Link:
         self._carrier.close()
 
 
-class _Carrier(ABC):
+class _Transport(ABC):
     """What carries messages; an OSError means not now."""
 
     port: int
@@ -113,7 +113,7 @@ class _Carrier(ABC):
     def close(self) -> None: ...
 
 
-class _Datagrams(_Carrier):
+class _Datagrams(_Transport):
     def __init__(self, host: str, port: int, listens: bool) -> None:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
@@ -147,7 +147,7 @@ class _Datagrams(_Carrier):
         self._socket.close()
 
 
-class _Stream(_Carrier):
+class _Stream(_Transport):
     def __init__(self, host: str, port: int, listens: bool, length: int) -> None:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         # Of what comes between two zeros, only what is as long as a message is looked at any further.

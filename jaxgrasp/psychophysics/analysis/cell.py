@@ -10,8 +10,8 @@ from jaxgrasp.psychophysics.analysis.counts import Counts, count
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import Shape
-from jaxgrasp.psychophysics.analysis.signal_detection import Sensitivity, sensitivity
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
+from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivity, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, weber
 from jaxgrasp.psychophysics.plan import Plan
@@ -45,7 +45,7 @@ class Cell:
     """None in detection, and where there is no threshold."""
     fit: Goodness | None
     """None where no psychometric function was fitted."""
-    sensitivities: tuple[tuple[float, Sensitivity], ...]
+    sensitivities: tuple[tuple[float, DetectionSensitivity], ...]
     """By level."""
     saturated: int
     """Trials in which a torque was cut."""
@@ -54,10 +54,10 @@ class Cell:
     there are none."""
 
 
-def suited_shape(plan: Plan) -> Shape:
+def suited_shape(plan: Plan) -> PsychometricShape:
     """Of the psychometric function, where nobody asks for one."""
     # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
-    return Shape.DIFFERENCE if plan.procedure.follows_answers else Shape.WEIBULL
+    return PsychometricShape.DIFFERENCE if plan.procedure.follows_answers else PsychometricShape.WEIBULL
 
 
 def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
@@ -69,7 +69,7 @@ def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord
     with_others = _threshold(counted(others), settings) if len(clean) < len(own) else None
     fraction = weber(found, reference) if reference > 0 and found.finding is Finding.FOUND else None
     fit: Goodness | None = None
-    views: tuple[tuple[float, Sensitivity], ...] = ()
+    views: tuple[tuple[float, DetectionSensitivity], ...] = ()
     # Where levels follow the answers, these are no independent draws at each level, and a few of them say nothing.
     if not plan.procedure.follows_answers:
         views = tuple((float(level), _view(used, level)) for level in counts.levels)
@@ -90,8 +90,8 @@ def _threshold(counts: Counts, settings: AnalysisSettings) -> Threshold:
     )
 
 
-def _view(trials: list[TrialRecord], level: float) -> Sensitivity:
+def _view(trials: list[TrialRecord], level: float) -> DetectionSensitivity:
     there = [one for one in trials if one["level"] == level]
     first = [one["right"] for one in there if one["first"] > one["second"]]
     second = [one["right"] for one in there if one["first"] < one["second"]]
-    return sensitivity(sum(first), len(first), sum(second), len(second))
+    return detection_sensitivity(sum(first), len(first), sum(second), len(second))

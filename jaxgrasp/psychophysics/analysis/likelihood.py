@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import xlogy
 
 from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, check_criterion, hit_probability
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, check_criterion, hit_probability
 
 Answers = Real[np.ndarray, "... L"]
 """Of one set of answers, or of many."""
@@ -42,7 +42,7 @@ AT_ONCE = 2**22
 class Model:
     """Which psychometric function, and what is known of it beforehand."""
 
-    shape: Shape = Shape.WEIBULL
+    shape: PsychometricShape = PsychometricShape.WEIBULL
     """At chance where the level is zero, as comparisons are."""
     criterion: float = 0.75
     """Hit ratio at the threshold."""
@@ -52,7 +52,7 @@ class Model:
     """Least and largest share of lapses; equal where it is known."""
 
     def __post_init__(self):
-        object.__setattr__(self, "shape", Shape(self.shape))
+        object.__setattr__(self, "shape", PsychometricShape(self.shape))
         if not 0 <= self.lapse[0] <= self.lapse[1]:
             raise ValueError(f"lapse is {self.lapse}: expected its least and its largest value")
         check_criterion(self.criterion, self.chance, self.lapse[1])
@@ -183,7 +183,7 @@ def _bounds(levels: Float[np.ndarray, "L"], model: Model) -> Bounds:
     if not len(positive):
         raise ValueError("no level is above zero")
     largest = float(positive.max())
-    widths = LOG_SPREAD if model.shape is Shape.WEIBULL else (SPREAD[0] * largest, SPREAD[1] * largest)
+    widths = LOG_SPREAD if model.shape is PsychometricShape.WEIBULL else (SPREAD[0] * largest, SPREAD[1] * largest)
     return (REACH[0] * float(positive.min()), REACH[1] * largest), widths, model.lapse
 
 

@@ -9,7 +9,7 @@ from scipy.special import expit, logit, ndtr, ndtri
 Values = Float[np.ndarray, "..."] | float
 
 
-class Shape(StrEnum):
+class PsychometricShape(StrEnum):
     """How a hit ratio rises from chance to one, less the lapses."""
 
     GAUSSIAN = "gaussian"
@@ -24,37 +24,37 @@ class Shape(StrEnum):
     @property
     def has_width(self) -> bool:
         """Whether its steepness is a parameter of its own."""
-        return self is not Shape.DIFFERENCE
+        return self is not PsychometricShape.DIFFERENCE
 
 
-def standard(shape: Shape, u: Values) -> Values:
+def standard(shape: PsychometricShape, u: Values) -> Values:
     """The rise from 0 to 1 along its own axis."""
     match shape:
-        case Shape.GAUSSIAN:
+        case PsychometricShape.GAUSSIAN:
             return ndtr(u)
-        case Shape.LOGISTIC:
+        case PsychometricShape.LOGISTIC:
             return expit(u)
-        case Shape.WEIBULL:
+        case PsychometricShape.WEIBULL:
             return -np.expm1(-np.exp(np.minimum(u, 50.0)))
-        case Shape.DIFFERENCE:
+        case PsychometricShape.DIFFERENCE:
             return 2 * ndtr(u) - 1
 
 
-def quantile(shape: Shape, share: Values) -> Values:
+def quantile(shape: PsychometricShape, share: Values) -> Values:
     """Where on that axis it reaches a share."""
     match shape:
-        case Shape.GAUSSIAN:
+        case PsychometricShape.GAUSSIAN:
             return ndtri(share)
-        case Shape.LOGISTIC:
+        case PsychometricShape.LOGISTIC:
             return logit(share)
-        case Shape.WEIBULL:
+        case PsychometricShape.WEIBULL:
             return np.log(-np.log1p(-np.asarray(share)))
-        case Shape.DIFFERENCE:
+        case PsychometricShape.DIFFERENCE:
             return ndtri((1 + np.asarray(share)) / 2)
 
 
 def hit_probability(
-    shape: Shape,
+    shape: PsychometricShape,
     levels: Values,
     threshold: Values,
     width: Values = 1.0,
@@ -77,9 +77,9 @@ def hit_probability(
     """
     rise = 1 - chance - np.asarray(lapse)
     anchor = quantile(shape, (criterion - chance) / rise)
-    if shape is Shape.DIFFERENCE:
+    if shape is PsychometricShape.DIFFERENCE:
         u = np.asarray(levels) / threshold * anchor
-    elif shape is Shape.WEIBULL:
+    elif shape is PsychometricShape.WEIBULL:
         with np.errstate(divide="ignore"):
             u = (np.log(levels) - np.log(threshold)) / width + anchor
     else:

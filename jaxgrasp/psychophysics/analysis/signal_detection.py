@@ -10,7 +10,7 @@ from scipy.special import ndtri
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class DetectionSensitivity:
     """Of choices between two intervals at one level."""
 
     d_prime: float
@@ -25,9 +25,9 @@ class Sensitivity:
     """Whether half an answer was added to each count, since one of the shares was 0 or 1."""
 
 
-def sensitivity(
+def detection_sensitivity(
     first_hits: int, first_trials: int, second_hits: int, second_trials: int, coverage: float = 0.95
-) -> Sensitivity:
+) -> DetectionSensitivity:
     """d' from answers where the stronger stimulus came first, and where it came second.
 
     Args:
@@ -55,7 +55,9 @@ def sensitivity(
         value, spread = first if first_trials else second
         d_prime, variance, lean = np.sqrt(2) * value, 2 * spread, np.nan
     away = float(ndtri((1 + coverage) / 2)) * np.sqrt(variance)
-    return Sensitivity(float(d_prime), float(d_prime - away), float(d_prime + away), float(lean) / 2, corrected)
+    return DetectionSensitivity(
+        float(d_prime), float(d_prime - away), float(d_prime + away), float(lean) / 2, corrected
+    )
 
 
 def _z(hits: float, trials: float) -> tuple[float, float]:

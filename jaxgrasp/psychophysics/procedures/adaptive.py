@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import xlogy
 
-from jaxgrasp.psychophysics.analysis.psychometric import Shape, check_criterion, hit_probability
+from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, check_criterion, hit_probability
 from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure, Settings, check_count, check_level
 from jaxgrasp.psychophysics.trial import Presentation
 
@@ -32,7 +32,7 @@ class Adaptive(Settings):
     """How many are to choose from."""
     trials: int = 40
     """In a session."""
-    shape: Shape = Shape.WEIBULL
+    shape: PsychometricShape = PsychometricShape.WEIBULL
     """Of the psychometric function."""
     criterion: float = 0.75
     """Hit ratio at the threshold."""
@@ -51,7 +51,7 @@ class Adaptive(Settings):
         check_criterion(self.criterion, 0.5, self.lapse)
 
     def begin(self, rng: random.Random) -> Procedure:
-        return _Session(self, rng)
+        return _AdaptiveSession(self, rng)
 
     def extremes(self) -> tuple[float, float]:
         return self.low, self.high
@@ -60,14 +60,14 @@ class Adaptive(Settings):
         return self.trials
 
 
-class _Session(Procedure):
+class _AdaptiveSession(Procedure):
     def __init__(self, settings: Adaptive, rng: random.Random) -> None:
         self._levels = np.geomspace(settings.low, settings.high, settings.levels)
         thresholds = np.geomspace(settings.low, settings.high, THRESHOLDS)
         shape = settings.shape
         widths = (
             np.geomspace(0.2, 3.0, WIDTHS)
-            if shape is Shape.WEIBULL
+            if shape is PsychometricShape.WEIBULL
             else np.geomspace(0.1, 2.0, WIDTHS) * (settings.low * settings.high) ** 0.5
         )
         widths = widths if shape.has_width else np.ones(1)

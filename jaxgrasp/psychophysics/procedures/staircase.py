@@ -51,7 +51,7 @@ class Staircase(Settings):
         return 0.5 ** (1 / self.down)
 
     def begin(self, rng: random.Random) -> Procedure:
-        return _Session(self, rng)
+        return _StaircaseSession(self, rng)
 
     def extremes(self) -> tuple[float, float]:
         return self.low, self.high
@@ -96,7 +96,7 @@ class Track:
             self._from, self._steps = self.level, [0] * len(factors)
 
 
-class _Session(Procedure):
+class _StaircaseSession(Procedure):
     def __init__(self, settings: Staircase, rng: random.Random) -> None:
         self._tracks = [Track(settings) for _ in range(settings.interleaved)]
         self._rng, self._coin = rng, Coin(rng)

@@ -66,48 +66,48 @@ def verify_certificate(
 
 
 def _force_needed(problem: ProblemBatch, certificate: Array, rates: Array | None = None) -> Array:
-    lanes, valid = to_batch_last(problem)
+    data, valid = to_batch_last(problem)
     if problem.torque_map is not None:
         valid = valid & torque_limits.usable(problem)[None]
     if rates is None or problem.torque_max is None:
-        return jnp.where(valid, _needed(lanes, certificate.T), 0)[0]
-    moved, spent = _by_joints(problem, lanes, rates.T)
-    return jnp.where(valid, _needed(lanes, certificate.T, moved, spent), 0)[0]
+        return jnp.where(valid, _needed(data, certificate.T), 0)[0]
+    moved, spent = _by_joints(problem, data, rates.T)
+    return jnp.where(valid, _needed(data, certificate.T, moved, spent), 0)[0]
 
 
-def _by_joints(problem: ProblemBatch, lanes: ContactData, rates: Array) -> tuple[ContactVec, Array]:
+def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[ContactVec, Array]:
     """How joints move the contacts at these rates, and the most that they can do meanwhile."""
     assert problem.torque_max is not None
-    one = jnp.ones_like(lanes.force.x)
+    one = jnp.ones_like(data.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.
-    rows = torque_limits.torque_constraints(problem, lanes, Scaling(lanes.force, one, one, one, one > 0))
+    rows = torque_limits.torque_constraints(problem, data, Scaling(data.force, one, one, one, one > 0))
     turned = vec3.safe_divide(rates, rows.scale)
     beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_max.T), 0, keepdims=True)
     spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)
     return torque_limits.velocities_by_joints(rows, turned), jnp.where(beyond, jnp.inf, spent)
 
 
-def _needed(lanes: ContactData, direction: Array, moved: ContactVec | None = None, spent: Array | float = 0.0) -> Array:
+def _needed(data: ContactData, direction: Array, moved: ContactVec | None = None, spent: Array | float = 0.0) -> Array:
     linear, angular = spatial.parts(direction)
-    can_move = lanes.weights > 0
+    can_move = data.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
-    centre = _middle(lanes.arms, can_move)
+    centre = _middle(data.points, can_move)
     linear = vec3.add(linear, vec3.cross(angular, centre))
-    torque = vec3.sub(lanes.torque, vec3.cross(centre, lanes.force))
-    spin = None if lanes.lever is None else lanes.lever * vec3.dot(angular, lanes.normals)
-    velocity = ContactVec(vec3.add(linear, vec3.cross(angular, vec3.sub(lanes.arms, centre))), spin)
+    torque = vec3.sub(data.torque, vec3.cross(centre, data.force))
+    spin = None if data.spin_radius is None else data.spin_radius * vec3.dot(angular, data.normals)
+    velocity = ContactVec(vec3.add(linear, vec3.cross(angular, vec3.sub(data.points, centre))), spin)
     if moved is not None:
         velocity = contact_vec.sub(velocity, moved)
-    endless, bounded = friction_cone.largest_work(friction_cone.work_per_normal_force(velocity, lanes.cone), lanes.cone)
-    fixed = jnp.where(can_move, bounded, lanes.squeeze * vec3.dot(velocity.linear, lanes.normals))
-    work = vec3.dot(lanes.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
-    whole = friction_cone.Cone(lanes.normals, lanes.friction)
+    endless, bounded = friction_cone.largest_work(friction_cone.work_per_normal_force(velocity, data.cone), data.cone)
+    fixed = jnp.where(can_move, bounded, data.squeeze * vec3.dot(velocity.linear, data.normals))
+    work = vec3.dot(data.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
+    whole = friction_cone.Cone(data.normals, data.friction)
     reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.cone_side(velocity, whole)))
     largest = jnp.max(jnp.where(can_move & (endless > 0), reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)
 
 
-def _middle(arms: Vec3, counted: Array) -> Vec3:
-    count = jnp.maximum(jnp.sum(counted, 0, keepdims=True), 1).astype(arms.x.dtype)
-    return Vec3(*(jnp.sum(jnp.where(counted, c, 0), 0, keepdims=True) / count for c in arms))
+def _middle(points: Vec3, counted: Array) -> Vec3:
+    count = jnp.maximum(jnp.sum(counted, 0, keepdims=True), 1).astype(points.x.dtype)
+    return Vec3(*(jnp.sum(jnp.where(counted, c, 0), 0, keepdims=True) / count for c in points))

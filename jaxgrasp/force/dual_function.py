@@ -78,18 +78,18 @@ def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) 
 
 def _evaluate(problem: ProblemBatch, multiplier: Array) -> tuple[Array, Array]:
     """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
-    lanes, valid = to_batch_last(problem)
-    value, best = _value_and_forces(lanes, multiplier.T)
+    data, valid = to_batch_last(problem)
+    value, best = _value_and_forces(data, multiplier.T)
     forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best.linear]).transpose(2, 1, 0)
     return jnp.where(valid, value, jnp.nan)[0], forces
 
 
-def _value_and_forces(lanes: ContactData, multiplier: SpatialVec) -> tuple[Array, ContactVec]:
-    one = jnp.ones_like(lanes.force.x)
+def _value_and_forces(data: ContactData, multiplier: SpatialVec) -> tuple[Array, ContactVec]:
+    one = jnp.ones_like(data.force.x)
     plain = plain_axes(one)
-    best = dual.candidate_forces(lanes, multiplier, plain)
-    work = spatial.inner(dual.required_wrench(lanes, plain), multiplier)
-    own = dual.deviation_cost_by(lanes, best.forces, dual.weighted_deviation(lanes, best, one)) - contact_vec.dot(
+    best = dual.candidate_forces(data, multiplier, plain)
+    work = spatial.inner(dual.required_wrench(data, plain), multiplier)
+    own = dual.deviation_cost_by(data, best.forces, dual.weighted_deviation(data, best, one)) - contact_vec.dot(
         best.twist, best.forces
     )
     return work + jnp.sum(own, 0, keepdims=True), best.forces

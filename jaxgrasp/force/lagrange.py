@@ -12,7 +12,7 @@ from jaxgrasp.problem.flatten import refuse_soft_fingers
 def lagrange_forces(
     grasp: Grasp, wrench: Float[AnyArray, "*batch 6"], weights: Float[AnyArray, "*batch n"] | None = None
 ) -> tuple[Float[Array, "*batch n 3"], Float[Array, "*batch 6"]]:
-    """Forces and multiplier of eqs. 7 to 9, solved as one system of 3n + 6 unknowns.
+    """Forces and multiplier of eqs. 7 to 9, solved as one system of 3n + 6 coordinates.
 
     It shares nothing with [`jaxgrasp.closed_form`][] but the problem, costs O(n^3), and needs a grasp
     matrix of rank 6: on a singular grasp the numbers mean nothing. Absent contacts are not supported.
@@ -34,5 +34,5 @@ def lagrange_forces(
     system = jnp.block([[identity, -weighted_rows], [matrix, corner]])
     squeezing = (squeeze[..., None] * normals).reshape(*batch, 3 * n)
     right = jnp.concatenate([squeezing, jnp.broadcast_to(wrench, (*batch, 6))], -1)
-    unknowns = jnp.linalg.solve(system, right[..., None])[..., 0]
-    return unknowns[..., : 3 * n].reshape(*batch, n, 3), unknowns[..., 3 * n :]
+    coordinates = jnp.linalg.solve(system, right[..., None])[..., 0]
+    return coordinates[..., : 3 * n].reshape(*batch, n, 3), coordinates[..., 3 * n :]

@@ -61,8 +61,8 @@ def least_friction(
 
 def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
     if total is None:
-        there = 1.0 if problem.present is None else problem.present > 0.5
-        total = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
+        unshared = 1.0 if problem.present is None else problem.present > 0.5
+        total = jnp.broadcast_to(jnp.sum(jnp.where(unshared, problem.squeeze, 0), 1), (problem.size,))
     return _share(problem, total)
 
 
@@ -87,7 +87,7 @@ def _share_tangent(primals, tangents):
     # Elsewhere what is allowed is not what bounds the share.
     falls = inside & (seen.slope < 0) & (jnp.abs(seen.excess) <= _narrow(total))
     needed = jnp.where(falls, seen.needed, 1)
-    rise = total_tangent(scaled, scaled_moved, seen.needed, seen.limit) / needed - total_moved / jnp.where(
+    rise = total_tangent(scaled, scaled_moved, seen.needed, seen.boundary) / needed - total_moved / jnp.where(
         falls, total, 1
     )
     return share, jnp.where(falls, finite * -rise / jnp.where(falls, seen.slope, 1), 0)
@@ -102,18 +102,18 @@ class _ShareEvaluation(NamedTuple):
     """Its derivative; 0 where it has none."""
     needed: Array
     """The least total [N]."""
-    limit: BoundaryPoint
+    boundary: BoundaryPoint
     """What bounds it."""
 
 
 def _evaluate(problem: ProblemBatch, total: Array, share: Array) -> _ShareEvaluation:
     scaled = _with_share(problem, share)
-    needed, limit = bounded_total(scaled)
+    needed, boundary = bounded_total(scaled)
     still = jax.tree.map(jnp.zeros_like, scaled)
     growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
     finite = jnp.isfinite(needed) & (needed > 0)
-    slope = jnp.where(finite, total_tangent(scaled, growing, needed, limit) / jnp.where(finite, needed, 1), 0)
-    return _ShareEvaluation(_log_ratio(needed, total), slope, needed, limit)
+    slope = jnp.where(finite, total_tangent(scaled, growing, needed, boundary) / jnp.where(finite, needed, 1), 0)
+    return _ShareEvaluation(_log_ratio(needed, total), slope, needed, boundary)
 
 
 def _with_share(problem: ProblemBatch, share: Array) -> ProblemBatch:
@@ -168,5 +168,5 @@ def _step(state: _Bracket, seen: _ShareEvaluation) -> _Bracket:
     led = jnp.clip(newton, low, high)
     tried = ((led <= low) & low_tried) | ((led >= high) & high_tried)
     met, arrived = high - low <= _narrow(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
-    there = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
-    return _Bracket(low, high, low_tried, high_tried, there, met | arrived)
+    unshared = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
+    return _Bracket(low, high, low_tried, high_tried, unshared, met | arrived)

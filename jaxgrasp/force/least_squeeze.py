@@ -54,15 +54,15 @@ def least_total(problem: ProblemBatch) -> Array:
 def _least_total_tangent(primals, tangents):
     """The envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
     (problem,), (moved,) = primals, tangents
-    total, limit = bounded_total(problem)
-    return total, total_tangent(problem, moved, total, limit)
+    total, boundary = bounded_total(problem)
+    return total, total_tangent(problem, moved, total, boundary)
 
 
-def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, limit: BoundaryPoint) -> Array:
+def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boundary: BoundaryPoint) -> Array:
     """How a total that is known moves with its problem; zero where it is infinite."""
 
     def lagrangian(problem: ProblemBatch) -> Array:
-        return _held(problem) - work_along(problem, problem.wrench, limit)
+        return _held(problem) - work_along(problem, problem.wrench, boundary)
 
     return jnp.where(jnp.isfinite(total), jax.jvp(lagrangian, (problem,), (moved,))[1], 0)
 
@@ -82,17 +82,17 @@ def _no_second_derivative(primals, tangents):
 
 def _held(problem: ProblemBatch) -> Array:
     """What contacts that cannot move press with, ``(B,)``."""
-    there = problem.weights <= 0
+    unshared = problem.weights <= 0
     if problem.present is not None:
-        there = there & (problem.present > 0.5)
-    return jnp.sum(jnp.where(there, problem.squeeze, 0), 1)
+        unshared = unshared & (problem.present > 0.5)
+    return jnp.sum(jnp.where(unshared, problem.squeeze, 0), 1)
 
 
 def _least_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     problem, solved = arguments
-    there = without_sharing(problem)
-    found = solved[None] & there.valid
-    least, path = reach.least_normal_force(there.lanes, ~found)
-    last, before = (reach.with_normal_cost(there.lanes, price) for price in (path.price, path.price_before))
-    limit = boundary_point(there, last, before, path, jnp.ones_like(path.price))
-    return jnp.where(found[0], (there.frame.load * least)[0] + _held(problem), jnp.inf), limit
+    unshared = without_sharing(problem)
+    found = solved[None] & unshared.valid
+    least, path = reach.least_normal_force(unshared.data, ~found)
+    last, before = (reach.with_normal_cost(unshared.data, penalty) for penalty in (path.penalty, path.penalty_before))
+    boundary = boundary_point(unshared, last, before, path, jnp.ones_like(path.penalty))
+    return jnp.where(found[0], (unshared.scaling.load * least)[0] + _held(problem), jnp.inf), boundary

@@ -73,12 +73,12 @@ def _margin(problem: ProblemBatch, direction: Array) -> Array:
 @_margin.defjvp
 def _margin_tangent(primals, tangents):
     """The envelope theorem: theta + normal.(G f - wrench - theta direction) is stationary at the limit."""
-    theta, limit = _bound(*primals)
+    theta, boundary = _bound(*primals)
     finite = jnp.isfinite(theta)
     far = jnp.where(finite, theta, 0)[:, None]
 
     def work(problem: ProblemBatch, direction: Array) -> Array:
-        return work_along(problem, problem.wrench + far * direction, limit)
+        return work_along(problem, problem.wrench + far * direction, boundary)
 
     _, moved = jax.jvp(work, primals, tangents)
     return theta, jnp.where(finite, moved, 0)
@@ -97,7 +97,7 @@ def _no_second_derivative(primals, tangents):
 class _Line(NamedTuple):
     """Wrenches load + theta ray."""
 
-    there: UnsharedProblem
+    unshared: UnsharedProblem
     ray: SpatialVec
     """Of length 1, or 0."""
     size: Array
@@ -114,20 +114,20 @@ class _End(NamedTuple):
 
 
 def _line(problem: ProblemBatch, direction: Array) -> _Line:
-    there = without_sharing(problem)
+    unshared = without_sharing(problem)
     limits = tolerances(direction.dtype)
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
-    valid = there.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
-    ray = reach.wrench_to_scaled(jnp.where(valid, direction.T, 0), there.frame)
+    valid = unshared.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
+    ray = reach.wrench_to_scaled(jnp.where(valid, direction.T, 0), unshared.scaling)
     size = spatial.length(ray)
-    return _Line(there, vec3.safe_divide(ray, size), size, valid)
+    return _Line(unshared, vec3.safe_divide(ray, size), size, valid)
 
 
 def _end(line: _Line) -> _End:
-    lanes, metric = line.there.lanes, reach.identity(line.size)
-    never_fails = reach.nearest_wrench(with_wrench(lanes, line.ray), metric, ~line.valid).reached
-    start, somewhere = reach.nearest_wrench(lanes, metric, ~line.valid, line.ray)
-    theta, path = reach.ray_search(lanes, line.ray, start, never_fails | ~somewhere)
+    data, metric = line.unshared.data, reach.identity(line.size)
+    never_fails = reach.nearest_wrench(with_wrench(data, line.ray), metric, ~line.valid).reached
+    start, somewhere = reach.nearest_wrench(data, metric, ~line.valid, line.ray)
+    theta, path = reach.ray_search(data, line.ray, start, never_fails | ~somewhere)
     theta = jnp.where(never_fails, jnp.inf, theta)
     return _End(jnp.where(somewhere & line.valid, theta, -jnp.inf), path)
 
@@ -135,7 +135,7 @@ def _end(line: _Line) -> _End:
 def _in_units(line: _Line, end: _End) -> Array:
     finite = jnp.isfinite(end.theta)
     theta = jnp.where(finite, end.theta, 0)
-    return jnp.where(finite, line.there.frame.load * vec3.safe_divide(theta, line.size), end.theta)[0]
+    return jnp.where(finite, line.unshared.scaling.load * vec3.safe_divide(theta, line.size), end.theta)[0]
 
 
 def _margin_of_tile(arguments: tuple[ProblemBatch, Array]) -> Array:
@@ -145,5 +145,5 @@ def _margin_of_tile(arguments: tuple[ProblemBatch, Array]) -> Array:
 
 def _bound_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     line = _line(*arguments)
-    end, lanes = _end(line), line.there.lanes
-    return _in_units(line, end), boundary_point(line.there, lanes, lanes, end.path, line.size)
+    end, data = _end(line), line.unshared.data
+    return _in_units(line, end), boundary_point(line.unshared, data, data, end.path, line.size)

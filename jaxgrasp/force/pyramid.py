@@ -155,78 +155,78 @@ def _no_derivatives(settings, primals, tangents):
 
 
 def _tile(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
-    lanes, valid = to_batch_last(problem)
-    tangents = _tangents(lanes.normals)
-    lanes, frame = scale_in_principal_axes(lanes)
-    assert frame.axes is not None
-    first, second = (vec3.rotate(frame.axes, tangent) for tangent in tangents)
-    _, unknowns = pseudo_inverse.whitened_metric(lanes, frame)
-    program = _program(lanes, unknowns, _facets(lanes, (first, second), settings.sides), problem.size)
+    data, valid = to_batch_last(problem)
+    tangents = _tangents(data.normals)
+    data, scaling = scale_in_principal_axes(data)
+    assert scaling.axes is not None
+    first, second = (vec3.rotate(scaling.axes, tangent) for tangent in tangents)
+    _, coordinates = pseudo_inverse.whitened_metric(data, scaling)
+    program = _program(data, coordinates, _facets(data, (first, second), settings.sides), problem.size)
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
     found = jax.vmap(partial(_splitting, settings=settings))(program)
-    own = jnp.broadcast_to(dual.objective_of_no_force(lanes)[0], problem.size)
+    own = jnp.broadcast_to(dual.objective_of_no_force(data)[0], problem.size)
     solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
-    y, twist = (_finite(x, lanes.squeeze.dtype) for x in (found.y, -found.equality))
-    moved = vec3.scale(jnp.sqrt(lanes.weights), Vec3(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
-    forces = contact_vec.add(squeezing_forces(lanes), ContactVec(moved))
+    y, twist = (_finite(x, data.squeeze.dtype) for x in (found.y, -found.equality))
+    moved = vec3.scale(jnp.sqrt(data.weights), Vec3(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
+    forces = contact_vec.add(squeezing_forces(data), ContactVec(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
-    sides = friction_cone.cone_side(forces, lanes.cone)
-    outcome = ScaledResult(
-        forces=friction_cone.project(forces, lanes.cone, sides),
+    sides = friction_cone.cone_side(forces, data.cone)
+    scaled_result = ScaledResult(
+        forces=friction_cone.project(forces, data.cone, sides),
         multiplier=twist.T,
         verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
         steps=found.steps[None],
-        certificate=jnp.zeros((6, problem.size), lanes.squeeze.dtype),
+        certificate=jnp.zeros((6, problem.size), data.squeeze.dtype),
         undecided=jnp.zeros((1, problem.size), bool),
     )
-    return write_to_tolerance(lanes, frame, unknowns, valid, problem.size, outcome, BALANCE * settings.tol)
+    return write_to_tolerance(data, scaling, coordinates, valid, problem.size, scaled_result, BALANCE * settings.tol)
 
 
 def _finite(array: Array, dtype: jnp.dtype) -> Array:
     return jnp.where(jnp.isfinite(array), array, 0).astype(dtype)
 
 
-def _program(lanes: ContactData, unknowns: ScaledAxes, facets: tuple[Array, Array], size: int) -> PyramidProgram:
-    """The programs of all lanes, batch-first."""
+def _program(data: ContactData, coordinates: ScaledAxes, facets: tuple[Array, Array], size: int) -> PyramidProgram:
+    """The programs of all problems, batch-first."""
     rows, bounds = facets
     contacts, each = rows.shape[1:3]
     # Facets of a contact see its own force alone.
     apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
     program = PyramidProgram(
-        a=_balance(lanes, unknowns),
-        b=dual.residual(lanes, squeezing_forces(lanes), unknowns).T,
+        a=_balance(data, coordinates),
+        b=dual.residual(data, squeezing_forces(data), coordinates).T,
         c=apart.reshape(-1, contacts * each, 3 * contacts),
         d=bounds.reshape(-1, contacts * each),
     )
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape[1:])), program)
 
 
-def _balance(lanes: ContactData, unknowns: ScaledAxes) -> Array:
+def _balance(data: ContactData, coordinates: ScaledAxes) -> Array:
     """A = G W^(1/2), ``(B, 6, 3n)``."""
-    root, zero = jnp.sqrt(lanes.weights), jnp.zeros_like(lanes.weights)
+    root, zero = jnp.sqrt(data.weights), jnp.zeros_like(data.weights)
     columns = []
     for axis in range(3):
         unit = Vec3(*(root if i == axis else zero for i in range(3)))
-        torque = vec3.times(unknowns.scales, vec3.cross(lanes.arms, unit))
+        torque = vec3.times(coordinates.scales, vec3.cross(data.points, unit))
         columns.append(jnp.stack(jnp.broadcast_arrays(*unit, *torque)))
     matrix = jnp.stack(columns, 2)  # (6, n, 3, B)
     return matrix.transpose(3, 0, 1, 2).reshape(matrix.shape[-1], 6, -1)
 
 
-def _facets(lanes: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple[Array, Array]:
+def _facets(data: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple[Array, Array]:
     """Rows g and bounds d with g.y <= d for each facet, ``(B, n, sides + 1, 3)`` and ``(B, n, sides + 1)``.
 
     Between two edges a + mu t on the cone the facet's distance from the axis is mu cos(pi / m) per unit of
     height. A last row keeps contacts from pulling, which without friction no facet does.
     """
-    angles = jnp.asarray([(2 * j + 1) * math.pi / sides for j in range(sides)], lanes.friction.dtype)[:, None, None]
+    angles = jnp.asarray([(2 * j + 1) * math.pi / sides for j in range(sides)], data.friction.dtype)[:, None, None]
     outward = vec3.add(vec3.scale(jnp.cos(angles), tangents[0]), vec3.scale(jnp.sin(angles), tangents[1]))
-    slope = lanes.friction * math.cos(math.pi / sides)
+    slope = data.friction * math.cos(math.pi / sides)
     size = jnp.sqrt(1 + slope**2)
-    row = vec3.scale(1 / size, vec3.sub(outward, vec3.scale(slope, lanes.normals)))
-    rows = jnp.concatenate([jnp.stack(row, 1), -jnp.stack(lanes.normals)[None]])
-    own = vec3.safe_divide(lanes.squeeze, jnp.sqrt(lanes.weights))
+    row = vec3.scale(1 / size, vec3.sub(outward, vec3.scale(slope, data.normals)))
+    rows = jnp.concatenate([jnp.stack(row, 1), -jnp.stack(data.normals)[None]])
+    own = vec3.safe_divide(data.squeeze, jnp.sqrt(data.weights))
     bounds = jnp.concatenate([jnp.broadcast_to(slope * own / size, (sides, *own.shape)), own[None]])
     return rows.transpose(3, 2, 0, 1), bounds.transpose(2, 1, 0)
 

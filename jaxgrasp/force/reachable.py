@@ -118,45 +118,47 @@ def _no_derivative(primals, tangents):
 
 def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -> Reachable:
     problem, inertia = arguments
-    lanes, valid = to_batch_last(problem)
-    lanes, frame = scale_in_principal_axes(lanes)
-    whole, mass, sound = _metric(lanes, frame, inertia)
-    valid = jnp.broadcast_to(valid & sound & frame.sound, (1, problem.size))
-    unknowns = unwhitened_coordinates(problem, lanes, frame)
-    metric = restricted_metric(whole, unknowns)
-    point = reach.nearest_wrench(lanes, metric, ~valid, unknowns=unknowns).point
-    forces = _rescaled(lanes, metric, unknowns, point)
+    data, valid = to_batch_last(problem)
+    data, scaling = scale_in_principal_axes(data)
+    whole, mass, sound = _metric(data, scaling, inertia)
+    valid = jnp.broadcast_to(valid & sound & scaling.sound, (1, problem.size))
+    coordinates = unwhitened_coordinates(problem, data, scaling)
+    metric = restricted_metric(whole, coordinates)
+    point = reach.nearest_wrench(data, metric, ~valid, coordinates=coordinates).point
+    forces = _rescaled(data, metric, coordinates, point)
     one = jnp.ones_like(point[:1])
-    rest = dual.residual(lanes, forces, unknowns)
-    across = reach.solve_by(metric, rest)
-    distance = jnp.sqrt(spatial.inner(rest, across))
-    shown = _is_closest(lanes, metric, unknowns, forces, point, distance)
+    residual = dual.residual(data, forces, coordinates)
+    across = reach.solve_by(metric, residual)
+    distance = jnp.sqrt(spatial.inner(residual, across))
+    shown = _is_closest(data, metric, coordinates, forces, point, distance)
     known = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
     ok = valid[0]
     if problem.free is not None:
-        rest = reach.times(whole, spatial.join(*unknowns.twist(across)))
-    missed = reach.wrench_from_scaled(frame.load * rest, frame).T
-    moments = moments_from_scaled(lanes, forces.spin, frame)
-    stacked = jnp.stack([c * one for c in forces_from_scaled(forces.linear, frame)]).transpose(2, 1, 0)
-    linear, angular = certificate_from_scaled(*unknowns.twist(vec3.safe_divide(point, spatial.length(point))), frame)
+        residual = reach.times(whole, spatial.join(*coordinates.twist(across)))
+    missed = reach.wrench_from_scaled(scaling.load * residual, scaling).T
+    moments = moments_from_scaled(data, forces.spin, scaling)
+    stacked = jnp.stack([c * one for c in forces_from_scaled(forces.linear, scaling)]).transpose(2, 1, 0)
+    linear, angular = certificate_from_scaled(
+        *coordinates.twist(vec3.safe_divide(point, spatial.length(point))), scaling
+    )
     return Reachable(
         wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
         moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
-        distance=jnp.where(ok, (frame.load * distance / jnp.sqrt(mass))[0], jnp.inf),
+        distance=jnp.where(ok, (scaling.load * distance / jnp.sqrt(mass))[0], jnp.inf),
         certificate=jnp.where(ok[:, None], spatial.join(linear, angular).T, 0),
         verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
     )
 
 
-def _metric(lanes: ContactData, frame: Scaling, inertia: Array | None) -> tuple[Lower, Array, Array]:
-    """The metric per unit of mass in the lanes' coordinates, that mass, and which lanes have a sound one."""
-    one = jnp.ones_like(lanes.force.x)
+def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple[Lower, Array, Array]:
+    """The metric per unit of mass in the problems' coordinates, that mass, and which problems have a sound one."""
+    one = jnp.ones_like(data.force.x)
     if inertia is None:
         return reach.identity(one), one, one > 0
-    half = [reach.wrench_to_scaled(inertia[:, :, j].T, frame) for j in range(6)]  # A J, column by column
-    whole = [reach.wrench_to_scaled(jnp.stack([column[i] for column in half]), frame) for i in range(6)]  # A (A J)^T
+    half = [reach.wrench_to_scaled(inertia[:, :, j].T, scaling) for j in range(6)]  # A J, column by column
+    whole = [reach.wrench_to_scaled(jnp.stack([column[i] for column in half]), scaling) for i in range(6)]  # A (A J)^T
     mass = (whole[0][:1] + whole[1][1:2] + whole[2][2:3]) / 3
     entries = [[vec3.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
     _, pivots = ldl.factor(entries)
@@ -166,13 +168,13 @@ def _metric(lanes: ContactData, frame: Scaling, inertia: Array | None) -> tuple[
     return metric, jnp.where(sound, mass, 1), sound
 
 
-def _rescaled(lanes: ContactData, metric: Lower, unknowns: Coordinates, point: SpatialVec) -> ContactVec:
+def _rescaled(data: ContactData, metric: Lower, coordinates: Coordinates, point: SpatialVec) -> ContactVec:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
-    forces = dual.candidate_forces(lanes, point, unknowns).forces
-    can_move, nothing = lanes.weights > 0, contact_vec.sub(forces, forces)
+    forces = dual.candidate_forces(data, point, coordinates).forces
+    can_move, nothing = data.weights > 0, contact_vec.sub(forces, forces)
     held, free = contact_vec.where(can_move, nothing, forces), contact_vec.where(can_move, forces, nothing)
-    asked = dual.residual(lanes, held, unknowns)
-    exerted = asked - dual.residual(lanes, forces, unknowns)
+    asked = dual.residual(data, held, coordinates)
+    exerted = asked - dual.residual(data, forces, coordinates)
     along = reach.solve_by(metric, exerted)
     square = spatial.inner(exerted, along)
     share = jnp.where(square > 0, vec3.safe_divide(spatial.inner(asked, along), square), 1)
@@ -180,15 +182,15 @@ def _rescaled(lanes: ContactData, metric: Lower, unknowns: Coordinates, point: S
 
 
 def _is_closest(
-    lanes: ContactData, metric: Lower, unknowns: Coordinates, forces: ContactVec, point: SpatialVec, distance: Array
+    data: ContactData, metric: Lower, coordinates: Coordinates, forces: ContactVec, point: SpatialVec, distance: Array
 ) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
-    twist = dual.contact_velocities(lanes, point, unknowns)
-    can_move = lanes.weights > 0
-    push = jnp.max(jnp.where(can_move, friction_cone.work_per_normal_force(twist, lanes.cone), 0), 0, keepdims=True)
-    fixed = jnp.where(can_move, 0, lanes.squeeze * vec3.dot(twist.linear, lanes.normals))
-    work = spatial.inner(dual.required_wrench(lanes, unknowns), point) - jnp.sum(fixed, 0, keepdims=True)
-    best = work - push * dual.total_normal_force(lanes, forces)
+    twist = dual.contact_velocities(data, point, coordinates)
+    can_move = data.weights > 0
+    push = jnp.max(jnp.where(can_move, friction_cone.work_per_normal_force(twist, data.cone), 0), 0, keepdims=True)
+    fixed = jnp.where(can_move, 0, data.squeeze * vec3.dot(twist.linear, data.normals))
+    work = spatial.inner(dual.required_wrench(data, coordinates), point) - jnp.sum(fixed, 0, keepdims=True)
+    best = work - push * dual.total_normal_force(data, forces)
     size = jnp.sqrt(spatial.inner(point, reach.times(metric, point)))
     loose = 2**10 * jnp.finfo(distance.dtype).eps ** 0.5
     return (distance > 0) & (best >= (1 - loose) * size * distance)

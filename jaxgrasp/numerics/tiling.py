@@ -82,8 +82,8 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
 
         def body(state):
             i, gathered = state
-            lanes = lax.dynamic_slice_in_dim(order, i * tile, tile)
-            answer = function(_take(arguments, lanes, size), _take(results, lanes, size))
+            problems = lax.dynamic_slice_in_dim(order, i * tile, tile)
+            answer = function(_take(arguments, problems, size), _take(results, problems, size))
             return i + 1, _write(gathered, answer, i * tile)
 
         gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
@@ -110,8 +110,8 @@ def _slice(tree: Tree, start: Array, size: int, tile: int) -> Tree:
     return jax.tree.map(lambda x: lax.dynamic_slice_in_dim(x, start, tile) if _is_long(x, size) else x, tree)
 
 
-def _take(tree: Tree, lanes: Array, size: int) -> Tree:
-    return jax.tree.map(lambda x: x[lanes] if _is_long(x, size) else x, tree)
+def _take(tree: Tree, problems: Array, size: int) -> Tree:
+    return jax.tree.map(lambda x: x[problems] if _is_long(x, size) else x, tree)
 
 
 def _is_long(array: Array, size: int) -> bool:

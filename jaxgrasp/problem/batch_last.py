@@ -50,39 +50,41 @@ class ProblemBatch(eqx.Module):
 
 
 class ContactData(NamedTuple):
-    """One problem in each lane of the last axis."""
+    """One problem in each problem of the last axis."""
 
-    arms: Vec3
+    points: Vec3
     normals: Vec3
     friction: Array
     squeeze: Array
     weights: Array
     force: Vec3
     torque: Vec3
-    toll: Array | None = None
+    normal_cost: Array | None = None
     """What a unit of normal force costs, in questions of how little is enough; None where it costs nothing."""
-    lever: Array | None = None
+    spin_radius: Array | None = None
     """Of soft fingers: moment for each unit of ``Four.spin``; 0 for hard ones, None where all are hard."""
-    least: Array | None = None
-    """Of the normal force; None where none is bounded, and so for ``most``."""
-    most: Array | None = None
+    normal_min: Array | None = None
+    """Of the normal force; None where none is bounded, and so for ``normal_max``."""
+    normal_max: Array | None = None
 
     @property
     def cone(self) -> Cone:
         """What each contact may exert."""
-        return Cone(self.normals, self.friction, self.least, self.most)
+        return Cone(self.normals, self.friction, self.normal_min, self.normal_max)
 
 
-def squeezing_forces(lanes: ContactData) -> ContactVec:
+def squeezing_forces(data: ContactData) -> ContactVec:
     """The squeezing forces s a."""
-    return ContactVec(vec3.scale(lanes.squeeze, lanes.normals), None if lanes.lever is None else 0 * lanes.lever)
+    return ContactVec(
+        vec3.scale(data.squeeze, data.normals), None if data.spin_radius is None else 0 * data.spin_radius
+    )
 
 
 @fused_cpu_kernel
 def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
-    """Batch-last copies, and which lanes hold usable data.
+    """Batch-last copies, and which problems hold usable data.
 
-    Absent contacts and unusable lanes are replaced by contacts that carry nothing, so that no NaN enters
+    Absent contacts and unusable problems are replaced by contacts that carry nothing, so that no NaN enters
     the arithmetic, in values or in derivatives. Normals are brought to unit length.
     """
     points, normals = _components(problem.points), _components(problem.normals)
@@ -93,15 +95,15 @@ def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
     # One sum meets a NaN, or what is too large to be squared, in any of its terms.
     size = vec3.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
     good = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
-    torsion, least, most = (
+    torsion, normal_min, normal_max = (
         None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
     )
     if torsion is not None:
         size, good = size + jnp.abs(torsion), good & (torsion >= 0)
-    if least is not None:
-        size, good = size + jnp.abs(least), good & (least >= 0)
-    if most is not None:
-        good = good & (most >= (0 if least is None else least))
+    if normal_min is not None:
+        size, good = size + jnp.abs(normal_min), good & (normal_min >= 0)
+    if normal_max is not None:
+        good = good & (normal_max >= (0 if normal_min is None else normal_min))
     good = good & (size <= largest)
     there = None
     if problem.present is not None:
@@ -120,26 +122,26 @@ def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
     kept = Vec3(*map(keep, normals))
     # From what was kept, so that no derivative meets what was not.
     inverse = 1 / jnp.sqrt(jnp.where(use, vec3.dot(kept, kept), 1))
-    least = None if least is None else keep(least)
-    most = None if most is None else jnp.where(use, most, jnp.inf)
-    lanes = ContactData(
-        arms=Vec3(*map(keep, points)),
+    normal_min = None if normal_min is None else keep(normal_min)
+    normal_max = None if normal_max is None else jnp.where(use, normal_max, jnp.inf)
+    data = ContactData(
+        points=Vec3(*map(keep, points)),
         normals=vec3.scale(inverse, kept),
         friction=keep(friction),
-        squeeze=_allowed(keep(squeeze), keep(weights), least, most),
+        squeeze=_allowed(keep(squeeze), keep(weights), normal_min, normal_max),
         weights=keep(weights),
         force=Vec3(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3))),
         torque=Vec3(*(jnp.where(valid, wrench[i : i + 1], 0) for i in range(3, 6))),
-        lever=None if torsion is None else vec3.safe_divide(keep(torsion), keep(friction)),
-        least=least,
-        most=most,
+        spin_radius=None if torsion is None else vec3.safe_divide(keep(torsion), keep(friction)),
+        normal_min=normal_min,
+        normal_max=normal_max,
     )
-    return lanes, valid
+    return data, valid
 
 
-def _allowed(squeeze: Array, weights: Array, least: Array | None, most: Array | None) -> Array:
+def _allowed(squeeze: Array, weights: Array, normal_min: Array | None, normal_max: Array | None) -> Array:
     """The squeeze; of contacts that cannot move, which hold theirs, within the bounds of the normal force."""
-    for bound, cut in ((least, jnp.maximum), (most, jnp.minimum)):
+    for bound, cut in ((normal_min, jnp.maximum), (normal_max, jnp.minimum)):
         if bound is not None:
             squeeze = jnp.where(weights > 0, squeeze, cut(squeeze, bound))
     return squeeze

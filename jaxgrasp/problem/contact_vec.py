@@ -1,6 +1,6 @@
 """Forces and velocities of contacts: three components and, of soft fingers, a fourth about the normal.
 
-The fourth is the moment over the finger's lever, gamma / mu, and the speed of turning times it: in these units
+The fourth is the moment over the finger's spin radius, gamma / mu, and the speed of turning times it: in these units
 tangential force and moment use the same friction, so that a soft finger's limit is a round cone in four dimensions.
 """
 

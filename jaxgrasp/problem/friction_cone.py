@@ -22,9 +22,9 @@ class Cone(NamedTuple):
 
     normal: Vec3
     friction: Array
-    least: Array | None = None
-    """Of the normal force; None where none is bounded, and so for ``most``."""
-    most: Array | None = None
+    normal_min: Array | None = None
+    """Of the normal force; None where none is bounded, and so for ``normal_max``."""
+    normal_max: Array | None = None
 
 
 class NormalBound(NamedTuple):
@@ -56,13 +56,13 @@ def cone_side(u: ContactVec, cone: Cone) -> ConeSide:
     square = contact_vec.dot(across, across)
     size = vec3.safe_sqrt(square)
     tangent = contact_vec.of_components([vec3.safe_divide(c, size) for c in contact_vec.components(across)])
-    # The polar cone first: without friction a pull straight along the normal would pass for inside.
+    # The polar cone first: without friction a term straight along the normal would pass for inside.
     polar = cone.friction * size < -along
     # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
     limit = cone.friction * along
     inside = (along >= 0) & (square <= limit * limit) & (cone.friction > 0)
     sides = ConeSide(along, tangent, size, inside, polar)
-    if cone.least is None and cone.most is None:
+    if cone.normal_min is None and cone.normal_max is None:
         return sides
     free = jnp.where(inside, along, jnp.where(polar, 0, _height(cone, sides)))
     height = _clip(free, cone)
@@ -80,13 +80,13 @@ def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
 def _height(cone: Cone, parts: ConeSide) -> Array:
     """Normal component of the projection on the cone's edge."""
     rise = parts.along + cone.friction * parts.size
-    # Beside the polar cone the compiler may round this below zero, and the force would pull.
+    # Beside the polar cone the compiler may round this below zero, and the force would term.
     return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
 
 
 def _clip(height: Array, cone: Cone) -> Array:
-    height = height if cone.least is None else jnp.maximum(height, cone.least)
-    return height if cone.most is None else jnp.minimum(height, cone.most)
+    height = height if cone.normal_min is None else jnp.maximum(height, cone.normal_min)
+    return height if cone.normal_max is None else jnp.minimum(height, cone.normal_max)
 
 
 def contains(u: ContactVec, cone: Cone) -> Array:
@@ -95,9 +95,9 @@ def contains(u: ContactVec, cone: Cone) -> Array:
     slack = 8 * jnp.finfo(along.dtype).eps
     limit = cone.friction * along + slack * (1 + cone.friction) * jnp.abs(along)
     allowed = (along >= 0) & (contact_vec.dot(across, across) <= limit * limit)
-    if cone.least is not None:
-        allowed = allowed & (along >= (1 - slack) * cone.least)
-    return allowed if cone.most is None else allowed & (along <= (1 + slack) * cone.most)
+    if cone.normal_min is not None:
+        allowed = allowed & (along >= (1 - slack) * cone.normal_min)
+    return allowed if cone.normal_max is None else allowed & (along <= (1 + slack) * cone.normal_max)
 
 
 def project(u: ContactVec, cone: Cone, parts: ConeSide) -> ContactVec:
@@ -169,13 +169,13 @@ def work_per_normal_force(direction: ContactVec, cone: Cone) -> Array:
 
 
 def largest_work(push: Array, cone: Cone) -> tuple[Array, Array]:
-    """The most work that each contact does along a direction, from its ``push``: for each unit of normal force
+    """The most work that each contact does along a direction, from its ``total_normal_force``: for each unit of normal force
     where none is bounded, 0 where it does none; and all of it where a bound of the normal force ends it."""
-    if cone.least is None and cone.most is None:
+    if cone.normal_min is None and cone.normal_max is None:
         return push, jnp.zeros_like(push)
-    least = 0 if cone.least is None else cone.least
-    if cone.most is None:
-        return push, jnp.where(push > 0, 0, push * least)
-    ends = jnp.isfinite(cone.most)
-    bounded = jnp.where(push > 0, jnp.where(ends, push * jnp.where(ends, cone.most, 0), 0), push * least)
+    normal_min = 0 if cone.normal_min is None else cone.normal_min
+    if cone.normal_max is None:
+        return push, jnp.where(push > 0, 0, push * normal_min)
+    ends = jnp.isfinite(cone.normal_max)
+    bounded = jnp.where(push > 0, jnp.where(ends, push * jnp.where(ends, cone.normal_max, 0), 0), push * normal_min)
     return jnp.where(ends, 0, push), bounded

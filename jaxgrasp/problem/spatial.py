@@ -1,4 +1,4 @@
-"""Sixes: wrenches, twists and the dual's unknowns, batch-last."""
+"""Sixes: wrenches, twists and the dual's coordinates, batch-last."""
 
 import jax.numpy as jnp
 from jax import Array

@@ -15,7 +15,7 @@ class Tolerances:
     range: float
     """Share of a wrench out of reach that still counts as rounding of the data."""
     pivot: float
-    """Pivot of the inertia matrix below which a lane is solved in its principal axes."""
+    """Pivot of the inertia matrix below which a problem is solved in its principal axes."""
     singular: float
     """Pivot of the dual's curvature below which derivatives take it for zero."""
     gradient: float

@@ -1,6 +1,6 @@
 """The constrained optimum by a solver from outside, on the same dual, judged by this package's own tests.
 
-The solver sees six unknowns in the principal axes and whitened coordinates of the careful pass, one
+The solver sees six coordinates in the principal axes and whitened coordinates of the careful pass, one
 problem at a time under ``vmap``. It only proposes a multiplier: what that is worth is measured here.
 """
 
@@ -53,36 +53,36 @@ def solve_optimum(solver: Any, problem: ProblemBatch) -> PassResult:
 
 
 def write_to_tolerance(
-    lanes: ContactData,
-    frame: Scaling,
-    unknowns: Coordinates,
+    data: ContactData,
+    scaling: Scaling,
+    coordinates: Coordinates,
     valid: Array,
     size: int,
-    outcome: ScaledResult,
+    scaled_result: ScaledResult,
     tolerance: float,
 ) -> PassResult:
-    """``answer.write``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
-    answer = to_result(lanes, frame, unknowns, valid, size, outcome, Route.GIVEN)
-    disowned = (outcome.verdict[0] == Verdict.OPTIMAL) & (answer.verdict == Verdict.NOT_CONVERGED)
-    verdict = jnp.where(disowned & (answer.residual <= tolerance), Verdict.OPTIMAL, answer.verdict)
-    return answer._replace(verdict=verdict.astype(jnp.int32))
+    """``result.write``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
+    result = to_result(data, scaling, coordinates, valid, size, scaled_result, Route.GIVEN)
+    disowned = (scaled_result.verdict[0] == Verdict.OPTIMAL) & (result.verdict == Verdict.NOT_CONVERGED)
+    verdict = jnp.where(disowned & (result.residual <= tolerance), Verdict.OPTIMAL, result.verdict)
+    return result._replace(verdict=verdict.astype(jnp.int32))
 
 
 def _tile(solver: Any, problem: ProblemBatch) -> PassResult:
-    lanes, valid = to_batch_last(problem)
-    lanes, frame = scale_in_principal_axes(lanes)
-    metric, unknowns = whitened_coordinates(problem, lanes, frame)
-    start = pseudo_inverse.closed_multiplier(lanes, unknowns, metric)
-    free = pseudo_inverse.forces_without_cones(lanes, start, unknowns)
-    inside = jnp.all(friction_cone.contains(free, lanes.cone), 0, keepdims=True)
-    missed, beyond = out_of_range(lanes, frame, unknowns)
-    point, steps = _search(solver, lanes, unknowns, start)
+    data, valid = to_batch_last(problem)
+    data, scaling = scale_in_principal_axes(data)
+    metric, coordinates = whitened_coordinates(problem, data, scaling)
+    start = pseudo_inverse.closed_multiplier(data, coordinates, metric)
+    free = pseudo_inverse.forces_without_cones(data, start, coordinates)
+    inside = jnp.all(friction_cone.contains(free, data.cone), 0, keepdims=True)
+    missed, beyond = out_of_range(data, scaling, coordinates)
+    point, steps = _search(solver, data, coordinates, start)
     tolerance = float(max(solver.rtol, solver.atol))
-    forces, optimal = _check_optimality(lanes, unknowns, metric, point, tolerance)
-    proven, direction = _find_certificate(lanes, frame, unknowns, start, point)
+    forces, optimal = _check_optimality(data, coordinates, metric, point, tolerance)
+    proven, direction = _find_certificate(data, scaling, coordinates, start, point)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
-    outcome = ScaledResult(
+    scaled_result = ScaledResult(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
         verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
@@ -90,11 +90,11 @@ def _tile(solver: Any, problem: ProblemBatch) -> PassResult:
         certificate=jnp.where(missed, beyond, direction),
         undecided=jnp.zeros_like(missed),
     )
-    return write_to_tolerance(lanes, frame, unknowns, valid, problem.size, outcome, tolerance)
+    return write_to_tolerance(data, scaling, coordinates, valid, problem.size, scaled_result, tolerance)
 
 
-def _search(solver: Any, lanes: ContactData, unknowns: Coordinates, start: SpatialVec) -> tuple[SpatialVec, Array]:
-    """Where the solver ends in each lane, and after how many steps; the start where it runs off to infinity."""
+def _search(solver: Any, data: ContactData, coordinates: Coordinates, start: SpatialVec) -> tuple[SpatialVec, Array]:
+    """Where the solver ends in each problem, and after how many steps; the start where it runs off to infinity."""
     import optimistix as optx
 
     def one(lane: tuple[ContactData, Coordinates], start: SpatialVec) -> tuple[SpatialVec, Array]:
@@ -106,40 +106,43 @@ def _search(solver: Any, lanes: ContactData, unknowns: Coordinates, start: Spati
         return found.value, found.stats["num_steps"][None]
 
     size = start.shape[-1]
-    lane = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), (lanes, unknowns))
+    lane = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), (data, coordinates))
     point, steps = jax.vmap(one, in_axes=-1, out_axes=-1)(lane, start)
     finite = jnp.all(jnp.isfinite(point), 0, keepdims=True)
     return jnp.where(finite, point, start), steps
 
 
 def _gradient(point: SpatialVec, lane: tuple[ContactData, Coordinates]) -> SpatialVec:
-    """The dual's gradient; directions that no contact reaches pull the multiplier to zero instead of nowhere."""
-    lanes, unknowns = lane
-    rest = dual.residual(lanes, dual.candidate_forces(lanes, point, unknowns).forces, unknowns)
-    return rest - unknowns.idle() * point
+    """The dual's gradient; directions that no contact reaches term the multiplier to zero instead of nowhere."""
+    data, coordinates = lane
+    residual = dual.residual(data, dual.candidate_forces(data, point, coordinates).forces, coordinates)
+    return residual - coordinates.unused() * point
 
 
 def _negative_dual(point: SpatialVec, lane: tuple[ContactData, Coordinates]) -> Array:
     """Minus the dual, whose gradient is minus ``_rest``."""
-    lanes, unknowns = lane
-    value = dual.dual_value(lanes, dual.candidate_forces(lanes, point, unknowns), point, unknowns)
-    return jnp.sum(unknowns.idle() * point**2) / 2 - value[0]
+    data, coordinates = lane
+    value = dual.dual_value(data, dual.candidate_forces(data, point, coordinates), point, coordinates)
+    return jnp.sum(coordinates.unused() * point**2) / 2 - value[0]
 
 
 def _check_optimality(
-    lanes: ContactData, unknowns: Coordinates, metric: Metric, point: SpatialVec, tolerance: float
+    data: ContactData, coordinates: Coordinates, metric: Metric, point: SpatialVec, tolerance: float
 ) -> tuple[ContactVec, Array]:
     """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
-    best = dual.candidate_forces(lanes, point, unknowns)
-    rest = dual.residual(lanes, best.forces, unknowns)
-    value, push = dual.dual_value(lanes, best, point, unknowns), dual.total_normal_force(lanes, best.forces)
-    found = (lanes, point, rest, squared_norm(metric, rest), value, push)
+    best = dual.candidate_forces(data, point, coordinates)
+    residual = dual.residual(data, best.forces, coordinates)
+    value, total_normal_force = (
+        dual.dual_value(data, best, point, coordinates),
+        dual.total_normal_force(data, best.forces),
+    )
+    found = (data, point, residual, squared_norm(metric, residual), value, total_normal_force)
     return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
 
 
 def _find_certificate(
-    lanes: ContactData, frame: Scaling, unknowns: Coordinates, start: SpatialVec, point: SpatialVec
+    data: ContactData, scaling: Scaling, coordinates: Coordinates, start: SpatialVec, point: SpatialVec
 ) -> tuple[Array, SpatialVec]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
-    rest = dual.residual(lanes, dual.candidate_forces(lanes, point, unknowns).forces, unknowns)
-    return find_certificate(lanes, frame, unknowns, rest, point - start)
+    residual = dual.residual(data, dual.candidate_forces(data, point, coordinates).forces, coordinates)
+    return find_certificate(data, scaling, coordinates, residual, point - start)

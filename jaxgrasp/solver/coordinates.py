@@ -1,7 +1,7 @@
-"""What the dual's six unknowns stand for: a virtual twist, as the contacts or a guide see it.
+"""What the dual's six coordinates stand for: a virtual twist, as the contacts or a guide see it.
 
-An object that is free moves along every twist: its unknowns are the twist itself, the angular ones scaled. One that
-a guide holds moves along few: its unknowns count along those, and the rest of the six stay idle at zero.
+An object that is free moves along every twist: its coordinates are the twist itself, the angular ones scaled. One that
+a guide holds moves along few: its coordinates count along those, and the rest of the six stay idle at zero.
 """
 
 from typing import NamedTuple
@@ -24,16 +24,16 @@ class ScaledAxes(NamedTuple):
     scales: Vec3
 
     def twist(self, x: SpatialVec) -> tuple[Vec3, Vec3]:
-        """Linear and angular parts of the twist that the unknowns stand for."""
+        """Linear and angular parts of the twist that the coordinates stand for."""
         linear, angular = parts(x)
         return linear, vec3.times(self.scales, angular)
 
-    def recover(self, linear: Vec3, angular: Vec3) -> SpatialVec:
-        """The unknowns of a twist."""
+    def from_twist(self, linear: Vec3, angular: Vec3) -> SpatialVec:
+        """The coordinates of a twist."""
         return join(linear, Vec3(*(vec3.safe_divide(a, s) for a, s in zip(angular, self.scales, strict=True))))
 
     def wrench(self, force: Vec3, torque: Vec3) -> SpatialVec:
-        """The work that a wrench does for each of the unknowns."""
+        """The work that a wrench does for each of the coordinates."""
         return join(force, vec3.times(self.scales, torque))
 
     def wrenches(self, several: Array) -> Array:
@@ -41,7 +41,7 @@ class ScaledAxes(NamedTuple):
         return jnp.concatenate([several[:3], jnp.stack(self.scales) * several[3:]])
 
     def curvature(self, plain: list[list[Array]]) -> Lower:
-        """A symmetric matrix of twists as one of the unknowns."""
+        """A symmetric matrix of twists as one of the coordinates."""
         s = self.scales
         rows = [
             [s[i] * h for h in row[:3]] + [s[i] * s[j] * h for j, h in enumerate(row[3:])]
@@ -49,7 +49,7 @@ class ScaledAxes(NamedTuple):
         ]
         return plain[:3] + rows
 
-    def felt(self, wrench: SpatialVec) -> SpatialVec:
+    def not_guided(self, wrench: SpatialVec) -> SpatialVec:
         """The part of a wrench that no guide carries."""
         return wrench
 
@@ -59,15 +59,15 @@ class ScaledAxes(NamedTuple):
         zero = jnp.zeros_like(force.x)
         return join(Vec3(zero, zero, zero), Vec3(*(jnp.where(s > 0, 0, t) for s, t in zip(self.scales, torque))))
 
-    def idle(self) -> SpatialVec:
-        """1 for unknowns that stand for nothing."""
+    def unused(self) -> SpatialVec:
+        """1 for coordinates that stand for nothing."""
         zero = Vec3(*(jnp.zeros_like(s) for s in self.scales))
         return join(zero, Vec3(*((s == 0).astype(s.dtype) for s in self.scales)))
 
-    def reach(self, arms: Vec3, spins: Vec3 | None) -> Array:
-        """How much a unit of force at each contact weighs in ``wrench``; ``spins`` are normals times levers."""
-        size2 = vec3.dot(arms, arms)
-        reach2 = sum(s * s * (size2 - r * r) for s, r in zip(self.scales, arms, strict=True))
+    def leverage(self, points: Vec3, spins: Vec3 | None) -> Array:
+        """How much a unit of force at each contact weighs in ``wrench``; ``spins`` are normals times spin radii."""
+        size2 = vec3.dot(points, points)
+        reach2 = sum(s * s * (size2 - r * r) for s, r in zip(self.scales, points, strict=True))
         if spins is not None:
             turned = vec3.times(self.scales, spins)
             reach2 = reach2 + vec3.dot(turned, turned)
@@ -82,7 +82,7 @@ class GuidedMotion(NamedTuple):
     """Twists along which a guide lets the object move, orthogonal, and scaled as the contacts see them."""
 
     columns: tuple[SpatialVec, ...]
-    """One for each unknown; zero where it is idle."""
+    """One for each coordinate; zero where it is idle."""
     lost: tuple[SpatialVec, ...]
     """Of length 1: twists that the guide allows and no contact reaches; zero where there are none."""
 
@@ -90,7 +90,7 @@ class GuidedMotion(NamedTuple):
         first, *others = [x[j : j + 1] * column for j, column in enumerate(self.columns)]
         return parts(sum(others, first))
 
-    def recover(self, linear: Vec3, angular: Vec3) -> SpatialVec:
+    def from_twist(self, linear: Vec3, angular: Vec3) -> SpatialVec:
         twist = join(linear, angular)
         return self._padded([vec3.safe_divide(inner(c, twist), inner(c, c)) for c in self.columns])
 
@@ -114,23 +114,23 @@ class GuidedMotion(NamedTuple):
             for i in range(6)
         ]
 
-    def felt(self, wrench: SpatialVec) -> SpatialVec:
+    def not_guided(self, wrench: SpatialVec) -> SpatialVec:
         along = [vec3.safe_divide(inner(c, wrench), inner(c, c)) * c for c in self.columns]
         return sum(along, self.unreached(wrench))
 
     def unreached(self, wrench: SpatialVec) -> SpatialVec:
         return sum((inner(direction, wrench) * direction for direction in self.lost), jnp.zeros_like(wrench))
 
-    def idle(self) -> SpatialVec:
+    def unused(self) -> SpatialVec:
         zero = jnp.zeros_like(self.columns[0][:1])
         used = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
         return jnp.concatenate(used + [zero + 1] * (6 - len(used)))
 
-    def reach(self, arms: Vec3, spins: Vec3 | None) -> Array:
-        reach2 = jnp.zeros_like(arms.x)
+    def leverage(self, points: Vec3, spins: Vec3 | None) -> Array:
+        reach2 = jnp.zeros_like(points.x)
         for column in self.columns:
             linear, angular = parts(column)
-            velocity = vec3.add(linear, vec3.cross(angular, arms))
+            velocity = vec3.add(linear, vec3.cross(angular, points))
             reach2 = reach2 + vec3.dot(velocity, velocity)
             if spins is not None:
                 reach2 = reach2 + vec3.dot(angular, spins) ** 2

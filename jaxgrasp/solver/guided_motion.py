@@ -1,4 +1,4 @@
-"""Objects that a guide holds: the unknowns of the few twists that it allows.
+"""Objects that a guide holds: the coordinates of the few twists that it allows.
 
 The guide carries whatever else is asked for, at no price, so only the wrench's work along its free twists must be
 balanced: the dual is the free object's, restricted to those.
@@ -20,76 +20,76 @@ from jaxgrasp.solver.pseudo_inverse import Metric, whitened_metric
 
 
 class Mixing(NamedTuple):
-    """How the unknowns come out of the free twists that the user gave: constants where derivatives are taken."""
+    """How the coordinates come out of the free twists that the user gave: constants where derivatives are taken."""
 
     reached: Array
-    """``(B, k, k)``: a column for each unknown."""
+    """``(B, k, k)``: a column for each coordinate."""
     lost: Array
 
 
-def directions_to_scaled(free: Array, frame: Scaling) -> Array:
-    """Free twists about the user's origin ``(B, 6, k)`` in a lane's axes and lengths."""
+def directions_to_scaled(free: Array, scaling: Scaling) -> Array:
+    """Free twists about the user's origin ``(B, 6, k)`` in a problem's axes and lengths."""
     known, columns = jnp.where(jnp.isfinite(free), free, 0), []
     for j in range(free.shape[-1]):
-        linear, angular = twist_to_scaled(*parts(known[..., j].T), frame)
-        columns.append(join(linear, vec3.scale(frame.length, angular)))
+        linear, angular = twist_to_scaled(*parts(known[..., j].T), scaling)
+        columns.append(join(linear, vec3.scale(scaling.length, angular)))
     return jnp.stack(columns, -1).transpose(1, 0, 2)
 
 
-def mixing(directions: Array, lanes: ContactData, frame: Scaling) -> Mixing:
-    """For lanes in principal axes: the unknowns whose metric is the identity, but for rounding.
+def mixing(directions: Array, data: ContactData, scaling: Scaling) -> Mixing:
+    """For problems in principal axes: the coordinates whose metric is the identity, but for rounding.
 
     The contacts' own metric is diagonal there, so its root is known to its last digit and so are singular values
     that are tiny; forming the metric along the free twists would square their condition.
     """
     rank = tolerances(directions.dtype).rank
-    basis, onto = _basis(directions, frame)
-    _, seen, turned = _thin_svd(_root_metric(lanes, frame, rank)[..., None] * basis)
-    reached = (seen > rank * rounding_growth(frame)[0][:, None])[:, None]
+    basis, onto = _basis(directions, scaling)
+    _, seen, turned = _thin_svd(_root_metric(data, scaling, rank)[..., None] * basis)
+    reached = (seen > rank * rounding_growth(scaling)[0][:, None])[:, None]
     across = onto @ jnp.swapaxes(turned, 1, 2)
     scale = 1 / jnp.where(reached, seen[:, None], 1)
     return Mixing(jnp.where(reached, across * scale, 0), jnp.where(reached, 0, across))
 
 
-def whitened_coordinates(problem: ProblemBatch, lanes: ContactData, frame: Scaling) -> tuple[Metric, Coordinates]:
-    """Unknowns, for lanes in principal axes, in which G W G^T is the identity but for rounding, and what it is."""
+def whitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Scaling) -> tuple[Metric, Coordinates]:
+    """Unknowns, for problems in principal axes, in which G W G^T is the identity but for rounding, and what it is."""
     if problem.free is None:
-        return whitened_metric(lanes, frame)
-    directions = directions_to_scaled(problem.free, frame)
-    return identity_metric(lanes.force.x), guided_coordinates(directions, mixing(directions, lanes, frame))
+        return whitened_metric(data, scaling)
+    directions = directions_to_scaled(problem.free, scaling)
+    return identity_metric(data.force.x), guided_coordinates(directions, mixing(directions, data, scaling))
 
 
-def unwhitened_coordinates(problem: ProblemBatch, lanes: ContactData, frame: Scaling) -> Coordinates:
+def unwhitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Scaling) -> Coordinates:
     """Unknowns that are a twist as it is, along orthonormal axes where a guide holds the object."""
     if problem.free is None:
-        return plain_axes(lanes.force.x)
-    directions = directions_to_scaled(problem.free, frame)
-    return GuidedMotion(_columns(_basis(directions, frame)[0]), ())
+        return plain_axes(data.force.x)
+    directions = directions_to_scaled(problem.free, scaling)
+    return GuidedMotion(_columns(_basis(directions, scaling)[0]), ())
 
 
-def restricted_metric(metric: Lower, unknowns: Coordinates) -> Lower:
-    """A metric of twists as one of the unknowns; of what is idle, the identity."""
-    if isinstance(unknowns, ScaledAxes):
+def restricted_metric(metric: Lower, coordinates: Coordinates) -> Lower:
+    """A metric of twists as one of the coordinates; of what is idle, the identity."""
+    if isinstance(coordinates, ScaledAxes):
         return metric
-    rows = unknowns.curvature([list(row) for row in metric])
-    idle = unknowns.idle()
+    rows = coordinates.curvature([list(row) for row in metric])
+    idle = coordinates.unused()
     return [[*row[:-1], row[-1] + idle[i : i + 1]] for i, row in enumerate(rows)]
 
 
 def guided_coordinates(directions: Array, mixed: Mixing) -> GuidedMotion:
-    """The unknowns along free twists, mixed so."""
+    """The coordinates along free twists, mixed so."""
     columns, lost = (_columns(jnp.sum(directions[..., None] * m[:, None], 2)) for m in mixed)
     return GuidedMotion(columns, lost)
 
 
 def identity_metric(like: Array) -> Metric:
-    """G W G^T, as unknowns see it that are scaled for that."""
+    """G W G^T, as coordinates see it that are scaled for that."""
     one, zero = jnp.ones_like(like), jnp.zeros_like(like)
     matrix = [[one], [zero, one], [zero, zero, one]]
     return Metric(matrix, ldl.factor(matrix))
 
 
-def _basis(directions: Array, frame: Scaling) -> tuple[Array, Array]:
+def _basis(directions: Array, scaling: Scaling) -> tuple[Array, Array]:
     """An orthonormal basis of the free twists ``(B, 6, k)``, and how it comes out of them ``(B, k, k)``.
 
     Twists that are given twice, or as sums of others, add columns of zeros; in a frame far away they are less exactly
@@ -98,7 +98,7 @@ def _basis(directions: Array, frame: Scaling) -> tuple[Array, Array]:
     size = jnp.sqrt(jnp.sum(directions**2, 1, keepdims=True))
     size = jnp.where(size > 0, size, 1)
     left, spread, right = _thin_svd(directions / size)
-    new = (spread > tolerances(directions.dtype).rank * rounding_growth(frame)[0][:, None])[:, None]
+    new = (spread > tolerances(directions.dtype).rank * rounding_growth(scaling)[0][:, None])[:, None]
     onto = jnp.swapaxes(right, 1, 2) / jnp.where(new, spread[:, None], 1) / jnp.swapaxes(size, 1, 2)
     return jnp.where(new, left, 0), jnp.where(new, onto, 0)
 
@@ -108,10 +108,10 @@ def _thin_svd(matrix: Array) -> tuple[Array, Array, Array]:
     return left, values, right
 
 
-def _root_metric(lanes: ContactData, frame: Scaling, rank: float) -> Array:
+def _root_metric(data: ContactData, scaling: Scaling, rank: float) -> Array:
     """Square roots of the metric's diagonal in principal axes ``(B, 6)``."""
-    matrix = inertia(lanes)
-    cut = (rank * rounding_growth(frame)) ** 2
+    matrix = inertia(data)
+    cut = (rank * rounding_growth(scaling)) ** 2
     roots = [vec3.safe_sqrt(jnp.where(matrix[i][i] > cut, matrix[i][i], 0)) for i in range(3)]
     one = jnp.ones_like(roots[0])
     return jnp.concatenate([one, one, one, *roots]).T

@@ -21,59 +21,65 @@ from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
 def proves_infeasible(
-    lanes: ContactData, frame: Scaling, direction: Array, unknowns: Coordinates, rows: TorqueConstraints | None = None
+    data: ContactData,
+    scaling: Scaling,
+    direction: Array,
+    coordinates: Coordinates,
+    constraints: TorqueConstraints | None = None,
 ) -> Array:
-    """Whether ``direction`` (in the unknowns) shows that the load is out of any sensible force's reach.
+    """Whether ``direction`` (in the coordinates) shows that the load is out of any sensible force's reach.
 
-    With ``rows``, limits of torques, the rates of their joints stand below the unknowns.
+    With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
-    twist = dual.contact_velocities(lanes, direction[:6], unknowns)
-    work = spatial.inner(dual.required_wrench(lanes, unknowns), direction[:6])
-    size = spatial.length(spatial.join(*unknowns.twist(direction[:6])))
-    if rows is not None:
+    twist = dual.contact_velocities(data, direction[:6], coordinates)
+    work = spatial.inner(dual.required_wrench(data, coordinates), direction[:6])
+    size = spatial.length(spatial.join(*coordinates.twist(direction[:6])))
+    if constraints is not None:
         rates = direction[6:]
-        twist = contact_vec.sub(twist, torque_limits.velocities_by_joints(rows, rates))
-        work = work - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
+        twist = contact_vec.sub(twist, torque_limits.velocities_by_joints(constraints, rates))
+        work = work - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
         size = size + spatial.length(rates)
-    push = friction_cone.work_per_normal_force(twist, lanes.cone)
-    can_move = lanes.weights > 0
-    endless, bounded = friction_cone.largest_work(push, lanes.cone)
+    push = friction_cone.work_per_normal_force(twist, data.cone)
+    can_move = data.weights > 0
+    endless, bounded = friction_cone.largest_work(push, data.cone)
     largest = jnp.max(jnp.where(can_move, endless, 0), 0, keepdims=True)
-    held = lanes.squeeze * vec3.dot(twist.linear, lanes.normals)
+    held = data.squeeze * vec3.dot(twist.linear, data.normals)
     work = work - vec3.totals(jnp.where(can_move, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
-    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(frame)
+    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(scaling)
     return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
 @fused_cpu_kernel
 def find_certificate(
-    lanes: ContactData,
-    frame: Scaling,
-    unknowns: Coordinates,
-    rest: Array,
+    data: ContactData,
+    scaling: Scaling,
+    coordinates: Coordinates,
+    residual: Array,
     run: Array,
-    rows: TorqueConstraints | None = None,
+    constraints: TorqueConstraints | None = None,
 ) -> tuple[Array, Array]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves it, and that direction as a twist.
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
     # What is looked at is what is handed out: computed anew, in other kernels, it would be rounded otherwise.
-    rest, run = lax.optimization_barrier((rest, run))
-    by_rest, by_run = (proves_infeasible(lanes, frame, direction, unknowns, rows) for direction in (rest, run))
-    proven = jnp.where(by_rest, rest, run / jnp.maximum(spatial.length(run), 1))
-    return by_rest | by_run, jnp.concatenate([spatial.join(*unknowns.twist(proven[:6])), proven[6:]])
+    residual, run = lax.optimization_barrier((residual, run))
+    by_rest, by_run = (
+        proves_infeasible(data, scaling, direction, coordinates, constraints) for direction in (residual, run)
+    )
+    proven = jnp.where(by_rest, residual, run / jnp.maximum(spatial.length(run), 1))
+    return by_rest | by_run, jnp.concatenate([spatial.join(*coordinates.twist(proven[:6])), proven[6:]])
 
 
 @fused_cpu_kernel
-def out_of_range(lanes: ContactData, frame: Scaling, unknowns: Coordinates) -> tuple[Array, SpatialVec]:
+def out_of_range(data: ContactData, scaling: Scaling, coordinates: Coordinates) -> tuple[Array, SpatialVec]:
     """Whether something is asked for along twists that no contact reaches, and that as a direction.
 
-    The direction is a twist, since the unknowns leave it out.
+    The direction is a twist, since the coordinates leave it out.
     """
-    plain = plain_axes(lanes.force.x)
-    direction = unknowns.unreached(dual.required_wrench(lanes, plain))
+    plain = plain_axes(data.force.x)
+    direction = coordinates.unreached(dual.required_wrench(data, plain))
     # Loads are of order one here, so this compares with the whole load.
     missed = spatial.length(direction) > tolerances(direction.dtype).range
-    return missed & proves_infeasible(lanes, frame, direction, plain), direction
+    return missed & proves_infeasible(data, scaling, direction, plain), direction

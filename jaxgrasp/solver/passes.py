@@ -3,7 +3,7 @@
 1. The closed form of all, carefully where the contacts are nearly in line. What lies inside every cone is the
    constrained optimum already.
 2. Newton on the dual for those outside their cones, first a few steps, then, gathered again, more.
-3. The careful pass for the rest: principal axes, whitened unknowns, a proximal pull that falls away,
+3. The careful pass for the rest: principal axes, whitened coordinates, a proximal term that falls away,
    and a proof where no forces exist.
 """
 
@@ -28,7 +28,7 @@ from jaxgrasp.solver.guided_motion import whitened_coordinates
 from jaxgrasp.solver.infeasibility import out_of_range
 from jaxgrasp.solver.proximal import (
     STEPS_PER_LEVEL,
-    Pass,
+    PassSettings,
     ProximalState,
     UnlimitedProblem,
     initial_state,
@@ -61,28 +61,28 @@ def solve_both(problem: ProblemBatch) -> tuple[PassResult, PassResult]:
 
 def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     """The constrained optimum everywhere, from the closed form."""
-    answer = _finish_without_torques(torque_passes.without_torques(problem), closed)
-    return torque_passes.within_torques(problem, answer)
+    result = _finish_without_torques(torque_passes.without_torques(problem), closed)
+    return torque_passes.within_torques(problem, result)
 
 
-def _finish_without_torques(problem: ProblemBatch, answer: PassResult) -> PassResult:
-    outside = answer.verdict == Verdict.OUTSIDE_CONES
+def _finish_without_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
+    outside = result.verdict == Verdict.OUTSIDE_CONES
     # What the fast passes do not suit is not converged from the outset.
-    verdict = jnp.where(answer.undecided, Verdict.NOT_CONVERGED, answer.verdict)
-    answer = answer._replace(verdict=verdict, undecided=answer.undecided | outside)
+    verdict = jnp.where(result.undecided, Verdict.NOT_CONVERGED, result.verdict)
+    result = result._replace(verdict=verdict, undecided=result.undecided | outside)
     if problem.start is not None:
         # One that is no number, as of a problem that had none, is none to begin from.
         given = outside & jnp.all(jnp.isfinite(problem.start), 1)
-        answer = answer._replace(multiplier=jnp.where(given[:, None], problem.start, answer.multiplier))
+        result = result._replace(multiplier=jnp.where(given[:, None], problem.start, result.multiplier))
 
-    def improve(stage: Array, answer: PassResult) -> PassResult:
-        effort = Pass(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[stage])
-        chosen = answer.undecided & (effort.careful | (answer.verdict == Verdict.OUTSIDE_CONES))
-        tile = partial(_optimum_tile, effort=effort)
-        return over_chosen(tile, problem, answer, chosen, _newton_width(problem))
+    def improve(stage: Array, result: PassResult) -> PassResult:
+        settings = PassSettings(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[stage])
+        chosen = result.undecided & (settings.careful | (result.verdict == Verdict.OUTSIDE_CONES))
+        tile = partial(_optimum_tile, settings=settings)
+        return over_chosen(tile, problem, result, chosen, _newton_width(problem))
 
     # A loop rather than several calls: all stages, the careful one too, are one piece of compiled code.
-    return lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(answer, problem))
+    return lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(result, problem))
 
 
 def _closed_width(problem: ProblemBatch) -> int:
@@ -97,86 +97,106 @@ def _newton_width(problem: ProblemBatch) -> int:
 
 
 def _closed_tile(problem: ProblemBatch) -> PassResult:
-    lanes, valid = to_batch_last(problem)
-    return _closed_answer(_conditioned(problem, lanes), valid, problem.size)
+    data, valid = to_batch_last(problem)
+    return _closed_answer(_conditioned(problem, data), valid, problem.size)
 
 
 @fused_cpu_kernel
 def _closed_answer(suited: ConditionedProblem, valid: Array, size: int) -> PassResult:
-    lanes, frame, metric, unknowns, ill = suited
-    multiplier = pseudo_inverse.refined_multiplier(lanes, unknowns, metric, ill)
-    forces = pseudo_inverse.forces_without_cones(lanes, multiplier, unknowns)
-    missed, direction = _out_of_range(lanes, frame, unknowns, ill)
-    inside = vec3.every(friction_cone.contains(forces, lanes.cone))
+    data, scaling, metric, coordinates, ill_conditioned = suited
+    multiplier = pseudo_inverse.refined_multiplier(data, coordinates, metric, ill_conditioned)
+    forces = pseudo_inverse.forces_without_cones(data, multiplier, coordinates)
+    missed, direction = _out_of_range(data, scaling, coordinates, ill_conditioned)
+    inside = vec3.every(friction_cone.contains(forces, data.cone))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, verdict)
-    undecided = ill & (verdict == Verdict.OUTSIDE_CONES)
-    outcome = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
-    return to_result(lanes, frame, unknowns, valid, size, outcome, jnp.where(ill, Route.CAREFUL, Route.CLOSED_FORM))
+    undecided = ill_conditioned & (verdict == Verdict.OUTSIDE_CONES)
+    scaled_result = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
+    return to_result(
+        data,
+        scaling,
+        coordinates,
+        valid,
+        size,
+        scaled_result,
+        jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM),
+    )
 
 
-def _conditioned(problem: ProblemBatch, lanes: ContactData) -> ConditionedProblem:
-    """Coordinates that suit each lane; where a guide holds the object, with care for all."""
+def _conditioned(problem: ProblemBatch, data: ContactData) -> ConditionedProblem:
+    """Coordinates that suit each problem; where a guide holds the object, with care for all."""
     if problem.free is None:
-        return conditioned(lanes)
-    lanes, frame = scale_in_principal_axes(lanes)
-    metric, unknowns = whitened_coordinates(problem, lanes, frame)
-    return ConditionedProblem(lanes, frame, metric, unknowns, jnp.ones_like(frame.load, bool))
+        return conditioned(data)
+    data, scaling = scale_in_principal_axes(data)
+    metric, coordinates = whitened_coordinates(problem, data, scaling)
+    return ConditionedProblem(data, scaling, metric, coordinates, jnp.ones_like(scaling.load, bool))
 
 
 @fused_cpu_kernel
-def _out_of_range(lanes: ContactData, frame: Scaling, unknowns: Coordinates, ill: Array) -> tuple[Array, SpatialVec]:
-    """Which of the ``ill`` lanes are asked for what no contact reaches; others have contacts that reach everything."""
-    none = jnp.zeros((1, lanes.force.x.shape[-1]), bool), spatial.join(lanes.force, lanes.torque) * 0
+def _out_of_range(
+    data: ContactData, scaling: Scaling, coordinates: Coordinates, ill_conditioned: Array
+) -> tuple[Array, SpatialVec]:
+    """Which of the ``ill_conditioned`` problems are asked for what no contact reaches; others have contacts that reach everything."""
+    none = jnp.zeros((1, data.force.x.shape[-1]), bool), spatial.join(data.force, data.torque) * 0
 
     def look(_, none: tuple[Array, SpatialVec]) -> tuple[Array, SpatialVec]:
-        missed, direction = out_of_range(lanes, frame, unknowns)
-        return none[0] | missed & ill, none[1] + direction
+        missed, direction = out_of_range(data, scaling, coordinates)
+        return none[0] | missed & ill_conditioned, none[1] + direction
 
-    return lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), look, varying_like(none, lanes, frame))
+    return lax.fori_loop(0, jnp.any(ill_conditioned).astype(jnp.int32), look, varying_like(none, data, scaling))
 
 
-def _optimum_tile(problem: ProblemBatch, prior: PassResult, effort: Pass) -> PassResult:
+def _optimum_tile(problem: ProblemBatch, prior: PassResult, settings: PassSettings) -> PassResult:
     """The optimum, as far as an effort goes.
 
     The fast efforts begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
     if more of the same may help. The careful one begins at the beginning.
     """
-    careful = effort.careful
-    lanes, valid = to_batch_last(problem)
-    lanes, frame = scale_in_principal_axes(lanes, careful)
-    metric, unknowns, ill = _coordinates(problem, lanes, frame, careful)
-    missed, direction = _out_of_range(lanes, frame, unknowns, careful)
-    last = spatial.join(*multiplier_to_scaled(prior.multiplier, frame))
+    careful = settings.careful
+    data, valid = to_batch_last(problem)
+    data, scaling = scale_in_principal_axes(data, careful)
+    metric, coordinates, ill_conditioned = _coordinates(problem, data, scaling, careful)
+    missed, direction = _out_of_range(data, scaling, coordinates, careful)
+    last = spatial.join(*multiplier_to_scaled(prior.multiplier, scaling))
     point = jnp.where(careful, 0, last)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
-    begun = initial_state(point, squeezing_forces(lanes), verdict, ill | missed)._replace(certificate=direction)
-    ground = UnlimitedProblem(lanes, frame, unknowns, metric)
-    found = proximal_search(ground, begun, effort)
-    return _optimum_answer(ground, valid, problem.size, found, careful, ill, prior.steps)
+    start_state = initial_state(point, squeezing_forces(data), verdict, ill_conditioned | missed)._replace(
+        certificate=direction
+    )
+    proximal_problem = UnlimitedProblem(data, scaling, coordinates, metric)
+    found = proximal_search(proximal_problem, start_state, settings)
+    return _optimum_answer(proximal_problem, valid, problem.size, found, careful, ill_conditioned, prior.steps)
 
 
 @fused_cpu_kernel
 def _optimum_answer(
-    ground: UnlimitedProblem, valid: Array, size: int, found: ProximalState, careful: Array, ill: Array, before: Array
+    proximal_problem: UnlimitedProblem,
+    valid: Array,
+    size: int,
+    found: ProximalState,
+    careful: Array,
+    ill_conditioned: Array,
+    before: Array,
 ) -> PassResult:
-    lanes, frame, unknowns, _ = ground
+    data, scaling, coordinates, _ = proximal_problem
     converged = found.verdict == Verdict.OPTIMAL
     steps = found.steps + jnp.where(careful, 0, before)[None]
-    outcome = ScaledResult(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
-    answer = to_result(lanes, frame, unknowns, valid, size, outcome, jnp.where(careful, Route.CAREFUL, Route.FAST))
+    scaled_result = ScaledResult(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
+    result = to_result(
+        data, scaling, coordinates, valid, size, scaled_result, jnp.where(careful, Route.CAREFUL, Route.FAST)
+    )
     # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
-    undecided = ~careful & (answer.undecided | (answer.verdict == Verdict.NOT_CONVERGED))
-    more = undecided & ~(found.stuck | converged | ill)[0]
-    return answer._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, answer.verdict), undecided=undecided)
+    undecided = ~careful & (result.undecided | (result.verdict == Verdict.NOT_CONVERGED))
+    more = undecided & ~(found.stalled | converged | ill_conditioned)[0]
+    return result._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, result.verdict), undecided=undecided)
 
 
 @fused_cpu_kernel
 def _coordinates(
-    problem: ProblemBatch, lanes: ContactData, frame: Scaling, careful: Array
+    problem: ProblemBatch, data: ContactData, scaling: Scaling, careful: Array
 ) -> tuple[Metric, Coordinates, Array]:
-    """Metric and unknowns, whitened if ``careful``; and which lanes they do not suit."""
+    """Metric and coordinates, whitened if ``careful``; and which problems they do not suit."""
     if problem.free is None:
-        return pseudo_inverse.metric_for(lanes, frame, careful)
-    metric, unknowns = whitened_coordinates(problem, lanes, frame)
-    return metric, unknowns, jnp.zeros_like(lanes.force.x, bool)
+        return pseudo_inverse.metric_for(data, scaling, careful)
+    metric, coordinates = whitened_coordinates(problem, data, scaling)
+    return metric, coordinates, jnp.zeros_like(data.force.x, bool)

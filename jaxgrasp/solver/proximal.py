@@ -1,6 +1,6 @@
-"""The careful optimum: a proximal pull makes the dual strongly concave, and falls away level by level.
+"""The careful optimum: a proximal term makes the dual strongly concave, and falls away level by level.
 
-At each level the pull holds the multiplier near the last level's, so that Newton's method starts close to
+At each level the term holds the multiplier near the last level's, so that Newton's method starts close to
 its goal however degenerate the cones are. Where no forces exist the multiplier runs off instead, and what
 is left of the wrench tends to the shortest one out of reach: the proof.
 
@@ -39,7 +39,7 @@ STEPS_PER_LEVEL = 40
 
 
 class ProximalState(NamedTuple):
-    """Where each lane stands."""
+    """Where each problem stands."""
 
     point: Array
     forces: ContactVec
@@ -49,13 +49,13 @@ class ProximalState(NamedTuple):
     certificate: Array
     """As many rows as the point has; read where the verdict is INFEASIBLE."""
     decided: Array
-    nearly: Array
+    loosely_optimal: Array
     """Whether the point is the optimum but for a last slack."""
-    stuck: Array
+    stalled: Array
     """Whether Newton's method was unable to move on."""
 
 
-class Pass(NamedTuple):
+class PassSettings(NamedTuple):
     """How hard to try, in scalars, so that all efforts are one compiled code."""
 
     careful: Array
@@ -66,13 +66,13 @@ class Pass(NamedTuple):
 
 @runtime_checkable
 class ProximalProblem(Protocol):
-    """What the search goes over: a hill, what its points are worth, and what they prove."""
+    """What the search goes over: a objective, what its points are worth, and what they prove."""
 
-    def pulled(self, proximal: ProximalTerm) -> ConcaveObjective:
-        """The hill with a proximal pull."""
+    def with_proximal_term(self, proximal: ProximalTerm) -> ConcaveObjective:
+        """The objective with a proximal term."""
         ...
 
-    def judge(self, point: Array) -> OptimalityCheck:
+    def check_optimality(self, point: Array) -> OptimalityCheck:
         """The forces of a point, and whether they are the optimum."""
         ...
 
@@ -82,33 +82,33 @@ class ProximalProblem(Protocol):
 
 
 class UnlimitedProblem(NamedTuple):
-    """Lanes without limits that tie their contacts together."""
+    """Problems without limits that tie their contacts together."""
 
-    lanes: ContactData
-    frame: Scaling
-    unknowns: Coordinates
+    data: ContactData
+    scaling: Scaling
+    coordinates: Coordinates
     metric: Metric
 
-    def pulled(self, proximal: ProximalTerm) -> ConcaveObjective:
-        return DualObjective(self.lanes, self.unknowns, self.metric, proximal)
+    def with_proximal_term(self, proximal: ProximalTerm) -> ConcaveObjective:
+        return DualObjective(self.data, self.coordinates, self.metric, proximal)
 
-    def judge(self, point: SpatialVec) -> OptimalityCheck:
-        return check_optimality(self.lanes, self.unknowns, self.metric, point)
+    def check_optimality(self, point: SpatialVec) -> OptimalityCheck:
+        return check_optimality(self.data, self.coordinates, self.metric, point)
 
     def proof(self, point: SpatialVec, before: SpatialVec) -> tuple[Array, SpatialVec]:
-        forces = dual.candidate_forces(self.lanes, point, self.unknowns).forces
-        rest = dual.residual(self.lanes, forces, self.unknowns)
-        return find_certificate(self.lanes, self.frame, self.unknowns, rest, point - before)
+        forces = dual.candidate_forces(self.data, point, self.coordinates).forces
+        residual = dual.residual(self.data, forces, self.coordinates)
+        return find_certificate(self.data, self.scaling, self.coordinates, residual, point - before)
 
 
-def careful_pass() -> Pass:
+def careful_settings() -> PassSettings:
     """All that can be done."""
-    return Pass(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
+    return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
 
 
 def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, decided: Array) -> ProximalState:
     """Before the first step; what is ``decided`` keeps its verdict."""
-    # A grasp that many wrenches share has one column; where each lane stands is its own.
+    # A grasp that many wrenches share has one column; where each problem stands is its own.
     decided = jnp.broadcast_to(decided, point[:1].shape)
     no, none = jnp.zeros_like(decided), jnp.zeros_like(decided, jnp.int32)
     verdict = jnp.where(decided, verdict, Verdict.NOT_CONVERGED) + none
@@ -116,8 +116,8 @@ def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, de
     return ProximalState(point, forces, verdict, none, jnp.zeros_like(point), decided, no, no)
 
 
-def proximal_search(ground: ProximalProblem, search: ProximalState, effort: Pass) -> ProximalState:
-    """The optimum of the lanes that are not decided, or a proof that there is none."""
+def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, settings: PassSettings) -> ProximalState:
+    """The optimum of the problems that are not decided, or a proof that there is none."""
     weakest = 4 * float(jnp.finfo(search.point.dtype).eps)
 
     def unfinished(carry):
@@ -126,39 +126,45 @@ def proximal_search(ground: ProximalProblem, search: ProximalState, effort: Pass
 
     def fall(carry):
         strength, _, search = carry
-        return strength / 10, jnp.asarray(False), _level(ground, strength, effort, search)
+        return strength / 10, jnp.asarray(False), _level(proximal_problem, strength, settings, search)
 
-    strongest = jnp.where(effort.careful, STRONGEST, 0).astype(search.point.dtype)
-    search = varying_like(search, ground)
+    strongest = jnp.where(settings.careful, STRONGEST, 0).astype(search.point.dtype)
+    search = varying_like(search, proximal_problem)
     *_, search = lax.while_loop(unfinished, fall, (strongest, jnp.asarray(True), search))
-    good = effort.careful & ~search.decided & search.nearly
+    good = settings.careful & ~search.decided & search.loosely_optimal
     return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))
 
 
-def _level(ground: ProximalProblem, strength: Array, effort: Pass, search: ProximalState) -> ProximalState:
+def _level(
+    proximal_problem: ProximalProblem, strength: Array, settings: PassSettings, search: ProximalState
+) -> ProximalState:
     """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
-    hill = ground.pulled(ProximalTerm(strength, search.point))
-    return _decide(ground, effort, search, maximise(hill, search.point, search.decided, effort.steps))
+    objective = proximal_problem.with_proximal_term(ProximalTerm(strength, search.point))
+    return _decide(
+        proximal_problem, settings, search, maximise(objective, search.point, search.decided, settings.steps)
+    )
 
 
 @fused_cpu_kernel
-def _decide(ground: ProximalProblem, effort: Pass, search: ProximalState, ascent: NewtonState) -> ProximalState:
-    forces, optimal, nearly = ground.judge(ascent.point)
+def _decide(
+    proximal_problem: ProximalProblem, settings: PassSettings, search: ProximalState, newton_state: NewtonState
+) -> ProximalState:
+    forces, optimal, loosely_optimal = proximal_problem.check_optimality(newton_state.point)
 
     def unproven(point: Array, before: Array) -> tuple[Array, Array]:
         return jnp.zeros_like(optimal), jnp.zeros_like(point)
 
-    proven, direction = lax.cond(effort.careful, ground.proof, unproven, ascent.point, search.point)
-    hopeless = ~optimal & proven
+    proven, direction = lax.cond(settings.careful, proximal_problem.proof, unproven, newton_state.point, search.point)
+    infeasible = ~optimal & proven
     open_ = ~search.decided
-    verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(hopeless, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
+    verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     return ProximalState(
-        point=jnp.where(open_, ascent.point, search.point),
+        point=jnp.where(open_, newton_state.point, search.point),
         forces=contact_vec.where(open_, forces, search.forces),
         verdict=jnp.where(open_, verdict, search.verdict),
-        steps=search.steps + jnp.where(open_, ascent.steps, 0),
-        certificate=jnp.where(open_ & hopeless, direction, search.certificate),
-        decided=search.decided | optimal | hopeless,
-        nearly=jnp.where(open_, nearly, search.nearly),
-        stuck=jnp.where(open_, ascent.stuck, search.stuck),
+        steps=search.steps + jnp.where(open_, newton_state.steps, 0),
+        certificate=jnp.where(open_ & infeasible, direction, search.certificate),
+        decided=search.decided | optimal | infeasible,
+        loosely_optimal=jnp.where(open_, loosely_optimal, search.loosely_optimal),
+        stalled=jnp.where(open_, newton_state.stalled, search.stalled),
     )

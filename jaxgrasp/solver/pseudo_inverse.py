@@ -31,53 +31,53 @@ from jaxgrasp.solver.coordinates import Coordinates, ScaledAxes, plain_axes
 
 
 class Metric(NamedTuple):
-    """G W G^T in the lanes' coordinates: the identity, and this inertia over the angular unknowns."""
+    """G W G^T in the problems' coordinates: the identity, and this inertia over the angular coordinates."""
 
     inertia: list[list[Array]]
     factors: tuple[list[list[Array]], list[Array]]
 
 
-def plain_metric(lanes: ContactData) -> tuple[Metric, ScaledAxes, Array]:
-    """The metric in the axes as they are, its unknowns of one, and which lanes are too ill-conditioned for it."""
-    matrix = inertia(lanes)
-    factors, ill = _sound_factors(matrix)
-    return Metric(matrix, factors), plain_axes(matrix[0][0]), ill
+def plain_metric(data: ContactData) -> tuple[Metric, ScaledAxes, Array]:
+    """The metric in the axes as they are, its coordinates of one, and which problems are too ill-conditioned for it."""
+    matrix = inertia(data)
+    factors, ill_conditioned = _sound_factors(matrix)
+    return Metric(matrix, factors), plain_axes(matrix[0][0]), ill_conditioned
 
 
 def _sound_factors(matrix: ldl.Lower) -> tuple[tuple[list[list[Array]], list[Array]], Array]:
-    """The factors of a matrix, and the lanes in which its pivots are too small; there, the identity's factors."""
+    """The factors of a matrix, and the problems in which its pivots are too small; there, the identity's factors."""
     lower, diagonal = ldl.factor(matrix)
     pivot = tolerances(diagonal[0].dtype).pivot
     # `not >=` rather than `<`, so that a NaN out of a zero pivot counts as ill.
-    ill = ~((diagonal[0] >= pivot) & (diagonal[1] >= pivot) & (diagonal[2] >= pivot))
-    safe = [jnp.where(ill, 1, d) for d in diagonal]
-    return ([[jnp.where(ill, 0, entry) for entry in row] for row in lower], safe), ill
+    ill_conditioned = ~((diagonal[0] >= pivot) & (diagonal[1] >= pivot) & (diagonal[2] >= pivot))
+    safe = [jnp.where(ill_conditioned, 1, d) for d in diagonal]
+    return ([[jnp.where(ill_conditioned, 0, entry) for entry in row] for row in lower], safe), ill_conditioned
 
 
-def metric_for(lanes: ContactData, frame: Scaling, whiten: Array) -> tuple[Metric, ScaledAxes, Array]:
-    """By the scalar ``whiten`` either ``whitened_metric``, which suits every lane, or ``plain_metric``: one code."""
-    matrix = inertia(lanes)
-    scales = Vec3(*(jnp.where(whiten, s, 1) for s in _whitening(matrix, frame)))
+def metric_for(data: ContactData, scaling: Scaling, whiten: Array) -> tuple[Metric, ScaledAxes, Array]:
+    """By the scalar ``whiten`` either ``whitened_metric``, which suits every problem, or ``plain_metric``: one code."""
+    matrix = inertia(data)
+    scales = Vec3(*(jnp.where(whiten, s, 1) for s in _whitening(matrix, scaling)))
     metric = _scaled_metric(matrix, scales)
-    factors, ill = _sound_factors(metric.inertia)
-    return Metric(metric.inertia, factors), ScaledAxes(scales), ill & ~whiten
+    factors, ill_conditioned = _sound_factors(metric.inertia)
+    return Metric(metric.inertia, factors), ScaledAxes(scales), ill_conditioned & ~whiten
 
 
-def whitened_metric(lanes: ContactData, frame: Scaling) -> tuple[Metric, ScaledAxes]:
-    """For lanes in principal axes: the unknowns that makes the metric the identity but for rounding.
+def whitened_metric(data: ContactData, scaling: Scaling) -> tuple[Metric, ScaledAxes]:
+    """For problems in principal axes: the coordinates that makes the metric the identity but for rounding.
 
-    Axes along which the contacts have no spread get a unknowns of zero: no force can turn the object
+    Axes along which the contacts have no spread get a coordinates of zero: no force can turn the object
     about them.
     """
-    matrix = inertia(lanes)
-    scales = _whitening(matrix, frame)
+    matrix = inertia(data)
+    scales = _whitening(matrix, scaling)
     return _scaled_metric(matrix, scales), ScaledAxes(scales)
 
 
-def _whitening(matrix: ldl.Lower, frame: Scaling | Placement) -> Vec3:
-    """Scales of the angular unknowns along principal axes; zero along those that are out of reach."""
+def _whitening(matrix: ldl.Lower, scaling: Scaling | Placement) -> Vec3:
+    """Scales of the angular coordinates along principal axes; zero along those that are out of reach."""
     diagonal = [matrix[i][i] for i in range(3)]
-    cut = (tolerances(diagonal[0].dtype).rank * rounding_growth(frame)) ** 2
+    cut = (tolerances(diagonal[0].dtype).rank * rounding_growth(scaling)) ** 2
     return Vec3(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
 
 
@@ -89,76 +89,78 @@ def _scaled_metric(matrix: ldl.Lower, scales: Vec3) -> Metric:
 
 
 class ConditionedProblem(NamedTuple):
-    """Each lane in coordinates that suit it."""
+    """Each problem in coordinates that suit it."""
 
-    lanes: ContactData
-    frame: Scaling
+    data: ContactData
+    scaling: Scaling
     metric: Metric
-    unknowns: Coordinates
-    ill: Array
-    """Lanes that are too ill-conditioned for the axes as they are: along principal axes, whitened, refined."""
+    coordinates: Coordinates
+    ill_conditioned: Array
+    """Problems that are too ill-conditioned for the axes as they are: along principal axes, whitened, refined."""
 
 
 @fused_cpu_kernel
-def conditioned(lanes: ContactData) -> ConditionedProblem:
-    """Coordinates as they are where they will do, principal and whitened in other lanes.
+def conditioned(data: ContactData) -> ConditionedProblem:
+    """Coordinates as they are where they will do, principal and whitened in other problems.
 
-    What only the others need stands in a loop that ends at once where there is none. Every lane's numbers are its own,
+    What only the others need stands in a loop that ends at once where there is none. Every problem's numbers are its own,
     whatever others stand beside it.
     """
-    placed, where = place_contacts(lanes)
+    placed, where = place_contacts(data)
     matrix = inertia(placed)
     one, zero = jnp.ones_like(matrix[0][0]), jnp.zeros_like(matrix[0][0])
     own = (Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
-    # Lanes where no contact carries anything are not worth the care.
+    # Problems where no contact carries anything are not worth the care.
     matrix = [[jnp.where(where.weight > 0, m, o) for m, o in zip(*rows, strict=False)] for rows in zip(matrix, own)]
-    _, ill = _sound_factors(matrix)
-    plain = placed._replace(torque=torque_about(where, lanes, carefully=False))
+    _, ill_conditioned = _sound_factors(matrix)
+    plain = placed._replace(torque=torque_about(where, data, carefully=False))
 
     def with_care(_, state):
         plain, axes, matrix, scales = state
-        exact = torque_about(where, lanes, carefully=True)
+        exact = torque_about(where, data, carefully=True)
         found = ldl.principal_axes(matrix)
-        axes = tuple(vec3.where(ill, *pair) for pair in zip(found, axes, strict=True))
-        turned = rotate(plain._replace(torque=vec3.where(ill, exact, plain.torque)), axes)
+        axes = tuple(vec3.where(ill_conditioned, *pair) for pair in zip(found, axes, strict=True))
+        turned = rotate(plain._replace(torque=vec3.where(ill_conditioned, exact, plain.torque)), axes)
         along = inertia(turned)
-        scales = vec3.where(ill, _whitening(along, where), scales)
-        return turned, axes, jax.tree.map(partial(jnp.where, ill), along, matrix), scales
+        scales = vec3.where(ill_conditioned, _whitening(along, where), scales)
+        return turned, axes, jax.tree.map(partial(jnp.where, ill_conditioned), along, matrix), scales
 
     given = varying_like((plain, own, matrix, Vec3(one, one, one)), placed)
-    ready, axes, matrix, scales = lax.fori_loop(0, jnp.any(ill).astype(jnp.int32), with_care, given)
-    ready, frame = scale_by_load(where, ready, axes)
-    return ConditionedProblem(ready, frame, _scaled_metric(matrix, scales), ScaledAxes(scales), ill)
+    ready, axes, matrix, scales = lax.fori_loop(0, jnp.any(ill_conditioned).astype(jnp.int32), with_care, given)
+    ready, scaling = scale_by_load(where, ready, axes)
+    return ConditionedProblem(ready, scaling, _scaled_metric(matrix, scales), ScaledAxes(scales), ill_conditioned)
 
 
-def closed_multiplier(lanes: ContactData, unknowns: Coordinates, metric: Metric) -> SpatialVec:
+def closed_multiplier(data: ContactData, coordinates: Coordinates, metric: Metric) -> SpatialVec:
     """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
-    return _balancing(lanes, squeezing_forces(lanes), unknowns, metric)
+    return _balancing(data, squeezing_forces(data), coordinates, metric)
 
 
 @fused_cpu_kernel
-def refined_multiplier(lanes: ContactData, unknowns: Coordinates, metric: Metric, ill: Array) -> SpatialVec:
-    """The same, of ``ill`` lanes corrected by what it leaves: whitened, a metric is the identity but for rounding."""
+def refined_multiplier(
+    data: ContactData, coordinates: Coordinates, metric: Metric, ill_conditioned: Array
+) -> SpatialVec:
+    """The same, of ``ill_conditioned`` problems corrected by what it leaves: whitened, a metric is the identity but for rounding."""
 
     def balance(i, multiplier: SpatialVec) -> SpatialVec:
-        more = _balancing(lanes, forces_without_cones(lanes, multiplier, unknowns), unknowns, metric)
-        return multiplier + jnp.where((i == 0) | ill, more, 0)
+        more = _balancing(data, forces_without_cones(data, multiplier, coordinates), coordinates, metric)
+        return multiplier + jnp.where((i == 0) | ill_conditioned, more, 0)
 
-    trips = 1 + jnp.any(ill).astype(jnp.int32)
-    start = varying_like(jnp.zeros((6, lanes.force.x.shape[-1]), lanes.squeeze.dtype), lanes, metric)
+    trips = 1 + jnp.any(ill_conditioned).astype(jnp.int32)
+    start = varying_like(jnp.zeros((6, data.force.x.shape[-1]), data.squeeze.dtype), data, metric)
     return lax.fori_loop(0, trips, balance, start)
 
 
-def _balancing(lanes: ContactData, forces: ContactVec, unknowns: Coordinates, metric: Metric) -> SpatialVec:
+def _balancing(data: ContactData, forces: ContactVec, coordinates: Coordinates, metric: Metric) -> SpatialVec:
     """The multiplier that balances what these forces leave of the wrench."""
-    linear, angular = spatial.parts(dual.residual(lanes, forces, unknowns))
+    linear, angular = spatial.parts(dual.residual(data, forces, coordinates))
     return spatial.join(linear, Vec3(*ldl.solve(metric.factors, angular)))
 
 
-def forces_without_cones(lanes: ContactData, multiplier: SpatialVec, unknowns: Coordinates) -> ContactVec:
+def forces_without_cones(data: ContactData, multiplier: SpatialVec, coordinates: Coordinates) -> ContactVec:
     """Forces of eq. 8 with weights: s a + k (G^T multiplier), whatever friction says."""
-    twist = dual.contact_velocities(lanes, multiplier, unknowns)
-    return contact_vec.add(squeezing_forces(lanes), contact_vec.scale(lanes.weights, twist))
+    twist = dual.contact_velocities(data, multiplier, coordinates)
+    return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, twist))
 
 
 def squared_norm(metric: Metric, gradient: SpatialVec) -> Array:

@@ -1,10 +1,10 @@
 """The wrench that contacts can exert closest to a load, the furthest along a ray, and the least that they must press.
 
-All come out of the same dual as the optimum, in a lane's coordinates. Let a wrench e be missed at a price of
-t |e|^2 / 2: the dual is then pulled towards zero, by |x|^2 / 2t, and e = x / t. As the price rises e tends to the
+All come out of the same dual as the optimum, in a problem's coordinates. Let a wrench e be missed at a penalty of
+t |e|^2 / 2: the dual is then pulled towards zero, by |x|^2 / 2t, and e = x / t. As the penalty rises e tends to the
 shortest wrench that must be missed, while the multiplier x runs off along it. Or let theta be paid for at t: the dual
 is then confined to the plane where the multiplier does work t along the ray. Or let each unit of normal force cost a
-toll t, which takes t off the multiplier's velocity along each normal. In all of them the forces' own cost holds the
+cost t, which takes t off the multiplier's velocity along each normal. In all of them the forces' own cost holds the
 answer back, by terms that fall with 1 / t for the forces, and with their square for the distance, theta and the total.
 """
 
@@ -31,9 +31,9 @@ from jaxgrasp.solver.coordinates import Coordinates, plain_axes
 ARMIJO = 1e-4
 STEPS_PER_LEVEL = 100
 PENALTY_FACTOR = 10.0
-"""Factor between one price and the next."""
+"""Factor between one penalty and the next."""
 FIRST_DAMPING = 10.0
-"""Of the first step at each price, in units of 1 / t."""
+"""Of the first step at each penalty, in units of 1 / t."""
 DAMPING_FACTOR = 4.0
 """Less damping after a step that was good, more after one that was not."""
 HIGHEST_DAMPING = 1e3
@@ -41,28 +41,28 @@ HIGHEST_DAMPING = 1e3
 RAY_PENALTY = 1e-6
 """Pull along a ray, in units of 1 / t: it only keeps Newton's matrix regular."""
 STRAIGHT_PATH = 1e-5
-"""Bend of the path between two prices, relative to the multiplier, that is none."""
+"""Bend of the path between two penalties, relative to the multiplier, that is none."""
 PENALTY_ERROR = 1e4
-"""What a higher price is worth against rounding: the error of theta at the price t, in units of (theta / t)^2."""
+"""What a higher penalty is worth against rounding: the error of theta at the penalty t, in units of (theta / t)^2."""
 CHANGE_WEIGHT = 10.0
-"""The same, measured: what is sought is off by a known share of its change between two prices. So much more than a
+"""The same, measured: what is sought is off by a known share of its change between two penalties. So much more than a
 wrench that is missed aside, which shows in what is sought by its square only."""
 
 
 class QuadraticPenalty(NamedTuple):
-    """The pull -strength/2 (x - centre).metric (x - centre), and a plane that x may not leave."""
+    """The term -strength/2 (x - centre).metric (x - centre), and a plane that x may not leave."""
 
     strength: Array
     centre: SpatialVec
     metric: Lower
     normal: SpatialVec | None
     """Of the plane, of length 1 or 0; None where there is none."""
-    unknowns: Coordinates
+    coordinates: Coordinates
     """What x stands for."""
 
 
 class _MaximiserState(NamedTuple):
-    """Where each lane stands, and what Newton's method knows there."""
+    """Where each problem stands, and what Newton's method knows there."""
 
     point: SpatialVec
     value: Array
@@ -73,27 +73,27 @@ class _MaximiserState(NamedTuple):
 
 
 class PenaltyPath(NamedTuple):
-    """The best point so far, and the one before it: in the end points lie on a straight line over their prices."""
+    """The best point so far, and the one before it: in the end points lie on a straight line over their penalties."""
 
-    price: Array
+    penalty: Array
     point: SpatialVec
-    sought: Array
-    price_before: Array
+    estimate: Array
+    penalty_before: Array
     point_before: SpatialVec
-    badness: Array
+    error_estimate: Array
     done: Array
 
 
 class _Attempt(NamedTuple):
-    """A point for the next price."""
+    """A point for the next penalty."""
 
     point: SpatialVec
-    sought: Array
+    estimate: Array
     """What the point says of theta or the least total, beside its size; 0 where neither is sought."""
     size: Array
-    badness: Array
-    far: Array
-    """Whether the price may be high enough."""
+    error_estimate: Array
+    far_enough: Array
+    """Whether the penalty may be high enough."""
 
 
 class NearestWrench(NamedTuple):
@@ -106,7 +106,7 @@ class NearestWrench(NamedTuple):
 
 
 def largest_multiplier(dtype: np.dtype) -> float:
-    """Where a multiplier that runs off is stopped: its rounding then weighs as much as what the price is short of."""
+    """Where a multiplier that runs off is stopped: its rounding then weighs as much as what the penalty is short of."""
     return float(jnp.finfo(dtype).eps ** -0.55)
 
 
@@ -116,115 +116,117 @@ def identity(like: Array) -> Lower:
 
 
 def nearest_wrench(
-    lanes: ContactData,
+    data: ContactData,
     metric: Lower,
     frozen: Array,
     plane: SpatialVec | None = None,
-    unknowns: Coordinates | None = None,
+    coordinates: Coordinates | None = None,
 ) -> NearestWrench:
     """The nearest wrench, what is missed of the load, e, being measured by e.metric^-1 e.
 
     With a ``plane`` the metric must be the identity, and wrenches along the plane's normal cost nothing. Plane,
-    metric and point are those of the ``unknowns``: where they are not given, of the twist as it is.
+    metric and point are those of the ``coordinates``: where they are not given, of the twist as it is.
     """
-    unknowns = plain_axes(lanes.force.x) if unknowns is None else unknowns
-    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype), lanes)
+    coordinates = plain_axes(data.force.x) if coordinates is None else coordinates
+    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), data.squeeze.dtype), data)
 
-    def attempt(price: Array, foreseen: SpatialVec, done: Array) -> _Attempt:
-        point = maximise(lanes, QuadraticPenalty(1 / price, zero, metric, plane, unknowns), price, foreseen, done)
-        rest = missed_wrench(lanes, point, unknowns)
+    def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
+        point = maximise(
+            data, QuadraticPenalty(1 / penalty, zero, metric, plane, coordinates), penalty, predicted, done
+        )
+        residual = missed_wrench(data, point, coordinates)
         if plane is not None:
-            rest = _in_plane(plane, rest)
+            residual = _in_plane(plane, residual)
         far = spatial.length(point) >= largest_multiplier(zero.dtype)
-        return _Attempt(point, zero[:1], zero[:1] + 1, spatial.inner(rest, solve_by(metric, rest)), far)
+        return _Attempt(point, zero[:1], zero[:1] + 1, spatial.inner(residual, solve_by(metric, residual)), far)
 
     path = _follow(zero, frozen, attempt)
     settled = spatial.length(path.point) <= 2 * spatial.length(path.point_before)
-    return NearestWrench(path.point, settled | (path.badness <= tolerances(zero.dtype).range ** 2))
+    return NearestWrench(path.point, settled | (path.error_estimate <= tolerances(zero.dtype).range ** 2))
 
 
-def ray_search(lanes: ContactData, ray: SpatialVec, start: SpatialVec, frozen: Array) -> tuple[Array, PenaltyPath]:
+def ray_search(data: ContactData, ray: SpatialVec, start: SpatialVec, frozen: Array) -> tuple[Array, PenaltyPath]:
     """The largest theta with load + theta ray in reach, and the multipliers of what bounds it, by their work.
 
-    ``start`` does no work along the ``ray``, which has length 1. Lanes where no theta is in reach, or all
+    ``start`` does no work along the ``ray``, which has length 1. Problems where no theta is in reach, or all
     are, should be ``frozen``.
     """
     metric, plain = identity(start[:1]), plain_axes(start[:1])
 
-    def attempt(price: Array, foreseen: SpatialVec, done: Array) -> _Attempt:
-        foreseen = foreseen + (price - spatial.inner(ray, foreseen)) * ray
+    def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
+        predicted = predicted + (penalty - spatial.inner(ray, predicted)) * ray
         point = maximise(
-            lanes, QuadraticPenalty(RAY_PENALTY / price, foreseen, metric, ray, plain), price, foreseen, done
+            data, QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, ray, plain), penalty, predicted, done
         )
-        rest = missed_wrench(lanes, point, plain)
+        residual = missed_wrench(data, point, plain)
         # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
-        theta = -spatial.inner(point, rest) / price
+        theta = -spatial.inner(point, residual) / penalty
         size = 1 + jnp.abs(theta)
-        aside = spatial.length(_in_plane(ray, rest)) * spatial.length(point) / price
-        enough = price >= size * largest_multiplier(start.dtype)
-        return _Attempt(point, theta, size, (aside / size) ** 2 + PENALTY_ERROR * (size / price) ** 2, enough)
+        aside = spatial.length(_in_plane(ray, residual)) * spatial.length(point) / penalty
+        enough = penalty >= size * largest_multiplier(start.dtype)
+        return _Attempt(point, theta, size, (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2, enough)
 
     path = _follow(start, frozen, attempt)
-    return path.sought, path
+    return path.estimate, path
 
 
-def least_normal_force(lanes: ContactData, frozen: Array) -> tuple[Array, PenaltyPath]:
-    """The least total of normal forces that exert the load, and the multipliers of what bounds it, by the toll.
+def least_normal_force(data: ContactData, frozen: Array) -> tuple[Array, PenaltyPath]:
+    """The least total of normal forces that exert the load, and the multipliers of what bounds it, by the cost.
 
-    Lanes that have no forces at all should be ``frozen``.
+    Problems that have no forces at all should be ``frozen``.
     """
-    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), lanes.squeeze.dtype), lanes)
+    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), data.squeeze.dtype), data)
     metric, plain = identity(zero[:1]), plain_axes(zero[:1])
 
-    def attempt(price: Array, foreseen: SpatialVec, done: Array) -> _Attempt:
+    def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
         point = maximise(
-            with_normal_cost(lanes, price),
-            QuadraticPenalty(RAY_PENALTY / price, foreseen, metric, None, plain),
-            price,
-            foreseen,
+            with_normal_cost(data, penalty),
+            QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, None, plain),
+            penalty,
+            predicted,
             done,
         )
-        forces = dual.candidate_forces(with_normal_cost(lanes, price), point, plain).forces
-        rest = dual.residual(lanes, forces, plain)
+        forces = dual.candidate_forces(with_normal_cost(data, penalty), point, plain).forces
+        residual = dual.residual(data, forces, plain)
         # What is missed of the load would have to be pushed too, along the multiplier.
-        total = dual.total_normal_force(lanes, forces) + spatial.inner(point, rest) / price
+        total = dual.total_normal_force(data, forces) + spatial.inner(point, residual) / penalty
         size = 1 + total
-        aside = spatial.length(rest) * spatial.length(point) / price
-        enough = price >= size * largest_multiplier(zero.dtype)
-        return _Attempt(point, total, size, (aside / size) ** 2 + PENALTY_ERROR * (size / price) ** 2, enough)
+        aside = spatial.length(residual) * spatial.length(point) / penalty
+        enough = penalty >= size * largest_multiplier(zero.dtype)
+        return _Attempt(point, total, size, (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2, enough)
 
     path = _follow(zero, frozen, attempt)
-    return path.sought, path
+    return path.estimate, path
 
 
-def with_normal_cost(lanes: ContactData, toll: Array) -> ContactData:
-    """Lanes in which each unit of normal force costs a toll, beside half its square over the weight."""
-    return lanes._replace(toll=toll)
+def with_normal_cost(data: ContactData, normal_cost: Array) -> ContactData:
+    """Problems in which each unit of normal force costs a cost, beside half its square over the weight."""
+    return data._replace(normal_cost=normal_cost)
 
 
 def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialVec, Array], _Attempt]) -> PenaltyPath:
-    """Raise the price until every lane is far enough, or its digits come to their end."""
+    """Raise the penalty until every problem is far enough, or its digits come to their end."""
     zero = jnp.zeros_like(start[:1])
     eps = float(jnp.finfo(zero.dtype).eps)
     highest = 1 / (64 * eps)
 
     def rise(carry):
-        price, path = carry
-        foreseen = _predicted(path, price)
-        tried = attempt(price, foreseen, path.done)
-        # A higher price is better. Where it is not Newton's method has failed: the next one starts from before.
-        badness = tried.badness + (CHANGE_WEIGHT * _bias(path, price, tried.sought) / tried.size) ** 2
-        better = ~path.done & (badness <= (1 + eps**0.5) * path.badness)
+        penalty, path = carry
+        predicted = _predicted(path, penalty)
+        tried = attempt(penalty, predicted, path.done)
+        # A higher penalty is better. Where it is not Newton's method has failed: the next one starts from before.
+        error_estimate = tried.error_estimate + (CHANGE_WEIGHT * _bias(path, penalty, tried.estimate) / tried.size) ** 2
+        better = ~path.done & (error_estimate <= (1 + eps**0.5) * path.error_estimate)
         # Where contacts resist only by enormous forces, the path bends late.
-        straight = spatial.length(tried.point - foreseen) <= STRAIGHT_PATH * spatial.length(tried.point)
-        return PENALTY_FACTOR * price, PenaltyPath(
-            price=jnp.where(better, price, path.price),
+        straight = spatial.length(tried.point - predicted) <= STRAIGHT_PATH * spatial.length(tried.point)
+        return PENALTY_FACTOR * penalty, PenaltyPath(
+            penalty=jnp.where(better, penalty, path.penalty),
             point=jnp.where(better, tried.point, path.point),
-            sought=jnp.where(better, tried.sought, path.sought),
-            price_before=jnp.where(better, path.price, path.price_before),
+            estimate=jnp.where(better, tried.estimate, path.estimate),
+            penalty_before=jnp.where(better, path.penalty, path.penalty_before),
             point_before=jnp.where(better, path.point, path.point_before),
-            badness=jnp.where(better, badness, path.badness),
-            done=path.done | (better & tried.far & straight) | (price >= highest),
+            error_estimate=jnp.where(better, error_estimate, path.error_estimate),
+            done=path.done | (better & tried.far_enough & straight) | (penalty >= highest),
         )
 
     path = varying_like(PenaltyPath(zero, start, zero, zero, start, zero + jnp.inf, frozen), start, frozen)
@@ -234,33 +236,37 @@ def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialV
     return path
 
 
-def _bias(path: PenaltyPath, price: Array, sought: Array) -> Array:
-    """How far what is sought still is from its limit, since it comes closer by the square of the price."""
-    some = path.price > 0
-    ratio = jnp.where(some, price / jnp.where(some, path.price, 1), PENALTY_FACTOR)
-    return jnp.where(some, (sought - path.sought) / (ratio**2 - 1), 0)
+def _bias(path: PenaltyPath, penalty: Array, estimate: Array) -> Array:
+    """How far what is sought still is from its limit, since it comes closer by the square of the penalty."""
+    some = path.penalty > 0
+    ratio = jnp.where(some, penalty / jnp.where(some, path.penalty, 1), PENALTY_FACTOR)
+    return jnp.where(some, (estimate - path.estimate) / (ratio**2 - 1), 0)
 
 
-def _predicted(path: PenaltyPath, price: Array) -> SpatialVec:
+def _predicted(path: PenaltyPath, penalty: Array) -> SpatialVec:
     """The path goes straight in the end: by secant."""
-    factor = vec3.safe_divide(price - path.price, path.price - path.price_before)
+    factor = vec3.safe_divide(penalty - path.penalty, path.penalty - path.penalty_before)
     return path.point + factor * (path.point - path.point_before)
 
 
-def missed_wrench(lanes: ContactData, point: SpatialVec, unknowns: Coordinates) -> SpatialVec:
-    return dual.residual(lanes, dual.candidate_forces(lanes, point, unknowns).forces, unknowns)
+def missed_wrench(data: ContactData, point: SpatialVec, coordinates: Coordinates) -> SpatialVec:
+    return dual.residual(data, dual.candidate_forces(data, point, coordinates).forces, coordinates)
 
 
-def maximise(lanes: ContactData, pull: QuadraticPenalty, price: Array, start: SpatialVec, frozen: Array) -> SpatialVec:
-    """Maximise the dual less the pull by Newton's method, damped as each lane needs it.
+def maximise(
+    data: ContactData, penalty_term: QuadraticPenalty, penalty: Array, start: SpatialVec, frozen: Array
+) -> SpatialVec:
+    """Maximise the dual less the term by Newton's method, damped as each problem needs it.
 
     A line search such as ``newton.ascend`` has fails here: where the multiplier is large, most of Newton's
-    direction lies where only the faint pull bends the dual, and a kink in it soon ends the step. Damping turns
+    direction lies where only the faint term bends the dual, and a kink in it soon ends the step. Damping turns
     the step away instead. The search stops where a step has nothing to gain but rounding, not by the gradient,
     which is rounding itself in all directions but those that matter.
     """
-    damping = FIRST_DAMPING / price + 0 * start[:1]
-    state = varying_like(_MaximiserState(start, *_evaluate(lanes, pull, start), damping, frozen), lanes, pull, price)
+    damping = FIRST_DAMPING / penalty + 0 * start[:1]
+    state = varying_like(
+        _MaximiserState(start, *_evaluate(data, penalty_term, start), damping, frozen), data, penalty_term, penalty
+    )
 
     def unfinished(carry):
         count, state = carry
@@ -268,16 +274,18 @@ def maximise(lanes: ContactData, pull: QuadraticPenalty, price: Array, start: Sp
 
     def advance(carry):
         count, state = carry
-        return count + 1, _advance(lanes, pull, price, state)
+        return count + 1, _advance(data, penalty_term, penalty, state)
 
     return lax.while_loop(unfinished, advance, (jnp.int32(0), state))[1].point
 
 
 @fused_cpu_kernel
-def _advance(lanes: ContactData, pull: QuadraticPenalty, price: Array, state: _MaximiserState) -> _MaximiserState:
-    step = _step(pull, state)
+def _advance(
+    data: ContactData, penalty_term: QuadraticPenalty, penalty: Array, state: _MaximiserState
+) -> _MaximiserState:
+    step = _step(penalty_term, state)
     trial = state.point + step
-    value, gradient, curvature = _evaluate(lanes, pull, trial)
+    value, gradient, curvature = _evaluate(data, penalty_term, trial)
     eps = jnp.finfo(value.dtype).eps
     # The value is a small difference where the multiplier is large.
     noise = 8 * eps * (1 + jnp.abs(value) + spatial.length(trial))
@@ -285,7 +293,7 @@ def _advance(lanes: ContactData, pull: QuadraticPenalty, price: Array, state: _M
     better = value >= state.value + ARMIJO * gain - noise
     moves = better & ~state.done
     # Such a step doubles the digits, of which there are enough by then.
-    last = moves & (gain <= noise) & (state.damping * price <= 1)
+    last = moves & (gain <= noise) & (state.damping * penalty <= 1)
     damping = jnp.where(better, state.damping / DAMPING_FACTOR, DAMPING_FACTOR * state.damping)
     return _MaximiserState(
         point=jnp.where(moves, trial, state.point),
@@ -297,26 +305,30 @@ def _advance(lanes: ContactData, pull: QuadraticPenalty, price: Array, state: _M
     )
 
 
-def _step(pull: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
+def _step(penalty_term: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
     """Newton's damped step, within the plane."""
     rows = [[*row[:-1], row[-1] + state.damping] for row in state.curvature]
     factors = ldl.factor(rows)
     step = dual.solve(factors, state.gradient)
-    if pull.normal is None:
+    if penalty_term.normal is None:
         return step
-    across = dual.solve(factors, pull.normal)
-    return step - vec3.safe_divide(spatial.inner(pull.normal, step), spatial.inner(pull.normal, across)) * across
+    across = dual.solve(factors, penalty_term.normal)
+    return (
+        step
+        - vec3.safe_divide(spatial.inner(penalty_term.normal, step), spatial.inner(penalty_term.normal, across))
+        * across
+    )
 
 
 @fused_cpu_kernel
-def _evaluate(lanes: ContactData, pull: QuadraticPenalty, trial: SpatialVec) -> tuple[Array, SpatialVec, Lower]:
+def _evaluate(data: ContactData, penalty_term: QuadraticPenalty, trial: SpatialVec) -> tuple[Array, SpatialVec, Lower]:
     """Value, gradient and minus Hessian."""
-    at = dual.evaluate(lanes, trial, pull.unknowns)
-    offset = trial - pull.centre
-    heavy = pull.strength * times(pull.metric, offset)
+    at = dual.evaluate(data, trial, penalty_term.coordinates)
+    offset = trial - penalty_term.centre
+    heavy = penalty_term.strength * times(penalty_term.metric, offset)
     curvature = [
-        [h + pull.strength * m for h, m in zip(*rows, strict=True)]
-        for rows in zip(at.curvature, pull.metric, strict=True)
+        [h + penalty_term.strength * m for h, m in zip(*rows, strict=True)]
+        for rows in zip(at.curvature, penalty_term.metric, strict=True)
     ]
     return at.value - spatial.inner(offset, heavy) / 2, at.gradient - heavy, curvature
 
@@ -336,18 +348,18 @@ def times(metric: Lower, x: SpatialVec) -> SpatialVec:
     return jnp.concatenate(ldl.multiply(metric, [x[i : i + 1] for i in range(6)]))
 
 
-def wrench_to_scaled(wrench: SpatialVec, frame: Scaling) -> SpatialVec:
-    """A wrench about the user's origin in a lane's axes and lengths; in the user's forces."""
+def wrench_to_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
+    """A wrench about the user's origin in a problem's axes and lengths; in the user's forces."""
     force, torque = spatial.parts(wrench)
-    torque = vec3.scale(1 / frame.length, vec3.sub(torque, vec3.cross(frame.centre, force)))
-    if frame.axes is not None:
-        force, torque = vec3.rotate(frame.axes, force), vec3.rotate(frame.axes, torque)
+    torque = vec3.scale(1 / scaling.length, vec3.sub(torque, vec3.cross(scaling.centre, force)))
+    if scaling.axes is not None:
+        force, torque = vec3.rotate(scaling.axes, force), vec3.rotate(scaling.axes, torque)
     return spatial.join(force, torque)
 
 
-def wrench_from_scaled(wrench: SpatialVec, frame: Scaling) -> SpatialVec:
+def wrench_from_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
     """The inverse of ``wrench_in``."""
     force, torque = spatial.parts(wrench)
-    if frame.axes is not None:
-        force, torque = vec3.rotate_back(frame.axes, force), vec3.rotate_back(frame.axes, torque)
-    return spatial.join(force, vec3.add(vec3.scale(frame.length, torque), vec3.cross(frame.centre, force)))
+    if scaling.axes is not None:
+        force, torque = vec3.rotate_back(scaling.axes, force), vec3.rotate_back(scaling.axes, torque)
+    return spatial.join(force, vec3.add(vec3.scale(scaling.length, torque), vec3.cross(scaling.centre, force)))

@@ -1,8 +1,8 @@
 """Limits of joint torques: |R f| <= bound, where the rows of R are what the contact forces ask of the joints.
 
 They tie the contacts together, so that no projection of each contact alone can respect them. The dual gets one more
-unknown for each limit, the speed of its joint at the price of its bound: with the speeds e contact i moves by
-G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth where a speed is zero: a ridge, on which
+coordinate for each limit, the speed of its joint at the price of its bound: with the speeds e contact i moves by
+G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth where a speed is zero: a kink, on which
 all limits that do not bind stay.
 """
 
@@ -33,7 +33,7 @@ LARGEST_UNROLLED = 10
 
 
 class TorqueConstraints(NamedTuple):
-    """Limits of a few joints in the lanes' coordinates, each row of length 1 as the contacts see it."""
+    """Limits of a few joints in the problems' coordinates, each row of length 1 as the contacts see it."""
 
     map: ContactVec
     """Components ``(q, n, B)``."""
@@ -45,47 +45,49 @@ class TorqueConstraints(NamedTuple):
 
 @fused_cpu_kernel
 def torque_constraints(
-    problem: ProblemBatch, lanes: ContactData, frame: Scaling, chosen: Array | None = None
+    problem: ProblemBatch, data: ContactData, scaling: Scaling, chosen: Array | None = None
 ) -> TorqueConstraints:
     """The limits of the joints ``chosen`` by a 1 for each row ``(B, q, j)``; of all joints where not given."""
-    rows, bounds = _in_scaling(problem, lanes, frame, chosen)
-    square = contact_vec.dot(rows, rows)
+    constraints, bounds = _in_scaling(problem, data, scaling, chosen)
+    square = contact_vec.dot(constraints, constraints)
     # By contacts that can move; where none does, the torque is what it is.
-    seen, whole = jnp.sum(lanes.weights * square, 1), jnp.sum(square, 1)
+    seen, whole = jnp.sum(data.weights * square, 1), jnp.sum(square, 1)
     size = vec3.safe_sqrt(jnp.where(seen > 0, seen, whole))
-    return _scaled(rows, bounds, vec3.safe_divide(jnp.ones_like(size), size))
+    return _scaled(constraints, bounds, vec3.safe_divide(jnp.ones_like(size), size))
 
 
 def torque_constraints_scaled_by(
-    scale: Array, problem: ProblemBatch, lanes: ContactData, frame: Scaling
+    scale: Array, problem: ProblemBatch, data: ContactData, scaling: Scaling
 ) -> TorqueConstraints:
     """The limits of all joints with lengths that are known."""
-    return _scaled(*_in_scaling(problem, lanes, frame, None), scale)
+    return _scaled(*_in_scaling(problem, data, scaling, None), scale)
 
 
-def _scaled(rows: ContactVec, bounds: Array, scale: Array) -> TorqueConstraints:
-    return TorqueConstraints(contact_vec.scale(scale[:, None], rows), jnp.where(scale > 0, scale * bounds, 1), scale)
+def _scaled(constraints: ContactVec, bounds: Array, scale: Array) -> TorqueConstraints:
+    return TorqueConstraints(
+        contact_vec.scale(scale[:, None], constraints), jnp.where(scale > 0, scale * bounds, 1), scale
+    )
 
 
 def _in_scaling(
-    problem: ProblemBatch, lanes: ContactData, frame: Scaling, chosen: Array | None
+    problem: ProblemBatch, data: ContactData, scaling: Scaling, chosen: Array | None
 ) -> tuple[ContactVec, Array]:
-    """Rows and bounds in a lane's axes and loads; rows of zeros for joints that are not bounded."""
+    """Rows and bounds in a problem's axes and loads; rows of zeros for joints that are not bounded."""
     assert problem.torque_map is not None and problem.torque_max is not None
     maps, bounds = jnp.transpose(problem.torque_map, (2, 3, 1, 0)), problem.torque_max.T  # (c, j, n, B), (j, B)
-    there, bounded = vec3.dot(lanes.normals, lanes.normals) > 0, jnp.isfinite(bounds)
+    there, bounded = vec3.dot(data.normals, data.normals) > 0, jnp.isfinite(bounds)
     maps, bounds = jnp.where(there & bounded[:, None], maps, 0), jnp.where(bounded, bounds, 0)
     if chosen is not None:
         which = jnp.transpose(chosen, (1, 2, 0))  # (q, j, B)
         maps = jnp.sum(which[:, :, None] * maps[:, None], 2)
         bounds = jnp.sum(which * bounds, 1)
     linear = Vec3(*maps[:3])
-    if frame.axes is not None:
-        linear = vec3.rotate(frame.axes, linear)
+    if scaling.axes is not None:
+        linear = vec3.rotate(scaling.axes, linear)
     spin = None
-    if lanes.lever is not None:
-        spin = frame.length * lanes.lever * maps[3] if len(maps) == 4 else 0 * linear.x
-    return ContactVec(linear, spin), bounds / frame.load
+    if data.spin_radius is not None:
+        spin = scaling.length * data.spin_radius * maps[3] if len(maps) == 4 else 0 * linear.x
+    return ContactVec(linear, spin), bounds / scaling.load
 
 
 def usable(problem: ProblemBatch) -> Array:
@@ -114,9 +116,9 @@ def torques_of_forces(torque_map: Array, forces: Array, moments: Array | None) -
     return jnp.einsum("bkj,bk->bj", flat, forces.reshape(len(forces), -1), precision=lax.Precision.HIGHEST)
 
 
-def torques(rows: TorqueConstraints, forces: ContactVec) -> Array:
+def torques(constraints: TorqueConstraints, forces: ContactVec) -> Array:
     """R f ``(q, B)``."""
-    return jnp.sum(contact_vec.dot(rows.map, forces), 1)
+    return jnp.sum(contact_vec.dot(constraints.map, forces), 1)
 
 
 def beyond(torque: Array, bound: Array) -> Array:
@@ -124,14 +126,14 @@ def beyond(torque: Array, bound: Array) -> Array:
     return jnp.sign(torque) * jnp.maximum(jnp.abs(torque) - bound, 0)
 
 
-def velocities_by_joints(rows: TorqueConstraints, rates: Array) -> ContactVec:
+def velocities_by_joints(constraints: TorqueConstraints, rates: Array) -> ContactVec:
     """R^T e: the velocities of the contacts by the joints."""
-    parts = [jnp.sum(rates[:, None] * c, 0) for c in contact_vec.components(rows.map)]
+    parts = [jnp.sum(rates[:, None] * c, 0) for c in contact_vec.components(constraints.map)]
     return contact_vec.of_components(parts)
 
 
 class BorderedMatrix(NamedTuple):
-    """A symmetric matrix of the object's unknowns and the rates."""
+    """A symmetric matrix of the object's coordinates and the rates."""
 
     plain: Lower
     """Of the six."""
@@ -147,52 +149,54 @@ class TorqueDualEvaluation(NamedTuple):
     value: Array
     gradient: Array
     curvature: BorderedMatrix
-    push: Array
+    total_normal_force: Array
 
 
 class TorqueLimitedObjective(NamedTuple):
-    """The dual of lanes with limits, as a hill: six unknowns of the object over one rate for each row."""
+    """The dual of problems with limits, as a objective: six coordinates of the object over one rate for each row."""
 
-    lanes: ContactData
-    unknowns: Coordinates
+    data: ContactData
+    coordinates: Coordinates
     metric: Metric
-    rows: TorqueConstraints
+    constraints: TorqueConstraints
     proximal: ProximalTerm | None = None
 
     def forces(self, point: Array) -> CandidateForces:
-        twist = dual.contact_velocities(self.lanes, point[:6], self.unknowns)
-        return dual.candidate_forces_at(self.lanes, contact_vec.sub(twist, velocities_by_joints(self.rows, point[6:])))
+        twist = dual.contact_velocities(self.data, point[:6], self.coordinates)
+        return dual.candidate_forces_at(
+            self.data, contact_vec.sub(twist, velocities_by_joints(self.constraints, point[6:]))
+        )
 
-    def look(self, point: Array) -> TorqueDualEvaluation:
-        lanes, rows, rates = self.lanes, self.rows, point[6:]
+    def evaluate(self, point: Array) -> TorqueDualEvaluation:
+        data, constraints, rates = self.data, self.constraints, point[6:]
         best = self.forces(point)
-        at = dual.evaluate_at(lanes, best, point[:6], self.unknowns)
-        value = at.value - jnp.sum(rows.bound * jnp.abs(rates), 0, keepdims=True)
-        curvature = bordered_hessian(lanes, self.unknowns, rows, best, at.curvature)
-        gradient = jnp.concatenate([at.gradient, torques(rows, best.forces)])
+        at = dual.evaluate_at(data, best, point[:6], self.coordinates)
+        value = at.value - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
+        curvature = bordered_hessian(data, self.coordinates, constraints, best, at.curvature)
+        gradient = jnp.concatenate([at.gradient, torques(constraints, best.forces)])
         if self.proximal is not None:
             strength, offset = self.proximal.strength, point - self.proximal.centre
             value, gradient = value - strength * spatial.inner(offset, offset) / 2, gradient - strength * offset
             curvature = _with_identity(curvature, strength)
-        # With the pull, since that decides too on which side of the ridge it goes up.
-        gradient = jnp.concatenate([gradient[:6], _gradient_by_rates(gradient[6:], rates, rows.bound)])
-        return TorqueDualEvaluation(value, gradient, curvature, at.push)
+        # With the term, since that decides too on which side of the kink it goes up.
+        gradient = jnp.concatenate([gradient[:6], _gradient_by_rates(gradient[6:], rates, constraints.bound)])
+        return TorqueDualEvaluation(value, gradient, curvature, at.total_normal_force)
 
-    def size2(self, gradient: Array) -> Array:
+    def squared_norm(self, gradient: Array) -> Array:
         return squared_norm(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
 
-    def direction(self, at: TorqueDualEvaluation, point: Array, caution: Array) -> Array:
-        damping = newton.damping_of(self.size2(at.gradient), caution, self.proximal)
+    def direction(self, at: TorqueDualEvaluation, point: Array, damping_factor: Array) -> Array:
+        damping = newton.damping_of(self.squared_norm(at.gradient), damping_factor, self.proximal)
         plain = newton.damped(at.curvature.plain, self.metric, damping)
         matrix = at.curvature._replace(plain=plain, own=_plus_identity(at.curvature.own, damping))
         rates, slope = point[6:], at.gradient[6:]
-        # What is about to meet the ridge goes there by itself: in Newton's step for all it would cut the others short.
-        lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.size2(at.gradient)))
+        # What is about to meet the kink goes there by itself: in Newton's step for all it would cut the others short.
+        lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.squared_norm(at.gradient)))
         on_ridge = rates == 0
         free = ~lands & (~on_ridge | (slope != 0))
 
         def without_falling(free: Array) -> tuple[Array, Array]:
-            """Newton's step, and what of it would leave the ridge on its falling side."""
+            """Newton's step, and what of it would leave the kink on its falling side."""
             step = _solve(matrix, at.gradient, free)
             return step, free & on_ridge & (step[6:] * slope < 0)
 
@@ -204,33 +208,33 @@ class TorqueLimitedObjective(NamedTuple):
         _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
         return jnp.concatenate([step[:6], jnp.where(lands, -rates, step[6:])])
 
-    def arrived(self, at: TorqueDualEvaluation, point: Array) -> Array:
-        size2 = self.size2(at.gradient)
-        return newton.has_converged(self.lanes, point, at.gradient, size2, at.value, at.push)
+    def converged(self, at: TorqueDualEvaluation, point: Array) -> Array:
+        squared_norm = self.squared_norm(at.gradient)
+        return newton.has_converged(self.data, point, at.gradient, squared_norm, at.value, at.total_normal_force)
 
-    def onto(self, start: Array, trial: Array) -> Array:
+    def clip_step(self, start: Array, trial: Array) -> Array:
         rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
         return jnp.concatenate([trial[:6], rates])
 
-    def judge(self, point: Array) -> OptimalityCheck:
+    def check_optimality(self, point: Array) -> OptimalityCheck:
         """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
         best = newton.as_returned(self.forces(point).forces)
-        found = measure_forces(self.lanes, best, self.unknowns)
-        off = _gradient_by_rates(torques(self.rows, best), point[6:], self.rows.bound)
-        rest = jnp.concatenate([self.unknowns.wrench(*spatial.parts(found.rest)), off])
-        return newton.optimality_by(self.lanes, best, point, rest, self.size2(rest), found)
+        found = measure_forces(self.data, best, self.coordinates)
+        off = _gradient_by_rates(torques(self.constraints, best), point[6:], self.constraints.bound)
+        residual = jnp.concatenate([self.coordinates.wrench(*spatial.parts(found.residual)), off])
+        return newton.optimality_by(self.data, best, point, residual, self.squared_norm(residual), found)
 
 
 def bordered_hessian(
-    lanes: ContactData, unknowns: Coordinates, rows: TorqueConstraints, best: CandidateForces, plain: Lower
+    data: ContactData, coordinates: Coordinates, constraints: TorqueConstraints, best: CandidateForces, plain: Lower
 ) -> BorderedMatrix:
-    """The curvature of the object's unknowns and of the rates."""
-    bent = dual.force_change(lanes, best, rows.map)
-    wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(lanes, bent)))  # (6, q, n, B)
-    pairs = zip(contact_vec.components(rows.map), contact_vec.components(bent), strict=True)
+    """The curvature of the object's coordinates and of the rates."""
+    bent = dual.force_change(data, best, constraints.map)
+    wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(data, bent)))  # (6, q, n, B)
+    pairs = zip(contact_vec.components(constraints.map), contact_vec.components(bent), strict=True)
     # One sum over a stack of both: they share so much work that none should compute it alone.
     sums = jnp.sum(jnp.concatenate([wrench, sum(p[:, None] * q for p, q in pairs)]), 2)
-    return BorderedMatrix(plain, -unknowns.wrenches(sums[:6]), sums[6:])
+    return BorderedMatrix(plain, -coordinates.wrenches(sums[:6]), sums[6:])
 
 
 def full_matrix(matrix: BorderedMatrix, keep: Array) -> Array:
@@ -265,10 +269,10 @@ def _solve(matrix: BorderedMatrix, right: Array, free: Array) -> Array:
     size = len(right)
     if size > LARGEST_UNROLLED:
         return pivoted_ldl.solve(pivoted_ldl.factor(full_matrix(matrix, keep), 0.0), right)
-    rows = [list(row) for row in matrix.plain]
+    constraints = [list(row) for row in matrix.plain]
     for i in range(len(keep)):
         kept = keep[i : i + 1]
         across = [kept * matrix.across[j, i : i + 1] for j in range(6)]
         own = [kept * keep[j : j + 1] * matrix.own[j, i : i + 1] for j in range(i)]
-        rows.append([*across, *own, jnp.where(kept > 0, matrix.own[i, i : i + 1], 1)])
-    return jnp.concatenate(ldl.solve(ldl.factor(rows), [right[i : i + 1] for i in range(size)]))
+        constraints.append([*across, *own, jnp.where(kept > 0, matrix.own[i, i : i + 1], 1)])
+    return jnp.concatenate(ldl.solve(ldl.factor(constraints), [right[i : i + 1] for i in range(size)]))

@@ -1,4 +1,4 @@
-"""The optimum within limits of joint torques: nothing where none is broken, more unknowns where some are.
+"""The optimum within limits of joint torques: nothing where none is broken, more coordinates where some are.
 
 1. The optimum as it is, where its forces break no limit.
 2. Newton's method with the few limits that are broken most, from there on; then, for what that leaves, with more.
@@ -26,7 +26,7 @@ from jaxgrasp.solver.coordinates import Coordinates
 from jaxgrasp.solver.guided_motion import whitened_coordinates
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm, maximise
-from jaxgrasp.solver.proximal import careful_pass, initial_state, proximal_search
+from jaxgrasp.solver.proximal import careful_settings, initial_state, proximal_search
 from jaxgrasp.solver.pseudo_inverse import Metric
 from jaxgrasp.solver.result import JointResult, PassResult, ScaledResult, to_result
 from jaxgrasp.solver.torque_limits import TorqueConstraints, TorqueLimitedObjective
@@ -52,61 +52,61 @@ def without_torques(problem: ProblemBatch) -> ProblemBatch:
     return eqx.tree_at(lambda p: (p.torque_map, p.torque_max), problem, (None, None), is_leaf=lambda x: x is None)
 
 
-def within_torques(problem: ProblemBatch, answer: PassResult) -> PassResult:
+def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     """The optimum within the limits of torques, from that without."""
     if problem.torque_map is None or problem.torque_max is None:
-        return answer
-    nothing = jnp.zeros((problem.size, problem.torque_map.shape[-1]), answer.forces.dtype)
+        return result
+    nothing = jnp.zeros((problem.size, problem.torque_map.shape[-1]), result.forces.dtype)
     # A first look at all; what it suspects is looked at closely where it is gathered.
-    torque = torque_limits.torques_of_forces(problem.torque_map, answer.forces, answer.moments)
+    torque = torque_limits.torques_of_forces(problem.torque_map, result.forces, result.moments)
     within = jnp.all(jnp.abs(torque) <= problem.torque_max, 1)
     strange = ~jnp.all(jnp.isfinite(torque) & (problem.torque_max >= 0), 1)
-    answer = answer._replace(undecided=(_solved(answer) & ~within) | strange)
-    nothing = varying_like(nothing, problem, answer)
-    answer = answer._replace(torque_multiplier=nothing, certificate_rates=nothing)
+    result = result._replace(undecided=(_solved(result) & ~within) | strange)
+    nothing = varying_like(nothing, problem, result)
+    result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)
     # One question for all, since every pass that asks for itself copies what it may change.
-    return lax.cond(jnp.any(answer.undecided), partial(_within, problem), lambda answer: answer, answer)
+    return lax.cond(jnp.any(result.undecided), partial(_within, problem), lambda result: result, result)
 
 
-def _within(problem: ProblemBatch, answer: PassResult) -> PassResult:
+def _within(problem: ProblemBatch, result: PassResult) -> PassResult:
     """Pass after pass, for the undecided."""
-    nothing = answer.certificate_rates
+    nothing = result.certificate_rates
     assert nothing is not None
     # The fast ones prove nothing.
-    answer = answer._replace(certificate_rates=None)
+    result = result._replace(certificate_rates=None)
     if problem.free is None:
         for passes in FAST:
-            answer = _fast(problem, answer, passes)
+            result = _fast(problem, result, passes)
             if passes.width >= nothing.shape[1]:
                 break
-    answer = answer._replace(certificate_rates=nothing)
-    return over_chosen(_careful_tile, problem, answer, answer.undecided, CAREFUL_TILE)
+    result = result._replace(certificate_rates=nothing)
+    return over_chosen(_careful_tile, problem, result, result.undecided, CAREFUL_TILE)
 
 
-def _solved(answer: PassResult) -> Array:
-    return (answer.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (answer.verdict == Verdict.OPTIMAL)
+def _solved(result: PassResult) -> Array:
+    return (result.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (result.verdict == Verdict.OPTIMAL)
 
 
-def _fast(problem: ProblemBatch, answer: PassResult, passes: _TorquePass) -> PassResult:
+def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass) -> PassResult:
     """Newton's method for the undecided, as far as it gets."""
 
-    def newton(stage: Array, answer: PassResult) -> PassResult:
+    def newton(stage: Array, result: PassResult) -> PassResult:
         tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[stage])
-        return over_chosen(tile, problem, answer, answer.undecided, TILE)
+        return over_chosen(tile, problem, result, result.undecided, TILE)
 
     # A loop rather than several calls: the stages are one piece of compiled code.
-    return lax.fori_loop(0, len(passes.steps), newton, answer)
+    return lax.fori_loop(0, len(passes.steps), newton, result)
 
 
-def _excess(problem: ProblemBatch, answer: PassResult) -> Array:
+def _excess(problem: ProblemBatch, result: PassResult) -> Array:
     """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it.
 
     Of a cleaned problem.
     """
     assert problem.torque_map is not None and problem.torque_max is not None
-    torque = torque_limits.torques_of_forces(problem.torque_map, answer.forces, answer.moments)
+    torque = torque_limits.torques_of_forces(problem.torque_map, result.forces, result.moments)
     # Forces are known to what rounds the largest of them.
-    size = jnp.sum(jnp.abs(problem.torque_map), (1, 2)) * jnp.max(jnp.abs(answer.forces), (1, 2))[:, None]
+    size = jnp.sum(jnp.abs(problem.torque_map), (1, 2)) * jnp.max(jnp.abs(result.forces), (1, 2))[:, None]
     beyond = jnp.abs(torque) - problem.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
@@ -117,49 +117,56 @@ def _settled(problem: ProblemBatch, prior: PassResult, excess: Array, valid: Arr
     return valid[0] & (unsolved | (_solved(prior) & ~jnp.any(excess > 0, 1)))
 
 
-def _merge(settled: Array, prior: PassResult, answer: PassResult) -> PassResult:
+def _merge(settled: Array, prior: PassResult, result: PassResult) -> PassResult:
     prior = prior._replace(undecided=jnp.zeros_like(settled))
     return jax.tree.map(
-        lambda old, new: jnp.where(jnp.expand_dims(settled, range(1, old.ndim)), old, new), prior, answer
+        lambda old, new: jnp.where(jnp.expand_dims(settled, range(1, old.ndim)), old, new), prior, result
     )
 
 
 def _fast_tile(problem: ProblemBatch, prior: PassResult, width: int, limit: Array) -> PassResult:
-    lanes, valid = to_batch_last(problem)
+    data, valid = to_batch_last(problem)
     valid = valid & torque_limits.usable(problem)[None]
     problem = torque_limits.cleaned(problem)
-    lanes, frame = normalise(lanes)
-    metric, unknowns, ill = pseudo_inverse.plain_metric(lanes)
+    data, scaling = normalise(data)
+    metric, coordinates, ill_conditioned = pseudo_inverse.plain_metric(data)
     excess = _excess(problem, prior)
     settled = _settled(problem, prior, excess, valid)
     chosen = _choose(excess, prior, width)
-    hill = TorqueLimitedObjective(
-        lanes, unknowns, metric, torque_limits.torque_constraints(problem, lanes, frame, chosen)
+    objective = TorqueLimitedObjective(
+        data, coordinates, metric, torque_limits.torque_constraints(problem, data, scaling, chosen)
     )
-    start = unknowns.recover(*multiplier_to_scaled(prior.multiplier, frame))
-    known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * frame.weight / frame.load
-    ascent = maximise(hill, jnp.concatenate([start, vec3.safe_divide(known, hill.rows.scale)]), ill, limit)
-    best, good, _ = hill.judge(ascent.point)
-    good = good & ~ill
-    rates = jnp.sum(chosen * (hill.rows.scale * ascent.point[6:]).T[..., None], 1)
-    outcome = ScaledResult(
+    start = coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, scaling))
+    known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight / scaling.load
+    newton_state = maximise(
+        objective,
+        jnp.concatenate([start, vec3.safe_divide(known, objective.constraints.scale)]),
+        ill_conditioned,
+        limit,
+    )
+    best, good, _ = objective.check_optimality(newton_state.point)
+    good = good & ~ill_conditioned
+    rates = jnp.sum(chosen * (objective.constraints.scale * newton_state.point[6:]).T[..., None], 1)
+    scaled_result = ScaledResult(
         forces=best,
-        multiplier=ascent.point[:6],
+        multiplier=newton_state.point[:6],
         verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
-        steps=ascent.steps + prior.steps[None],
+        steps=newton_state.steps + prior.steps[None],
         certificate=jnp.zeros_like(start),
         undecided=~good,
-        joints=JointResult(torque_limits.velocities_by_joints(hill.rows, ascent.point[6:]), rates.T, 0 * rates.T),
+        joints=JointResult(
+            torque_limits.velocities_by_joints(objective.constraints, newton_state.point[6:]), rates.T, 0 * rates.T
+        ),
     )
-    answer = to_result(lanes, frame, unknowns, valid, problem.size, outcome, Route.FAST)
+    result = to_result(data, scaling, coordinates, valid, problem.size, scaled_result, Route.FAST)
     # Limits that were not chosen may be broken now.
-    undecided = (answer.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(problem, answer) > 0, 1)
-    return _merge(settled, prior, answer._replace(undecided=undecided & valid[0], certificate_rates=None))
+    undecided = (result.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(problem, result) > 0, 1)
+    return _merge(settled, prior, result._replace(undecided=undecided & valid[0], certificate_rates=None))
 
 
-def _binding(answer: PassResult) -> Array:
-    assert answer.torque_multiplier is not None
-    return answer.torque_multiplier
+def _binding(result: PassResult) -> Array:
+    assert result.torque_multiplier is not None
+    return result.torque_multiplier
 
 
 @fused_cpu_kernel
@@ -177,44 +184,46 @@ def _choose(excess: Array, prior: PassResult, width: int) -> Array:
 
 
 class _TorqueLimitedProblem(NamedTuple):
-    """Whitened lanes with limits."""
+    """Whitened problems with limits."""
 
-    lanes: ContactData
-    frame: Scaling
-    unknowns: Coordinates
+    data: ContactData
+    scaling: Scaling
+    coordinates: Coordinates
     metric: Metric
-    rows: TorqueConstraints
+    constraints: TorqueConstraints
 
-    def pulled(self, proximal: ProximalTerm | None = None) -> TorqueLimitedObjective:
-        return TorqueLimitedObjective(self.lanes, self.unknowns, self.metric, self.rows, proximal)
+    def with_proximal_term(self, proximal: ProximalTerm | None = None) -> TorqueLimitedObjective:
+        return TorqueLimitedObjective(self.data, self.coordinates, self.metric, self.constraints, proximal)
 
-    def judge(self, point: Array) -> OptimalityCheck:
-        return self.pulled().judge(point)
+    def check_optimality(self, point: Array) -> OptimalityCheck:
+        return self.with_proximal_term().check_optimality(point)
 
     def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
-        forces = self.pulled().forces(point).forces
-        beyond = torque_limits.beyond(torque_limits.torques(self.rows, forces), self.rows.bound)
-        rest = jnp.concatenate([dual.residual(self.lanes, forces, self.unknowns), beyond])
-        return find_certificate(self.lanes, self.frame, self.unknowns, rest, point - before, self.rows)
+        forces = self.with_proximal_term().forces(point).forces
+        beyond = torque_limits.beyond(torque_limits.torques(self.constraints, forces), self.constraints.bound)
+        residual = jnp.concatenate([dual.residual(self.data, forces, self.coordinates), beyond])
+        return find_certificate(self.data, self.scaling, self.coordinates, residual, point - before, self.constraints)
 
 
 def _careful_tile(problem: ProblemBatch, prior: PassResult) -> PassResult:
-    lanes, valid = to_batch_last(problem)
+    data, valid = to_batch_last(problem)
     valid = valid & torque_limits.usable(problem)[None]
     problem = torque_limits.cleaned(problem)
-    lanes, frame = scale_in_principal_axes(lanes)
-    metric, unknowns = whitened_coordinates(problem, lanes, frame)
-    rows = torque_limits.torque_constraints(problem, lanes, frame, None)
-    start = jnp.zeros((6 + len(rows.bound), problem.size), rows.bound.dtype)
+    data, scaling = scale_in_principal_axes(data)
+    metric, coordinates = whitened_coordinates(problem, data, scaling)
+    constraints = torque_limits.torque_constraints(problem, data, scaling, None)
+    start = jnp.zeros((6 + len(constraints.bound), problem.size), constraints.bound.dtype)
     undecided = jnp.zeros((1, problem.size), bool)
-    begun = initial_state(start, squeezing_forces(lanes), undecided + Verdict.NOT_CONVERGED, undecided)
-    found = proximal_search(_TorqueLimitedProblem(lanes, frame, unknowns, metric, rows), begun, careful_pass())
-    joints = JointResult(
-        pull=torque_limits.velocities_by_joints(rows, found.point[6:]),
-        multiplier=rows.scale * found.point[6:],
-        rates=rows.scale * found.certificate[6:],
+    start_state = initial_state(start, squeezing_forces(data), undecided + Verdict.NOT_CONVERGED, undecided)
+    found = proximal_search(
+        _TorqueLimitedProblem(data, scaling, coordinates, metric, constraints), start_state, careful_settings()
     )
-    outcome = ScaledResult(
+    joints = JointResult(
+        pull=torque_limits.velocities_by_joints(constraints, found.point[6:]),
+        multiplier=constraints.scale * found.point[6:],
+        rates=constraints.scale * found.certificate[6:],
+    )
+    scaled_result = ScaledResult(
         found.forces,
         found.point[:6],
         found.verdict,
@@ -223,5 +232,5 @@ def _careful_tile(problem: ProblemBatch, prior: PassResult) -> PassResult:
         undecided,
         joints,
     )
-    answer = to_result(lanes, frame, unknowns, valid, problem.size, outcome, Route.CAREFUL)
-    return _merge(_settled(problem, prior, _excess(problem, prior), valid), prior, answer)
+    result = to_result(data, scaling, coordinates, valid, problem.size, scaled_result, Route.CAREFUL)
+    return _merge(_settled(problem, prior, _excess(problem, prior), valid), prior, result)

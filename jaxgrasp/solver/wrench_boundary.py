@@ -21,10 +21,10 @@ from jaxgrasp.solver.coordinates import plain_axes
 
 
 class UnsharedProblem(NamedTuple):
-    """Lanes whose contacts can all move, with one weight, or carry nothing; and hold nothing."""
+    """Problems whose contacts can all move, with one weight, or carry nothing; and hold nothing."""
 
-    lanes: ContactData
-    frame: Scaling
+    data: ContactData
+    scaling: Scaling
     valid: Array
 
 
@@ -35,11 +35,11 @@ class BoundaryPoint(NamedTuple):
     """``(B, 3)`` [m]: the normal is written about this point."""
     normal: Array
     """``(B, 6)``: a twist."""
-    press: Array
+    normal_force: Array
     """``(B, n)`` [N]: normal forces at the limit."""
-    lean: Array
+    friction_use: Array
     """``(B, n, 3)``: tangential forces at the limit, relative to the largest that friction allows."""
-    twirl: Array | None
+    spin_use: Array | None
     """``(B, n)``: moments likewise; None where all contacts are hard."""
 
 
@@ -47,83 +47,87 @@ class _SupportingTwist(NamedTuple):
     """How the contacts touch the hyperplane that bounds what is in reach."""
 
     normal: SpatialVec
-    press: Array
-    lean: ContactVec
+    normal_force: Array
+    friction_use: ContactVec
 
 
 def without_sharing(problem: ProblemBatch) -> UnsharedProblem:
-    """A problem's lanes for questions of reach; what contacts of weight zero hold is taken off the load."""
-    lanes, valid = to_batch_last(problem)
-    can_move = lanes.weights > 0
-    weights = can_move.astype(lanes.weights.dtype)
-    lanes = lanes._replace(weights=weights, squeeze=jnp.where(can_move, 0, lanes.squeeze))
-    lanes, frame = scale_in_principal_axes(lanes)
-    load = dual.residual(lanes, squeezing_forces(lanes), plain_axes(lanes.force.x))
-    return UnsharedProblem(with_wrench(lanes, load), frame, valid & frame.sound)
+    """A problem's problems for questions of reach; what contacts of weight zero hold is taken off the load."""
+    data, valid = to_batch_last(problem)
+    can_move = data.weights > 0
+    weights = can_move.astype(data.weights.dtype)
+    data = data._replace(weights=weights, squeeze=jnp.where(can_move, 0, data.squeeze))
+    data, scaling = scale_in_principal_axes(data)
+    load = dual.residual(data, squeezing_forces(data), plain_axes(data.force.x))
+    return UnsharedProblem(with_wrench(data, load), scaling, valid & scaling.sound)
 
 
-def with_wrench(lanes: ContactData, wrench: SpatialVec) -> ContactData:
-    """The lanes under another wrench, and nothing held."""
+def with_wrench(data: ContactData, wrench: SpatialVec) -> ContactData:
+    """The problems under another wrench, and nothing held."""
     force, torque = spatial.parts(wrench)
-    return lanes._replace(squeeze=0 * lanes.squeeze, force=force, torque=torque)
+    return data._replace(squeeze=0 * data.squeeze, force=force, torque=torque)
 
 
 def boundary_point(
-    there: UnsharedProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
+    unshared: UnsharedProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
 ) -> BoundaryPoint:
     """What a path of multipliers leads to, in the user's axes and units; ``size`` is that of a unit of its answer.
 
-    ``last`` and ``before`` are the lanes as they were at the path's last two prices. The touch is that at the last
-    price, less the error that falls with the price.
+    ``last`` and ``before`` are the problems as they were at the path's last two penalties. The touch is that at the last
+    penalty, less the error that falls with the penalty.
     """
-    share = vec3.safe_divide(path.price_before, path.price - path.price_before)
+    share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
     now, then = (
-        _supporting_twist(last, path.point, path.price),
-        _supporting_twist(before, path.point_before, path.price_before),
+        _supporting_twist(last, path.point, path.penalty),
+        _supporting_twist(before, path.point_before, path.penalty_before),
     )
     normal = now.normal + share * (now.normal - then.normal)
-    press = now.press + share * (now.press - then.press)
-    lean = contact_vec.add(now.lean, contact_vec.scale(share, contact_vec.sub(now.lean, then.lean)))
-    frame, one = there.frame, jnp.ones_like(size)
-    assert frame.axes is not None
+    normal_force = now.normal_force + share * (now.normal_force - then.normal_force)
+    friction_use = contact_vec.add(
+        now.friction_use, contact_vec.scale(share, contact_vec.sub(now.friction_use, then.friction_use))
+    )
+    scaling, one = unshared.scaling, jnp.ones_like(size)
+    assert scaling.axes is not None
     linear, angular = spatial.parts(vec3.safe_divide(normal, size))
-    linear = vec3.rotate_back(frame.axes, linear)
-    angular = vec3.rotate_back(frame.axes, vec3.scale(1 / frame.length, angular))
+    linear = vec3.rotate_back(scaling.axes, linear)
+    angular = vec3.rotate_back(scaling.axes, vec3.scale(1 / scaling.length, angular))
     return BoundaryPoint(
-        centre=jnp.concatenate([c * one for c in frame.centre]).T,
+        centre=jnp.concatenate([c * one for c in scaling.centre]).T,
         normal=spatial.join(linear, angular).T,
-        press=(frame.load * press * one).T,
-        lean=jnp.stack([c * one for c in vec3.rotate_back(frame.axes, lean.linear)]).transpose(2, 1, 0),
-        twirl=None if lean.spin is None else (lean.spin * one).T,
+        normal_force=(scaling.load * normal_force * one).T,
+        friction_use=jnp.stack([c * one for c in vec3.rotate_back(scaling.axes, friction_use.linear)]).transpose(
+            2, 1, 0
+        ),
+        spin_use=None if friction_use.spin is None else (friction_use.spin * one).T,
     )
 
 
-def _supporting_twist(lanes: ContactData, point: SpatialVec, price: Array) -> _SupportingTwist:
-    best = dual.candidate_forces(lanes, point, plain_axes(price))
+def _supporting_twist(data: ContactData, point: SpatialVec, penalty: Array) -> _SupportingTwist:
+    best = dual.candidate_forces(data, point, plain_axes(penalty))
     sides = best.sides
-    used = jnp.where(sides.inside, vec3.safe_divide(sides.size, lanes.friction * sides.along), 1)
-    press = vec3.dot(best.forces.linear, lanes.normals)
-    return _SupportingTwist(vec3.safe_divide(point, price), press, contact_vec.scale(used, sides.tangent))
+    used = jnp.where(sides.inside, vec3.safe_divide(sides.size, data.friction * sides.along), 1)
+    normal_force = vec3.dot(best.forces.linear, data.normals)
+    return _SupportingTwist(vec3.safe_divide(point, penalty), normal_force, contact_vec.scale(used, sides.tangent))
 
 
-def work_along(problem: ProblemBatch, wrench: Array, limit: BoundaryPoint) -> Array:
+def work_along(problem: ProblemBatch, wrench: Array, boundary: BoundaryPoint) -> Array:
     """normal.(G f - wrench) of each problem ``(B,)``, the tangential forces turning with the cones.
 
     It is zero at the limit; its derivative by the problem and the wrench ``(B, 6)`` is how the answer moves.
     """
-    lanes, _ = to_batch_last(problem)
-    centre, lean = (Vec3(*jnp.moveaxis(a, -1, 0)) for a in (limit.centre, limit.lean))
-    centre, lean = Vec3(*(c[None] for c in centre)), Vec3(*(c.T for c in lean))
-    linear, angular = spatial.parts(limit.normal.T)
-    velocity = vec3.add(linear, vec3.cross(angular, vec3.sub(lanes.arms, centre)))
-    along = vec3.dot(velocity, lanes.normals)
-    across = vec3.sub(velocity, vec3.scale(along, lanes.normals))
-    slide = vec3.dot(lean, across)
-    if lanes.lever is not None and limit.twirl is not None:
-        slide = slide + limit.twirl.T * lanes.lever * vec3.dot(angular, lanes.normals)
-    can_move = lanes.weights > 0
-    press = jnp.where(can_move, limit.press.T, lanes.squeeze)
-    push = along + jnp.where(can_move, lanes.friction * slide, 0)
+    data, _ = to_batch_last(problem)
+    centre, friction_use = (Vec3(*jnp.moveaxis(a, -1, 0)) for a in (boundary.centre, boundary.friction_use))
+    centre, friction_use = Vec3(*(c[None] for c in centre)), Vec3(*(c.T for c in friction_use))
+    linear, angular = spatial.parts(boundary.normal.T)
+    velocity = vec3.add(linear, vec3.cross(angular, vec3.sub(data.points, centre)))
+    along = vec3.dot(velocity, data.normals)
+    across = vec3.sub(velocity, vec3.scale(along, data.normals))
+    slide = vec3.dot(friction_use, across)
+    if data.spin_radius is not None and boundary.spin_use is not None:
+        slide = slide + boundary.spin_use.T * data.spin_radius * vec3.dot(angular, data.normals)
+    can_move = data.weights > 0
+    normal_force = jnp.where(can_move, boundary.normal_force.T, data.squeeze)
+    push = along + jnp.where(can_move, data.friction * slide, 0)
     force, torque = spatial.parts(wrench.T)
     asked = vec3.dot(linear, force) + vec3.dot(angular, vec3.sub(torque, vec3.cross(centre, force)))
-    return (jnp.sum(press * push, 0, keepdims=True) - asked)[0]
+    return (jnp.sum(normal_force * push, 0, keepdims=True) - asked)[0]

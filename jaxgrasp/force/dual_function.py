@@ -13,12 +13,11 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.batch_last import ProblemBatch, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import plain_axes
 from jaxgrasp.solver.dispatch import dispatch
 
 
@@ -79,17 +78,15 @@ def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) 
 def _evaluate(problem: ProblemBatch, multiplier: Array) -> tuple[Array, Array]:
     """Dual value and forces, in the user's own coordinates: the multiplier has no more digits in any others."""
     data, valid = to_batch_last(problem)
-    value, best = _value_and_forces(data, multiplier.T)
+    value, best = _value_and_forces(dual.plain_problem(data), multiplier.T)
     forces = jnp.stack([jnp.where(valid, c, jnp.nan) for c in best.linear]).transpose(2, 1, 0)
     return jnp.where(valid, value, jnp.nan)[0], forces
 
 
-def _value_and_forces(data: ContactData, multiplier: SpatialVec) -> tuple[Array, ContactVec]:
-    one = jnp.ones_like(data.force.x)
-    plain = plain_axes(one)
-    best = dual.candidate_forces(data, multiplier, plain)
-    work = spatial.inner(dual.required_wrench(data, plain), multiplier)
-    own = dual.deviation_cost_by(data, best.forces, dual.weighted_deviation(data, best, one)) - contact_vec.dot(
-        best.twist, best.forces
-    )
+def _value_and_forces(problem: dual.PlainProblem, multiplier: SpatialVec) -> tuple[Array, ContactVec]:
+    data = problem.data
+    best = dual.candidate_forces(problem, multiplier)
+    work = spatial.inner(dual.required_wrench(problem), multiplier)
+    deviation = dual.weighted_deviation(data, best, jnp.ones_like(data.force.x))
+    own = dual.deviation_cost_by(data, best.forces, deviation) - contact_vec.dot(best.twist, best.forces)
     return work + jnp.sum(own, 0, keepdims=True), best.forces

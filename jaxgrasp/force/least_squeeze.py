@@ -82,10 +82,10 @@ def _no_second_derivative(primals, tangents):
 
 def _held(problem: ProblemBatch) -> Array:
     """What contacts that cannot move press with, ``(B,)``."""
-    unshared = problem.weights <= 0
+    fixed = problem.weights <= 0
     if problem.present is not None:
-        unshared = unshared & (problem.present > 0.5)
-    return jnp.sum(jnp.where(unshared, problem.squeeze, 0), 1)
+        fixed = fixed & (problem.present > 0.5)
+    return jnp.sum(jnp.where(fixed, problem.squeeze, 0), 1)
 
 
 def _least_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:

@@ -13,6 +13,7 @@ from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.scaling import wrench_to_scaled
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import reach
@@ -118,16 +119,16 @@ def _line(problem: ProblemBatch, direction: Array) -> _Line:
     limits = tolerances(direction.dtype)
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
     valid = unshared.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
-    ray = reach.wrench_to_scaled(jnp.where(valid, direction.T, 0), unshared.scaling)
+    ray = wrench_to_scaled(jnp.where(valid, direction.T, 0), unshared.scaling)
     size = spatial.length(ray)
     return _Line(unshared, vec3.safe_divide(ray, size), size, valid)
 
 
 def _end(line: _Line) -> _End:
-    data, metric = line.unshared.data, reach.identity(line.size)
-    never_fails = reach.nearest_wrench(with_wrench(data, line.ray), metric, ~line.valid).reached
-    start, somewhere = reach.nearest_wrench(data, metric, ~line.valid, line.ray)
-    theta, path = reach.ray_search(data, line.ray, start, never_fails | ~somewhere)
+    problem, metric = line.unshared, reach.identity(line.size)
+    never_fails = reach.nearest_wrench(with_wrench(problem, line.ray), metric, ~line.valid).reached
+    start, somewhere = reach.nearest_wrench(problem, metric, ~line.valid, line.ray)
+    theta, path = reach.ray_search(problem, line.ray, start, never_fails | ~somewhere)
     theta = jnp.where(never_fails, jnp.inf, theta)
     return _End(jnp.where(somewhere & line.valid, theta, -jnp.inf), path)
 

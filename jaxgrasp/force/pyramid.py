@@ -25,11 +25,11 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.coordinates import ScaledAxes
 from jaxgrasp.problem.flatten import Sharing, refuse_soft_fingers, warn_of_lost_precision
-from jaxgrasp.problem.scaling import scale_in_principal_axes
-from jaxgrasp.solver import dual, pseudo_inverse
-from jaxgrasp.solver.by_optimistix import write_to_tolerance
-from jaxgrasp.solver.coordinates import ScaledAxes
+from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_axes
+from jaxgrasp.solver import dual
+from jaxgrasp.solver.by_optimistix import to_result_within
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.result import PassResult, ScaledResult
 
@@ -154,56 +154,57 @@ def _no_derivatives(settings, primals, tangents):
     raise NotImplementedError("pyramid_optimum has no derivatives: differentiate constrained_optimum instead")
 
 
-def _tile(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
-    data, valid = to_batch_last(problem)
-    tangents = _tangents(data.normals)
-    data, scaling = scale_in_principal_axes(data)
-    assert scaling.axes is not None
-    first, second = (vec3.rotate(scaling.axes, tangent) for tangent in tangents)
-    _, coordinates = pseudo_inverse.whitened_metric(data, scaling)
-    program = _program(data, coordinates, _facets(data, (first, second), settings.sides), problem.size)
+def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:
+    problem = in_principal_axes(batch)
+    data, axes, size = problem.data, problem.scaling.axes, problem.size
+    assert axes is not None
+    # Facets belong to the user's axes, so that turning a problem by its own axes turns no pyramid.
+    first, second = (vec3.rotate(axes, tangent) for tangent in _tangents(to_batch_last(batch)[0].normals))
+    program = _program(problem, _facets(data, (first, second), settings.sides))
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
     found = jax.vmap(partial(_splitting, settings=settings))(program)
-    own = jnp.broadcast_to(dual.objective_of_no_force(data)[0], problem.size)
+    own = jnp.broadcast_to(dual.objective_of_no_force(data)[0], size)
     solved = jax.vmap(partial(_is_optimum, tol=settings.tol))(program, found, own)
     y, twist = (_finite(x, data.squeeze.dtype) for x in (found.y, -found.equality))
-    moved = vec3.scale(jnp.sqrt(data.weights), Vec3(*y.reshape(problem.size, -1, 3).transpose(2, 1, 0)))
+    moved = vec3.scale(jnp.sqrt(data.weights), Vec3(*y.reshape(size, -1, 3).transpose(2, 1, 0)))
     forces = contact_vec.add(squeezing_forces(data), ContactVec(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
     sides = friction_cone.cone_side(forces, data.cone)
-    scaled_result = ScaledResult(
+    result = ScaledResult(
         forces=friction_cone.project(forces, data.cone, sides),
         multiplier=twist.T,
         verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
         steps=found.steps[None],
-        certificate=jnp.zeros((6, problem.size), data.squeeze.dtype),
-        undecided=jnp.zeros((1, problem.size), bool),
+        certificate=jnp.zeros((6, size), data.squeeze.dtype),
+        undecided=jnp.zeros((1, size), bool),
     )
-    return write_to_tolerance(data, scaling, coordinates, valid, problem.size, scaled_result, BALANCE * settings.tol)
+    return to_result_within(problem, result, BALANCE * settings.tol)
 
 
 def _finite(array: Array, dtype: jnp.dtype) -> Array:
     return jnp.where(jnp.isfinite(array), array, 0).astype(dtype)
 
 
-def _program(data: ContactData, coordinates: ScaledAxes, facets: tuple[Array, Array], size: int) -> PyramidProgram:
+def _program(problem: ScaledProblem, facets: tuple[Array, Array]) -> PyramidProgram:
     """The programs of all problems, batch-first."""
     rows, bounds = facets
     contacts, each = rows.shape[1:3]
     # Facets of a contact see its own force alone.
     apart = jnp.eye(contacts, dtype=rows.dtype)[:, None, :, None] * rows[:, :, :, None, :]
     program = PyramidProgram(
-        a=_balance(data, coordinates),
-        b=dual.residual(data, squeezing_forces(data), coordinates).T,
+        a=_balance(problem),
+        b=dual.residual(problem, squeezing_forces(problem.data)).T,
         c=apart.reshape(-1, contacts * each, 3 * contacts),
         d=bounds.reshape(-1, contacts * each),
     )
-    return jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *x.shape[1:])), program)
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), program)
 
 
-def _balance(data: ContactData, coordinates: ScaledAxes) -> Array:
+def _balance(problem: ScaledProblem) -> Array:
     """A = G W^(1/2), ``(B, 6, 3n)``."""
+    data, coordinates = problem.data, problem.coordinates
+    assert isinstance(coordinates, ScaledAxes)
     root, zero = jnp.sqrt(data.weights), jnp.zeros_like(data.weights)
     columns = []
     for axis in range(3):

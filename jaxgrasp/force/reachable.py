@@ -16,18 +16,20 @@ from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.guided_motion import restricted_metric, unwhitened_coordinates
 from jaxgrasp.problem.scaling import (
     Scaling,
     certificate_from_scaled,
     forces_from_scaled,
     moments_from_scaled,
     scale_in_principal_axes,
+    wrench_from_scaled,
+    wrench_to_scaled,
 )
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, reach, transforms
-from jaxgrasp.solver.coordinates import Coordinates
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.guided_motion import restricted_metric, unwhitened_coordinates
+from jaxgrasp.solver.dual import PlainProblem
 
 TILE = 32
 
@@ -117,33 +119,33 @@ def _no_derivative(primals, tangents):
 
 
 def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -> Reachable:
-    problem, inertia = arguments
-    data, valid = to_batch_last(problem)
+    batch, inertia = arguments
+    data, valid = to_batch_last(batch)
     data, scaling = scale_in_principal_axes(data)
     whole, mass, sound = _metric(data, scaling, inertia)
-    valid = jnp.broadcast_to(valid & sound & scaling.sound, (1, problem.size))
-    coordinates = unwhitened_coordinates(problem, data, scaling)
-    metric = restricted_metric(whole, coordinates)
-    point = reach.nearest_wrench(data, metric, ~valid, coordinates=coordinates).point
-    forces = _rescaled(data, metric, coordinates, point)
+    valid = jnp.broadcast_to(valid & sound & scaling.sound, (1, batch.size))
+    coordinates = unwhitened_coordinates(batch, data, scaling)
+    problem, metric = PlainProblem(data, coordinates), restricted_metric(whole, coordinates)
+    point = reach.nearest_wrench(problem, metric, ~valid).point
+    forces = _rescaled(problem, metric, point)
     one = jnp.ones_like(point[:1])
-    residual = dual.residual(data, forces, coordinates)
+    residual = dual.residual(problem, forces)
     across = reach.solve_by(metric, residual)
     distance = jnp.sqrt(spatial.inner(residual, across))
-    shown = _is_closest(data, metric, coordinates, forces, point, distance)
+    shown = _is_closest(problem, metric, forces, point, distance)
     known = (prior.verdict == Verdict.INFEASIBLE) | (prior.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(known, jnp.where(shown[0], Verdict.INFEASIBLE, Verdict.NOT_CONVERGED), prior.verdict)
     ok = valid[0]
-    if problem.free is not None:
+    if batch.free is not None:
         residual = reach.times(whole, spatial.join(*coordinates.twist(across)))
-    missed = reach.wrench_from_scaled(scaling.load * residual, scaling).T
+    missed = wrench_from_scaled(scaling.load * residual, scaling).T
     moments = moments_from_scaled(data, forces.spin, scaling)
     stacked = jnp.stack([c * one for c in forces_from_scaled(forces.linear, scaling)]).transpose(2, 1, 0)
     linear, angular = certificate_from_scaled(
         *coordinates.twist(vec3.safe_divide(point, spatial.length(point))), scaling
     )
     return Reachable(
-        wrench=jnp.where(ok[:, None], problem.wrench - missed, 0),
+        wrench=jnp.where(ok[:, None], batch.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
         moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
         distance=jnp.where(ok, (scaling.load * distance / jnp.sqrt(mass))[0], jnp.inf),
@@ -157,8 +159,8 @@ def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple
     one = jnp.ones_like(data.force.x)
     if inertia is None:
         return reach.identity(one), one, one > 0
-    half = [reach.wrench_to_scaled(inertia[:, :, j].T, scaling) for j in range(6)]  # A J, column by column
-    whole = [reach.wrench_to_scaled(jnp.stack([column[i] for column in half]), scaling) for i in range(6)]  # A (A J)^T
+    half = [wrench_to_scaled(inertia[:, :, j].T, scaling) for j in range(6)]  # A J, column by column
+    whole = [wrench_to_scaled(jnp.stack([column[i] for column in half]), scaling) for i in range(6)]  # A (A J)^T
     mass = (whole[0][:1] + whole[1][1:2] + whole[2][2:3]) / 3
     entries = [[vec3.safe_divide(whole[i][j : j + 1], mass) for j in range(i + 1)] for i in range(6)]
     _, pivots = ldl.factor(entries)
@@ -168,28 +170,26 @@ def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple
     return metric, jnp.where(sound, mass, 1), sound
 
 
-def _rescaled(data: ContactData, metric: Lower, coordinates: Coordinates, point: SpatialVec) -> ContactVec:
+def _rescaled(problem: PlainProblem, metric: Lower, point: SpatialVec) -> ContactVec:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
-    forces = dual.candidate_forces(data, point, coordinates).forces
-    can_move, nothing = data.weights > 0, contact_vec.sub(forces, forces)
+    forces = dual.candidate_forces(problem, point).forces
+    can_move, nothing = problem.data.weights > 0, contact_vec.sub(forces, forces)
     held, free = contact_vec.where(can_move, nothing, forces), contact_vec.where(can_move, forces, nothing)
-    asked = dual.residual(data, held, coordinates)
-    exerted = asked - dual.residual(data, forces, coordinates)
+    asked = dual.residual(problem, held)
+    exerted = asked - dual.residual(problem, forces)
     along = reach.solve_by(metric, exerted)
     square = spatial.inner(exerted, along)
     share = jnp.where(square > 0, vec3.safe_divide(spatial.inner(asked, along), square), 1)
     return contact_vec.add(held, contact_vec.scale(share, free))
 
 
-def _is_closest(
-    data: ContactData, metric: Lower, coordinates: Coordinates, forces: ContactVec, point: SpatialVec, distance: Array
-) -> Array:
+def _is_closest(problem: PlainProblem, metric: Lower, forces: ContactVec, point: SpatialVec, distance: Array) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
-    twist = dual.contact_velocities(data, point, coordinates)
+    data, twist = problem.data, dual.contact_velocities(problem, point)
     can_move = data.weights > 0
     push = jnp.max(jnp.where(can_move, friction_cone.work_per_normal_force(twist, data.cone), 0), 0, keepdims=True)
     fixed = jnp.where(can_move, 0, data.squeeze * vec3.dot(twist.linear, data.normals))
-    work = spatial.inner(dual.required_wrench(data, coordinates), point) - jnp.sum(fixed, 0, keepdims=True)
+    work = spatial.inner(dual.required_wrench(problem), point) - jnp.sum(fixed, 0, keepdims=True)
     best = work - push * dual.total_normal_force(data, forces)
     size = jnp.sqrt(spatial.inner(point, reach.times(metric, point)))
     loose = 2**10 * jnp.finfo(distance.dtype).eps ** 0.5

@@ -169,8 +169,8 @@ def work_per_normal_force(direction: ContactVec, cone: Cone) -> Array:
 
 
 def largest_work(push: Array, cone: Cone) -> tuple[Array, Array]:
-    """The most work that each contact does along a direction, from its ``total_normal_force``: for each unit of normal force
-    where none is bounded, 0 where it does none; and all of it where a bound of the normal force ends it."""
+    """The most work that each contact does along a direction, from its ``work_per_normal_force``: for each unit of normal
+    force where none is bounded, 0 where it does none; and all of it where a bound of the normal force ends it."""
     if cone.normal_min is None and cone.normal_max is None:
         return push, jnp.zeros_like(push)
     normal_min = 0 if cone.normal_min is None else cone.normal_min

@@ -14,7 +14,9 @@ from jax import Array
 from jaxgrasp.numerics import compensated, ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 
 
@@ -212,3 +214,20 @@ def certificate_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tu
         linear, angular = vec3.rotate_back(scaling.axes, linear), vec3.rotate_back(scaling.axes, angular)
     angular = vec3.scale(1 / scaling.length, angular)
     return vec3.sub(linear, vec3.cross(angular, scaling.centre)), angular
+
+
+def wrench_to_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
+    """A wrench about the user's origin in a problem's axes and lengths; in the user's forces."""
+    force, torque = spatial.parts(wrench)
+    torque = vec3.scale(1 / scaling.length, vec3.sub(torque, vec3.cross(scaling.centre, force)))
+    if scaling.axes is not None:
+        force, torque = vec3.rotate(scaling.axes, force), vec3.rotate(scaling.axes, torque)
+    return spatial.join(force, torque)
+
+
+def wrench_from_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
+    """The inverse of ``wrench_in``."""
+    force, torque = spatial.parts(wrench)
+    if scaling.axes is not None:
+        force, torque = vec3.rotate_back(scaling.axes, force), vec3.rotate_back(scaling.axes, torque)
+    return spatial.join(force, vec3.add(vec3.scale(scaling.length, torque), vec3.cross(scaling.centre, force)))

@@ -14,16 +14,15 @@ from jax import Array
 from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import contact_vec, friction_cone
-from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.scaling import Scaling, scale_in_principal_axes
+from jaxgrasp.problem.metric import squared_norm
+from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_axes
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, pseudo_inverse
-from jaxgrasp.solver.coordinates import Coordinates
-from jaxgrasp.solver.guided_motion import whitened_coordinates
+from jaxgrasp.solver.dual import PlainProblem
 from jaxgrasp.solver.infeasibility import find_certificate, out_of_range
 from jaxgrasp.solver.newton import has_converged, is_within
-from jaxgrasp.solver.pseudo_inverse import Metric, squared_norm
 from jaxgrasp.solver.result import PassResult, ScaledResult, to_result
 
 MAX_STEPS = 256
@@ -52,37 +51,27 @@ def solve_optimum(solver: Any, problem: ProblemBatch) -> PassResult:
     return over_tiles(partial(_tile, solver), problem, problem.size, TILE, problem.count)
 
 
-def write_to_tolerance(
-    data: ContactData,
-    scaling: Scaling,
-    coordinates: Coordinates,
-    valid: Array,
-    size: int,
-    scaled_result: ScaledResult,
-    tolerance: float,
-) -> PassResult:
-    """``result.write``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
-    result = to_result(data, scaling, coordinates, valid, size, scaled_result, Route.GIVEN)
-    disowned = (scaled_result.verdict[0] == Verdict.OPTIMAL) & (result.verdict == Verdict.NOT_CONVERGED)
+def to_result_within(problem: ScaledProblem, found: ScaledResult, tolerance: float) -> PassResult:
+    """``to_result``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
+    result = to_result(problem, found, Route.GIVEN)
+    disowned = (found.verdict[0] == Verdict.OPTIMAL) & (result.verdict == Verdict.NOT_CONVERGED)
     verdict = jnp.where(disowned & (result.residual <= tolerance), Verdict.OPTIMAL, result.verdict)
     return result._replace(verdict=verdict.astype(jnp.int32))
 
 
-def _tile(solver: Any, problem: ProblemBatch) -> PassResult:
-    data, valid = to_batch_last(problem)
-    data, scaling = scale_in_principal_axes(data)
-    metric, coordinates = whitened_coordinates(problem, data, scaling)
-    start = pseudo_inverse.closed_multiplier(data, coordinates, metric)
-    free = pseudo_inverse.forces_without_cones(data, start, coordinates)
-    inside = jnp.all(friction_cone.contains(free, data.cone), 0, keepdims=True)
-    missed, beyond = out_of_range(data, scaling, coordinates)
-    point, steps = _search(solver, data, coordinates, start)
+def _tile(solver: Any, batch: ProblemBatch) -> PassResult:
+    problem = in_principal_axes(batch)
+    start = pseudo_inverse.closed_multiplier(problem)
+    free = pseudo_inverse.forces_without_cones(problem, start)
+    inside = jnp.all(friction_cone.contains(free, problem.data.cone), 0, keepdims=True)
+    missed, beyond = out_of_range(problem)
+    point, steps = _search(solver, problem, start)
     tolerance = float(max(solver.rtol, solver.atol))
-    forces, optimal = _check_optimality(data, coordinates, metric, point, tolerance)
-    proven, direction = _find_certificate(data, scaling, coordinates, start, point)
+    forces, optimal = _check_optimality(problem, point, tolerance)
+    proven, direction = _find_certificate(problem, start, point)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
-    scaled_result = ScaledResult(
+    found = ScaledResult(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
         verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
@@ -90,59 +79,52 @@ def _tile(solver: Any, problem: ProblemBatch) -> PassResult:
         certificate=jnp.where(missed, beyond, direction),
         undecided=jnp.zeros_like(missed),
     )
-    return write_to_tolerance(data, scaling, coordinates, valid, problem.size, scaled_result, tolerance)
+    return to_result_within(problem, found, tolerance)
 
 
-def _search(solver: Any, data: ContactData, coordinates: Coordinates, start: SpatialVec) -> tuple[SpatialVec, Array]:
+def _search(solver: Any, problem: ScaledProblem, start: SpatialVec) -> tuple[SpatialVec, Array]:
     """Where the solver ends in each problem, and after how many steps; the start where it runs off to infinity."""
     import optimistix as optx
 
-    def one(lane: tuple[ContactData, Coordinates], start: SpatialVec) -> tuple[SpatialVec, Array]:
+    def one(problem: PlainProblem, start: SpatialVec) -> tuple[SpatialVec, Array]:
         found: optx.Solution
         if isinstance(solver, optx.AbstractMinimiser):
-            found = optx.minimise(_negative_dual, solver, start, lane, max_steps=MAX_STEPS, throw=False)
+            found = optx.minimise(_negative_dual, solver, start, problem, max_steps=MAX_STEPS, throw=False)
         else:
-            found = optx.root_find(_gradient, solver, start, lane, max_steps=MAX_STEPS, throw=False)
+            found = optx.root_find(_gradient, solver, start, problem, max_steps=MAX_STEPS, throw=False)
         return found.value, found.stats["num_steps"][None]
 
     size = start.shape[-1]
-    lane = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), (data, coordinates))
-    point, steps = jax.vmap(one, in_axes=-1, out_axes=-1)(lane, start)
+    each = PlainProblem(problem.data, problem.coordinates)
+    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), each)
+    point, steps = jax.vmap(one, in_axes=-1, out_axes=-1)(each, start)
     finite = jnp.all(jnp.isfinite(point), 0, keepdims=True)
     return jnp.where(finite, point, start), steps
 
 
-def _gradient(point: SpatialVec, lane: tuple[ContactData, Coordinates]) -> SpatialVec:
-    """The dual's gradient; directions that no contact reaches term the multiplier to zero instead of nowhere."""
-    data, coordinates = lane
-    residual = dual.residual(data, dual.candidate_forces(data, point, coordinates).forces, coordinates)
-    return residual - coordinates.unused() * point
+def _gradient(point: SpatialVec, problem: PlainProblem) -> SpatialVec:
+    """The dual's gradient; directions that no contact reaches pull the multiplier to zero instead of nowhere."""
+    residual = dual.residual(problem, dual.candidate_forces(problem, point).forces)
+    return residual - problem.coordinates.unused() * point
 
 
-def _negative_dual(point: SpatialVec, lane: tuple[ContactData, Coordinates]) -> Array:
-    """Minus the dual, whose gradient is minus ``_rest``."""
-    data, coordinates = lane
-    value = dual.dual_value(data, dual.candidate_forces(data, point, coordinates), point, coordinates)
-    return jnp.sum(coordinates.unused() * point**2) / 2 - value[0]
+def _negative_dual(point: SpatialVec, problem: PlainProblem) -> Array:
+    """Minus the dual, whose gradient is minus ``_gradient``."""
+    value = dual.dual_value(problem, dual.candidate_forces(problem, point), point)
+    return jnp.sum(problem.coordinates.unused() * point**2) / 2 - value[0]
 
 
-def _check_optimality(
-    data: ContactData, coordinates: Coordinates, metric: Metric, point: SpatialVec, tolerance: float
-) -> tuple[ContactVec, Array]:
+def _check_optimality(problem: ScaledProblem, point: SpatialVec, tolerance: float) -> tuple[ContactVec, Array]:
     """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
-    best = dual.candidate_forces(data, point, coordinates)
-    residual = dual.residual(data, best.forces, coordinates)
-    value, total_normal_force = (
-        dual.dual_value(data, best, point, coordinates),
-        dual.total_normal_force(data, best.forces),
-    )
-    found = (data, point, residual, squared_norm(metric, residual), value, total_normal_force)
+    best = dual.candidate_forces(problem, point)
+    residual = dual.residual(problem, best.forces)
+    value = dual.dual_value(problem, best, point)
+    total_normal_force = dual.total_normal_force(problem.data, best.forces)
+    found = (problem.data, point, residual, squared_norm(problem.metric, residual), value, total_normal_force)
     return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
 
 
-def _find_certificate(
-    data: ContactData, scaling: Scaling, coordinates: Coordinates, start: SpatialVec, point: SpatialVec
-) -> tuple[Array, SpatialVec]:
+def _find_certificate(problem: ScaledProblem, start: SpatialVec, point: SpatialVec) -> tuple[Array, SpatialVec]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
-    residual = dual.residual(data, dual.candidate_forces(data, point, coordinates).forces, coordinates)
-    return find_certificate(data, scaling, coordinates, residual, point - start)
+    residual = dual.residual(problem, dual.candidate_forces(problem, point).forces)
+    return find_certificate(problem, residual, point - start)

@@ -17,6 +17,9 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes
+from jaxgrasp.problem.guided_motion import Mixing, directions_to_scaled, guided_coordinates, mixing
+from jaxgrasp.problem.metric import whitened_metric
 from jaxgrasp.problem.scaling import (
     Scaling,
     forces_from_scaled,
@@ -29,8 +32,6 @@ from jaxgrasp.problem.scaling import (
 )
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, pseudo_inverse, torque_limits
-from jaxgrasp.solver.coordinates import Coordinates, ScaledAxes
-from jaxgrasp.solver.guided_motion import Mixing, directions_to_scaled, guided_coordinates, mixing
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
@@ -51,13 +52,28 @@ class _Fixed(NamedTuple):
     whitened: ScaledAxes | Mixing
     """The coordinates of a free object; how they come out of the free twists of one that a guide holds."""
     constraints: Array | None
-    """Lengths of the limits' rows."""
+    """Lengths of the torque constraints."""
 
-    def coordinates(self, moving: _Moving) -> Coordinates:
+    def problem(self, moving: _Moving) -> "_DualProblem":
         if isinstance(self.whitened, ScaledAxes):
-            return self.whitened
+            return _DualProblem(moving.data, self.whitened, moving.constraints)
         assert moving.directions is not None
-        return guided_coordinates(moving.directions, self.whitened)
+        return _DualProblem(moving.data, guided_coordinates(moving.directions, self.whitened), moving.constraints)
+
+
+class _DualProblem(NamedTuple):
+    """What the optimality conditions are made of."""
+
+    data: ContactData
+    coordinates: Coordinates
+    constraints: TorqueConstraints | None
+
+    def velocities(self, at: Array) -> ContactVec:
+        """Velocities of the contacts by the object, less those by the joints."""
+        twist = dual.contact_velocities(self, at[:6])
+        if self.constraints is None:
+            return twist
+        return contact_vec.sub(twist, torque_limits.velocities_by_joints(self.constraints, at[6:]))
 
 
 class Tangent(NamedTuple):
@@ -91,81 +107,60 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
     scaling = fixed.scaling
     moving, moving_tangent = jax.jvp(lambda p: _in_scaling(p, fixed), (problem,), (moved,))
     answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
-    at = jnp.where(answered, _multipliers(solution, fixed, moving), 0)
+    at = jnp.where(answered, _multipliers(solution, scaling, fixed.problem(moving)), 0)
     unit = scaling.weight / scaling.load
 
     def residual(moving: _Moving) -> Array:
-        coordinates = fixed.coordinates(moving)
-        forces = _forces(moving, at, coordinates, unit, constrained)[0]
-        return _optimality_residual(moving, at, forces, coordinates)
+        problem = fixed.problem(moving)
+        return _optimality_residual(problem, at, _forces(problem, at, unit, constrained)[0])
 
     _, unbalanced = jax.jvp(residual, (moving,), (moving_tangent,))
-    turned = _solve(_negative_hessian(moving, at, fixed.coordinates(moving), constrained), unbalanced)
+    turned = _solve(_negative_hessian(fixed.problem(moving), at, constrained), unbalanced)
 
     def outputs(moving: _Moving, at: Array) -> _Outputs:
-        coordinates = fixed.coordinates(moving)
-        f, deviation = _forces(moving, at, coordinates, unit, constrained)
-        objective = vec3.totals(dual.deviation_cost_by(moving.data, f, deviation))[0]
-        bounded = moving.data.normal_min is not None or moving.data.normal_max is not None
-        normal_multipliers = dual.normal_multipliers(moving.data, _twist(moving, at, coordinates)) if bounded else None
-        rates = None if moving.constraints is None else moving.constraints.scale * at[6:]
+        problem, data = fixed.problem(moving), moving.data
+        forces, deviation = _forces(problem, at, unit, constrained)
+        bounded = data.normal_min is not None or data.normal_max is not None
         return _Outputs(
-            f,
-            moments_from_scaled(moving.data, f.spin, scaling),
-            objective,
-            coordinates.twist(at[:6]),
-            normal_multipliers,
-            rates,
+            forces=forces,
+            moments=moments_from_scaled(data, forces.spin, scaling),
+            objective=vec3.totals(dual.deviation_cost_by(data, forces, deviation))[0],
+            twist=problem.coordinates.twist(at[:6]),
+            normal_multipliers=dual.normal_multipliers(data, problem.velocities(at)) if bounded else None,
+            torque_multipliers=None if moving.constraints is None else moving.constraints.scale * at[6:],
         )
 
     _, tangents = jax.jvp(outputs, (moving, at), (moving_tangent, turned))
     return _to_solution(scaling, answered, tangents)
 
 
-def _multipliers(solution: Solution, fixed: _Fixed, moving: _Moving) -> Array:
-    """The solution's multiplier in the coordinates, over those of the limits."""
-    point = fixed.coordinates(moving).from_twist(*multiplier_to_scaled(solution.multiplier, fixed.scaling))
-    if moving.constraints is None or solution.torque_multiplier is None:
+def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) -> Array:
+    """The solution's multiplier in the coordinates, over those of the torque constraints."""
+    point = problem.coordinates.from_twist(*multiplier_to_scaled(solution.multiplier, scaling))
+    if problem.constraints is None or solution.torque_multiplier is None:
         return point
-    unit = fixed.scaling.weight / fixed.scaling.load
-    return jnp.concatenate([point, unit * vec3.safe_divide(solution.torque_multiplier.T, moving.constraints.scale)])
+    unit = scaling.weight / scaling.load
+    return jnp.concatenate([point, unit * vec3.safe_divide(solution.torque_multiplier.T, problem.constraints.scale)])
 
 
-def _twist(moving: _Moving, at: Array, coordinates: Coordinates) -> ContactVec:
-    """Velocities of the contacts by the object, less those by the joints."""
-    twist = dual.contact_velocities(moving.data, at[:6], coordinates)
-    return (
-        twist
-        if moving.constraints is None
-        else contact_vec.sub(twist, torque_limits.velocities_by_joints(moving.constraints, at[6:]))
-    )
-
-
-def _optimality_residual(moving: _Moving, at: Array, forces: ContactVec, coordinates: Coordinates) -> Array:
+def _optimality_residual(problem: _DualProblem, at: Array, forces: ContactVec) -> Array:
     """What is zero at a solution: the wrench that is left and, of limits that bind, what torques are beyond them."""
-    wrench = dual.residual(moving.data, forces, coordinates)
-    if moving.constraints is None:
+    wrench, constraints = dual.residual(problem, forces), problem.constraints
+    if constraints is None:
         return wrench
     side = jnp.sign(at[6:])
-    return jnp.concatenate(
-        [wrench, jnp.abs(side) * torque_limits.torques(moving.constraints, forces) - side * moving.constraints.bound]
-    )
+    beyond = jnp.abs(side) * torque_limits.torques(constraints, forces) - side * constraints.bound
+    return jnp.concatenate([wrench, beyond])
 
 
-def _forces(
-    moving: _Moving, at: Array, coordinates: Coordinates, unit: Array, constrained: bool
-) -> tuple[ContactVec, ContactVec]:
+def _forces(problem: _DualProblem, at: Array, unit: Array, constrained: bool) -> tuple[ContactVec, ContactVec]:
     """The forces of multipliers, and the deviation (f - s a) / k of each contact."""
-    data = moving.data
+    data = problem.data
     if not constrained:
-        return pseudo_inverse.forces_without_cones(data, at, coordinates), dual.contact_velocities(
-            data, at, coordinates
-        )
-    best = dual.candidate_forces_at(data, _twist(moving, at, coordinates))
-    apex = _about_apex(data, best.twist, unit)
-    return contact_vec.where(_neither_squeezes_nor_moves(data), apex, best.forces), dual.weighted_deviation(
-        data, best, unit
-    )
+        return pseudo_inverse.forces_without_cones(problem, at), dual.contact_velocities(problem, at)
+    best = dual.candidate_forces_at(data, problem.velocities(at))
+    forces = contact_vec.where(_neither_squeezes_nor_moves(data), _about_apex(data, best.twist, unit), best.forces)
+    return forces, dual.weighted_deviation(data, best, unit)
 
 
 def _neither_squeezes_nor_moves(data: ContactData) -> Array:
@@ -182,14 +177,14 @@ def _about_apex(data: ContactData, twist: ContactVec, unit: Array) -> ContactVec
 
 
 def _constants(problem: ProblemBatch, constrained: bool) -> _Fixed:
-    """Principal frame, coordinates and lengths of rows of the problem."""
+    """Principal axes, coordinates and lengths of the constraints of a problem."""
     problem = lax.stop_gradient(problem)
     data, _ = to_batch_last(problem)
     data, scaling = scale_in_principal_axes(data)
     limited = constrained and problem.torque_map is not None
     constraints = torque_limits.torque_constraints(problem, data, scaling).scale if limited else None
     if problem.free is None:
-        return _Fixed(scaling, pseudo_inverse.whitened_metric(data, scaling)[1], constraints)
+        return _Fixed(scaling, whitened_metric(data, scaling)[1], constraints)
     return _Fixed(scaling, mixing(directions_to_scaled(problem.free, scaling), data, scaling), constraints)
 
 
@@ -203,29 +198,25 @@ def _in_scaling(problem: ProblemBatch, fixed: _Fixed) -> _Moving:
     assert scaling.axes is not None
     there = rotate(there, scaling.axes)
     free = None if problem.free is None else directions_to_scaled(problem.free, scaling)
-    constraints = (
-        None
-        if fixed.constraints is None
-        else torque_limits.torque_constraints_scaled_by(fixed.constraints, problem, there, scaling)
-    )
+    constraints = None
+    if fixed.constraints is not None:
+        constraints = torque_limits.torque_constraints_scaled_by(fixed.constraints, problem, there, scaling)
     return _Moving(there, free, constraints)
 
 
-def _negative_hessian(moving: _Moving, at: Array, coordinates: Coordinates, constrained: bool) -> Array:
+def _negative_hessian(problem: _DualProblem, at: Array, constrained: bool) -> Array:
     """Minus the Hessian by the coordinates and by the limits that bind, ``(k, k, B)``."""
-    data = moving.data
+    data = problem.data
     if not constrained:
         one, zero = jnp.ones_like(data.weights), jnp.zeros_like(data.weights)
         size = 3 if data.spin_radius is None else 4
-        return _full(dual.negative_hessian(data, [[zero] * i + [one] for i in range(size)], coordinates))
-    best = dual.candidate_forces_at(data, _twist(moving, at, coordinates))
-    plain = dual.negative_hessian(data, friction_cone.derivative(data.cone, best.sides), coordinates)
-    if moving.constraints is None:
+        return _full(dual.negative_hessian(problem, [[zero] * i + [one] for i in range(size)]))
+    best = dual.candidate_forces_at(data, problem.velocities(at))
+    plain = dual.negative_hessian(problem, friction_cone.derivative(data.cone, best.sides))
+    if problem.constraints is None:
         return _full(plain)
     binds = (at[6:] != 0).astype(at.dtype)
-    return torque_limits.full_matrix(
-        torque_limits.bordered_hessian(data, coordinates, moving.constraints, best, plain), binds
-    )
+    return torque_limits.full_matrix(torque_limits.bordered_hessian(problem, problem.constraints, best, plain), binds)
 
 
 def _full(lower: ldl.Lower) -> Array:
@@ -248,7 +239,7 @@ def _to_solution(scaling: Scaling, answered: Array, found: _Outputs) -> Tangent:
     unit = vec3.safe_divide(scaling.load, scaling.weight)
     linear, angular = multiplier_from_scaled(*found.twist, scaling)
 
-    def constraints(array: Array | None, factor: Array | float = 1) -> Array | None:
+    def batch_first(array: Array | None, factor: Array | float = 1) -> Array | None:
         return None if array is None else jnp.where(answered, factor * array, 0).T
 
     forces = forces_from_scaled(found.forces.linear, scaling)
@@ -256,7 +247,7 @@ def _to_solution(scaling: Scaling, answered: Array, found: _Outputs) -> Tangent:
         forces=jnp.stack([jnp.where(answered, c, 0) for c in forces]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
         objective=jnp.where(answered, unit * scaling.load * found.objective, 0)[0],
-        moments=constraints(found.moments),
-        normal_multiplier=constraints(found.normal_multipliers, unit),
-        torque_multiplier=constraints(found.torque_multipliers, unit),
+        moments=batch_first(found.moments),
+        normal_multiplier=batch_first(found.normal_multipliers, unit),
+        torque_multiplier=batch_first(found.torque_multipliers, unit),
     )

@@ -10,7 +10,7 @@ what the six numbers of a multiplier stand for there.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 from jax import Array
@@ -21,13 +21,34 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ContactData, squeezing_forces
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.coordinates import Coordinates, plain_axes
 from jaxgrasp.problem.spatial import SpatialVec, inner
-from jaxgrasp.solver.coordinates import Coordinates
 
 
-def required_wrench(data: ContactData, coordinates: Coordinates) -> SpatialVec:
+class DualProblem(Protocol):
+    """What the dual is made of; a ``ScaledProblem`` has it, and so has ``PlainProblem``."""
+
+    @property
+    def data(self) -> ContactData: ...
+
+    @property
+    def coordinates(self) -> Coordinates: ...
+
+
+class PlainProblem(NamedTuple):
+    """Problems whose multipliers are twists, without a scale of their own."""
+
+    data: ContactData
+    coordinates: Coordinates
+
+
+def plain_problem(data: ContactData) -> PlainProblem:
+    return PlainProblem(data, plain_axes(data.force.x))
+
+
+def required_wrench(problem: DualProblem) -> SpatialVec:
     """The wrench asked for."""
-    return coordinates.wrench(data.force, data.torque)
+    return problem.coordinates.wrench(problem.data.force, problem.data.torque)
 
 
 def solve(factors: tuple[list[list[Array]], list[Array]], right: SpatialVec) -> SpatialVec:
@@ -54,15 +75,17 @@ class DualEvaluation(NamedTuple):
     """Sum of the normal forces: how large the numbers are that the gradient is a difference of."""
 
 
-def contact_velocities(data: ContactData, multiplier: SpatialVec, coordinates: Coordinates) -> ContactVec:
+def contact_velocities(problem: DualProblem, multiplier: SpatialVec) -> ContactVec:
     """Velocity of the multiplier, as a twist, at each contact."""
-    linear, angular = coordinates.twist(multiplier)
+    data = problem.data
+    linear, angular = problem.coordinates.twist(multiplier)
     spin = None if data.spin_radius is None else data.spin_radius * vec3.dot(angular, data.normals)
     return ContactVec(vec3.add(linear, vec3.cross(angular, data.points)), spin)
 
 
-def candidate_forces(data: ContactData, multiplier: SpatialVec, coordinates: Coordinates) -> CandidateForces:
-    return candidate_forces_at(data, contact_velocities(data, multiplier, coordinates))
+def candidate_forces(problem: DualProblem, multiplier: SpatialVec) -> CandidateForces:
+    """The forces of the Lagrangian's minimum for a multiplier."""
+    return candidate_forces_at(problem.data, contact_velocities(problem, multiplier))
 
 
 def candidate_forces_at(data: ContactData, twist: ContactVec) -> CandidateForces:
@@ -74,9 +97,9 @@ def candidate_forces_at(data: ContactData, twist: ContactVec) -> CandidateForces
     return CandidateForces(twist, sides, friction_cone.project(target, data.cone, sides))
 
 
-def residual(data: ContactData, forces: ContactVec, coordinates: Coordinates) -> SpatialVec:
+def residual(problem: DualProblem, forces: ContactVec) -> SpatialVec:
     """w - G f."""
-    return _unbalanced(data, coordinates, vec3.totals(*wrench_terms(data, forces)))
+    return _unbalanced(problem, vec3.totals(*wrench_terms(problem.data, forces)))
 
 
 def wrench_terms(data: ContactData, forces: ContactVec) -> tuple[Array, ...]:
@@ -87,23 +110,24 @@ def wrench_terms(data: ContactData, forces: ContactVec) -> tuple[Array, ...]:
     return (*forces.linear, *torque)
 
 
-def _unbalanced(data: ContactData, coordinates: Coordinates, wrench: list[Array]) -> SpatialVec:
+def _unbalanced(problem: DualProblem, wrench: list[Array]) -> SpatialVec:
+    data = problem.data
     linear, angular = vec3.sub(data.force, Vec3(*wrench[:3])), vec3.sub(data.torque, Vec3(*wrench[3:]))
-    return coordinates.wrench(linear, angular)
+    return problem.coordinates.wrench(linear, angular)
 
 
-def evaluate(data: ContactData, multiplier: SpatialVec, coordinates: Coordinates) -> DualEvaluation:
-    return evaluate_at(data, candidate_forces(data, multiplier, coordinates), multiplier, coordinates)
+def evaluate(problem: DualProblem, multiplier: SpatialVec) -> DualEvaluation:
+    return evaluate_at(problem, candidate_forces(problem, multiplier), multiplier)
 
 
-def evaluate_at(
-    data: ContactData, best: CandidateForces, multiplier: SpatialVec, coordinates: Coordinates
-) -> DualEvaluation:
-    """The dual at a multiplier whose best forces are known."""
+def evaluate_at(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> DualEvaluation:
+    """The dual at a multiplier whose forces are known."""
+    data = problem.data
     jacobian = friction_cone.derivative(data.cone, best.sides)
     sums = vec3.totals(*_value_terms(data, best)) + vec3.stacked_totals(*_hessian_terms(data, jacobian))
-    value, gradient, push = _value(data, multiplier, coordinates, sums[:VALUE_TERMS])
-    return DualEvaluation(value, gradient, _hessian_of(sums[VALUE_TERMS:], coordinates), push)
+    value, gradient, total_normal_force = _value(problem, multiplier, sums[:VALUE_TERMS])
+    curvature = _hessian_of(sums[VALUE_TERMS:], problem.coordinates)
+    return DualEvaluation(value, gradient, curvature, total_normal_force)
 
 
 def normal_multipliers(data: ContactData, twist: ContactVec) -> Array:
@@ -120,9 +144,9 @@ def normal_multipliers(data: ContactData, twist: ContactVec) -> Array:
     return jnp.where(holds, vec3.safe_divide(price, data.weights), 0)
 
 
-def dual_value(data: ContactData, best: CandidateForces, multiplier: SpatialVec, coordinates: Coordinates) -> Array:
-    """The dual at a multiplier whose best forces are known."""
-    return _value(data, multiplier, coordinates, vec3.totals(*_value_terms(data, best)))[0]
+def dual_value(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> Array:
+    """The dual at a multiplier whose forces are known."""
+    return _value(problem, multiplier, vec3.totals(*_value_terms(problem.data, best)))[0]
 
 
 def total_normal_force(data: ContactData, forces: ContactVec) -> Array:
@@ -139,11 +163,10 @@ def _value_terms(data: ContactData, best: CandidateForces) -> tuple[Array, ...]:
     return own, vec3.dot(best.forces.linear, data.normals), *wrench_terms(data, best.forces)
 
 
-def _value(
-    data: ContactData, multiplier: SpatialVec, coordinates: Coordinates, sums: list[Array]
-) -> tuple[Array, SpatialVec, Array]:
-    own, push, *wrench = sums
-    return inner(required_wrench(data, coordinates), multiplier) + own, _unbalanced(data, coordinates, wrench), push
+def _value(problem: DualProblem, multiplier: SpatialVec, sums: list[Array]) -> tuple[Array, SpatialVec, Array]:
+    own, total_normal_force, *wrench = sums
+    value = inner(required_wrench(problem), multiplier) + own
+    return value, _unbalanced(problem, wrench), total_normal_force
 
 
 def deviation_cost(data: ContactData, forces: ContactVec) -> Array:
@@ -190,9 +213,9 @@ def objective_of_no_force(data: ContactData) -> Array:
     return vec3.totals(deviation_cost(data, contact_vec.sub(held, held)))[0]
 
 
-def negative_hessian(data: ContactData, jacobian: Lower, coordinates: Coordinates) -> Lower:
+def negative_hessian(problem: DualProblem, jacobian: Lower) -> Lower:
     """Sum of k G D G^T over contacts, for a symmetric matrix D of each, 3x3 or 4x4: lower triangle, 6x6."""
-    return _hessian_of(vec3.stacked_totals(*_hessian_terms(data, jacobian)), coordinates)
+    return _hessian_of(vec3.stacked_totals(*_hessian_terms(problem.data, jacobian)), problem.coordinates)
 
 
 def force_change(data: ContactData, best: CandidateForces, velocity: ContactVec) -> ContactVec:

@@ -11,29 +11,24 @@ from jax import Array, lax
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
-from jaxgrasp.problem.batch_last import ContactData
-from jaxgrasp.problem.scaling import Scaling, rounding_growth
+from jaxgrasp.problem.coordinates import plain_axes
+from jaxgrasp.problem.scaled_problem import ScaledProblem
+from jaxgrasp.problem.scaling import rounding_growth
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, torque_limits
-from jaxgrasp.solver.coordinates import Coordinates, plain_axes
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
-def proves_infeasible(
-    data: ContactData,
-    scaling: Scaling,
-    direction: Array,
-    coordinates: Coordinates,
-    constraints: TorqueConstraints | None = None,
-) -> Array:
+def proves_infeasible(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
     """Whether ``direction`` (in the coordinates) shows that the load is out of any sensible force's reach.
 
     With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
-    twist = dual.contact_velocities(data, direction[:6], coordinates)
-    work = spatial.inner(dual.required_wrench(data, coordinates), direction[:6])
-    size = spatial.length(spatial.join(*coordinates.twist(direction[:6])))
+    data = problem.data
+    twist = dual.contact_velocities(problem, direction[:6])
+    work = spatial.inner(dual.required_wrench(problem), direction[:6])
+    size = spatial.length(spatial.join(*problem.coordinates.twist(direction[:6])))
     if constraints is not None:
         rates = direction[6:]
         twist = contact_vec.sub(twist, torque_limits.velocities_by_joints(constraints, rates))
@@ -46,18 +41,13 @@ def proves_infeasible(
     held = data.squeeze * vec3.dot(twist.linear, data.normals)
     work = work - vec3.totals(jnp.where(can_move, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
-    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(scaling)
+    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
     return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
 
 
 @fused_cpu_kernel
 def find_certificate(
-    data: ContactData,
-    scaling: Scaling,
-    coordinates: Coordinates,
-    residual: Array,
-    run: Array,
-    constraints: TorqueConstraints | None = None,
+    problem: ScaledProblem, residual: Array, run: Array, constraints: TorqueConstraints | None = None
 ) -> tuple[Array, Array]:
     """Whether what is left of the wrench, or the way the multiplier ran, proves it, and that direction as a twist.
 
@@ -65,21 +55,19 @@ def find_certificate(
     """
     # What is looked at is what is handed out: computed anew, in other kernels, it would be rounded otherwise.
     residual, run = lax.optimization_barrier((residual, run))
-    by_rest, by_run = (
-        proves_infeasible(data, scaling, direction, coordinates, constraints) for direction in (residual, run)
-    )
+    by_rest, by_run = (proves_infeasible(problem, direction, constraints) for direction in (residual, run))
     proven = jnp.where(by_rest, residual, run / jnp.maximum(spatial.length(run), 1))
-    return by_rest | by_run, jnp.concatenate([spatial.join(*coordinates.twist(proven[:6])), proven[6:]])
+    return by_rest | by_run, jnp.concatenate([spatial.join(*problem.coordinates.twist(proven[:6])), proven[6:]])
 
 
 @fused_cpu_kernel
-def out_of_range(data: ContactData, scaling: Scaling, coordinates: Coordinates) -> tuple[Array, SpatialVec]:
+def out_of_range(problem: ScaledProblem) -> tuple[Array, SpatialVec]:
     """Whether something is asked for along twists that no contact reaches, and that as a direction.
 
     The direction is a twist, since the coordinates leave it out.
     """
-    plain = plain_axes(data.force.x)
-    direction = coordinates.unreached(dual.required_wrench(data, plain))
+    plain = problem._replace(coordinates=plain_axes(problem.data.force.x))
+    direction = problem.coordinates.unreached(dual.required_wrench(plain))
     # Loads are of order one here, so this compares with the whole load.
     missed = spatial.length(direction) > tolerances(direction.dtype).range
-    return missed & proves_infeasible(data, scaling, direction, plain), direction
+    return missed & proves_infeasible(plain, direction), direction

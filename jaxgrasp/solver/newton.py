@@ -16,12 +16,12 @@ from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.metric import Metric, squared_norm
+from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Coordinates
 from jaxgrasp.solver.dual import DualEvaluation
-from jaxgrasp.solver.pseudo_inverse import Metric, squared_norm
 from jaxgrasp.solver.result import Measurement, measure_forces
 
 ARMIJO = 1e-4
@@ -45,7 +45,7 @@ class ProximalTerm(NamedTuple):
 
 @runtime_checkable
 class ConcaveObjective(Protocol):
-    """What is climbed: a concave function of a few coordinates in each problem, perhaps with a kink along some of them."""
+    """What is maximised: a concave function of a few coordinates, perhaps with a kink where one of them is zero."""
 
     def evaluate(self, point: Array) -> Any:
         """Value, gradient, minus Hessian and the sum of normal forces, by the names that ``dual.Value`` has."""
@@ -60,7 +60,7 @@ class ConcaveObjective(Protocol):
         ...
 
     def converged(self, at: Any, point: Array) -> Array:
-        """Whether the point is the top, as far as rounding lets it be told."""
+        """Whether the point is the maximum, as far as rounding lets it be told."""
         ...
 
     def clip_step(self, start: Array, trial: Array) -> Array:
@@ -69,27 +69,25 @@ class ConcaveObjective(Protocol):
 
 
 class DualObjective(NamedTuple):
-    """The dual as a objective, which has no kinks."""
+    """The dual as an objective: it has no kinks."""
 
-    data: ContactData
-    coordinates: Coordinates
-    metric: Metric
+    problem: ScaledProblem
     proximal: ProximalTerm | None = None
 
     def evaluate(self, point: SpatialVec) -> DualEvaluation:
-        at = dual.evaluate(self.data, point, self.coordinates)
+        at = dual.evaluate(self.problem, point)
         return at if self.proximal is None else _with_proximal_term(at, point, self.proximal)
 
     def squared_norm(self, gradient: SpatialVec) -> Array:
-        return squared_norm(self.metric, gradient)
+        return squared_norm(self.problem.metric, gradient)
 
     def direction(self, at: DualEvaluation, point: SpatialVec, damping_factor: Array) -> SpatialVec:
         damping = damping_of(self.squared_norm(at.gradient), damping_factor, self.proximal)
-        return dual.solve(ldl.factor(damped(at.curvature, self.metric, damping)), at.gradient)
+        return dual.solve(ldl.factor(damped(at.curvature, self.problem.metric, damping)), at.gradient)
 
     def converged(self, at: DualEvaluation, point: SpatialVec) -> Array:
         return has_converged(
-            self.data, point, at.gradient, self.squared_norm(at.gradient), at.value, at.total_normal_force
+            self.problem.data, point, at.gradient, self.squared_norm(at.gradient), at.value, at.total_normal_force
         )
 
     def clip_step(self, start: SpatialVec, trial: SpatialVec) -> SpatialVec:
@@ -258,21 +256,21 @@ class OptimalityCheck(NamedTuple):
     forces: ContactVec
     optimal: Array
     loosely_optimal: Array
-    """Whether it is but for ``LAST_SLACK`` times the tolerances."""
+    """Whether it is but for ``LOOSE_FACTOR`` times the tolerances."""
 
 
 def as_returned(forces: ContactVec) -> ContactVec:
-    """Forces whose judge sees them to the bit as they are handed out: computed anew they might round otherwise."""
+    """Forces that are judged to the bit as they are returned: computed anew they might be rounded otherwise."""
     return lax.optimization_barrier(forces)
 
 
 @fused_cpu_kernel
-def check_optimality(data: ContactData, coordinates: Coordinates, metric: Metric, point: SpatialVec) -> OptimalityCheck:
-    """Whether the best forces for ``point`` balance the wrench, so that both are optimal."""
-    best = as_returned(dual.candidate_forces(data, point, coordinates).forces)
-    found = measure_forces(data, best, coordinates)
-    residual = coordinates.wrench(*spatial.parts(found.residual))
-    return optimality_by(data, best, point, residual, squared_norm(metric, residual), found)
+def check_optimality(problem: ScaledProblem, point: SpatialVec) -> OptimalityCheck:
+    """Whether the forces of ``point`` balance the wrench, so that both are optimal."""
+    best = as_returned(dual.candidate_forces(problem, point).forces)
+    found = measure_forces(problem, best)
+    residual = problem.coordinates.wrench(*spatial.parts(found.residual))
+    return optimality_by(problem.data, best, point, residual, squared_norm(problem.metric, residual), found)
 
 
 def optimality_by(

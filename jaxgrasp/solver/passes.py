@@ -19,12 +19,11 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_chosen, over_tiles
 from jaxgrasp.problem import friction_cone, spatial
-from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
-from jaxgrasp.problem.scaling import Scaling, multiplier_to_scaled, scale_in_principal_axes
+from jaxgrasp.problem.batch_last import ProblemBatch, squeezing_forces
+from jaxgrasp.problem.scaled_problem import ScaledProblem, in_axes_by_care, in_suitable_axes
+from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import pseudo_inverse, torque_passes
-from jaxgrasp.solver.coordinates import Coordinates
-from jaxgrasp.solver.guided_motion import whitened_coordinates
 from jaxgrasp.solver.infeasibility import out_of_range
 from jaxgrasp.solver.proximal import (
     STEPS_PER_LEVEL,
@@ -34,12 +33,11 @@ from jaxgrasp.solver.proximal import (
     initial_state,
     proximal_search,
 )
-from jaxgrasp.solver.pseudo_inverse import ConditionedProblem, Metric, conditioned
 from jaxgrasp.solver.result import PassResult, ScaledResult, to_result
 
 CAREFUL_TILE = 16
 STEPS = (5, 6, 30)
-"""Evaluations that each Newton stage may spend, after each of which the unfinished are gathered again."""
+"""Evaluations that each fast pass may spend; after each of them the unfinished are gathered again."""
 
 
 def solve_closed(problem: ProblemBatch) -> PassResult:
@@ -75,13 +73,13 @@ def _finish_without_torques(problem: ProblemBatch, result: PassResult) -> PassRe
         given = outside & jnp.all(jnp.isfinite(problem.start), 1)
         result = result._replace(multiplier=jnp.where(given[:, None], problem.start, result.multiplier))
 
-    def improve(stage: Array, result: PassResult) -> PassResult:
-        settings = PassSettings(stage == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[stage])
+    def improve(index: Array, result: PassResult) -> PassResult:
+        settings = PassSettings(index == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[index])
         chosen = result.undecided & (settings.careful | (result.verdict == Verdict.OUTSIDE_CONES))
         tile = partial(_optimum_tile, settings=settings)
         return over_chosen(tile, problem, result, chosen, _newton_width(problem))
 
-    # A loop rather than several calls: all stages, the careful one too, are one piece of compiled code.
+    # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
     return lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(result, problem))
 
 
@@ -97,106 +95,60 @@ def _newton_width(problem: ProblemBatch) -> int:
 
 
 def _closed_tile(problem: ProblemBatch) -> PassResult:
-    data, valid = to_batch_last(problem)
-    return _closed_answer(_conditioned(problem, data), valid, problem.size)
+    return _closed_result(in_suitable_axes(problem))
 
 
 @fused_cpu_kernel
-def _closed_answer(suited: ConditionedProblem, valid: Array, size: int) -> PassResult:
-    data, scaling, metric, coordinates, ill_conditioned = suited
-    multiplier = pseudo_inverse.refined_multiplier(data, coordinates, metric, ill_conditioned)
-    forces = pseudo_inverse.forces_without_cones(data, multiplier, coordinates)
-    missed, direction = _out_of_range(data, scaling, coordinates, ill_conditioned)
-    inside = vec3.every(friction_cone.contains(forces, data.cone))
+def _closed_result(problem: ScaledProblem) -> PassResult:
+    ill_conditioned = problem.ill_conditioned
+    multiplier = pseudo_inverse.refined_multiplier(problem)
+    forces = pseudo_inverse.forces_without_cones(problem, multiplier)
+    missed, direction = _out_of_range(problem, ill_conditioned)
+    inside = vec3.every(friction_cone.contains(forces, problem.data.cone))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, verdict)
     undecided = ill_conditioned & (verdict == Verdict.OUTSIDE_CONES)
-    scaled_result = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
-    return to_result(
-        data,
-        scaling,
-        coordinates,
-        valid,
-        size,
-        scaled_result,
-        jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM),
-    )
-
-
-def _conditioned(problem: ProblemBatch, data: ContactData) -> ConditionedProblem:
-    """Coordinates that suit each problem; where a guide holds the object, with care for all."""
-    if problem.free is None:
-        return conditioned(data)
-    data, scaling = scale_in_principal_axes(data)
-    metric, coordinates = whitened_coordinates(problem, data, scaling)
-    return ConditionedProblem(data, scaling, metric, coordinates, jnp.ones_like(scaling.load, bool))
+    found = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
+    return to_result(problem, found, jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM))
 
 
 @fused_cpu_kernel
-def _out_of_range(
-    data: ContactData, scaling: Scaling, coordinates: Coordinates, ill_conditioned: Array
-) -> tuple[Array, SpatialVec]:
-    """Which of the ``ill_conditioned`` problems are asked for what no contact reaches; others have contacts that reach everything."""
+def _out_of_range(problem: ScaledProblem, suspects: Array) -> tuple[Array, SpatialVec]:
+    """Which of the ``suspects`` are asked for what no contact reaches; contacts of the others reach everything."""
+    data = problem.data
     none = jnp.zeros((1, data.force.x.shape[-1]), bool), spatial.join(data.force, data.torque) * 0
 
-    def look(_, none: tuple[Array, SpatialVec]) -> tuple[Array, SpatialVec]:
-        missed, direction = out_of_range(data, scaling, coordinates)
-        return none[0] | missed & ill_conditioned, none[1] + direction
+    def search(_, none: tuple[Array, SpatialVec]) -> tuple[Array, SpatialVec]:
+        missed, direction = out_of_range(problem)
+        return none[0] | missed & suspects, none[1] + direction
 
-    return lax.fori_loop(0, jnp.any(ill_conditioned).astype(jnp.int32), look, varying_like(none, data, scaling))
+    return lax.fori_loop(0, jnp.any(suspects).astype(jnp.int32), search, varying_like(none, data, problem.scaling))
 
 
-def _optimum_tile(problem: ProblemBatch, prior: PassResult, settings: PassSettings) -> PassResult:
-    """The optimum, as far as an effort goes.
+def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings) -> PassResult:
+    """The optimum, as far as one pass goes.
 
-    The fast efforts begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
+    The fast passes begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
     if more of the same may help. The careful one begins at the beginning.
     """
     careful = settings.careful
-    data, valid = to_batch_last(problem)
-    data, scaling = scale_in_principal_axes(data, careful)
-    metric, coordinates, ill_conditioned = _coordinates(problem, data, scaling, careful)
-    missed, direction = _out_of_range(data, scaling, coordinates, careful)
-    last = spatial.join(*multiplier_to_scaled(prior.multiplier, scaling))
+    problem = in_axes_by_care(batch, careful)
+    missed, direction = _out_of_range(problem, careful)
+    last = spatial.join(*multiplier_to_scaled(prior.multiplier, problem.scaling))
     point = jnp.where(careful, 0, last)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
-    start_state = initial_state(point, squeezing_forces(data), verdict, ill_conditioned | missed)._replace(
-        certificate=direction
-    )
-    proximal_problem = UnlimitedProblem(data, scaling, coordinates, metric)
-    found = proximal_search(proximal_problem, start_state, settings)
-    return _optimum_answer(proximal_problem, valid, problem.size, found, careful, ill_conditioned, prior.steps)
+    start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed)
+    found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=direction), settings)
+    return _optimum_result(problem, found, careful, prior.steps)
 
 
 @fused_cpu_kernel
-def _optimum_answer(
-    proximal_problem: UnlimitedProblem,
-    valid: Array,
-    size: int,
-    found: ProximalState,
-    careful: Array,
-    ill_conditioned: Array,
-    before: Array,
-) -> PassResult:
-    data, scaling, coordinates, _ = proximal_problem
-    converged = found.verdict == Verdict.OPTIMAL
-    steps = found.steps + jnp.where(careful, 0, before)[None]
-    scaled_result = ScaledResult(found.forces, found.point, found.verdict, steps, found.certificate, ~converged)
-    result = to_result(
-        data, scaling, coordinates, valid, size, scaled_result, jnp.where(careful, Route.CAREFUL, Route.FAST)
-    )
-    # An answer that its own residual disowns goes to the careful pass, like one that is stuck.
+def _optimum_result(problem: ScaledProblem, state: ProximalState, careful: Array, before: Array) -> PassResult:
+    converged = state.verdict == Verdict.OPTIMAL
+    steps = state.steps + jnp.where(careful, 0, before)[None]
+    found = ScaledResult(state.forces, state.point, state.verdict, steps, state.certificate, ~converged)
+    result = to_result(problem, found, jnp.where(careful, Route.CAREFUL, Route.FAST))
+    # An answer that its own residual disowns goes to the careful pass, like one that is stalled.
     undecided = ~careful & (result.undecided | (result.verdict == Verdict.NOT_CONVERGED))
-    more = undecided & ~(found.stalled | converged | ill_conditioned)[0]
+    more = undecided & ~(state.stalled | converged | problem.ill_conditioned)[0]
     return result._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, result.verdict), undecided=undecided)
-
-
-@fused_cpu_kernel
-def _coordinates(
-    problem: ProblemBatch, data: ContactData, scaling: Scaling, careful: Array
-) -> tuple[Metric, Coordinates, Array]:
-    """Metric and coordinates, whitened if ``careful``; and which problems they do not suit."""
-    if problem.free is None:
-        return pseudo_inverse.metric_for(data, scaling, careful)
-    metric, coordinates = whitened_coordinates(problem, data, scaling)
-    return metric, coordinates, jnp.zeros_like(data.force.x, bool)

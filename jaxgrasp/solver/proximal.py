@@ -16,12 +16,10 @@ from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import contact_vec
-from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.scaling import Scaling
+from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Coordinates
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import (
     ConcaveObjective,
@@ -32,7 +30,6 @@ from jaxgrasp.solver.newton import (
     check_optimality,
     maximise,
 )
-from jaxgrasp.solver.pseudo_inverse import Metric
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
@@ -66,7 +63,7 @@ class PassSettings(NamedTuple):
 
 @runtime_checkable
 class ProximalProblem(Protocol):
-    """What the search goes over: a objective, what its points are worth, and what they prove."""
+    """What the search goes over: an objective, what its points are worth, and what they prove."""
 
     def with_proximal_term(self, proximal: ProximalTerm) -> ConcaveObjective:
         """The objective with a proximal term."""
@@ -84,21 +81,17 @@ class ProximalProblem(Protocol):
 class UnlimitedProblem(NamedTuple):
     """Problems without limits that tie their contacts together."""
 
-    data: ContactData
-    scaling: Scaling
-    coordinates: Coordinates
-    metric: Metric
+    problem: ScaledProblem
 
     def with_proximal_term(self, proximal: ProximalTerm) -> ConcaveObjective:
-        return DualObjective(self.data, self.coordinates, self.metric, proximal)
+        return DualObjective(self.problem, proximal)
 
     def check_optimality(self, point: SpatialVec) -> OptimalityCheck:
-        return check_optimality(self.data, self.coordinates, self.metric, point)
+        return check_optimality(self.problem, point)
 
     def proof(self, point: SpatialVec, before: SpatialVec) -> tuple[Array, SpatialVec]:
-        forces = dual.candidate_forces(self.data, point, self.coordinates).forces
-        residual = dual.residual(self.data, forces, self.coordinates)
-        return find_certificate(self.data, self.scaling, self.coordinates, residual, point - before)
+        forces = dual.candidate_forces(self.problem, point).forces
+        return find_certificate(self.problem, dual.residual(self.problem, forces), point - before)
 
 
 def careful_settings() -> PassSettings:

@@ -22,11 +22,10 @@ from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ContactData
-from jaxgrasp.problem.scaling import Scaling
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Coordinates, plain_axes
+from jaxgrasp.solver.dual import DualProblem
 
 ARMIJO = 1e-4
 STEPS_PER_LEVEL = 100
@@ -57,8 +56,6 @@ class QuadraticPenalty(NamedTuple):
     metric: Lower
     normal: SpatialVec | None
     """Of the plane, of length 1 or 0; None where there is none."""
-    coordinates: Coordinates
-    """What x stands for."""
 
 
 class _MaximiserState(NamedTuple):
@@ -116,25 +113,19 @@ def identity(like: Array) -> Lower:
 
 
 def nearest_wrench(
-    data: ContactData,
-    metric: Lower,
-    frozen: Array,
-    plane: SpatialVec | None = None,
-    coordinates: Coordinates | None = None,
+    problem: DualProblem, metric: Lower, frozen: Array, plane: SpatialVec | None = None
 ) -> NearestWrench:
     """The nearest wrench, what is missed of the load, e, being measured by e.metric^-1 e.
 
     With a ``plane`` the metric must be the identity, and wrenches along the plane's normal cost nothing. Plane,
-    metric and point are those of the ``coordinates``: where they are not given, of the twist as it is.
+    metric and point are in the problem's coordinates.
     """
-    coordinates = plain_axes(data.force.x) if coordinates is None else coordinates
-    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), data.squeeze.dtype), data)
+    zero = varying_like(jnp.zeros((6, frozen.shape[-1]), problem.data.squeeze.dtype), problem.data)
 
     def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
-        point = maximise(
-            data, QuadraticPenalty(1 / penalty, zero, metric, plane, coordinates), penalty, predicted, done
-        )
-        residual = missed_wrench(data, point, coordinates)
+        term = QuadraticPenalty(1 / penalty, zero, metric, plane)
+        point = maximise(problem, term, penalty, predicted, done)
+        residual = missed_wrench(problem, point)
         if plane is not None:
             residual = _in_plane(plane, residual)
         far = spatial.length(point) >= largest_multiplier(zero.dtype)
@@ -145,20 +136,19 @@ def nearest_wrench(
     return NearestWrench(path.point, settled | (path.error_estimate <= tolerances(zero.dtype).range ** 2))
 
 
-def ray_search(data: ContactData, ray: SpatialVec, start: SpatialVec, frozen: Array) -> tuple[Array, PenaltyPath]:
+def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen: Array) -> tuple[Array, PenaltyPath]:
     """The largest theta with load + theta ray in reach, and the multipliers of what bounds it, by their work.
 
     ``start`` does no work along the ``ray``, which has length 1. Problems where no theta is in reach, or all
     are, should be ``frozen``.
     """
-    metric, plain = identity(start[:1]), plain_axes(start[:1])
+    metric = identity(start[:1])
 
     def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
         predicted = predicted + (penalty - spatial.inner(ray, predicted)) * ray
-        point = maximise(
-            data, QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, ray, plain), penalty, predicted, done
-        )
-        residual = missed_wrench(data, point, plain)
+        term = QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, ray)
+        point = maximise(problem, term, penalty, predicted, done)
+        residual = missed_wrench(problem, point)
         # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
         theta = -spatial.inner(point, residual) / penalty
         size = 1 + jnp.abs(theta)
@@ -176,18 +166,14 @@ def least_normal_force(data: ContactData, frozen: Array) -> tuple[Array, Penalty
     Problems that have no forces at all should be ``frozen``.
     """
     zero = varying_like(jnp.zeros((6, frozen.shape[-1]), data.squeeze.dtype), data)
-    metric, plain = identity(zero[:1]), plain_axes(zero[:1])
+    metric = identity(zero[:1])
 
     def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
-        point = maximise(
-            with_normal_cost(data, penalty),
-            QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, None, plain),
-            penalty,
-            predicted,
-            done,
-        )
-        forces = dual.candidate_forces(with_normal_cost(data, penalty), point, plain).forces
-        residual = dual.residual(data, forces, plain)
+        problem = dual.plain_problem(with_normal_cost(data, penalty))
+        term = QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, None)
+        point = maximise(problem, term, penalty, predicted, done)
+        forces = dual.candidate_forces(problem, point).forces
+        residual = dual.residual(problem, forces)
         # What is missed of the load would have to be pushed too, along the multiplier.
         total = dual.total_normal_force(data, forces) + spatial.inner(point, residual) / penalty
         size = 1 + total
@@ -249,12 +235,12 @@ def _predicted(path: PenaltyPath, penalty: Array) -> SpatialVec:
     return path.point + factor * (path.point - path.point_before)
 
 
-def missed_wrench(data: ContactData, point: SpatialVec, coordinates: Coordinates) -> SpatialVec:
-    return dual.residual(data, dual.candidate_forces(data, point, coordinates).forces, coordinates)
+def missed_wrench(problem: DualProblem, point: SpatialVec) -> SpatialVec:
+    return dual.residual(problem, dual.candidate_forces(problem, point).forces)
 
 
 def maximise(
-    data: ContactData, penalty_term: QuadraticPenalty, penalty: Array, start: SpatialVec, frozen: Array
+    problem: DualProblem, penalty_term: QuadraticPenalty, penalty: Array, start: SpatialVec, frozen: Array
 ) -> SpatialVec:
     """Maximise the dual less the term by Newton's method, damped as each problem needs it.
 
@@ -265,7 +251,10 @@ def maximise(
     """
     damping = FIRST_DAMPING / penalty + 0 * start[:1]
     state = varying_like(
-        _MaximiserState(start, *_evaluate(data, penalty_term, start), damping, frozen), data, penalty_term, penalty
+        _MaximiserState(start, *_evaluate(problem, penalty_term, start), damping, frozen),
+        problem,
+        penalty_term,
+        penalty,
     )
 
     def unfinished(carry):
@@ -274,18 +263,18 @@ def maximise(
 
     def advance(carry):
         count, state = carry
-        return count + 1, _advance(data, penalty_term, penalty, state)
+        return count + 1, _advance(problem, penalty_term, penalty, state)
 
     return lax.while_loop(unfinished, advance, (jnp.int32(0), state))[1].point
 
 
 @fused_cpu_kernel
 def _advance(
-    data: ContactData, penalty_term: QuadraticPenalty, penalty: Array, state: _MaximiserState
+    problem: DualProblem, penalty_term: QuadraticPenalty, penalty: Array, state: _MaximiserState
 ) -> _MaximiserState:
     step = _step(penalty_term, state)
     trial = state.point + step
-    value, gradient, curvature = _evaluate(data, penalty_term, trial)
+    value, gradient, curvature = _evaluate(problem, penalty_term, trial)
     eps = jnp.finfo(value.dtype).eps
     # The value is a small difference where the multiplier is large.
     noise = 8 * eps * (1 + jnp.abs(value) + spatial.length(trial))
@@ -321,9 +310,11 @@ def _step(penalty_term: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
 
 
 @fused_cpu_kernel
-def _evaluate(data: ContactData, penalty_term: QuadraticPenalty, trial: SpatialVec) -> tuple[Array, SpatialVec, Lower]:
+def _evaluate(
+    problem: DualProblem, penalty_term: QuadraticPenalty, trial: SpatialVec
+) -> tuple[Array, SpatialVec, Lower]:
     """Value, gradient and minus Hessian."""
-    at = dual.evaluate(data, trial, penalty_term.coordinates)
+    at = dual.evaluate(problem, trial)
     offset = trial - penalty_term.centre
     heavy = penalty_term.strength * times(penalty_term.metric, offset)
     curvature = [
@@ -346,20 +337,3 @@ def solve_by(metric: Lower, right: SpatialVec) -> SpatialVec:
 def times(metric: Lower, x: SpatialVec) -> SpatialVec:
     """metric x."""
     return jnp.concatenate(ldl.multiply(metric, [x[i : i + 1] for i in range(6)]))
-
-
-def wrench_to_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
-    """A wrench about the user's origin in a problem's axes and lengths; in the user's forces."""
-    force, torque = spatial.parts(wrench)
-    torque = vec3.scale(1 / scaling.length, vec3.sub(torque, vec3.cross(scaling.centre, force)))
-    if scaling.axes is not None:
-        force, torque = vec3.rotate(scaling.axes, force), vec3.rotate(scaling.axes, torque)
-    return spatial.join(force, torque)
-
-
-def wrench_from_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
-    """The inverse of ``wrench_in``."""
-    force, torque = spatial.parts(wrench)
-    if scaling.axes is not None:
-        force, torque = vec3.rotate_back(scaling.axes, force), vec3.rotate_back(scaling.axes, torque)
-    return spatial.join(force, vec3.add(vec3.scale(scaling.length, torque), vec3.cross(scaling.centre, force)))

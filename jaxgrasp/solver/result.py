@@ -10,8 +10,9 @@ from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.coordinates import Coordinates, plain_axes
+from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import (
     Scaling,
     certificate_from_scaled,
@@ -22,7 +23,7 @@ from jaxgrasp.problem.scaling import (
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.coordinates import Coordinates, plain_axes
+from jaxgrasp.solver.dual import DualProblem, PlainProblem
 
 
 class PassResult(NamedTuple):
@@ -47,7 +48,7 @@ class PassResult(NamedTuple):
 class JointResult(NamedTuple):
     """What limits of joint torques add to an outcome."""
 
-    pull: ContactVec
+    velocities: ContactVec
     """Velocities of the contacts that the joints' multipliers take off those of the object's."""
     multiplier: Array
     """``(j, B)``, in the problem's units of the multiplier."""
@@ -56,7 +57,7 @@ class JointResult(NamedTuple):
 
 
 class ScaledResult(NamedTuple):
-    """What a stage found in the problems' own coordinates, before units."""
+    """What a pass found in the problems' own coordinates, before units."""
 
     forces: ContactVec
     multiplier: SpatialVec
@@ -70,59 +71,49 @@ class ScaledResult(NamedTuple):
 
 
 @fused_cpu_kernel
-def to_result(
-    data: ContactData,
-    scaling: Scaling,
-    coordinates: Coordinates,
-    valid: Array,
-    size: int,
-    scaled_result: ScaledResult,
-    route: Route | Array,
-) -> PassResult:
-    """The outcome in the user's axes and units, with residual and objective measured on the forces themselves."""
-    valid = valid & scaling.sound
-    solved = (scaled_result.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (scaled_result.verdict == Verdict.OPTIMAL)
-    answered = solved | (scaled_result.verdict == Verdict.OUTSIDE_CONES)
-    residual, error, objective, _ = measure_forces(data, scaled_result.forces, coordinates)
+def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array) -> PassResult:
+    """What was found in the user's axes and units, with residual and objective measured on the forces themselves."""
+    data, scaling, coordinates = problem.data, problem.scaling, problem.coordinates
+    size, valid = problem.size, problem.valid & scaling.sound
+    solved = (found.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (found.verdict == Verdict.OPTIMAL)
+    answered = solved | (found.verdict == Verdict.OUTSIDE_CONES)
+    residual, error, objective, _ = measure_forces(problem, found.forces)
     unsound = answered & ~(error <= tolerances(error.dtype).balance)
-    verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, scaled_result.verdict)
+    verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, found.verdict)
     verdict = jnp.where(scaling.weight > 0, verdict, Verdict.NO_CONTACTS)
     verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
     unit = vec3.safe_divide(scaling.load, scaling.weight) * scaling.load
-    linear, angular = multiplier_from_scaled(*coordinates.twist(scaled_result.multiplier), scaling)
+    linear, angular = multiplier_from_scaled(*coordinates.twist(found.multiplier), scaling)
     one = jnp.ones((1, size), error.dtype)
-    certificate = _certificate(scaling, scaled_result, verdict, residual, one)
-    moments = moments_from_scaled(data, scaled_result.forces.spin, scaling)
-    proven, joints = verdict == Verdict.INFEASIBLE, scaled_result.joints
+    certificate = _certificate(scaling, found, verdict, residual, one)
+    moments = moments_from_scaled(data, found.forces.spin, scaling)
+    proven, joints = verdict == Verdict.INFEASIBLE, found.joints
     return PassResult(
-        forces=jnp.stack([c * one for c in forces_from_scaled(scaled_result.forces.linear, scaling)]).transpose(
-            2, 1, 0
-        ),
+        forces=jnp.stack([c * one for c in forces_from_scaled(found.forces.linear, scaling)]).transpose(2, 1, 0),
         multiplier=_rows((*linear, *angular), one),
         verdict=_row(verdict, size).astype(jnp.int32),
         residual=_row(error, size),
         objective=_row(unit * objective, size),
-        steps=_row(scaled_result.steps, size).astype(jnp.int32),
+        steps=_row(found.steps, size).astype(jnp.int32),
         route=_row(jnp.full_like(verdict, route), size).astype(jnp.int32),
         rank=_row(rank(scaling, coordinates), size).astype(jnp.int32),
         certificate=certificate,
-        undecided=_row(scaled_result.undecided & valid & (scaling.weight > 0), size),
+        undecided=_row(found.undecided & valid & (scaling.weight > 0), size),
         moments=None if moments is None else (moments * one).T,
-        normal_multiplier=_normal_multipliers(data, scaling, coordinates, scaled_result, one),
+        normal_multiplier=_normal_multipliers(problem, found, one),
         torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(scaling) * one).T,
         certificate_rates=None if joints is None else (jnp.where(proven, joints.rates, 0) * one).T,
     )
 
 
-def _normal_multipliers(
-    data: ContactData, scaling: Scaling, coordinates: Coordinates, scaled_result: ScaledResult, one: Array
-) -> Array | None:
+def _normal_multipliers(problem: ScaledProblem, found: ScaledResult, one: Array) -> Array | None:
+    data = problem.data
     if data.normal_min is None and data.normal_max is None:
         return None
-    twist = dual.contact_velocities(data, scaled_result.multiplier, coordinates)
-    if scaled_result.joints is not None:
-        twist = contact_vec.sub(twist, scaled_result.joints.pull)
-    return (dual.normal_multipliers(data, twist) * _multiplier_unit(scaling) * one).T
+    twist = dual.contact_velocities(problem, found.multiplier)
+    if found.joints is not None:
+        twist = contact_vec.sub(twist, found.joints.velocities)
+    return (dual.normal_multipliers(data, twist) * _multiplier_unit(problem.scaling) * one).T
 
 
 def _multiplier_unit(scaling: Scaling) -> Array:
@@ -145,14 +136,16 @@ class Measurement(NamedTuple):
     """Sum of the normal forces."""
 
 
-def measure_forces(data: ContactData, forces: ContactVec, coordinates: Coordinates) -> Measurement:
+def measure_forces(problem: DualProblem, forces: ContactVec) -> Measurement:
     """What the forces leave of the wrench, their objective, and their backward error
 
-    |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), in the problems' coordinates and as the coordinates see it: the larger.
+    |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), for twists as they are and as the coordinates count them: the
+    larger.
 
     The squeezing force counts because f_i is computed from it: where zero is the right answer, an error
     cannot be measured against that.
     """
+    data, coordinates = problem.data, problem.coordinates
     plain = plain_axes(data.force.x)
     push = jnp.maximum(contact_vec.norm(forces), data.squeeze)
     spins = None if data.spin_radius is None else vec3.scale(data.spin_radius, data.normals)
@@ -166,7 +159,7 @@ def measure_forces(data: ContactData, forces: ContactVec, coordinates: Coordinat
     force, torque = vec3.sub(data.force, Vec3(fx, fy, fz)), vec3.sub(data.torque, Vec3(tx, ty, tz))
     residual, load = (
         coordinates.not_guided(spatial.join(force, torque)),
-        coordinates.not_guided(dual.required_wrench(data, plain)),
+        coordinates.not_guided(dual.required_wrench(PlainProblem(data, plain))),
     )
 
     def relative(seen: Coordinates, through: Array) -> Array:
@@ -177,15 +170,13 @@ def measure_forces(data: ContactData, forces: ContactVec, coordinates: Coordinat
     return Measurement(residual, error, objective, total_push)
 
 
-def _certificate(
-    scaling: Scaling, scaled_result: ScaledResult, verdict: Array, residual: SpatialVec, one: Array
-) -> Array:
+def _certificate(scaling: Scaling, found: ScaledResult, verdict: Array, residual: SpatialVec, one: Array) -> Array:
     """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself.
 
     That of contacts which only squeeze may be no more than rounding, which proves nothing.
     """
     proven = verdict == Verdict.INFEASIBLE
-    proof = jnp.where(proven, scaled_result.certificate, 0)
+    proof = jnp.where(proven, found.certificate, 0)
     bare = (verdict == Verdict.NO_CONTACTS) & (spatial.length(residual) > tolerances(residual.dtype).range)
     linear, angular = spatial.parts(jnp.where(bare, residual, proof))
     linear, angular = certificate_from_scaled(linear, angular, scaling)

@@ -19,13 +19,13 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.metric import squared_norm
+from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import Scaling
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, newton
-from jaxgrasp.solver.coordinates import Coordinates
-from jaxgrasp.solver.dual import CandidateForces
+from jaxgrasp.solver.dual import CandidateForces, DualProblem
 from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm
-from jaxgrasp.solver.pseudo_inverse import Metric, squared_norm
 from jaxgrasp.solver.result import measure_forces
 
 LARGEST_UNROLLED = 10
@@ -153,26 +153,23 @@ class TorqueDualEvaluation(NamedTuple):
 
 
 class TorqueLimitedObjective(NamedTuple):
-    """The dual of problems with limits, as a objective: six coordinates of the object over one rate for each row."""
+    """The dual of problems with limits: six coordinates of the object over one rate for each constraint."""
 
-    data: ContactData
-    coordinates: Coordinates
-    metric: Metric
+    problem: ScaledProblem
     constraints: TorqueConstraints
     proximal: ProximalTerm | None = None
 
     def forces(self, point: Array) -> CandidateForces:
-        twist = dual.contact_velocities(self.data, point[:6], self.coordinates)
-        return dual.candidate_forces_at(
-            self.data, contact_vec.sub(twist, velocities_by_joints(self.constraints, point[6:]))
-        )
+        by_object = dual.contact_velocities(self.problem, point[:6])
+        velocities = contact_vec.sub(by_object, velocities_by_joints(self.constraints, point[6:]))
+        return dual.candidate_forces_at(self.problem.data, velocities)
 
     def evaluate(self, point: Array) -> TorqueDualEvaluation:
-        data, constraints, rates = self.data, self.constraints, point[6:]
+        constraints, rates = self.constraints, point[6:]
         best = self.forces(point)
-        at = dual.evaluate_at(data, best, point[:6], self.coordinates)
+        at = dual.evaluate_at(self.problem, best, point[:6])
         value = at.value - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
-        curvature = bordered_hessian(data, self.coordinates, constraints, best, at.curvature)
+        curvature = bordered_hessian(self.problem, constraints, best, at.curvature)
         gradient = jnp.concatenate([at.gradient, torques(constraints, best.forces)])
         if self.proximal is not None:
             strength, offset = self.proximal.strength, point - self.proximal.centre
@@ -183,22 +180,22 @@ class TorqueLimitedObjective(NamedTuple):
         return TorqueDualEvaluation(value, gradient, curvature, at.total_normal_force)
 
     def squared_norm(self, gradient: Array) -> Array:
-        return squared_norm(self.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
+        return squared_norm(self.problem.metric, gradient[:6]) + jnp.sum(gradient[6:] ** 2, 0, keepdims=True)
 
     def direction(self, at: TorqueDualEvaluation, point: Array, damping_factor: Array) -> Array:
         damping = newton.damping_of(self.squared_norm(at.gradient), damping_factor, self.proximal)
-        plain = newton.damped(at.curvature.plain, self.metric, damping)
+        plain = newton.damped(at.curvature.plain, self.problem.metric, damping)
         matrix = at.curvature._replace(plain=plain, own=_plus_identity(at.curvature.own, damping))
         rates, slope = point[6:], at.gradient[6:]
         # What is about to meet the kink goes there by itself: in Newton's step for all it would cut the others short.
         lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.squared_norm(at.gradient)))
-        on_ridge = rates == 0
-        free = ~lands & (~on_ridge | (slope != 0))
+        at_kink = rates == 0
+        free = ~lands & (~at_kink | (slope != 0))
 
         def without_falling(free: Array) -> tuple[Array, Array]:
             """Newton's step, and what of it would leave the kink on its falling side."""
             step = _solve(matrix, at.gradient, free)
-            return step, free & on_ridge & (step[6:] * slope < 0)
+            return step, free & at_kink & (step[6:] * slope < 0)
 
         def again(carry):
             free, (_, falls) = carry
@@ -210,7 +207,9 @@ class TorqueLimitedObjective(NamedTuple):
 
     def converged(self, at: TorqueDualEvaluation, point: Array) -> Array:
         squared_norm = self.squared_norm(at.gradient)
-        return newton.has_converged(self.data, point, at.gradient, squared_norm, at.value, at.total_normal_force)
+        return newton.has_converged(
+            self.problem.data, point, at.gradient, squared_norm, at.value, at.total_normal_force
+        )
 
     def clip_step(self, start: Array, trial: Array) -> Array:
         rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
@@ -219,22 +218,22 @@ class TorqueLimitedObjective(NamedTuple):
     def check_optimality(self, point: Array) -> OptimalityCheck:
         """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
         best = newton.as_returned(self.forces(point).forces)
-        found = measure_forces(self.data, best, self.coordinates)
+        found = measure_forces(self.problem, best)
         off = _gradient_by_rates(torques(self.constraints, best), point[6:], self.constraints.bound)
-        residual = jnp.concatenate([self.coordinates.wrench(*spatial.parts(found.residual)), off])
-        return newton.optimality_by(self.data, best, point, residual, self.squared_norm(residual), found)
+        residual = jnp.concatenate([self.problem.coordinates.wrench(*spatial.parts(found.residual)), off])
+        return newton.optimality_by(self.problem.data, best, point, residual, self.squared_norm(residual), found)
 
 
 def bordered_hessian(
-    data: ContactData, coordinates: Coordinates, constraints: TorqueConstraints, best: CandidateForces, plain: Lower
+    problem: DualProblem, constraints: TorqueConstraints, best: CandidateForces, plain: Lower
 ) -> BorderedMatrix:
     """The curvature of the object's coordinates and of the rates."""
-    bent = dual.force_change(data, best, constraints.map)
-    wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(data, bent)))  # (6, q, n, B)
+    bent = dual.force_change(problem.data, best, constraints.map)
+    wrench = jnp.stack(jnp.broadcast_arrays(*dual.wrench_terms(problem.data, bent)))  # (6, q, n, B)
     pairs = zip(contact_vec.components(constraints.map), contact_vec.components(bent), strict=True)
     # One sum over a stack of both: they share so much work that none should compute it alone.
     sums = jnp.sum(jnp.concatenate([wrench, sum(p[:, None] * q for p, q in pairs)]), 2)
-    return BorderedMatrix(plain, -coordinates.wrenches(sums[:6]), sums[6:])
+    return BorderedMatrix(plain, -problem.coordinates.wrenches(sums[:6]), sums[6:])
 
 
 def full_matrix(matrix: BorderedMatrix, keep: Array) -> Array:

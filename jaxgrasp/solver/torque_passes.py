@@ -18,16 +18,14 @@ from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_chosen
-from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
-from jaxgrasp.problem.scaling import Scaling, multiplier_to_scaled, normalise, scale_in_principal_axes
+from jaxgrasp.problem.batch_last import ProblemBatch, squeezing_forces
+from jaxgrasp.problem.scaled_problem import ScaledProblem, in_plain_axes, in_principal_axes
+from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.tolerances import tolerances
-from jaxgrasp.solver import dual, pseudo_inverse, torque_limits
-from jaxgrasp.solver.coordinates import Coordinates
-from jaxgrasp.solver.guided_motion import whitened_coordinates
+from jaxgrasp.solver import dual, torque_limits
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm, maximise
 from jaxgrasp.solver.proximal import careful_settings, initial_state, proximal_search
-from jaxgrasp.solver.pseudo_inverse import Metric
 from jaxgrasp.solver.result import JointResult, PassResult, ScaledResult, to_result
 from jaxgrasp.solver.torque_limits import TorqueConstraints, TorqueLimitedObjective
 
@@ -90,11 +88,11 @@ def _solved(result: PassResult) -> Array:
 def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass) -> PassResult:
     """Newton's method for the undecided, as far as it gets."""
 
-    def newton(stage: Array, result: PassResult) -> PassResult:
-        tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[stage])
+    def newton(index: Array, result: PassResult) -> PassResult:
+        tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[index])
         return over_chosen(tile, problem, result, result.undecided, TILE)
 
-    # A loop rather than several calls: the stages are one piece of compiled code.
+    # A loop rather than several calls: the passes are one piece of compiled code.
     return lax.fori_loop(0, len(passes.steps), newton, result)
 
 
@@ -124,44 +122,40 @@ def _merge(settled: Array, prior: PassResult, result: PassResult) -> PassResult:
     )
 
 
-def _fast_tile(problem: ProblemBatch, prior: PassResult, width: int, limit: Array) -> PassResult:
-    data, valid = to_batch_last(problem)
-    valid = valid & torque_limits.usable(problem)[None]
-    problem = torque_limits.cleaned(problem)
-    data, scaling = normalise(data)
-    metric, coordinates, ill_conditioned = pseudo_inverse.plain_metric(data)
-    excess = _excess(problem, prior)
-    settled = _settled(problem, prior, excess, valid)
+def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, limit: Array) -> PassResult:
+    problem = _with_usable_torques(in_plain_axes(batch), batch)
+    batch = torque_limits.cleaned(batch)
+    scaling, ill_conditioned = problem.scaling, problem.ill_conditioned
+    excess = _excess(batch, prior)
+    settled = _settled(batch, prior, excess, problem.valid)
     chosen = _choose(excess, prior, width)
-    objective = TorqueLimitedObjective(
-        data, coordinates, metric, torque_limits.torque_constraints(problem, data, scaling, chosen)
-    )
-    start = coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, scaling))
+    constraints = torque_limits.torque_constraints(batch, problem.data, scaling, chosen)
+    objective = TorqueLimitedObjective(problem, constraints)
+    twist = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, scaling))
     known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight / scaling.load
-    newton_state = maximise(
-        objective,
-        jnp.concatenate([start, vec3.safe_divide(known, objective.constraints.scale)]),
-        ill_conditioned,
-        limit,
-    )
-    best, good, _ = objective.check_optimality(newton_state.point)
+    start = jnp.concatenate([twist, vec3.safe_divide(known, constraints.scale)])
+    reached = maximise(objective, start, ill_conditioned, limit)
+    best, good, _ = objective.check_optimality(reached.point)
     good = good & ~ill_conditioned
-    rates = jnp.sum(chosen * (objective.constraints.scale * newton_state.point[6:]).T[..., None], 1)
-    scaled_result = ScaledResult(
+    rates = jnp.sum(chosen * (constraints.scale * reached.point[6:]).T[..., None], 1)
+    velocities = torque_limits.velocities_by_joints(constraints, reached.point[6:])
+    found = ScaledResult(
         forces=best,
-        multiplier=newton_state.point[:6],
+        multiplier=reached.point[:6],
         verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
-        steps=newton_state.steps + prior.steps[None],
-        certificate=jnp.zeros_like(start),
+        steps=reached.steps + prior.steps[None],
+        certificate=jnp.zeros_like(twist),
         undecided=~good,
-        joints=JointResult(
-            torque_limits.velocities_by_joints(objective.constraints, newton_state.point[6:]), rates.T, 0 * rates.T
-        ),
+        joints=JointResult(velocities, rates.T, 0 * rates.T),
     )
-    result = to_result(data, scaling, coordinates, valid, problem.size, scaled_result, Route.FAST)
+    result = to_result(problem, found, Route.FAST)
     # Limits that were not chosen may be broken now.
-    undecided = (result.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(problem, result) > 0, 1)
-    return _merge(settled, prior, result._replace(undecided=undecided & valid[0], certificate_rates=None))
+    undecided = (result.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(batch, result) > 0, 1)
+    return _merge(settled, prior, result._replace(undecided=undecided & problem.valid[0], certificate_rates=None))
+
+
+def _with_usable_torques(problem: ScaledProblem, batch: ProblemBatch) -> ScaledProblem:
+    return problem._replace(valid=problem.valid & torque_limits.usable(batch)[None])
 
 
 def _binding(result: PassResult) -> Array:
@@ -186,14 +180,11 @@ def _choose(excess: Array, prior: PassResult, width: int) -> Array:
 class _TorqueLimitedProblem(NamedTuple):
     """Whitened problems with limits."""
 
-    data: ContactData
-    scaling: Scaling
-    coordinates: Coordinates
-    metric: Metric
+    problem: ScaledProblem
     constraints: TorqueConstraints
 
     def with_proximal_term(self, proximal: ProximalTerm | None = None) -> TorqueLimitedObjective:
-        return TorqueLimitedObjective(self.data, self.coordinates, self.metric, self.constraints, proximal)
+        return TorqueLimitedObjective(self.problem, self.constraints, proximal)
 
     def check_optimality(self, point: Array) -> OptimalityCheck:
         return self.with_proximal_term().check_optimality(point)
@@ -201,36 +192,31 @@ class _TorqueLimitedProblem(NamedTuple):
     def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
         forces = self.with_proximal_term().forces(point).forces
         beyond = torque_limits.beyond(torque_limits.torques(self.constraints, forces), self.constraints.bound)
-        residual = jnp.concatenate([dual.residual(self.data, forces, self.coordinates), beyond])
-        return find_certificate(self.data, self.scaling, self.coordinates, residual, point - before, self.constraints)
+        residual = jnp.concatenate([dual.residual(self.problem, forces), beyond])
+        return find_certificate(self.problem, residual, point - before, self.constraints)
 
 
-def _careful_tile(problem: ProblemBatch, prior: PassResult) -> PassResult:
-    data, valid = to_batch_last(problem)
-    valid = valid & torque_limits.usable(problem)[None]
-    problem = torque_limits.cleaned(problem)
-    data, scaling = scale_in_principal_axes(data)
-    metric, coordinates = whitened_coordinates(problem, data, scaling)
-    constraints = torque_limits.torque_constraints(problem, data, scaling, None)
-    start = jnp.zeros((6 + len(constraints.bound), problem.size), constraints.bound.dtype)
-    undecided = jnp.zeros((1, problem.size), bool)
-    start_state = initial_state(start, squeezing_forces(data), undecided + Verdict.NOT_CONVERGED, undecided)
-    found = proximal_search(
-        _TorqueLimitedProblem(data, scaling, coordinates, metric, constraints), start_state, careful_settings()
-    )
+def _careful_tile(batch: ProblemBatch, prior: PassResult) -> PassResult:
+    problem = _with_usable_torques(in_principal_axes(batch), batch)
+    batch = torque_limits.cleaned(batch)
+    constraints = torque_limits.torque_constraints(batch, problem.data, problem.scaling, None)
+    point = jnp.zeros((6 + len(constraints.bound), batch.size), constraints.bound.dtype)
+    undecided = jnp.zeros((1, batch.size), bool)
+    start = initial_state(point, squeezing_forces(problem.data), undecided + Verdict.NOT_CONVERGED, undecided)
+    state = proximal_search(_TorqueLimitedProblem(problem, constraints), start, careful_settings())
     joints = JointResult(
-        pull=torque_limits.velocities_by_joints(constraints, found.point[6:]),
-        multiplier=constraints.scale * found.point[6:],
-        rates=constraints.scale * found.certificate[6:],
+        velocities=torque_limits.velocities_by_joints(constraints, state.point[6:]),
+        multiplier=constraints.scale * state.point[6:],
+        rates=constraints.scale * state.certificate[6:],
     )
-    scaled_result = ScaledResult(
-        found.forces,
-        found.point[:6],
-        found.verdict,
-        found.steps + prior.steps[None],
-        found.certificate[:6],
-        undecided,
-        joints,
+    found = ScaledResult(
+        forces=state.forces,
+        multiplier=state.point[:6],
+        verdict=state.verdict,
+        steps=state.steps + prior.steps[None],
+        certificate=state.certificate[:6],
+        undecided=undecided,
+        joints=joints,
     )
-    result = to_result(data, scaling, coordinates, valid, problem.size, scaled_result, Route.CAREFUL)
-    return _merge(_settled(problem, prior, _excess(problem, prior), valid), prior, result)
+    result = to_result(problem, found, Route.CAREFUL)
+    return _merge(_settled(batch, prior, _excess(batch, prior), problem.valid), prior, result)

@@ -14,16 +14,18 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.coordinates import Coordinates, plain_axes
 from jaxgrasp.problem.scaling import Scaling, scale_in_principal_axes
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, reach
-from jaxgrasp.solver.coordinates import plain_axes
+from jaxgrasp.solver.dual import PlainProblem
 
 
 class UnsharedProblem(NamedTuple):
     """Problems whose contacts can all move, with one weight, or carry nothing; and hold nothing."""
 
     data: ContactData
+    coordinates: Coordinates
     scaling: Scaling
     valid: Array
 
@@ -51,21 +53,22 @@ class _SupportingTwist(NamedTuple):
     friction_use: ContactVec
 
 
-def without_sharing(problem: ProblemBatch) -> UnsharedProblem:
-    """A problem's problems for questions of reach; what contacts of weight zero hold is taken off the load."""
-    data, valid = to_batch_last(problem)
+def without_sharing(batch: ProblemBatch) -> UnsharedProblem:
+    """Problems for questions of reach; what contacts of weight zero hold is taken off the load."""
+    data, valid = to_batch_last(batch)
     can_move = data.weights > 0
     weights = can_move.astype(data.weights.dtype)
     data = data._replace(weights=weights, squeeze=jnp.where(can_move, 0, data.squeeze))
     data, scaling = scale_in_principal_axes(data)
-    load = dual.residual(data, squeezing_forces(data), plain_axes(data.force.x))
-    return UnsharedProblem(with_wrench(data, load), scaling, valid & scaling.sound)
+    problem = UnsharedProblem(data, plain_axes(data.force.x), scaling, valid & scaling.sound)
+    return with_wrench(problem, dual.residual(problem, squeezing_forces(data)))
 
 
-def with_wrench(data: ContactData, wrench: SpatialVec) -> ContactData:
+def with_wrench(problem: UnsharedProblem, wrench: SpatialVec) -> UnsharedProblem:
     """The problems under another wrench, and nothing held."""
     force, torque = spatial.parts(wrench)
-    return data._replace(squeeze=0 * data.squeeze, force=force, torque=torque)
+    data = problem.data
+    return problem._replace(data=data._replace(squeeze=0 * data.squeeze, force=force, torque=torque))
 
 
 def boundary_point(
@@ -103,7 +106,7 @@ def boundary_point(
 
 
 def _supporting_twist(data: ContactData, point: SpatialVec, penalty: Array) -> _SupportingTwist:
-    best = dual.candidate_forces(data, point, plain_axes(penalty))
+    best = dual.candidate_forces(PlainProblem(data, plain_axes(penalty)), point)
     sides = best.sides
     used = jnp.where(sides.inside, vec3.safe_divide(sides.size, data.friction * sides.along), 1)
     normal_force = vec3.dot(best.forces.linear, data.normals)

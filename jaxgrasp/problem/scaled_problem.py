@@ -1,0 +1,126 @@
+"""Problems as the solver sees them: batch-last data of order one, how they were scaled, coordinates, and their metric.
+
+The ways to scale a problem differ in what they cost and in what they can take: the axes as they are suit most,
+principal axes with whitened coordinates suit all.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.numerics import ldl, vec3
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
+from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes
+from jaxgrasp.problem.guided_motion import whitened_coordinates
+from jaxgrasp.problem.metric import Metric, metric_for, plain_metric, scaled_metric, sound_factors, whitening_scales
+from jaxgrasp.problem.scaling import (
+    Scaling,
+    inertia,
+    normalise,
+    place_contacts,
+    rotate,
+    scale_by_load,
+    scale_in_principal_axes,
+    torque_about,
+)
+
+
+class ScaledProblem(NamedTuple):
+    """One problem in each place of the last axis, in coordinates of order one."""
+
+    data: ContactData
+    scaling: Scaling
+    coordinates: Coordinates
+    """What the numbers of a multiplier stand for."""
+    metric: Metric
+    """G W G^T in these coordinates."""
+    valid: Array
+    """Problems whose data are usable ``(1, B)``."""
+    ill_conditioned: Array
+    """Problems that the axes as they are do not suit."""
+
+    @property
+    def size(self) -> int:
+        """B, also where all wrenches share one grasp."""
+        return self.valid.shape[-1]
+
+
+def in_plain_axes(problem: ProblemBatch) -> ScaledProblem:
+    """Along the user's axes: what ends up ill-conditioned needs others."""
+    data, valid = to_batch_last(problem)
+    data, scaling = normalise(data)
+    metric, coordinates, ill_conditioned = plain_metric(data)
+    return ScaledProblem(data, scaling, coordinates, metric, valid, ill_conditioned)
+
+
+def in_principal_axes(problem: ProblemBatch) -> ScaledProblem:
+    """Along principal axes, whitened: with care, for any problem."""
+    data, valid = to_batch_last(problem)
+    data, scaling = scale_in_principal_axes(data)
+    metric, coordinates = whitened_coordinates(problem, data, scaling)
+    return ScaledProblem(data, scaling, coordinates, metric, valid, jnp.zeros_like(data.force.x, bool))
+
+
+def in_suitable_axes(problem: ProblemBatch) -> ScaledProblem:
+    """Each problem along axes that suit it; where a guide holds the object, with care for all."""
+    if problem.free is None:
+        return _in_suitable_axes(*to_batch_last(problem))
+    careful = in_principal_axes(problem)
+    return careful._replace(ill_conditioned=jnp.ones_like(careful.scaling.load, bool))
+
+
+def in_axes_by_care(problem: ProblemBatch, careful: Array) -> ScaledProblem:
+    """By the scalar ``careful`` either ``in_principal_axes`` or the user's axes: one compiled code for both."""
+    data, valid = to_batch_last(problem)
+    data, scaling = scale_in_principal_axes(data, careful)
+    metric, coordinates, ill_conditioned = _coordinates(problem, data, scaling, careful)
+    return ScaledProblem(data, scaling, coordinates, metric, valid, ill_conditioned)
+
+
+@fused_cpu_kernel
+def _coordinates(
+    problem: ProblemBatch, data: ContactData, scaling: Scaling, careful: Array
+) -> tuple[Metric, Coordinates, Array]:
+    """Metric and coordinates, whitened if ``careful``; and which problems they do not suit."""
+    if problem.free is None:
+        return metric_for(data, scaling, careful)
+    metric, coordinates = whitened_coordinates(problem, data, scaling)
+    return metric, coordinates, jnp.zeros_like(data.force.x, bool)
+
+
+@fused_cpu_kernel
+def _in_suitable_axes(data: ContactData, valid: Array) -> ScaledProblem:
+    """The axes as they are where they will do; principal axes, whitened, for the other problems.
+
+    What only the others need stands in a loop that ends at once where there is none. Every problem's numbers are its
+    own, whatever others stand beside it.
+    """
+    placed, where = place_contacts(data)
+    matrix = inertia(placed)
+    one, zero = jnp.ones_like(matrix[0][0]), jnp.zeros_like(matrix[0][0])
+    own = (Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
+    # Problems where no contact carries anything are not worth the care.
+    matrix = [[jnp.where(where.weight > 0, m, o) for m, o in zip(*rows, strict=False)] for rows in zip(matrix, own)]
+    _, ill_conditioned = sound_factors(matrix)
+    plain = placed._replace(torque=torque_about(where, data, carefully=False))
+
+    def with_care(_, state):
+        plain, axes, matrix, scales = state
+        exact = torque_about(where, data, carefully=True)
+        found = ldl.principal_axes(matrix)
+        axes = tuple(vec3.where(ill_conditioned, *pair) for pair in zip(found, axes, strict=True))
+        turned = rotate(plain._replace(torque=vec3.where(ill_conditioned, exact, plain.torque)), axes)
+        along = inertia(turned)
+        scales = vec3.where(ill_conditioned, whitening_scales(along, where), scales)
+        return turned, axes, jax.tree.map(partial(jnp.where, ill_conditioned), along, matrix), scales
+
+    given = varying_like((plain, own, matrix, Vec3(one, one, one)), placed)
+    ready, axes, matrix, scales = lax.fori_loop(0, jnp.any(ill_conditioned).astype(jnp.int32), with_care, given)
+    ready, scaling = scale_by_load(where, ready, axes)
+    return ScaledProblem(ready, scaling, ScaledAxes(scales), scaled_metric(matrix, scales), valid, ill_conditioned)

@@ -48,7 +48,7 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.solver(False))
+    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.closed_form)
 
 
 def constrained_optimum(
@@ -100,7 +100,8 @@ def constrained_optimum(
     divisor = _read_safety(grasp, safety)
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
-    return _solve_batch(grasp, wrench, sharing, free, divisor, start, limits, solve=transforms.solver(True, solver))
+    solve = transforms.optimum if solver is None else transforms.optimum_by(solver)
+    return _solve_batch(grasp, wrench, sharing, free, divisor, start, limits, solve=solve)
 
 
 def closed_form_and_optimum(
@@ -114,7 +115,7 @@ def closed_form_and_optimum(
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
-    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.closed_form_and_optimum())
+    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.closed_form_and_optimum)
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:

@@ -71,7 +71,7 @@ def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boun
 def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
     """Likewise, ``(B,)``, with what bounds it; +inf where no forces exist or none were found."""
     # That forces exist is known first: where none do, they only grow.
-    solved = transforms.solver(True)(problem).verdict <= Verdict.OPTIMAL
+    solved = transforms.optimum(problem).verdict <= Verdict.OPTIMAL
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
 
 

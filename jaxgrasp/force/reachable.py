@@ -94,7 +94,7 @@ def reachable_wrench(
 @jax.custom_jvp
 def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
-    solution = transforms.solver(True)(problem)
+    solution = transforms.optimum(problem)
     solved = solution.verdict <= Verdict.OPTIMAL
     usable = solution.verdict != Verdict.INVALID_DATA
     answer = Reachable(

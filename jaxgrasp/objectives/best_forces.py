@@ -146,7 +146,7 @@ def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[Proble
 
 @jax.jit
 def _solved(problem: ProblemBatch) -> Solution:
-    return transforms.solver(True)(problem)
+    return transforms.optimum(problem)
 
 
 @jax.jit

@@ -1,4 +1,4 @@
-"""Problems as the kernels see them: batch-last and cleaned; ``scaling.py`` centres, scales and turns them.
+"""Batch-last, cleaned data of many problems; ``scaling.py`` centres, scales and turns them.
 
 The public arrays are batch-first, ``(B, n, 3)``. Kernels work on components of shape ``(n, B)`` for what
 belongs to contacts and ``(1, B)`` for what belongs to problems, so that the compiler vectorises over
@@ -34,7 +34,7 @@ class ProblemBatch(eqx.Module):
     free: Float[Array, "#B 6 k"] | None = None
     """Twists along which a guide lets the object move; None for an object that no guide holds."""
     start: Float[Array, "B 6"] | None = None
-    """A multiplier to climb the dual from; None for the closed form's."""
+    """A multiplier from which Newton's method starts; None for the closed form's."""
     torsion: Float[Array, "#B n"] | None = None
     """Torsional friction; None where all contacts are hard fingers."""
     normal_min: Float[Array, "#B n"] | None = None
@@ -50,7 +50,7 @@ class ProblemBatch(eqx.Module):
 
 
 class ContactData(NamedTuple):
-    """One problem in each problem of the last axis."""
+    """What is known of the contacts and their load, one problem in each place of the last axis."""
 
     points: Vec3
     normals: Vec3
@@ -62,9 +62,10 @@ class ContactData(NamedTuple):
     normal_cost: Array | None = None
     """What a unit of normal force costs, in questions of how little is enough; None where it costs nothing."""
     spin_radius: Array | None = None
-    """Of soft fingers: moment for each unit of ``Four.spin``; 0 for hard ones, None where all are hard."""
+    """gamma / mu of soft fingers [m]: the moment for each unit of ``ContactVec.spin``; 0 for hard ones, None where all
+    are hard."""
     normal_min: Array | None = None
-    """Of the normal force; None where none is bounded, and so for ``normal_max``."""
+    """Least normal force; None where none is bounded, and so for ``normal_max``."""
     normal_max: Array | None = None
 
     @property
@@ -82,7 +83,7 @@ def squeezing_forces(data: ContactData) -> ContactVec:
 
 @fused_cpu_kernel
 def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
-    """Batch-last copies, and which problems hold usable data.
+    """The data batch-last, and which problems hold usable data.
 
     Absent contacts and unusable problems are replaced by contacts that carry nothing, so that no NaN enters
     the arithmetic, in values or in derivatives. Normals are brought to unit length.

@@ -1,7 +1,7 @@
 """Forces and velocities of contacts: three components and, of soft fingers, a fourth about the normal.
 
-The fourth is the moment over the finger's spin radius, gamma / mu, and the speed of turning times it: in these units
-tangential force and moment use the same friction, so that a soft finger's limit is a round cone in four dimensions.
+The fourth, the spin, is the moment over the finger's spin radius gamma / mu, and the speed of turning times it: in these
+units tangential force and moment use the same friction, so that a soft finger's limit is a round cone in four dimensions.
 """
 
 from typing import NamedTuple
@@ -49,7 +49,7 @@ def where(condition: Array, a: ContactVec, b: ContactVec) -> ContactVec:
 
 
 def along(size: Array, a: Vec3, like: ContactVec) -> ContactVec:
-    """``size`` along the unit vectors ``a``, with nothing about them, in as many components as ``like`` has."""
+    """``size`` along the unit vectors ``a``, without spin, in as many components as ``like`` has."""
     return ContactVec(vec3.scale(size, a), None if like.spin is None else jnp.zeros_like(like.spin))
 
 

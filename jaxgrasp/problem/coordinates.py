@@ -1,7 +1,7 @@
-"""What the dual's six coordinates stand for: a virtual twist, as the contacts or a guide see it.
+"""What the six numbers of a multiplier stand for: a virtual twist, scaled as the contacts see it, or a guide's.
 
 An object that is free moves along every twist: its coordinates are the twist itself, the angular ones scaled. One that
-a guide holds moves along few: its coordinates count along those, and the rest of the six stay idle at zero.
+a guide holds moves along few: its coordinates count along those, and the rest of the six stay unused at zero.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class ScaledAxes(NamedTuple):
         return jnp.concatenate([several[:3], jnp.stack(self.scales) * several[3:]])
 
     def curvature(self, plain: list[list[Array]]) -> Lower:
-        """A symmetric matrix of twists as one of the coordinates."""
+        """A symmetric matrix that acts on twists, as it acts on the coordinates."""
         s = self.scales
         rows = [
             [s[i] * h for h in row[:3]] + [s[i] * s[j] * h for j, h in enumerate(row[3:])]
@@ -60,7 +60,7 @@ class ScaledAxes(NamedTuple):
         return join(Vec3(zero, zero, zero), Vec3(*(jnp.where(s > 0, 0, t) for s, t in zip(self.scales, torque))))
 
     def unused(self) -> SpatialVec:
-        """1 for coordinates that stand for nothing."""
+        """1 for each coordinate that stands for nothing, else 0."""
         zero = Vec3(*(jnp.zeros_like(s) for s in self.scales))
         return join(zero, Vec3(*((s == 0).astype(s.dtype) for s in self.scales)))
 
@@ -82,9 +82,9 @@ class GuidedMotion(NamedTuple):
     """Twists along which a guide lets the object move, orthogonal, and scaled as the contacts see them."""
 
     columns: tuple[SpatialVec, ...]
-    """One for each coordinate; zero where it is idle."""
+    """A twist for each coordinate; zero where it is unused."""
     lost: tuple[SpatialVec, ...]
-    """Of length 1: twists that the guide allows and no contact reaches; zero where there are none."""
+    """Twists of length 1 that the guide allows and no contact reaches; zero where there are none."""
 
     def twist(self, x: SpatialVec) -> tuple[Vec3, Vec3]:
         first, *others = [x[j : j + 1] * column for j, column in enumerate(self.columns)]
@@ -140,7 +140,7 @@ class GuidedMotion(NamedTuple):
         return sum(((inner(c, c) > 0).astype(jnp.int32) for c in self.columns), jnp.int32(0))
 
     def _padded(self, rows: list[Array]) -> SpatialVec:
-        """As many zeros more as make it six."""
+        """The rows, with zeros below to make them six."""
         zero = jnp.zeros_like(rows[0])
         return jnp.concatenate(jnp.broadcast_arrays(*rows, *[zero] * (6 - len(rows))))
 

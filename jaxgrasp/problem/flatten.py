@@ -31,7 +31,7 @@ class FlatInput(NamedTuple):
     """Arrays with their leading axes broadcast and flattened into one."""
 
     fields: dict[str, Any]
-    """Arrays of a ``Problem``, by name."""
+    """Arrays of a ``ProblemBatch``, by name."""
     each: dict[str, Any]
     """What else each problem has one of."""
     batch: tuple[int, ...]

@@ -23,7 +23,7 @@ class Cone(NamedTuple):
     normal: Vec3
     friction: Array
     normal_min: Array | None = None
-    """Of the normal force; None where none is bounded, and so for ``normal_max``."""
+    """Least normal force; None where none is bounded, and so for ``normal_max``."""
     normal_max: Array | None = None
 
 
@@ -56,7 +56,7 @@ def cone_side(u: ContactVec, cone: Cone) -> ConeSide:
     square = contact_vec.dot(across, across)
     size = vec3.safe_sqrt(square)
     tangent = contact_vec.of_components([vec3.safe_divide(c, size) for c in contact_vec.components(across)])
-    # The polar cone first: without friction a term straight along the normal would pass for inside.
+    # The polar cone first: without friction a pull straight along the normal would pass for inside.
     polar = cone.friction * size < -along
     # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
     limit = cone.friction * along
@@ -80,7 +80,7 @@ def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
 def _height(cone: Cone, parts: ConeSide) -> Array:
     """Normal component of the projection on the cone's edge."""
     rise = parts.along + cone.friction * parts.size
-    # Beside the polar cone the compiler may round this below zero, and the force would term.
+    # Beside the polar cone the compiler may round this below zero, and the force would pull.
     return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
 
 
@@ -143,7 +143,7 @@ def derivative(cone: Cone, parts: ConeSide) -> list[list[Array]]:
 
 
 def _disc_derivative(cone: Cone, parts: ConeSide, height: Array) -> list[list[Array]]:
-    """That of the projection on a disc across the cone: all that is tangential, or what turns along its rim."""
+    """The derivative of the projection on a disc across the cone: all that is tangential, or turns along its rim."""
     flat = parts.size <= cone.friction * height
     turning = jnp.where(flat, 0, vec3.safe_divide(cone.friction * height, parts.size))
     isotropic = jnp.where(flat, 1, turning)
@@ -169,8 +169,11 @@ def work_per_normal_force(direction: ContactVec, cone: Cone) -> Array:
 
 
 def largest_work(push: Array, cone: Cone) -> tuple[Array, Array]:
-    """The most work that each contact does along a direction, from its ``work_per_normal_force``: for each unit of normal
-    force where none is bounded, 0 where it does none; and all of it where a bound of the normal force ends it."""
+    """The most work that each contact does along a direction, from its ``work_per_normal_force``.
+
+    The first result is the work for each unit of normal force, where nothing bounds that; the second all of the work,
+    where something does. Either is 0 where the other holds.
+    """
     if cone.normal_min is None and cone.normal_max is None:
         return push, jnp.zeros_like(push)
     normal_min = 0 if cone.normal_min is None else cone.normal_min

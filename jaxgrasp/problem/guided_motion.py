@@ -52,7 +52,7 @@ def mixing(directions: Array, data: ContactData, scaling: Scaling) -> Mixing:
 
 
 def whitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Scaling) -> tuple[Metric, Coordinates]:
-    """Unknowns, for problems in principal axes, in which G W G^T is the identity but for rounding, and what it is."""
+    """For problems in principal axes: whitened coordinates, and G W G^T in them, the identity but for rounding."""
     if problem.free is None:
         return whitened_metric(data, scaling)
     directions = directions_to_scaled(problem.free, scaling)
@@ -60,7 +60,7 @@ def whitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Scal
 
 
 def unwhitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Scaling) -> Coordinates:
-    """Unknowns that are a twist as it is, along orthonormal axes where a guide holds the object."""
+    """Coordinates that are the twist as it is, along orthonormal axes where a guide holds the object."""
     if problem.free is None:
         return plain_axes(data.force.x)
     directions = directions_to_scaled(problem.free, scaling)
@@ -68,7 +68,7 @@ def unwhitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Sc
 
 
 def restricted_metric(metric: Lower, coordinates: Coordinates) -> Lower:
-    """A metric of twists as one of the coordinates; of what is idle, the identity."""
+    """A metric of twists as one of the coordinates; the identity for those that are unused."""
     if isinstance(coordinates, ScaledAxes):
         return metric
     rows = coordinates.curvature([list(row) for row in metric])
@@ -83,7 +83,7 @@ def guided_coordinates(directions: Array, mixed: Mixing) -> GuidedMotion:
 
 
 def identity_metric(like: Array) -> Metric:
-    """G W G^T, as coordinates see it that are scaled for that."""
+    """G W G^T in coordinates that are scaled to make it the identity."""
     one, zero = jnp.ones_like(like), jnp.zeros_like(like)
     matrix = [[one], [zero, one], [zero, zero, one]]
     return Metric(matrix, ldl.factor(matrix))

@@ -1,4 +1,4 @@
-"""Frames: a problem's own coordinates, in which everything is of order one, and the way back.
+"""Scaling: into a problem's own frame and units, in which everything is of order one, and back.
 
 About the weighted centroid of the contacts, G W G^T falls into a scalar and a 3x3 inertia matrix, and nothing is lost
 when the frame lies far away. Lengths are then divided by the weighted radius, weights by their sum, forces by the
@@ -21,7 +21,7 @@ from jaxgrasp.problem.tolerances import tolerances
 
 
 class Scaling(NamedTuple):
-    """How a problem's coordinates came about, to bring results back."""
+    """How a problem was scaled, which brings results back."""
 
     centre: Vec3
     length: Array
@@ -34,7 +34,7 @@ class Scaling(NamedTuple):
 
 
 class Placement(NamedTuple):
-    """Where the contacts are, which says all of a frame but its load."""
+    """Where the contacts are: all of a scaling but its load."""
 
     first: Vec3
     correction: Vec3
@@ -89,7 +89,7 @@ def torque_about(place: Placement, data: ContactData, carefully: bool) -> Vec3:
 def scale_by_load(
     place: Placement, data: ContactData, axes: tuple[Vec3, Vec3, Vec3] | None = None
 ) -> tuple[ContactData, Scaling]:
-    """Placed problems whose forces are of order one too, and the whole frame; ``axes`` are those they were turned into."""
+    """Placed problems with forces of order one too, and the whole scaling; they were turned into ``axes``."""
     (squeeze,) = vec3.totals(data.squeeze)
     load = squeeze + vec3.norm(data.force) + vec3.norm(data.torque) / place.length
     smallest = tolerances(load.dtype).smallest
@@ -118,7 +118,7 @@ def normalise(data: ContactData, carefully: bool = False) -> tuple[ContactData, 
 
 
 def with_scaling(data: ContactData, scaling: Scaling, points: Vec3, weights: Array, torque: Vec3) -> ContactData:
-    """The problems in a frame's units, with these points, weights and torque about its centre."""
+    """The problems in the units of a scaling, with these points, weights and torque about its centre."""
     spin_radius = None if data.spin_radius is None else data.spin_radius / scaling.length
     placed = data._replace(
         points=vec3.scale(1 / scaling.length, points), weights=weights, torque=torque, spin_radius=spin_radius
@@ -209,7 +209,7 @@ def twist_to_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3
 
 
 def certificate_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3, Vec3]:
-    """A direction of wrench space as a twist about the user's origin, of unit size in the problem's coordinates."""
+    """A direction as a twist about the user's origin, of unit size in the problem's coordinates."""
     if scaling.axes is not None:
         linear, angular = vec3.rotate_back(scaling.axes, linear), vec3.rotate_back(scaling.axes, angular)
     angular = vec3.scale(1 / scaling.length, angular)

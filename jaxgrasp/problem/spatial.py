@@ -1,4 +1,4 @@
-"""Sixes: wrenches, twists and the dual's coordinates, batch-last."""
+"""Spatial vectors: wrenches, twists and coordinates of multipliers, batch-last."""
 
 import jax.numpy as jnp
 from jax import Array
@@ -20,7 +20,7 @@ def parts(x: SpatialVec) -> tuple[Vec3, Vec3]:
 
 
 def inner(a: Array, b: Array) -> Array:
-    """Of six rows or more."""
+    """The inner product of vectors of six rows or more."""
     return sum(a[i : i + 1] * b[i : i + 1] for i in range(1, len(a))) + a[:1] * b[:1]
 
 

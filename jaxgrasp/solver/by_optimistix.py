@@ -1,4 +1,4 @@
-"""The constrained optimum by a solver from outside, on the same dual, judged by this package's own tests.
+"""The constrained optimum by an optimistix solver, on the same dual, judged by this package's own tests.
 
 The solver sees six coordinates in the principal axes and whitened coordinates of the careful pass, one
 problem at a time under ``vmap``. It only proposes a multiplier: what that is worth is measured here.

@@ -2,7 +2,7 @@
 
 At a solution w - G f(multiplier, data) = 0. Differentiating that gives a 6x6 system for the multiplier's
 tangent, whatever route the solver took. The rule is plain JAX, so it can be transposed and differentiated
-again; frames and scales enter as constants, since the answer does not depend on them.
+again; the scaling enters as a constant, since the answer does not depend on them.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
 class _Moving(NamedTuple):
-    """What moves with the problem, in a frame that stays."""
+    """What moves with the problem, in a scaling that stays."""
 
     data: ContactData
     directions: Array | None
@@ -46,7 +46,7 @@ class _Moving(NamedTuple):
 
 
 class _Fixed(NamedTuple):
-    """What stays: the answer does not depend on it."""
+    """What stays, since the answer does not depend on it."""
 
     scaling: Scaling
     whitened: ScaledAxes | Mixing
@@ -189,7 +189,7 @@ def _constants(problem: ProblemBatch, constrained: bool) -> _Fixed:
 
 
 def _in_scaling(problem: ProblemBatch, fixed: _Fixed) -> _Moving:
-    """The problem in a given frame; a contact that is absent stays where no derivative reaches it."""
+    """The problem in a given scaling; a contact that is absent stays where no derivative reaches it."""
     data, _ = to_batch_last(problem)
     scaling = fixed.scaling
     weight = jnp.where(scaling.weight > 0, scaling.weight, 1)

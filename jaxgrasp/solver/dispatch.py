@@ -1,6 +1,6 @@
-"""How a question is asked of a batch: any leading axes, and few programs for many sizes.
+"""Calls of a flat solver for batches of any leading axes and size, by few compiled programs.
 
-Inside another program, or where derivatives are taken, a question is part of what is traced. Asked alone it is cut into
+Inside another program, or where derivatives are taken, a call is part of what is traced. Outside, it is cut into
 pieces of few sizes, each compiled once. Only the last piece is padded, and its tiles stop at the true count: so padding
 costs neither time nor, in large batches, memory.
 """
@@ -43,7 +43,7 @@ Solve = Callable[..., Any]
 
 
 class Inputs(NamedTuple):
-    """What a user gives beside the sharing."""
+    """A user's arguments beside the sharing."""
 
     grasp: Grasp
     wrench: AnyArray
@@ -114,7 +114,7 @@ _within = jax.jit(_traced, static_argnames=STATIC)
 
 @cache
 def _exactly() -> Callable[..., Any]:
-    """The same alone: the least work before and after, for sizes that need no padding."""
+    """The program for sizes that need no padding, called outside any other: the least work before and after."""
     return jax.jit(_traced, static_argnames=STATIC, compiler_options=compile_options())
 
 
@@ -272,7 +272,7 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
 
 @cache
 def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
-    """For pieces of what the user gave."""
+    """The program for pieces of what the user gave."""
 
     def run(given: Inputs, count: Array) -> Any:
         flat = _flat(given, sharing, tails, jnp)
@@ -283,7 +283,7 @@ def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
 
 @cache
 def _flat_program(solve: Solve) -> Callable:
-    """For pieces of what NumPy has brought into one leading axis."""
+    """The program for pieces of what NumPy has brought into one leading axis."""
 
     def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array) -> Any:
         fields, each = flat

@@ -1,6 +1,7 @@
-"""The dual of the force distribution problem: six coordinates, whatever the number of contacts.
+"""The dual of the force distribution problem: six unknowns, whatever the number of contacts.
 
-For a multiplier (a virtual twist) the best force of each contact is a projection on its cone,
+For a multiplier (a virtual twist) the candidate force of each contact, which minimises the Lagrangian, is a
+projection on its cone,
 
     f_i = P_i(s_i a_i + k_i (linear + angular x r_i)),
 
@@ -36,7 +37,7 @@ class DualProblem(Protocol):
 
 
 class PlainProblem(NamedTuple):
-    """Problems whose multipliers are twists, without a scale of their own."""
+    """The data of problems, and coordinates of their multipliers, without a scaling."""
 
     data: ContactData
     coordinates: Coordinates
@@ -57,7 +58,7 @@ def solve(factors: tuple[list[list[Array]], list[Array]], right: SpatialVec) -> 
 
 
 class CandidateForces(NamedTuple):
-    """The best forces for a multiplier, and what they came from."""
+    """Forces that minimise the Lagrangian for a multiplier, and what they came from."""
 
     twist: ContactVec
     """The multiplier's velocity at each contact, less the cost along its normal."""
@@ -89,7 +90,7 @@ def candidate_forces(problem: DualProblem, multiplier: SpatialVec) -> CandidateF
 
 
 def candidate_forces_at(data: ContactData, twist: ContactVec) -> CandidateForces:
-    """The best forces for velocities of the contacts, wherever these come from."""
+    """The candidate forces for velocities of the contacts, wherever these come from."""
     if data.normal_cost is not None:
         twist = twist._replace(linear=vec3.sub(twist.linear, vec3.scale(data.normal_cost, data.normals)))
     target = contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, twist))
@@ -176,7 +177,7 @@ def deviation_cost(data: ContactData, forces: ContactVec) -> Array:
 
 
 def weighted_deviation(data: ContactData, best: CandidateForces, unit: Array) -> ContactVec:
-    """(f - s a) / k of each contact, and what it tends to as k falls to 0; the squeeze with it, where that is 0 too.
+    """(f - s a) / k of each contact, and its limit as k falls to 0, together with the squeeze where that is 0 too.
 
     ``unit`` is what one unit of weight means in squeeze where both are the same number to the user.
     """
@@ -198,13 +199,13 @@ def relaxed_target(data: ContactData, twist: ContactVec, unit: Array) -> Contact
     return contact_vec.add(contact_vec.along(unit, data.normals, twist), twist)
 
 
-def deviation_cost_by(data: ContactData, forces: ContactVec, pull: ContactVec) -> Array:
-    """The same as ``spread`` in value, with the derivative by k that it has at k = 0 too, from above.
+def deviation_cost_by(data: ContactData, forces: ContactVec, deviation: ContactVec) -> Array:
+    """``deviation_cost``, with the derivative by k that it has at k = 0 too, from above.
 
-    Stationary in ``term``, so that only forces, squeeze and weights move it.
+    It is stationary in ``deviation``, so that only forces, squeeze and weights move it.
     """
     apart = contact_vec.sub(forces, squeezing_forces(data))
-    return contact_vec.dot(pull, apart) - data.weights * contact_vec.dot(pull, pull) / 2
+    return contact_vec.dot(deviation, apart) - data.weights * contact_vec.dot(deviation, deviation) / 2
 
 
 def objective_of_no_force(data: ContactData) -> Array:
@@ -219,7 +220,7 @@ def negative_hessian(problem: DualProblem, jacobian: Lower) -> Lower:
 
 
 def force_change(data: ContactData, best: CandidateForces, velocity: ContactVec) -> ContactVec:
-    """How the best forces change with velocities of the contacts, k D v."""
+    """How the candidate forces change with velocities of the contacts, k D v."""
     jacobian = friction_cone.derivative(data.cone, best.sides)
     moved = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(velocity)))
     return contact_vec.scale(data.weights, moved)
@@ -245,7 +246,7 @@ def _hessian_terms(data: ContactData, jacobian: Lower) -> list[Array]:
 def _with_spin(data: ContactData, a: Vec3, last: Sequence[Array], mixed: list[Vec3]) -> tuple[list[Vec3], list[Vec3]]:
     """What moments about the normals add, with ``a`` the normals times the spin radii and (c, d) the last row of k D.
 
-    To the torques by forces a c^T. To the torques by torques a (r x c)^T, which follows from that, and the rest.
+    The block of torques by forces gains a c^T, that of torques by torques a (r x c)^T and what follows from it.
     """
     *row, diagonal = [data.weights * entry for entry in last]
     c = Vec3(*row)

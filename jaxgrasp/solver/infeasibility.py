@@ -53,7 +53,7 @@ def find_certificate(
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
-    # What is looked at is what is handed out: computed anew, in other kernels, it would be rounded otherwise.
+    # What is looked at is what is returned: computed anew, in other kernels, it would be rounded otherwise.
     residual, run = lax.optimization_barrier((residual, run))
     by_rest, by_run = (proves_infeasible(problem, direction, constraints) for direction in (residual, run))
     proven = jnp.where(by_rest, residual, run / jnp.maximum(spatial.length(run), 1))

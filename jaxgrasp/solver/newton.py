@@ -1,7 +1,7 @@
-"""Semismooth Newton ascent on the dual, all problems of a tile in step, each with a line search of its own.
+"""Semismooth Newton maximisation of the dual, all problems of a tile in step, each with a line search of its own.
 
 One evaluation gives value, gradient and Hessian at the trial point; a problem that accepts it takes a new
-direction, one that refuses cuts its step. So no problem waits for another's line search.
+direction, one that refuses shortens its step. So no problem waits for another's line search.
 """
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -27,7 +27,7 @@ from jaxgrasp.solver.result import Measurement, measure_forces
 ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
 STEP_REDUCTIONS = (0.1, 0.5)
-"""A refused step is cut to between these parts of its length."""
+"""Least and largest factor by which a refused step is shortened."""
 DAMPING, LARGEST_DAMPING = 0.03, 0.1
 """Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
 LOOSE_FACTOR = 16.0
@@ -48,7 +48,7 @@ class ConcaveObjective(Protocol):
     """What is maximised: a concave function of a few coordinates, perhaps with a kink where one of them is zero."""
 
     def evaluate(self, point: Array) -> Any:
-        """Value, gradient, minus Hessian and the sum of normal forces, by the names that ``dual.Value`` has."""
+        """Value, gradient, minus Hessian and the sum of normal forces, named as in ``dual.DualEvaluation``."""
         ...
 
     def squared_norm(self, gradient: Array) -> Array:
@@ -56,7 +56,7 @@ class ConcaveObjective(Protocol):
         ...
 
     def direction(self, at: Any, point: Array, damping_factor: Array) -> Array:
-        """Newton's, damped by the gradient and ``damping_factor`` times more than usual."""
+        """Newton's direction, with ``damping_factor`` times the usual damping, which goes with the gradient."""
         ...
 
     def converged(self, at: Any, point: Array) -> Array:
@@ -109,13 +109,13 @@ class NewtonState(NamedTuple):
     """Squared residual at ``point``; 0 before anything was evaluated."""
     steps: Array
     done: Array
-    """At the optimum as far as can be told from here, or stuck."""
+    """At the optimum as far as can be told from here, or stalled."""
     stalled: Array
     """Unable to move on."""
 
 
 def maximise(objective: ConcaveObjective, start: Array, frozen: Array, limit: int | Array) -> NewtonState:
-    """Climb from ``start`` in at most ``limit`` evaluations; problems that are ``frozen`` stay where they are."""
+    """Maximise from ``start`` in at most ``limit`` evaluations; problems that are ``frozen`` stay where they are."""
     # A grasp that many wrenches share has one column here; where each problem stands is its own.
     frozen = jnp.broadcast_to(frozen, start[:1].shape)
     zero = jnp.zeros_like(start[:1])
@@ -158,7 +158,7 @@ def _advance(objective: ConcaveObjective, state: NewtonState) -> NewtonState:
         length=jnp.where(state.done, state.length, length),
         damping_factor=jnp.where(accepted, damping_factor, state.damping_factor),
         squared_norm=jnp.where(accepted, squared_norm, state.squared_norm),
-        # The look at the starting point, of length zero, is no step.
+        # The evaluation of the starting point, of length zero, is no step.
         steps=state.steps + _as_count(~state.done & (state.length > 0)) + _as_count(accepted & converges_next),
         done=state.done | stalled | (accepted & (converged | converges_next)),
         stalled=state.stalled | stalled,
@@ -183,8 +183,8 @@ def _is_better(state: NewtonState, trial: Array, value: Array, squared_norm: Arr
 def _converges_next(state: NewtonState, squared_norm: Array) -> Array:
     """Whether the next full step will land at the optimum, so that it can be taken without looking there.
 
-    Close to the optimum the residual falls as its own square; the last step's fall gives the factor. Whoever
-    reads the point judges it anyway.
+    Close to the optimum the residual falls as its own square; the last step's fall gives the factor. The
+    caller checks the point anyway.
     """
     wanted = 0.1 * tolerances(squared_norm.dtype).gradient
     quadratic = squared_norm**3 <= (wanted * state.squared_norm) ** 2
@@ -201,8 +201,8 @@ def _next_damping_factor(state: NewtonState) -> Array:
 def _step_reduction(state: NewtonState, gradient: Array) -> Array:
     """How much to shorten a refused step.
 
-    The slope along the line falls from positive to negative, and mostly late, beyond the kink that was not
-    foreseen: where its chord meets zero, the value is still rising.
+    The slope along the line falls from positive to negative, and mostly late, beyond a kink that the
+    quadratic model did not foresee: where its chord meets zero, the value is still rising.
     """
     overshot = jnp.maximum(-spatial.inner(gradient, state.direction), state.slope)
     return jnp.clip(2 * vec3.safe_divide(state.slope, state.slope + overshot), *STEP_REDUCTIONS)
@@ -276,7 +276,7 @@ def check_optimality(problem: ScaledProblem, point: SpatialVec) -> OptimalityChe
 def optimality_by(
     data: ContactData, best: ContactVec, point: Array, residual: Array, squared_norm: Array, found: Measurement
 ) -> OptimalityCheck:
-    """By what the best forces leave of the wrench, and the squared length of that."""
+    """The check by what the candidate forces leave of the wrench, and the squared length of that."""
 
     def within(slack: float) -> Array:
         return has_converged(data, point, residual, squared_norm, found.objective, found.total_normal_force, slack)

@@ -47,13 +47,13 @@ class ProximalState(NamedTuple):
     """As many rows as the point has; read where the verdict is INFEASIBLE."""
     decided: Array
     loosely_optimal: Array
-    """Whether the point is the optimum but for a last slack."""
+    """Whether the point is the optimum within ``LOOSE_FACTOR`` times the tolerances."""
     stalled: Array
     """Whether Newton's method was unable to move on."""
 
 
 class PassSettings(NamedTuple):
-    """How hard to try, in scalars, so that all efforts are one compiled code."""
+    """How one pass works, in scalars, so that all passes are one compiled code."""
 
     careful: Array
     """Level by level, with proofs; else the dual as it is, once."""
@@ -63,7 +63,7 @@ class PassSettings(NamedTuple):
 
 @runtime_checkable
 class ProximalProblem(Protocol):
-    """What the search goes over: an objective, what its points are worth, and what they prove."""
+    """What the search needs of a problem: an objective, a check of optimality, and proofs."""
 
     def with_proximal_term(self, proximal: ProximalTerm) -> ConcaveObjective:
         """The objective with a proximal term."""
@@ -95,7 +95,7 @@ class UnlimitedProblem(NamedTuple):
 
 
 def careful_settings() -> PassSettings:
-    """All that can be done."""
+    """The settings of the careful pass, which does all that can be done."""
     return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
 
 
@@ -131,7 +131,7 @@ def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, se
 def _level(
     proximal_problem: ProximalProblem, strength: Array, settings: PassSettings, search: ProximalState
 ) -> ProximalState:
-    """One level: ascend, then ask whether the point is the optimum, or what is left a proof."""
+    """One level: maximise, then ask whether the point is the optimum, or what is left a proof."""
     objective = proximal_problem.with_proximal_term(ProximalTerm(strength, search.point))
     return _decide(
         proximal_problem, settings, search, maximise(objective, search.point, search.decided, settings.steps)

@@ -3,8 +3,8 @@
 All come out of the same dual as the optimum, in a problem's coordinates. Let a wrench e be missed at a penalty of
 t |e|^2 / 2: the dual is then pulled towards zero, by |x|^2 / 2t, and e = x / t. As the penalty rises e tends to the
 shortest wrench that must be missed, while the multiplier x runs off along it. Or let theta be paid for at t: the dual
-is then confined to the plane where the multiplier does work t along the ray. Or let each unit of normal force cost a
-cost t, which takes t off the multiplier's velocity along each normal. In all of them the forces' own cost holds the
+is then confined to the plane where the multiplier does work t along the ray. Or let each unit of normal force cost t,
+which takes t off the multiplier's velocity along each normal. In all of them the forces' own cost holds the
 answer back, by terms that fall with 1 / t for the forces, and with their square for the distance, theta and the total.
 """
 
@@ -32,30 +32,30 @@ STEPS_PER_LEVEL = 100
 PENALTY_FACTOR = 10.0
 """Factor between one penalty and the next."""
 FIRST_DAMPING = 10.0
-"""Of the first step at each penalty, in units of 1 / t."""
+"""Damping of the first step at each penalty, in units of 1 / t."""
 DAMPING_FACTOR = 4.0
 """Less damping after a step that was good, more after one that was not."""
 HIGHEST_DAMPING = 1e3
 """Relative to the largest curvature: no step that short is worth its time."""
 RAY_PENALTY = 1e-6
-"""Pull along a ray, in units of 1 / t: it only keeps Newton's matrix regular."""
+"""Quadratic penalty in a ray search, in units of 1 / t: it only keeps Newton's matrix regular."""
 STRAIGHT_PATH = 1e-5
 """Bend of the path between two penalties, relative to the multiplier, that is none."""
 PENALTY_ERROR = 1e4
 """What a higher penalty is worth against rounding: the error of theta at the penalty t, in units of (theta / t)^2."""
 CHANGE_WEIGHT = 10.0
-"""The same, measured: what is sought is off by a known share of its change between two penalties. So much more than a
-wrench that is missed aside, which shows in what is sought by its square only."""
+"""Weight of the change of the estimate between two penalties, of which its error is a known share, beside a wrench that
+is missed aside, which shows in the estimate by its square only."""
 
 
 class QuadraticPenalty(NamedTuple):
-    """The term -strength/2 (x - centre).metric (x - centre), and a plane that x may not leave."""
+    """The term -strength/2 (x - centre).metric (x - centre), and a plane in which x must stay."""
 
     strength: Array
     centre: SpatialVec
     metric: Lower
     normal: SpatialVec | None
-    """Of the plane, of length 1 or 0; None where there is none."""
+    """Normal of the plane, of length 1 or 0; None where there is no plane."""
 
 
 class _MaximiserState(NamedTuple):
@@ -86,7 +86,7 @@ class _Attempt(NamedTuple):
 
     point: SpatialVec
     estimate: Array
-    """What the point says of theta or the least total, beside its size; 0 where neither is sought."""
+    """Theta or the least total by this point; 0 where neither is sought."""
     size: Array
     error_estimate: Array
     far_enough: Array
@@ -186,7 +186,7 @@ def least_normal_force(data: ContactData, frozen: Array) -> tuple[Array, Penalty
 
 
 def with_normal_cost(data: ContactData, normal_cost: Array) -> ContactData:
-    """Problems in which each unit of normal force costs a cost, beside half its square over the weight."""
+    """Problems in which each unit of normal force has a cost, beside half its square over the weight."""
     return data._replace(normal_cost=normal_cost)
 
 
@@ -223,14 +223,14 @@ def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialV
 
 
 def _bias(path: PenaltyPath, penalty: Array, estimate: Array) -> Array:
-    """How far what is sought still is from its limit, since it comes closer by the square of the penalty."""
+    """How far the estimate still is from its limit, which it approaches with the square of the penalty."""
     some = path.penalty > 0
     ratio = jnp.where(some, penalty / jnp.where(some, path.penalty, 1), PENALTY_FACTOR)
     return jnp.where(some, (estimate - path.estimate) / (ratio**2 - 1), 0)
 
 
 def _predicted(path: PenaltyPath, penalty: Array) -> SpatialVec:
-    """The path goes straight in the end: by secant."""
+    """The point at a penalty by the secant: in the end the path is straight."""
     factor = vec3.safe_divide(penalty - path.penalty, path.penalty - path.penalty_before)
     return path.point + factor * (path.point - path.point_before)
 
@@ -242,10 +242,10 @@ def missed_wrench(problem: DualProblem, point: SpatialVec) -> SpatialVec:
 def maximise(
     problem: DualProblem, penalty_term: QuadraticPenalty, penalty: Array, start: SpatialVec, frozen: Array
 ) -> SpatialVec:
-    """Maximise the dual less the term by Newton's method, damped as each problem needs it.
+    """Maximise the dual less the penalty by Newton's method, damped as each problem needs it.
 
-    A line search such as ``newton.ascend`` has fails here: where the multiplier is large, most of Newton's
-    direction lies where only the faint term bends the dual, and a kink in it soon ends the step. Damping turns
+    A line search such as ``newton.maximise`` has fails here: where the multiplier is large, most of Newton's
+    direction lies where only the faint penalty bends the dual, and a kink in it soon ends the step. Damping turns
     the step away instead. The search stops where a step has nothing to gain but rounding, not by the gradient,
     which is rounding itself in all directions but those that matter.
     """

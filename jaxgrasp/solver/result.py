@@ -1,4 +1,4 @@
-"""What a kernel hands back for each problem, and how good it is: batch-first again, in the user's units."""
+"""What a pass returns for each problem, and how good it is: batch-first again, in the user's units."""
 
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from jaxgrasp.solver.dual import DualProblem, PlainProblem
 
 
 class PassResult(NamedTuple):
-    """The fields of a Solution, and whether this stage leaves the problem to the next one."""
+    """The fields of a Solution, and whether this pass leaves the problem to the next one."""
 
     forces: Array
     multiplier: Array
@@ -46,14 +46,14 @@ class PassResult(NamedTuple):
 
 
 class JointResult(NamedTuple):
-    """What limits of joint torques add to an outcome."""
+    """What limits of joint torques add to a result."""
 
     velocities: ContactVec
     """Velocities of the contacts that the joints' multipliers take off those of the object's."""
     multiplier: Array
     """``(j, B)``, in the problem's units of the multiplier."""
     rates: Array
-    """``(j, B)``: of the certificate, where that is a proof."""
+    """Rates of the joints in the certificate ``(j, B)``, where that is a proof."""
 
 
 class ScaledResult(NamedTuple):
@@ -126,7 +126,7 @@ def rank(scaling: Scaling, coordinates: Coordinates) -> Array:
 
 
 class Measurement(NamedTuple):
-    """Forces as they are, whatever they were meant to be."""
+    """What forces achieve, whatever they were meant to."""
 
     residual: SpatialVec
     """w - G f, but for what a guide carries of it."""
@@ -171,7 +171,7 @@ def measure_forces(problem: DualProblem, forces: ContactVec) -> Measurement:
 
 
 def _certificate(scaling: Scaling, found: ScaledResult, verdict: Array, residual: SpatialVec, one: Array) -> Array:
-    """The stage's certificate where it proves something; with no contact at all, the unbalanced wrench itself.
+    """The certificate of a pass where it proves something; with no contact at all, the unbalanced wrench itself.
 
     That of contacts which only squeeze may be no more than rounding, which proves nothing.
     """

@@ -1,7 +1,7 @@
 """Limits of joint torques: |R f| <= bound, where the rows of R are what the contact forces ask of the joints.
 
 They tie the contacts together, so that no projection of each contact alone can respect them. The dual gets one more
-coordinate for each limit, the speed of its joint at the price of its bound: with the speeds e contact i moves by
+coordinate for each limit, its multiplier, which is a speed (rate) of its joint: with the speeds e contact i moves by
 G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth where a speed is zero: a kink, on which
 all limits that do not bind stay.
 """
@@ -29,11 +29,11 @@ from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm
 from jaxgrasp.solver.result import measure_forces
 
 LARGEST_UNROLLED = 10
-"""Unknowns up to which a factorisation is written out: more take long to compile."""
+"""Coordinates up to which a factorisation is written out: more take long to compile."""
 
 
 class TorqueConstraints(NamedTuple):
-    """Limits of a few joints in the problems' coordinates, each row of length 1 as the contacts see it."""
+    """Limits of a few joints, |map f| <= bound, in scaled units; rows have length 1 in the weights of the contacts."""
 
     map: ContactVec
     """Components ``(q, n, B)``."""
@@ -122,7 +122,7 @@ def torques(constraints: TorqueConstraints, forces: ContactVec) -> Array:
 
 
 def beyond(torque: Array, bound: Array) -> Array:
-    """What of the torques is beyond their bounds."""
+    """By how much torques exceed their bounds, with their sign."""
     return jnp.sign(torque) * jnp.maximum(jnp.abs(torque) - bound, 0)
 
 
@@ -136,15 +136,15 @@ class BorderedMatrix(NamedTuple):
     """A symmetric matrix of the object's coordinates and the rates."""
 
     plain: Lower
-    """Of the six."""
+    """The 6x6 block of the object's coordinates."""
     across: Array
-    """``(6, q, B)``."""
+    """The block of both ``(6, q, B)``."""
     own: Array
-    """``(q, q, B)``: of the rates."""
+    """The block of the rates ``(q, q, B)``."""
 
 
 class TorqueDualEvaluation(NamedTuple):
-    """The dual at a point: value, gradient and minus Hessian, as ``dual.Value``."""
+    """The dual at a point: value, gradient and minus Hessian, as ``dual.DualEvaluation``."""
 
     value: Array
     gradient: Array
@@ -175,7 +175,7 @@ class TorqueLimitedObjective(NamedTuple):
             strength, offset = self.proximal.strength, point - self.proximal.centre
             value, gradient = value - strength * spatial.inner(offset, offset) / 2, gradient - strength * offset
             curvature = _with_identity(curvature, strength)
-        # With the term, since that decides too on which side of the kink it goes up.
+        # With the proximal term, since that decides too on which side of the kink it goes up.
         gradient = jnp.concatenate([gradient[:6], _gradient_by_rates(gradient[6:], rates, constraints.bound)])
         return TorqueDualEvaluation(value, gradient, curvature, at.total_normal_force)
 

@@ -31,7 +31,7 @@ from jaxgrasp.solver.torque_limits import TorqueConstraints, TorqueLimitedObject
 
 
 class _TorquePass(NamedTuple):
-    """Fast passes with so many limits at a time, those that bind or are broken most."""
+    """Fast passes with ``width`` limits at a time, those that bind or are broken most."""
 
     width: int
     steps: tuple[int, ...]
@@ -99,7 +99,7 @@ def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass) -> Pas
 def _excess(problem: ProblemBatch, result: PassResult) -> Array:
     """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it.
 
-    Of a cleaned problem.
+    The batch must be ``cleaned``.
     """
     assert problem.torque_map is not None and problem.torque_max is not None
     torque = torque_limits.torques_of_forces(problem.torque_map, result.forces, result.moments)

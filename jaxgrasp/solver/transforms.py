@@ -1,4 +1,4 @@
-"""The three shells around a flat batch solver: derivatives, then batching, then the solver itself.
+"""The transforms around a flat batch solver: derivatives outside, then batching, then the solver itself.
 
 ``custom_jvp`` is outermost, so that every derivative comes from ``derivative.py`` and none from the loops
 inside. ``custom_vmap`` flattens every mapped axis into the one batch that the solver gathers from; it sees
@@ -21,22 +21,10 @@ from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import by_optimistix, derivative, passes
 from jaxgrasp.solver.result import PassResult
 
+FlatSolver = Callable[[ProblemBatch], Solution]
+"""A differentiable solver of a flat batch."""
 PER_WRENCH = ("wrench", "start")
 """What each of many wrenches that share a grasp has of its own."""
-
-
-@cache
-def solver(constrained: bool, given: Any = None) -> Callable[[ProblemBatch], Solution]:
-    """The differentiable flat solver of one method; of the optimum, by a ``given`` solver from outside too."""
-    solve = _passes(constrained, given)
-    alone = _differentiable(lambda problem: (solve(problem),), (constrained,))
-    return lambda problem: alone(problem)[0]
-
-
-@cache
-def closed_form_and_optimum() -> Callable[[ProblemBatch], tuple[Solution, ...]]:
-    """Closed form and optimum by one solver, which does their common work once."""
-    return _differentiable(passes.solve_both, (False, True))
 
 
 def _differentiable(
@@ -53,12 +41,6 @@ def _differentiable(
         return solutions, tuple(map(_tangent_solution, solutions, moves))
 
     return outer
-
-
-def _passes(constrained: bool, given: Any) -> Callable[[ProblemBatch], PassResult]:
-    if given is not None:
-        return partial(by_optimistix.solve_optimum, given)
-    return passes.solve_optimum if constrained else passes.solve_closed
 
 
 def _batched(solve: Callable[[ProblemBatch], tuple[PassResult, ...]]) -> Callable[[ProblemBatch], tuple[Solution, ...]]:
@@ -101,3 +83,20 @@ def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution
     names, unmoved = Solution.__dataclass_fields__, jax.tree.map(zero_tangent, solution)
     leaves = [getattr(parts, name) if hasattr(parts, name) else getattr(unmoved, name) for name in names]
     return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])
+
+
+def _single(solve: Callable[[ProblemBatch], PassResult], constrained: bool) -> FlatSolver:
+    alone = _differentiable(lambda problem: (solve(problem),), (constrained,))
+    return lambda problem: alone(problem)[0]
+
+
+closed_form = _single(passes.solve_closed, constrained=False)
+optimum = _single(passes.solve_optimum, constrained=True)
+closed_form_and_optimum = _differentiable(passes.solve_both, (False, True))
+"""Both by one solver, which does their common work once."""
+
+
+@cache
+def optimum_by(solver: Any) -> FlatSolver:
+    """The optimum by an optimistix solver."""
+    return _single(partial(by_optimistix.solve_optimum, solver), constrained=True)

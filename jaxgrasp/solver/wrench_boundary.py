@@ -42,11 +42,11 @@ class BoundaryPoint(NamedTuple):
     friction_use: Array
     """``(B, n, 3)``: tangential forces at the limit, relative to the largest that friction allows."""
     spin_use: Array | None
-    """``(B, n)``: moments likewise; None where all contacts are hard."""
+    """``(B, n)``: moments relative to the largest that friction allows; None where all contacts are hard."""
 
 
 class _SupportingTwist(NamedTuple):
-    """How the contacts touch the hyperplane that bounds what is in reach."""
+    """The hyperplane that bounds what is in reach, by its normal, and the forces that lie on it."""
 
     normal: SpatialVec
     normal_force: Array
@@ -76,8 +76,8 @@ def boundary_point(
 ) -> BoundaryPoint:
     """What a path of multipliers leads to, in the user's axes and units; ``size`` is that of a unit of its answer.
 
-    ``last`` and ``before`` are the problems as they were at the path's last two penalties. The touch is that at the last
-    penalty, less the error that falls with the penalty.
+    ``last`` and ``before`` are the problems as they were at the path's last two penalties. The result is what holds at
+    the last one, less the error that falls with the penalty.
     """
     share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
     now, then = (

@@ -1,7 +1,8 @@
 """Forces and velocities of contacts: three components and, of soft fingers, a fourth about the normal.
 
-The fourth, the spin, is the moment over the finger's spin radius gamma / mu, and the speed of turning times it: in these
-units tangential force and moment use the same friction, so that a soft finger's limit is a round cone in four dimensions.
+The fourth, the spin, is the moment over the finger's spin radius gamma / mu, and the speed of turning times it: in
+these units tangential force and moment use the same friction, so that a soft finger's limit is a round cone in four
+dimensions.
 """
 
 from typing import NamedTuple

@@ -11,7 +11,7 @@ what the six numbers of a multiplier stand for there.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jax import Array
@@ -26,6 +26,7 @@ from jaxgrasp.problem.coordinates import Coordinates, plain_axes
 from jaxgrasp.problem.spatial import SpatialVec, inner
 
 
+@runtime_checkable
 class DualProblem(Protocol):
     """What the dual is made of; a ``ScaledProblem`` has it, and so has ``PlainProblem``."""
 

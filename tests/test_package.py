@@ -31,7 +31,7 @@ def test_a_room_shows_its_public_names_alone(room):
 
 
 def test_no_name_has_two_homes():
-    names = [name for room in ROOMS[:7] for name in room.__all__]
+    names = [name for room in ROOMS for name in room.__all__ if name not in jaxgrasp._ROOMS]
     assert len(names) == len(set(names))
 
 

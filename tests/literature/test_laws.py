@@ -201,4 +201,4 @@ def test_statuses_are_sentences_with_stable_codes():
 
 def test_methods_are_public_by_their_names():
     for name, method in LITERATURE_METHODS.items():
-        assert getattr(jaxgrasp, name) is method.solve
+        assert getattr(jaxgrasp.literature, name) is method.solve

@@ -49,6 +49,16 @@ class ContactSets:
     def __len__(self) -> int:
         return len(self.offsets) - 1
 
+    def __getitem__(self, chosen: "int | slice | np.ndarray") -> "Grasp | ContactSets":
+        """One grasp by its number; or some of the sets, by a slice, an array of numbers or a mask."""
+        if not isinstance(chosen, int | np.integer):
+            if not isinstance(chosen, slice) and np.asarray(chosen).dtype == bool:
+                chosen = np.flatnonzero(chosen)
+            return self.rows(chosen)
+        if not -len(self) <= chosen < len(self):
+            raise IndexError(f"index is {chosen}: expected one of {len(self)} grasps")
+        return self.grasp(int(chosen) % len(self))
+
     @property
     def sizes(self) -> np.ndarray:
         """Contacts of each grasp, ``(N,)``."""

@@ -32,6 +32,7 @@ from jaxgrasp.solver import dual
 from jaxgrasp.solver.by_optimistix import to_result_within
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.result import PassResult, ScaledResult
+from jaxgrasp.solver.transforms import SOLUTION
 
 TILE = 128
 """Problems that run together: each waits for the slowest of its tile."""
@@ -138,7 +139,7 @@ def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: PyramidSe
 def _solver(settings: PyramidSettings) -> Callable[[ProblemBatch], Solution]:
     def solve(problem: ProblemBatch) -> Solution:
         answer = _answers(problem, settings)
-        return Solution(**{name: getattr(answer, name) for name in Solution.__dataclass_fields__})
+        return Solution(**{name: getattr(answer, name) for name in SOLUTION})
 
     return solve
 

@@ -8,8 +8,9 @@ What a scene does not need is skipped: a sphere about all that the hand can reac
 whose sphere meets the object, one about each link, and only where one of these meets it the links' own spheres.
 """
 
+from dataclasses import fields
 from functools import partial, reduce
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +22,7 @@ from jax.custom_batching import custom_vmap
 from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, stand, vectors
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.batched import Batched
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread
@@ -29,8 +31,10 @@ from jaxgrasp.numerics.vec3 import Vec3
 TILE = 32
 
 
-class Contacts(eqx.Module):
+class Contacts(Batched):
     """One contact for each link of the hand, in the world; an absent one is all zero but for a unit normal."""
+
+    last_axes: ClassVar[dict[str, int]] = {"points": 2, "normals": 2, "depths": 1, "present": 1, "tests": 0}
 
     points: Float[Array, "*batch L 3"]
     """On the object's surface [m]."""
@@ -113,7 +117,7 @@ def _detect_jvp(primals, tangents):
     contacts = _detect(*primals)
     _, moved = jax.jvp(moving, primals, tangents)
     still = {"present": jnp.zeros_like(contacts.present), "tests": np.zeros(contacts.tests.shape, jax.dtypes.float0)}
-    leaves = [(moved | still)[name] for name in Contacts.__dataclass_fields__]
+    leaves = [(moved | still)[field.name] for field in fields(Contacts)]
     return contacts, jax.tree.unflatten(jax.tree.structure(contacts), leaves)
 
 

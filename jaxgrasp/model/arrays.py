@@ -1,17 +1,47 @@
-"""Array types of the public surface."""
+"""Array types of the public surface, whose names in signatures are short: ``Float[Array, '... n 3']``."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
-from jaxtyping import Float, Int
 
-AnyArray = jax.Array | np.ndarray
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, Int
+
+    AnyArray = jax.Array | np.ndarray
+else:
+
+    class _Kind(type):
+        """The metaclass of array types by the classes whose instances they stand for."""
+
+        stands_for: tuple[type, ...]
+
+        def __instancecheck__(cls, instance: Any) -> bool:
+            return isinstance(instance, cls.stands_for)
+
+    AnyArray = _Kind("Array", (), {"stands_for": (jax.Array, np.ndarray), "__module__": "builtins"})
+    _JaxArray = _Kind("Array", (), {"stands_for": (jax.Array,)})
+
+    class _Shaped:
+        """A dtype of jaxtyping's whose annotations ``help`` prints in one short name."""
+
+        def __init__(self, dtype: Any):
+            self._dtype = dtype
+
+        def __getitem__(self, of: tuple[type, str]) -> type:
+            array, shape = of
+            made = self._dtype[_JaxArray if array is jax.Array else array, shape]
+            made.__module__, made.__qualname__ = "builtins", f"{self._dtype.__name__}[Array, {shape!r}]"
+            return made
+
+    Bool, Float, Int = (_Shaped(dtype) for dtype in (jaxtyping.Bool, jaxtyping.Float, jaxtyping.Int))
+
 Lists = list | tuple
 """Nested lists of numbers."""
 
-__all__ = ["AnyArray", "Float", "Int", "Lists", "from_lists"]
+__all__ = ["AnyArray", "Bool", "Float", "Int", "Lists", "from_lists"]
 
 
 def from_lists(name: str, value: Any) -> Any:

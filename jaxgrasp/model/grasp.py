@@ -9,17 +9,42 @@
 - The last axes are (contact, component); every axis before them is a batch axis.
 """
 
-import equinox as eqx
+from typing import ClassVar
 
 from jaxgrasp.model.arrays import AnyArray, Float, Lists, from_lists
+from jaxgrasp.model.batched import Batched
 
 
-class Grasp(eqx.Module):
+class Grasp(Batched):
     """Contacts of a hand with an object, alone or in batches (source: section II-C and eq. 6).
+
+    Lengths are in metres, forces in newtons, all in one frame; normals point INTO the object. The last axes are
+    (contact, component), any axes before them are a batch: ``len(grasps)`` counts along the first of these,
+    ``grasps[3]``, ``grasps[10:20]`` or a mask take some.
 
     Fields are arrays; lists of numbers become such. Building one checks nothing else, so that it works under
     ``jit``, ``vmap`` and ``grad``; hand concrete data to [`jaxgrasp.check_grasp`][] first.
+
+    Args:
+        points: where the hand touches the object ``(..., n, 3)`` [m].
+        normals: unit surface normals that point into the object ``(..., n, 3)``.
+        friction: Coulomb coefficients mu >= 0 ``(..., n)``.
+        squeeze: intended normal forces s >= 0 ``(..., n)`` [N] (eq. 6).
+        present: 1 where the contact exists, 0 where it is padding ``(..., n)``; all exist where it is not given.
+        torsion: torsional friction gamma >= 0 of soft fingers ``(..., n)`` [m]; all are hard where it is not given.
+
+    Raises:
+        ValueError: for a field that is no array and no nested lists of numbers of equal lengths.
     """
+
+    last_axes: ClassVar[dict[str, int]] = {
+        "points": 2,
+        "normals": 2,
+        "friction": 1,
+        "squeeze": 1,
+        "present": 1,
+        "torsion": 1,
+    }
 
     points: Float[AnyArray, "*batch n 3"]
     """Where the hand touches the object [m]."""

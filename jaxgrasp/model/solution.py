@@ -1,11 +1,14 @@
 """What a force-distribution method answers: the forces, and a verdict that says what they are worth."""
 
 from enum import IntEnum
+from typing import ClassVar
 
-import equinox as eqx
+import jax
+import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.batched import Batched
 
 
 class Verdict(IntEnum):
@@ -50,7 +53,7 @@ class Verdict(IntEnum):
         "run check_grasp on the grasp and check_limits on its limits, and look at the wrench.",
     )
 
-    def __new__(cls, code: int, advice: str) -> "Verdict":
+    def __new__(cls, code: int, advice: str = "") -> "Verdict":
         member = int.__new__(cls, code)
         member._value_ = code
         member.advice = advice
@@ -70,17 +73,26 @@ class Route(IntEnum):
     FAST = 1
     """Newton's method on the dual, with gathered problems."""
     CAREFUL = 2
-    """Principal axes, whitened unknowns, and for an optimum a proximal pull."""
+    """Principal axes, whitened coordinates, and for an optimum a proximal term."""
     GIVEN = 3
     """A solver that the user gave."""
 
 
-class Solution(eqx.Module):
-    """Contact forces and how good they are, for one problem or a batch.
+class Solution(Batched):
+    """Contact forces and how good they are, for one problem or a batch; ``print`` shows a summary.
+
+    ``len(solutions)`` counts along the first batch axis; ``solutions[3]``, a slice or a mask take some.
 
     Differentiate its fields (``forces``, ``moments``, ``multiplier``, ``objective``), not the whole: ``verdict``,
     ``steps``, ``route`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
     """
+
+    last_axes: ClassVar[dict[str, int]] = {
+        **dict.fromkeys(("verdict", "residual", "objective", "steps", "route", "rank"), 0),
+        **dict.fromkeys(("multiplier", "certificate", "moments"), 1),
+        **dict.fromkeys(("normal_multiplier", "torque_multiplier", "certificate_rates"), 1),
+        "forces": 2,
+    }
 
     forces: Float[Array, "*batch n 3"]
     """What the hand exerts on the object at each contact [N]."""
@@ -111,8 +123,34 @@ class Solution(eqx.Module):
     zero where none binds [units of the multiplier]; ``None`` where no normal force is limited. It says nothing where
     no forces exist, nor does the next."""
     torque_multiplier: Float[Array, "*batch j"] | None = None
-    """Likewise for the torques of the joints, positive where a positive torque is at its limit."""
+    """Which torque limits bind, and what they cost: positive where a positive torque is at its limit, negative where a
+    negative one is, else zero; ``None`` where no torque is limited."""
     certificate_rates: Float[Array, "*batch j"] | None = None
     """For INFEASIBLE with limited torques: speeds e of the joints [rad/s, or m/s], which belong to the certificate d.
     Contacts cannot push along d less what the joints move them, J e, and w.d exceeds what the joints can do,
     sum of torque_max |e|."""
+
+    def __str__(self) -> str:
+        """Verdicts, the largest force and residual, and of a single problem the advice, in a few lines."""
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self)):
+            return repr(self)
+        contacts = f"{self.forces.shape[-2]} contacts"
+        if not self.batch_shape:
+            verdict, route = Verdict(int(self.verdict)), Route(int(self.route))
+            return (
+                f"Solution of {contacts}: {verdict.name}\n  {verdict.advice}\n"
+                f"  {self._sizes()}, objective {float(self.objective):.6g}, "
+                f"{int(self.steps)} Newton steps, by the pass {route.name}"
+            )
+        verdicts, counts = np.unique(np.asarray(self.verdict), return_counts=True)
+        shown = ", ".join(f"{count:,} {Verdict(int(code)).name}" for code, count in zip(verdicts, counts))
+        sizes = self._sizes() if counts.sum() else "nothing solved"
+        return f"Solution of {int(counts.sum()):,} problems of {contacts}\n  {shown or 'no problems'}\n  {sizes}"
+
+    def _sizes(self) -> str:
+        """The largest force and residual of what balances its wrench."""
+        answered = np.asarray(self.verdict) <= Verdict.OUTSIDE_CONES
+        if not answered.any():
+            return "no forces"
+        forces = np.linalg.norm(np.asarray(self.forces), axis=-1)[answered]
+        return f"largest force {forces.max():.4g} N, residual {np.asarray(self.residual)[answered].max():.1e}"

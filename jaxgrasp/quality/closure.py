@@ -7,6 +7,7 @@ import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import GraspInput, read_grasps
+from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_discs import About, Length
 from jaxgrasp.quality.wrench_sets import WrenchSet
 
@@ -43,6 +44,11 @@ class ForceClosure(NamedTuple):
     forces sum to 1. Zeros elsewhere."""
     moments: np.ndarray
     """``(..., n)`` [m]: moments of soft fingers about their normals, per newton, that belong to the forces."""
+
+    def __str__(self) -> str:
+        open_ = np.asarray(self.decided) & ~np.asarray(self.closed)
+        counts = {"closed": self.closed, "open": open_, "undecided": ~np.asarray(self.decided)}
+        return f"ForceClosure: {count_of(counts)}; margin {range_of(self.margin)}"
 
 
 class Decision(NamedTuple):

@@ -13,6 +13,7 @@ from jaxgrasp.quality.closure import decide
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.largest_ball import largest_ball
 from jaxgrasp.quality.refine_facet import touch
+from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_discs import About, Length, discs, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
 
@@ -33,6 +34,10 @@ class Epsilon(NamedTuple):
     closed."""
     lean: np.ndarray
     """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times press."""
+
+    def __str__(self) -> str:
+        closed = np.asarray(self.upper) > 0
+        return f"Epsilon: {count_of({'closed': closed, 'not closed': ~closed})}; upper bound {range_of(self.upper)}"
 
 
 def ferrari_canny(

@@ -23,6 +23,8 @@ from jaxgrasp.solver.result import PassResult
 
 FlatSolver = Callable[[ProblemBatch], Solution]
 """A differentiable solver of a flat batch."""
+SOLUTION = tuple(field.name for field in fields(Solution))
+"""The names of its fields."""
 PER_WRENCH = ("wrench", "start")
 """What each of many wrenches that share a grasp has of its own."""
 
@@ -44,11 +46,9 @@ def _differentiable(
 
 
 def _batched(solve: Callable[[ProblemBatch], tuple[PassResult, ...]]) -> Callable[[ProblemBatch], tuple[Solution, ...]]:
-    names = Solution.__dataclass_fields__
-
     @custom_vmap
     def flat(problem: ProblemBatch) -> tuple[Solution, ...]:
-        return tuple(Solution(**{name: getattr(answer, name) for name in names}) for answer in solve(problem))
+        return tuple(Solution(**{name: getattr(answer, name) for name in SOLUTION}) for answer in solve(problem))
 
     @flat.def_vmap
     def rule(axis_size: int, in_batched, problem: ProblemBatch):
@@ -80,8 +80,8 @@ def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tupl
 
 def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution:
     """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers."""
-    names, unmoved = Solution.__dataclass_fields__, jax.tree.map(zero_tangent, solution)
-    leaves = [getattr(parts, name) if hasattr(parts, name) else getattr(unmoved, name) for name in names]
+    unmoved = jax.tree.map(zero_tangent, solution)
+    leaves = [getattr(parts, name) if hasattr(parts, name) else getattr(unmoved, name) for name in SOLUTION]
     return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])
 
 

@@ -14,7 +14,7 @@ from jaxgrasp.model.limits import BOUNDS, NORMALS, Limits
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
 OPTIONAL_NUMBERS = ("torsion", *NORMALS)
-"""Of contacts too, one each; sets need not have them."""
+"""Names of other arrays that have one number for each contact; sets need not have them."""
 OPTIONAL_FIELDS = (*OPTIONAL_NUMBERS, "torque_map")
 
 
@@ -186,7 +186,7 @@ class ContactSets:
         )
 
     def astype(self, dtype: np.dtype) -> "ContactSets":
-        """The same sets in another precision."""
+        """These sets in another precision."""
         arrays = self.columns | {"wrench": self.wrench}
         if self.torque_max is not None:
             arrays["torque_max"] = self.torque_max

@@ -38,7 +38,7 @@ class GraspPoses:
     angles: np.ndarray | None
     """``(N, J)`` [rad, m]"""
     mass: float | None
-    """Of the object [kg]."""
+    """Mass of the object [kg]."""
     friction: float | None
     center_of_mass: np.ndarray | None
     """``(3,)`` in the mesh's frame [m]."""

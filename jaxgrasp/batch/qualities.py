@@ -27,7 +27,7 @@ class QualitySummary:
     """One measure over all grasps."""
 
     values: LogHistogram
-    """Of its first column; numbers below zero count as zero."""
+    """Distribution of the measure's first column; numbers below zero count as zero."""
     undecided: int = 0
 
     def merged(self, other: "QualitySummary") -> "QualitySummary":
@@ -42,7 +42,7 @@ class QualitySummary:
 
 
 def summarise_qualities(measures: tuple[Measure, ...], columns: Columns) -> dict[str, QualitySummary]:
-    """Of one chunk, by the measures' names."""
+    """Summaries of one chunk, by the measures' names."""
     summaries = {}
     for measure in measures:
         values = next(array for name, array in columns.items() if name.startswith(f"{measure.name}."))

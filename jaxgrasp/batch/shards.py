@@ -99,7 +99,7 @@ class ResultFolder:
 
     @property
     def summary(self) -> dict | None:
-        """Of all results on disk."""
+        """Summary of all results on disk."""
         return self.manifest["summary"]
 
     def add(self, arrays: dict[str, np.ndarray], start: int, stop: int, summary: dict) -> None:

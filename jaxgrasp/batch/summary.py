@@ -27,7 +27,7 @@ class MethodSummary:
     routes: np.ndarray
     """Problems by the code of the pass that answered them, a [`jaxgrasp.Route`][]."""
     largest_residual: float
-    """Of the answers that claim to balance the wrench."""
+    """Largest residual of the answers that claim to balance the wrench."""
     smallest_margin: float
     """Smallest friction margin [rad] of the answers that claim to balance the wrench."""
     angles: np.ndarray

@@ -88,11 +88,11 @@ class Grip:
     grip: Literal["power", "precision-3", "precision-5"] = "power"
     """All of the hand around the object; or three or five fingertips, the thumb's opposite the others."""
     radius: float = 0.03
-    """Of the object [m]; half the edge of a box."""
+    """Radius of the object [m]; half the edge of a box."""
     height: float = 0.12
-    """Of a cylinder, a capsule's straight part, or a box [m]."""
+    """Height of a cylinder, of a capsule's straight part, or of a box [m]."""
     mass: float = 0.4
-    """Of the object [kg]."""
+    """Mass of the object [kg]."""
     friction: float = 0.6
     """Coulomb's coefficient at every contact."""
     stiffness: float = 1000.0
@@ -100,7 +100,7 @@ class Grip:
     depth: float = 2e-3
     """How far the links press into the object [m]."""
     hand_length: float = 0.19
-    """From the wrist to the middle finger's tip [m]."""
+    """Length of the hand, from the wrist to the middle finger's tip [m]."""
     side: Literal["right", "left"] = "right"
     """Which hand."""
     lift: float = 0.2
@@ -112,7 +112,7 @@ class Grip:
     seconds: float = 4.0
     """A quarter of it each to hold, lift, turn, and hold or let go [s]; in a short time inertia weighs more."""
     step: float = 0.02
-    """From one instant to the next [s]."""
+    """Time from one instant to the next [s]."""
     law: Literal["closed-form", "optimum"] = "optimum"
     """Which forces decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.carry's default."""
     report: bool = True
@@ -140,7 +140,7 @@ class Contacts:
     hand: Literal["jaw", "human-right", "human-left"] = "jaw"
     """Two parallel jaws like a Franka hand's, or a human hand."""
     hand_length: float = 0.19
-    """Of a human hand, from the wrist to the middle finger's tip [m]."""
+    """Length of a human hand, from the wrist to the middle finger's tip [m]."""
     levels: int = 6
     """How often the cube about the mesh is cut in eight."""
     depth: float = 1e-3
@@ -150,9 +150,9 @@ class Contacts:
     stiffness: float = 1000.0
     """K of eq. 6 [N/m]."""
     mass: float | None = None
-    """Of the object [kg]; the file's where not given."""
+    """Mass of the object [kg]; the file's where not given."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    """In the mesh's frame [m/s^2]."""
+    """Gravity in the mesh's frame [m/s^2]."""
     max_contacts: int | None = None
     """The most contacts of a grasp: the deepest are kept."""
     out: Path = Path("contacts.npz")
@@ -176,11 +176,11 @@ class Sensitivity:
     task: Literal["cylinder"] = "cylinder"
     """The paper's (section II-G.3): five fingertips turn a cylinder of 10 N at pi rad/s, there and back."""
     methods: tuple[MethodName, ...] = ("A", "B", "B-optimum")
-    """By which forces are distributed."""
+    """Methods by which forces are distributed."""
     by: tuple[str, ...] = ("contributions", "friction", "depths", "stiffness", "azimuths", "radius", "mass", "speed")
     """The parameters to differentiate by: whole arrays, or entries such as contributions[index]."""
     finger: Literal["thumb", "index", "middle", "ring", "little"] = "index"
-    """Whose slip angle the figure shows."""
+    """Finger whose slip angle the figure shows."""
     vary: str = "contributions[index]"
     """The parameter that the figure varies."""
     values: tuple[float, ...] = (0.02, 0.1, 0.4)
@@ -188,7 +188,7 @@ class Sensitivity:
     seconds: float = 4.0
     """How long [s]."""
     step: float = 0.01
-    """From one instant to the next [s]."""
+    """Time from one instant to the next [s]."""
     report: bool = True
     """Draw sensitivity.png beside the tables (needs the extra `report`)."""
     out: Path = Path("jaxgrasp-sensitivity")

@@ -53,13 +53,13 @@ class RunExperiment:
     resume: bool = False
     """Go on where this person's records end."""
     port: str | None = None
-    """Of the glove in which stimuli are felt."""
+    """Serial port of the glove in which stimuli are felt."""
     glove: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
     calibration: Path | None = None
     """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
     baud: int = 115_200
-    """Of the glove's line."""
+    """Baud rate of the glove's serial line."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
@@ -75,20 +75,20 @@ class Analyse:
     """Thresholds, Weber fractions and their differences, from a folder of records; with a report."""
 
     folder: tyro.conf.Positional[Path]
-    """Of the records."""
+    """Folder of the records."""
     method: Literal["likelihood", "posterior", "interpolation", "line", "paper"] = "likelihood"
     """How thresholds are found; `paper`: the line through chance at zero that gives the paper's numbers."""
     shape: Literal["gaussian", "logistic", "weibull", "difference"] | None = None
-    """Of the psychometric function, for `likelihood` and `posterior`; where not given, `weibull` for constant stimuli,
-    and `difference` where levels follow the answers."""
+    """Shape of the psychometric function, for `likelihood` and `posterior`; where not given, `weibull` for constant
+    stimuli, and `difference` where levels follow the answers."""
     criterion: float = 0.75
     """Hit ratio at the threshold."""
     lapse: float = 0.05
     """Largest share of lapses that a fit may find."""
     interval: Literal["profile", "credible", "bootstrap", "bca"] | None = None
-    """Of each threshold; as the method has it, where not given."""
+    """Kind of interval of each threshold; as the method has it, where not given."""
     saturated: Literal["include", "exclude"] = "exclude"
-    """Trials in which a torque was cut."""
+    """Include or exclude trials in which a torque was cut."""
     out: Path | None = None
     """Folder for analysis.json and report.html; that of the records where not given."""
     report: bool = True
@@ -124,7 +124,7 @@ class Power:
     between: float | None = None
     """Standard deviation of the persons' own thresholds; 0.035 where not given, of the paper's 0.035 to 0.052."""
     most_subjects: int = 100
-    """That can be had."""
+    """Persons that can be had at most."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
 
     def run(self) -> int:

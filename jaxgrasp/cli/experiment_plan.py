@@ -23,7 +23,7 @@ POSTURES = {
 }
 WANTED = 0.02
 BETWEEN = 0.035
-"""Of Weber fractions: what the paper prints at 2 N."""
+"""Standard deviation of the persons' Weber fractions: what the paper prints at 2 N."""
 
 
 def plan_command(arguments: PlanCommand) -> int:

@@ -20,12 +20,12 @@ from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
 
 SHOWN_EVERY = 0.1
-"""Between two lines of the monitor [s]."""
+"""Time between two lines of the monitor [s]."""
 TROUBLE_EVERY = 2.0
-"""Between two complaints [s]."""
+"""Time between two complaints [s]."""
 TURN = 0.005
 HALF_PERIOD = 2.0
-"""Of a simulated person's to and fro [s]."""
+"""Half the period of a simulated person's movement to and fro [s]."""
 
 
 def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sensors]:

@@ -16,7 +16,7 @@ class GloveFiles:
     calibration: Path | None = None
     """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
     baud: int = 115_200
-    """Of the line."""
+    """Baud rate of the glove's serial line."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class Monitor(GloveFiles):
     """Show what a glove's sensors say, ten times a second; it is never armed."""
 
     port: str = "jaxgrasp-glove"
-    """Of the glove."""
+    """Serial port of the glove."""
     device: Literal["native", "lucidgloves"] = "native"
-    """What it speaks: the native protocol, or that of LucidGloves and OpenGloves."""
+    """Protocol of the glove: the native one, or that of LucidGloves and OpenGloves."""
     full_scale: int = 4095
-    """Of a LucidGloves' numbers: 4095 with an ESP32, 1023 with an AVR."""
+    """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
     seconds: float | None = None
     """How long; until interrupted where not given."""
 
@@ -69,11 +69,11 @@ class Run(GloveFiles):
     """
 
     port: str | None = None
-    """Of the glove."""
+    """Serial port of the glove."""
     seconds: float | None = None
     """How long it goes on with a port; until `quit` where not given."""
     rate: float = 100.0
-    """Of contacts and forces [Hz]; the line is answered 200 times a second in between."""
+    """Frequency at which contacts and forces are computed [Hz]; the line is answered 200 times a second in between."""
     control: bool = False
     """Control torques by the measured tensions."""
     projection: Literal["clip", "scale"] = "clip"
@@ -81,15 +81,15 @@ class Run(GloveFiles):
     tracker: str | None = None
     """Port of a Polhemus tracker that moves the wrist."""
     tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary"] = "isotrak-binary"
-    """What it speaks."""
+    """Protocol of the tracker."""
     tracker_baud: int = 115_200
-    """Of its line."""
+    """Baud rate of the tracker's serial line."""
     listen: str | None = None
     """Be the glove's host for an engine elsewhere: HOST:PORT to be called at (UDP)."""
     connect: str | None = None
     """Be the engine for a glove elsewhere: its host's HOST:PORT."""
     key: str = ""
-    """Shared by both of them, in hexadecimal; without one, anyone on the network can speak."""
+    """Key that host and engine share, in hexadecimal; without one, anyone on the network can speak."""
     out: Path = Path("jaxgrasp-glove-run")
     """Folder for what happened, without a port."""
 

@@ -29,13 +29,13 @@ class GuardOutput:
 
     state: GuardState
     counts: np.ndarray
-    """Of the wire, 16 bits."""
+    """Torques that leave, in counts as they go over the wire, 16 bits."""
     torques: np.ndarray
-    """The same [N.m]."""
+    """Torques that leave [N.m]."""
     assisting: np.ndarray
-    """Asked for, but would flex the finger [N.m]; zero or more."""
+    """Torques asked for that would flex the finger [N.m]; zero or more."""
     beyond: np.ndarray
-    """Asked for beyond the limit, or given up to keep the direction [N.m]; zero or more."""
+    """Torques asked for beyond the limit, or given up to keep the direction [N.m]; zero or more."""
     held_back: np.ndarray
     """What the ramp, the scale and the largest rate leave out of what is allowed [N.m]: negative where a torque has
     yet to fall."""

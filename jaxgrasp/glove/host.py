@@ -38,7 +38,7 @@ ARMING = 0.5
 OLDEST_TENSION = 0.15
 """Age of the tensions beyond which nobody knows what the cables do [s]."""
 LONGEST_WATCHDOG = 50
-"""Of a device that may be armed [ms]."""
+"""Longest watchdog time of a device that may be armed [ms]."""
 SILENCE = 0.25
 """How long a device may say nothing before it is greeted again [s]."""
 SESSIONS = 2**15
@@ -68,9 +68,9 @@ class Reading:
     angles: np.ndarray
     """Joints [rad]."""
     torques: np.ndarray
-    """That the cables exert [N.m]."""
+    """Torques that the cables exert [N.m]."""
     saturated: np.ndarray
-    """Whose gauges are at their end."""
+    """Whether a channel's gauge is at its end."""
     angles_at: float = -np.inf
     """When the angles were read, on the host's clock [s]."""
     torques_at: float = -np.inf
@@ -82,11 +82,11 @@ class HostCounts:
     """What a host has seen and done since it began."""
 
     commands: int = 0
-    """Sent."""
+    """Commands sent."""
     held_back: int = 0
-    """Not sent, since the line was busy."""
+    """Frames not sent, since the line was busy."""
     cut: int = 0
-    """Of which the line took only a part."""
+    """Frames of which the line took only a part."""
     links: int = 0
     """Handshakes that succeeded."""
     missing: int = 0
@@ -213,7 +213,7 @@ class GloveHost:
         self._line, self.state = None, LinkState.CLOSED
 
     def _ask(self, now: float) -> None:
-        """For torque, in a new session: however many frames were lost before, the device counts anew."""
+        """Ask for torque, in a new session: however many frames were lost before, the device counts anew."""
         if now < self._next:
             return
         self._next = now + self._repeat
@@ -226,7 +226,7 @@ class GloveHost:
         self._send(now, Kind.HELLO, (self._session,))
 
     def _lose_patience(self, now: float) -> None:
-        """With a device that says nothing, or does not agree."""
+        """Lose patience with a device that says nothing, or does not agree."""
         if self.state >= LinkState.LINKED and now - self._heard_at > SILENCE:
             trouble = "the device fell silent"
         elif self.state == LinkState.ARMING and now - self._asked_at > self._patience:

@@ -32,7 +32,7 @@ class GloveModel:
 
     name: str
     joints: tuple[str, ...]
-    """Of the hand, in the order of the channels."""
+    """Joints of the hand that the glove resists, in the order of the channels."""
     limits: tuple[float, ...]
     """Largest torque of each channel [N.m]."""
     rate: float = 1.2
@@ -40,7 +40,7 @@ class GloveModel:
     quantum: float = 1e-5
     """Torque of one count [N.m]."""
     most_counts: tuple[int, ...] = field(init=False)
-    """Of each channel: the largest count whose torque does not exceed its limit."""
+    """Largest count of each channel whose torque does not exceed its limit."""
 
     def __post_init__(self):
         if not 1 <= len(self.joints) <= MOST_CHANNELS:
@@ -82,7 +82,7 @@ class GloveModel:
         return -torques[..., list(places)]
 
     def places(self, joints: Sequence[str]) -> tuple[int, ...]:
-        """Of the channels' joints among a hand's.
+        """Indices of the channels' joints among a hand's.
 
         Raises:
             ValueError: for a hand without one of them.

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from jaxgrasp.glove.model import GloveModel
 
 FULL_TENSION = 4.5
-"""Up to which the paper's gauges are linear [N] (section III-A)."""
+"""Tension up to which the paper's gauges are linear [N] (section III-A)."""
 MOST = 2**15 - 1
 
 
@@ -22,7 +22,8 @@ class Encoders:
     zero: Float[np.ndarray, "channels"]
     """Angle at no counts [rad]."""
     per_count: Float[np.ndarray, "channels"]
-    """Of a count [rad]: its travel over the radius of its pulley; negative where counts fall as the joint bends."""
+    """Angle per count [rad]: travel of a count over the radius of its pulley; negative where counts fall as the joint
+    bends."""
 
     def angles(self, counts: Int[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch channels"]:
         """Joint angles [rad]."""

@@ -63,7 +63,7 @@ class CarryState(NamedTuple):
 
     placed: Pose
     motion: Motion
-    """That brought it there."""
+    """Motion that brought it there."""
     stands: Array
     before: Pose
     """Where that began."""

@@ -10,11 +10,12 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Pose
 
 NEWTON_STEPS = 4
-"""Of an implicit step in time: it begins close by."""
+"""Newton steps for an implicit step in time, which begins close to its solution."""
 MIDPOINT_STEPS = 3
-"""Of a search for the twist whose momentum is right halfway: the error falls by the turn of half a step each time."""
+"""Iterations in search of the twist whose momentum is right halfway: each multiplies the error by about the angle
+turned in half a step."""
 HALVINGS = 40
-"""Of the search for the largest motion that gains no energy."""
+"""Bisections in search of the largest motion that gains no energy."""
 
 
 def fallen(scene: Scene, dt: float | AnyArray, placed: Pose, going: Motion) -> Motion:

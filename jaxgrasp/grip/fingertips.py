@@ -15,9 +15,9 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
 
 CLEARANCE = 2e-3
-"""That all but the fingertips keep from the object [m]."""
+"""Distance that all but the fingertips keep from the object [m]."""
 APART = 1e-3
-"""That fingertips keep from each other [m]."""
+"""Distance that fingertips keep from each other [m]."""
 OPPOSED = 0.5
 """Cosine of the angle between a finger's normal and the line to the thumb, at least."""
 PULP = 0.7
@@ -126,7 +126,7 @@ def weighed(missed: Misses) -> Array:
 
 
 def _weights(depths: Array) -> Array:
-    """Of a row's spheres in its contact; the nearest alone where none touches."""
+    """Weights of a row's spheres in its contact; the nearest sphere alone counts where none touches."""
     square = jnp.maximum(depths, 0) ** 2
     total = jnp.sum(square, -1, keepdims=True)
     nearest = jax.nn.one_hot(jnp.argmax(depths, -1), depths.shape[-1], dtype=depths.dtype)

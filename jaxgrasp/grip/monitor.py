@@ -55,7 +55,7 @@ class Assessment(eqx.Module):
     touches: Int[Array, "*batch n"]
     """Codes of a [`jaxgrasp.grip.Touch`][], by the applied law."""
     forces: Float[Array, "*batch n 3"]
-    """Of the applied law, on the object [N]; zero where the object is lost."""
+    """Contact forces by the applied law, on the object [N]; zero where the object is lost."""
     disagrees: Array
     """``(...)`` Whether the closed form slips while the optimum shows forces that hold."""
 

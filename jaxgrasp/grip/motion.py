@@ -90,7 +90,7 @@ def follow_along(
     placed: Pose,
     dt: float | AnyArray,
 ) -> Motion:
-    """Likewise for an object that a guide holds: its motion along the guide that comes closest to its contacts'."""
+    """The motion of an object along its guide that comes closest to that of its contacts, fitted as by ``follow``."""
     old, new, share = _pads(before, after, points, weights)
     free = guide_at(guide, placed.origin)
     arms = (old - placed.origin)[:, :, None]
@@ -163,6 +163,6 @@ def rest_on(
 
 
 def _height(table: Pose, shape: Shape, placed: Pose) -> Array:
-    """Of an object's lowest point above a table."""
+    """Height of an object's lowest point above a table [m]."""
     up = jnp.asarray(table.rotation)[:, 2]
     return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec3(*(-up @ placed.rotation)))

@@ -17,7 +17,8 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
 
 MOST_PLACES = 64
-"""At which a motion is tried: what is faster than that many radii of its smallest ball in a step may pass a board."""
+"""Places at most at which a motion is tried: what is faster than that many radii of its smallest ball in a step may
+pass a board."""
 LOOKS = 4
 """How often a motion is tried and corrected: contacts change on the way."""
 

@@ -21,7 +21,7 @@ FINGERS = ("thumb", "index", "middle", "ring", "little")
 PRESHAPES = {"MP": (25, 45, 65), "PIP": (25, 50), "thumb abduction": (30, 50)}
 """Angles from which the hand sets out, in all combinations [degrees]."""
 THUMB_FLEXION = 20.0
-"""Of both its joints at the start [degrees]."""
+"""Flexion of both of the thumb's joints, MP and IP, at the start [degrees]."""
 STEPS = 60
 SHIFT = 0.05
 """A way of the object that counts as much as a radian of a joint [m]."""

@@ -19,7 +19,7 @@ class Kept(NamedTuple):
 
 
 def keep_deepest(contacts: Contacts, size: int) -> Kept:
-    """Of each pose's contacts the ``size`` deepest; the others are counted.
+    """Keep the ``size`` deepest contacts of each pose, and count the others.
 
     Args:
         contacts: ``(..., L)``.

@@ -36,7 +36,7 @@ class Balls(eqx.Module):
     """
 
     x: Float[AnyArray, "*batch K"]
-    """Of the centres [m]."""
+    """Coordinates x of the centres [m]; ``y`` and ``z`` likewise."""
     y: Float[AnyArray, "*batch K"]
     z: Float[AnyArray, "*batch K"]
     radii: Float[AnyArray, "*batch K"]
@@ -53,10 +53,10 @@ class Balls(eqx.Module):
 
 
 class Nodes(eqx.Module):
-    """The tree above the balls, likewise."""
+    """The tree of bounding spheres above the balls; in a batch with a leading axis of poses, as the balls."""
 
     bounds: Balls
-    """Of each node, the root first: a sphere about all balls below it; a leaf's own ball."""
+    """Sphere of each node, the root first: it bounds all balls below the node; a leaf's is its own ball."""
     children: Int[AnyArray, "*batch 8 N"]
     """Places among the nodes; -1 where there is none. A leaf's first child is itself."""
     leaf: Int[AnyArray, "*batch N"]
@@ -186,7 +186,7 @@ def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pa
 
 
 def _kept(nodes: Nodes, centers: Array, radii: Array, sphere: Array, tried: Array, room: int) -> tuple[Pairs, Array]:
-    """Of the nodes ``(k, P)`` tried against spheres ``(P,)`` those that meet, and whether some had no room."""
+    """Which of the nodes ``(k, P)`` tried against spheres ``(P,)`` meet them, and whether some had no room."""
     own = jnp.minimum(sphere, radii.shape[0] - 1)
     middles, sizes = nodes.bounds.some(tried)
     way = vec3.sub(_columns(centers, own), middles)

@@ -33,7 +33,7 @@ class FillingError(NamedTuple):
 
 
 class LevelError(NamedTuple):
-    """That of the tree of so many levels."""
+    """Filling error of the tree of so many levels."""
 
     levels: int
     cell: float

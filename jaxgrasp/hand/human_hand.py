@@ -17,11 +17,11 @@ import numpy as np
 from jaxgrasp.model.hand import Hand, Link, Spheres
 
 LENGTH, BREADTH = 0.19, 0.085
-"""Of a hand of middling size [m]."""
+"""Length and breadth of a hand of middling size [m]."""
 LEAVES = 12
 """Spheres of a phalanx: they stand so close that the skin is scalloped by a quarter of a millimetre."""
 PALM_BREADTH = 1.2
-"""Of a finger's metacarpal, as a multiple of its proximal phalanx's."""
+"""Breadth of a finger's metacarpal, as a multiple of its proximal phalanx's."""
 
 
 class Finger(NamedTuple):
@@ -57,7 +57,8 @@ THUMB_LENGTHS = (0.251, 0.196, 0.158)
 """Metacarpal, proximal and distal, of HL."""
 THUMB_BREADTHS = (0.438, 0.231, 0.233, 0.185)
 THUMB_ATTITUDE = (32.58, 23.17, 87.98)
-"""Of the metacarpal: towards the radial side, then towards the palm, then turned about itself to face the fingers."""
+"""Rotations of the thumb's metacarpal [degrees]: towards the radial side, then towards the palm, then about itself to
+face the fingers."""
 LIMITS = {"MP": (0, 90), "PIP": (0, 100), "thumb abduction": (0, 60), "thumb MP": (-10, 55), "thumb IP": (-15, 80)}
 TOWARDS_THUMB = {"index": 1, "middle": 1, "ring": -1, "little": -1}
 """Which way abduction goes, that is, away from the middle finger."""

@@ -29,7 +29,7 @@ class Mesh(NamedTuple):
 
 
 class MassProperties(NamedTuple):
-    """Of a solid of uniform density."""
+    """Volume, centre of mass and inertia of a solid of uniform density."""
 
     volume: float
     """[m^3]"""
@@ -117,7 +117,7 @@ def sample_surface(mesh: Mesh, count: int, seed: int) -> np.ndarray:
 
 
 class NearestPoints(NamedTuple):
-    """Of some points: what a surface looks like from there."""
+    """Distance of a surface, its nearest point and its normal there, for each of some points."""
 
     distance: np.ndarray
     """``(P,)``: to the surface, negative inside [m]."""

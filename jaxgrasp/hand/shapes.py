@@ -24,7 +24,7 @@ Size = Float[AnyArray, "*batch"] | float
 
 
 class Near(NamedTuple):
-    """Of spheres, batch-last: how far their centres are from a solid, exactly where they reach into it."""
+    """Distances of spheres' centres from a solid, batch-last: exact where the spheres reach into it."""
 
     distance: Array
     out: Vec3

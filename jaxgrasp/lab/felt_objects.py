@@ -24,7 +24,7 @@ from jaxgrasp.model.hand import Hand, HandFrames, Pose
 from jaxgrasp.psychophysics.plan import StimulusPlan
 
 TRAVEL = 0.04
-"""Of the bar, upwards (section III-C) [m]."""
+"""Travel of the bar, upwards (section III-C) [m]."""
 ENGAGED = 0.001
 """Height over which the bar's weight passes from its rest to the fingers [m]."""
 STOP = 2000.0
@@ -32,7 +32,7 @@ STOP = 2000.0
 SQUEEZED = 0.01
 """Depth to which an object is squeezed [m]; its stiffness is felt on the way there."""
 WIDTH = 0.07
-"""Of the squeezed object: the paper's cube [m]."""
+"""Width of the squeezed object, that of the paper's cube [m]."""
 FRICTION = 0.6
 BENT = {"PIP": 0.25, "DIP": 0.15}
 """How fingers that lift are bent at the outset [rad]."""
@@ -72,7 +72,7 @@ class Lifted(FeltObject):
     """Angles at which the bar rests [rad]."""
 
     def height(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
-        """Of the bar above its rest [m]."""
+        """Height of the bar above its rest [m]."""
         return jnp.mean(self._pads(angles)[1][:, 2]) - jnp.mean(self._pads(self.start)[1][:, 2])
 
     def resistance(

@@ -20,7 +20,7 @@ class GloveHand(eqx.Module):
     """Which joints of a hand are the glove's channels, and where the others are."""
 
     places: tuple[int, ...] = eqx.field(static=True)
-    """Of the channels' joints among the hand's."""
+    """Index of each channel's joint among the hand's joints."""
     others: Float[AnyArray, "J"]
     """Angles of all joints [rad], of which the glove's are replaced."""
 
@@ -64,7 +64,8 @@ def resistance(
 def resistance_and_slope(
     scene: Scene, worn: GloveHand, flexions: Float[AnyArray, "channels"], wrist: Pose, placed: Pose
 ) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
-    """The same, and its exact derivative by the flexions [N.m/rad], for whoever answers between two ticks."""
+    """Torques as by ``resistance`` [N.m], and their exact derivative by the flexions [N.m/rad], with which to answer
+    between two ticks."""
 
     return with_slope(lambda angles: resistance(scene, worn, angles, wrist, placed), flexions)
 

@@ -20,7 +20,7 @@ from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.model.task import GRAVITY
 
 COMPUTE = 0.01
-"""Between two ticks of the computing side [s]."""
+"""Time between two ticks of the computing side [s]."""
 CLOSE, LIFT, CUT, REARM, END = 0.6, 2.2, 4.0, 5.0, 7.2
 """When the hand begins to close, when it begins to lift, when the line is cut, when it is armed again, the end [s]."""
 CLOSING, LIFTING, SILENCE = 1.2, 1.2, 0.4
@@ -38,15 +38,15 @@ class Story:
     times: Float[np.ndarray, "T"]
     """[s]"""
     torques: Float[np.ndarray, "T channels"]
-    """At the glove [N.m]."""
+    """Torques at the glove [N.m]."""
     angles: Float[np.ndarray, "T channels"]
-    """Of the joints [rad]."""
+    """Angles of the joints [rad]."""
     ticks: Float[np.ndarray, "K"]
     """Times of the computing side [s]."""
     wanted: Float[np.ndarray, "K channels"]
     """What it computed [N.m]."""
     heights: Float[np.ndarray, "K"]
-    """Of the object above where it stood [m]."""
+    """Height of the object above where it stood [m]."""
     marks: dict[str, float]
     """What happened when [s]."""
 

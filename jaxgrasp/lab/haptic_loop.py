@@ -35,7 +35,7 @@ class Haptics:
     """Where the object stands at first."""
     law: Law = "closed-form"
     instant: Instant | None = field(default=None, init=False)
-    """Of the last tick but one: contacts, forces, hold."""
+    """Record of the last tick but one: contacts, forces, hold."""
 
     def __post_init__(self) -> None:
         check_scene(self.scene)

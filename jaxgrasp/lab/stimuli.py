@@ -17,7 +17,7 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 
 RATE = 100.0
-"""Of laws [Hz]."""
+"""Frequency at which laws of torque go out to the glove [Hz]."""
 FRESH = 0.1
 """Age of the glove's word beyond which nobody knows what it does [s]."""
 
@@ -40,7 +40,7 @@ class PredictedGloveStimulus(PredictedStimulus):
 
 
 class GloveStimulus(PredictedGloveStimulus):
-    """The same in a glove that is there: laws go out at a steady rate, from the first until ``close``."""
+    """An intensity rendered by a real glove: laws go out at a steady rate, from the first until ``close``."""
 
     def __init__(self, felt: FeltObject, model: GloveModel, glove: GloveProcess) -> None:
         """A stimulus of no intensity, in a glove that someone arms."""

@@ -7,7 +7,7 @@ import numpy as np
 from jaxgrasp.literature.linear import LinearProgram, solve_plain
 
 ROUNDING = 1e-11
-"""Of slacks, steps and multipliers, relative to the size of the vectors."""
+"""Slacks, steps and multipliers below this, relative to the size of the vectors, count as zero."""
 PARALLEL = 1e-9
 """Sine of the angle between a step and a face below which the face does not block it: what a working set may span."""
 VIOLATED = 1e-7
@@ -49,7 +49,7 @@ def first_point(problem: Shortest) -> tuple[np.ndarray | None, int]:
 
 
 def shortest(problem: Shortest, start: np.ndarray, max_steps: int) -> Vertex | None:
-    """From a point inside; None where the steps run out."""
+    """The shortest vector, searched from a point inside; None where the steps run out."""
     rows, z = problem.rows, start
     # A start on a face may be a rounding beyond it.
     bounds = np.maximum(problem.bounds, rows @ z)

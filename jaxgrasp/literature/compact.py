@@ -35,7 +35,7 @@ class Compact(NamedTuple):
 
 
 def solve_compact_dual(program: LinearProgram) -> LinearOptimum:
-    """By the dual simplex method on the compact dual; the unknowns are the multipliers of its equations."""
+    """Solve the compact dual by the dual simplex method; the unknowns are the multipliers of its equations."""
     compact = eliminate(program)
     if compact is None:
         return optimum(INFEASIBLE, None, 0.0, 0)

@@ -15,7 +15,7 @@ REACH = 1e-9
 
 
 class Internal(NamedTuple):
-    """Of one problem of n contacts: forces are ``particular + projection @ h`` for any h, flat ``(3n,)``."""
+    """All solutions for one problem of n contacts: forces ``particular + projection @ h`` for any h, flat ``(3n,)``."""
 
     matrix: Array
     """The grasp matrix ``(6, 3n)``, zero for absent contacts."""

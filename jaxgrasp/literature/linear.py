@@ -38,7 +38,7 @@ class Size(NamedTuple):
 
 
 def solve_plain(program: LinearProgram) -> LinearOptimum:
-    """By the dual simplex method, on the program as it stands."""
+    """Solve the program as it stands, by the dual simplex method."""
     found = highs(program.cost, program.rows, program.bounds, program.equal, program.right, (None, None))
     if found.status in (OPTIMAL, STOPPED, INFEASIBLE):
         return optimum(found.status, found.x, found.fun, found.nit)

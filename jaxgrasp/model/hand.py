@@ -36,7 +36,7 @@ class Spheres(eqx.Module):
     """Spheres whose union is the skin: ``m`` to a link, those that a link does without of radius 0."""
 
     centers: Float[AnyArray, "L m 3"]
-    """In their link's frame [m]."""
+    """Centres in their link's frame [m]."""
     radii: Float[AnyArray, "L m"]
     """[m]"""
 
@@ -61,7 +61,7 @@ class Hand(eqx.Module):
     """[m]"""
     rests: Float[AnyArray, "J 3 3"]
     axes: Float[AnyArray, "J 3"]
-    """Of unit length, in the hinge's own frame."""
+    """Unit vectors along the joints' axes, each in its joint's own frame."""
     lower: Float[AnyArray, "J"]
     """Least angles [rad]."""
     upper: Float[AnyArray, "J"]
@@ -102,8 +102,8 @@ class HandFrames(eqx.Module):
     """Where the parts of a posed hand stand in the world."""
 
     joints: Pose
-    """Of the joints ``(..., J)``, turned or moved by their angles."""
+    """Frames of the joints ``(..., J)``, turned or moved by their angles."""
     axes: Float[AnyArray, "*batch J 3"]
-    """About which they turn, or along which they slide."""
+    """Axes about which the joints turn, or along which they slide."""
     links: Pose
-    """Of the links ``(..., L)``."""
+    """Frames of the links ``(..., L)``."""

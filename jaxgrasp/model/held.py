@@ -38,7 +38,7 @@ class Held(HeldObject):
     """
 
     points: Float[AnyArray, "n 3"]
-    """Of the contacts [m]."""
+    """Positions of the contacts [m]."""
     normals: Float[AnyArray, "n 3"]
     """Into the object; of any length."""
     friction: Float[AnyArray, "*n"] | float
@@ -74,7 +74,7 @@ class HeldCylinder(HeldObject):
     radius: Float[AnyArray, ""] | float
     """[m]"""
     length: Float[AnyArray, ""] | float
-    """Of the whole cylinder, centred at the origin [m]; only its inertia depends on it."""
+    """Length of the whole cylinder, centred at the origin [m]; only its inertia depends on it."""
     azimuths: Float[AnyArray, "n"]
     """Where the contacts are about the axis, from x to y [rad]."""
     heights: Float[AnyArray, "n"]

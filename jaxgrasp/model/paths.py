@@ -15,13 +15,13 @@ from jaxgrasp.numerics.rotation import rotation_about, unit
 
 
 class Turn(eqx.Module):
-    """About an axis through the origin, at a steady speed, there and, where it reverses, back again.
+    """Rotation about an axis through the origin, at a steady speed, there and, where it reverses, back again.
 
     At the instants where it reverses the speed jumps; the blow that this would take is left out.
     """
 
     axis: Float[AnyArray, "3"]
-    """Of any length."""
+    """Direction of the axis of rotation, of any length."""
     speed: Float[AnyArray, ""] | float
     """[rad/s]"""
     reversal: Float[AnyArray, ""] | float | None = None
@@ -40,7 +40,7 @@ class Lift(eqx.Module):
     """Straight along a direction, from rest to rest, smoothly."""
 
     direction: Float[AnyArray, "3"]
-    """Of any length."""
+    """Direction of the lift, of any length."""
     height: Float[AnyArray, ""] | float
     """How far [m]."""
     duration: Float[AnyArray, ""] | float
@@ -56,7 +56,7 @@ class Shake(eqx.Module):
     """To and fro along a direction, as a sine."""
 
     direction: Float[AnyArray, "3"]
-    """Of any length."""
+    """Direction of the shaking, of any length."""
     amplitude: Float[AnyArray, ""] | float
     """[m]"""
     frequency: Float[AnyArray, ""] | float

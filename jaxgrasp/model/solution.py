@@ -123,8 +123,9 @@ class Solution(Batched):
     zero where none binds [units of the multiplier]; ``None`` where no normal force is limited. It says nothing where
     no forces exist, nor does the next."""
     torque_multiplier: Float[Array, "*batch j"] | None = None
-    """Which torque limits bind, and what they cost: positive where a positive torque is at its limit, negative where a
-    negative one is, else zero; ``None`` where no torque is limited."""
+    """Which limits of the joints' torques bind, and what they cost: positive where a positive torque is at its limit,
+    negative where a negative one is, zero where none binds [units of the multiplier]; ``None`` where no torque is
+    limited."""
     certificate_rates: Float[Array, "*batch j"] | None = None
     """For INFEASIBLE with limited torques: speeds e of the joints [rad/s, or m/s], which belong to the certificate d.
     Contacts cannot push along d less what the joints move them, J e, and w.d exceeds what the joints can do,

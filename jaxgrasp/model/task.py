@@ -43,7 +43,7 @@ class Carried(eqx.Module):
     held: HeldObject
     path: Callable[[Array], Pose]
     gravity: Float[AnyArray, "3"]
-    """In the world [m/s^2]."""
+    """Gravity in the world [m/s^2]."""
 
 
 def carrying(held: HeldObject, path: Callable[[Array], Pose], gravity: Float[AnyArray, "3"] | None = None) -> Task:

@@ -13,7 +13,7 @@ from jax import Array, lax
 from jax.scipy.linalg import solve_triangular
 
 FIRST_DAMPING, GROWTH, DECAY = 1e-2, 4.0, 1 / 3
-"""Of the damping after a step that failed, and after one that did not."""
+"""Damping of the first step, and its factors after a step that failed and after one that did not."""
 
 
 class LeastSquaresResult(NamedTuple):

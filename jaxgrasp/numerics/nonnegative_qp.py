@@ -14,7 +14,7 @@ SHORT_OF = 0.995
 class _Iterate(NamedTuple):
     x: Array
     slope: Array
-    """Of the quadratic at x; at the minimum zero where x is not."""
+    """Gradient of the quadratic at x; at the minimum zero where x is not."""
     size: Array
     """Mean of their products: the gap."""
     steps: Array

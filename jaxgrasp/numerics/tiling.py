@@ -28,7 +28,7 @@ def spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> 
 
 
 def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, ...] = ()) -> Array:
-    """Likewise, but with a leading axis of size 1 where there is but one entry, which the batch then shares."""
+    """As ``spread``, but with a leading axis of size 1 where there is but one entry, which the batch then shares."""
     array = jnp.asarray(given)
     return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(batch, array, tail)
 
@@ -102,7 +102,7 @@ def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
 
 
 def merged(which: Array, new: Tree, old: Tree) -> Tree:
-    """Of each problem ``(B,)`` the new leaves, or the old ones."""
+    """The new leaves of those problems that ``which`` ``(B,)`` names, and the old ones of all others."""
     return jax.tree.map(lambda p, q: jnp.where(beside(which, q), p, q), new, old)
 
 

@@ -37,9 +37,10 @@ TILE = 32
 CLOSE = 1e-4
 """Largest distance of value and bound, relative to the value, that is called optimal."""
 NOTHING = 0.45
-"""Likewise where the value is zero but for rounding: a power of that, in units of the load."""
+"""Distance of value and bound that is called optimal where the value is zero but for rounding: a power of the rounding,
+in units of the load."""
 LOST = 0.4
-"""By how much forces may miss their wrench or their limits, likewise."""
+"""By how much forces may miss their wrench or their limits: a power of the rounding, in units of the load."""
 METHODS: dict[str, Any] = {
     "least_maximal_force": least_maximal,
     "largest_margin": largest_margin,
@@ -53,7 +54,7 @@ class BestForces(NamedTuple):
     forces: Float[Array, "*batch n 3"]
     """Allowed forces that exert the wrench [N]; zero where there are none."""
     moments: Float[Array, "*batch n"] | None
-    """Of soft fingers about their normals, with those forces [N.m]; None where all contacts are hard."""
+    """Moments of soft fingers about their normals, with those forces [N.m]; None where all contacts are hard."""
     value: Float[Array, "*batch"]
     """What these forces achieve, in the objective's units; where there are none +inf, of a margin -inf."""
     bound: Float[Array, "*batch"]
@@ -64,7 +65,7 @@ class BestForces(NamedTuple):
     certificate: Float[Array, "*batch 6"]
     """Proof where the verdict is INFEASIBLE, for [`jaxgrasp.verify_certificate`][]."""
     certificate_rates: Float[Array, "*batch j"] | None
-    """Of the joints, with it; None where no torque is limited."""
+    """Speeds of the joints that belong to the certificate; None where no torque is limited."""
 
 
 def best_forces(
@@ -265,7 +266,7 @@ def _believed(posed: ConeProblem, value: Array, bound: Array, objective: Objecti
 
 
 def _scale(units: Units, objective: Objective) -> Array:
-    """What one unit of ``Posed`` is of the objective."""
+    """The size of one unit of ``ConeProblem`` in the objective's units."""
     if objective == "largest_margin":
         return jnp.ones_like(units.load)
     return units.load * units.torque if objective == "least_torque" else units.load

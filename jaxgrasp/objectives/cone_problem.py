@@ -42,7 +42,7 @@ class ConeProblem(NamedTuple):
     """``(B, n)``."""
     there: Array
     least: Array | None
-    """Of the press ``(B, n)``; None where none is bounded, and so for ``most``."""
+    """Least press of each contact ``(B, n)``; None where none is bounded, and so for ``most``."""
     most: Array | None
     rows: Array | None
     """Torque of each component of y ``(B, j, n, c)``; None where no joint is known."""

@@ -24,10 +24,10 @@ from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, pu
 from jaxgrasp.objectives.search import SearchResult
 
 FIRST = 10
-"""Looks that all take; those that need more are gathered."""
+"""Looks that are taken for all problems; those that need more are gathered."""
 STEPS = 40
 LEFT = 8
-"""Of these so many at a time."""
+"""Problems that need more looks are solved so many at a time."""
 ENOUGH = 10.0
 """Times the wrench beyond which nothing more is asked for."""
 LITTLE = 1e-3
@@ -51,11 +51,11 @@ class _MarginEvaluation(NamedTuple):
     """What cones narrower by some angle exert."""
 
     times: Array
-    """Of the wrench, by forces that were found ``(B,)``."""
+    """Multiple of the wrench that is exerted by forces that were found ``(B,)``."""
     most: Array
-    """That no forces exert more of."""
+    """Multiple of the wrench that no forces exceed."""
     slope: Array
-    """By the angle."""
+    """Derivative of that multiple by the angle."""
     y: Array
     prices: Prices
     missed: Array

@@ -44,7 +44,7 @@ def value(posed: ConeProblem, y: Array) -> Array:
 
 
 def _sizes(posed: ConeProblem, y: Array) -> Array:
-    """Of each force ``(B, n)``."""
+    """Size of each force ``(B, n)``."""
     lean = posed.friction[..., None] * y[..., 1:]
     return safe_sqrt(y[..., 0] ** 2 + jnp.sum(lean**2, -1))
 

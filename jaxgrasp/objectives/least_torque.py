@@ -16,7 +16,7 @@ from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, pu
 from jaxgrasp.objectives.search import SearchResult
 
 TIE = 1e-13
-"""Of forces that ask for the same torques the smaller ones, at this price for their squares beside the torques'."""
+"""Price of the forces' squares beside the torques': it selects the smaller of forces that ask for the same torques."""
 NOTHING = 0.9
 """Half the squares of torques that are no more than rounding, as a power of it."""
 REACH = 1e3

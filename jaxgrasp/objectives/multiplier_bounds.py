@@ -15,12 +15,12 @@ from jaxgrasp.objectives.cone_problem import ConeProblem
 
 
 class Prices(NamedTuple):
-    """Multipliers, in the units of ``Posed``."""
+    """Multipliers, in the units of ``ConeProblem``."""
 
     twist: Array
-    """Of the wrench ``(B, 6)``."""
+    """Multipliers of the wrench, a twist ``(B, 6)``."""
     bounds: dict[str, Array]
-    """Of inequalities, by name; zero or more."""
+    """Multipliers of inequalities, by name; zero or more."""
     drive: Array | None = None
     """Speeds of joints that no limit asks for ``(B, j)``."""
 

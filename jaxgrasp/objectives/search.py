@@ -8,7 +8,7 @@ from jaxgrasp.objectives.multiplier_bounds import Prices
 
 
 class SearchResult(NamedTuple):
-    """In the units of ``Posed``."""
+    """Forces, their bound and its proof, in the units of ``ConeProblem``."""
 
     y: Array
     """``(B, n, c)``."""

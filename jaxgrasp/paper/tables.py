@@ -14,6 +14,6 @@ EXECUTION_TIMES = (2e-3, 2e-3, 3e-3, 5e-3, 7e-3)
 REFERENCE_WEIGHTS = (1.0, 2.0, 3.0)
 """[N]"""
 DIFFERENCES = (0.05, 0.10, 0.20, 0.30)
-"""Of the comparison from the reference, by the reference."""
+"""Differences of the comparison from the reference, by the reference."""
 HIT_RATIOS = ((0.50, 0.61, 0.74, 0.79), (0.59, 0.67, 0.82, 0.93), (0.70, 0.76, 0.86, 0.91))
 """Table III: shares of correct answers, by reference weight (rows) and difference (columns); means of all subjects."""

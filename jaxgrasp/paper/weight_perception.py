@@ -3,11 +3,11 @@
 SUBJECTS = 5
 SERIES = 5
 REPEATS = 2
-"""Of each comparison in a series: once as the first weight, once as the second."""
+"""Presentations of each comparison in a series: once as the first weight, once as the second."""
 TRIALS_IN_SERIES = 8
 TRIALS_IN_SESSION = 40
 TRIALS_OF_COMPARISON = 10
-"""In a session."""
+"""Trials of each comparison in a session."""
 
 CRITERION = 0.75
 """Hit ratio at the just noticeable difference."""
@@ -17,10 +17,10 @@ WEBER = (0.244, 0.163, 0.135)
 WEBER_DEVIATIONS = (0.052, 0.035, 0.036)
 """Standard deviations of the Weber fractions."""
 MEAN_WEBER = 0.149
-"""Of the Weber fractions at 2 and 3 N."""
+"""Mean of the Weber fractions at 2 and 3 N."""
 F_1_AND_3 = 18.1
-"""Of the analysis of variance of the Weber fractions at 1 and 3 N, F[1, 8], with p < 0.01."""
+"""F ratio in the analysis of variance of the Weber fractions at 1 and 3 N, F[1, 8], with p < 0.01."""
 F_2_AND_3 = 1.7
-"""Likewise at 2 and 3 N, with p > 0.05."""
+"""F ratio in the analysis of variance of the Weber fractions at 2 and 3 N, F[1, 8], with p > 0.05."""
 REAL_WEBER = 0.10
-"""For weights in the real world, as the paper cites them."""
+"""Weber fraction for weights in the real world, as the paper cites it."""

@@ -33,7 +33,7 @@ class Observer:
     learning: float = 0.0
     """By how much larger JNDs are in the very first trial."""
     learning_trials: float = 50.0
-    """After which 63 % of that is gone."""
+    """Trials after which 63 % of that is gone."""
 
     def __post_init__(self):
         for name in ("weber", "absolute", "lapse", "learning"):

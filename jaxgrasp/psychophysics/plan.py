@@ -30,11 +30,11 @@ class StimulusPlan:
     """What is felt, and where."""
 
     kind: Literal["weight", "stiffness", "torque"] = "weight"
-    """Of a virtual object that is lifted or squeezed; or a torque on one joint."""
+    """Weight or stiffness of a virtual object that is lifted or squeezed; or a torque on one joint."""
     fingers: tuple[str, ...] = ("index", "middle")
-    """Which bear a weight or squeeze."""
+    """Fingers that bear a weight or squeeze."""
     joint: str = "index MP"
-    """Which a torque resists."""
+    """Joint that a torque resists."""
 
     def __post_init__(self):
         if not self.fingers:
@@ -48,7 +48,7 @@ class StimulusPlan:
 
     @property
     def unit(self) -> str:
-        """Of its intensity."""
+        """Unit of the stimulus' intensity."""
         return UNITS[self.kind]
 
 
@@ -57,11 +57,11 @@ class SessionPlan:
     """How a person's sessions go, one for each reference and time."""
 
     references: tuple[float, ...] = REFERENCE_WEIGHTS
-    """In the stimulus' unit; zero stands for detection: something against nothing."""
+    """Reference intensities in the stimulus' unit; zero stands for detection: something against nothing."""
     sessions: int = 1
-    """With each reference."""
+    """Sessions with each reference."""
     order: Literal["random", "given"] = "random"
-    """Of the references."""
+    """Order of the references."""
     feedback: bool = True
     """Whether a person is told if an answer was right."""
     practice: int = 4
@@ -87,7 +87,7 @@ class Plan:
 
     name: str = "virtual weight"
     seed: int = 2003
-    """Of all orders, with each person's code."""
+    """Seed of all random orders, with each person's code."""
     stimulus: StimulusPlan = field(default_factory=StimulusPlan)
     session: SessionPlan = field(default_factory=SessionPlan)
     method: str = "constant-stimuli"
@@ -116,7 +116,7 @@ class Plan:
         return sorted(found | {intensity(r, level) for r in self.session.references for level in levels})
 
     def most_trials(self) -> int:
-        """Of one person, practice included."""
+        """Trials of one person at most, practice included."""
         sessions = self.session.sessions * len(self.session.references)
         return self.session.practice + sessions * self.procedure.most_trials()
 

@@ -13,7 +13,7 @@ from jaxgrasp.psychophysics.analysis.anova import one_way_of_summaries, rounding
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 
 RATIO_STEP, WEBER_STEP, JND_STEP = 0.01, 0.001, 0.01
-"""Of the last digit printed."""
+"""Steps of the last digit printed, of hit ratios, Weber fractions and JNDs [N]."""
 
 
 class RecomputedNumber(StrEnum):

@@ -25,7 +25,7 @@ class Schedule:
             keys = [rng.random() for _ in given]
             references += given if plan.session.order == "given" else [r for _, r in sorted(zip(keys, given))]
         self.references = references
-        """Of the sessions, in their order."""
+        """References of the sessions, in their order."""
         self._number, self._session = 1, 0
         self._procedure = self._begin()
         self._practice = self._practice_levels()
@@ -44,7 +44,7 @@ class Schedule:
         return None
 
     def score(self, value: float) -> None:
-        """Of the trial that was due: 1 for a right answer, 0 for a wrong one; of a setting, its level."""
+        """Take the score of the trial that was due: 1 or 0 for a right or a wrong answer; of a setting, its level."""
         self._number += 1
         if self._practice:
             self._practice.pop(0)

@@ -17,7 +17,7 @@ class Rendered:
     """What came of an intensity."""
 
     intensity: float
-    """Asked for, in the stimulus' unit."""
+    """Intensity asked for, in the stimulus' unit."""
     felt: float
     """What the device could render of it, in the same unit."""
     torque: float

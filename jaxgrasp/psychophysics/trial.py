@@ -12,8 +12,8 @@ class Presentation:
     """What a procedure wants to know next."""
 
     level: float
-    """Of the comparison: its difference from the reference by the reference, or its intensity where that is zero; where
-    a setting starts from."""
+    """Level of the comparison: its difference from the reference by the reference, or its intensity where that is zero;
+    of a setting, where it starts."""
     comparison_first: bool
     series: int = 0
     """Within its session."""
@@ -35,7 +35,7 @@ class Trial:
     first: float
     """Intensity of what comes first; of a setting, the reference."""
     second: float
-    """Of what comes second; of a setting, where it starts."""
+    """Intensity of what comes second; of a setting, where it starts."""
 
     @property
     def stronger(self) -> int:
@@ -44,7 +44,8 @@ class Trial:
 
 
 def intensity(reference: float, level: float) -> float:
-    """Of a comparison at a level: larger than a reference by that share, or the level itself where there is none."""
+    """Intensity of a comparison at a level: larger than a reference by that share, or the level itself where there is
+    none."""
     return reference * (1 + level) if reference > 0 else level
 
 

@@ -52,7 +52,7 @@ class ForceClosure(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Of one grasp, in scaled units."""
+    """Whether one grasp is closed, and the proof, in scaled units."""
 
     closed: bool
     decided: bool

@@ -20,7 +20,7 @@ class GraspInput(NamedTuple):
     """A batch of grasps as discs in float64."""
 
     shapes: WrenchDiscs
-    """Of NumPy arrays."""
+    """Discs of wrenches of the contacts, as NumPy arrays."""
     present: np.ndarray
     """``(..., n)`` of truth."""
     rounding: np.ndarray

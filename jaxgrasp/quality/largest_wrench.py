@@ -140,7 +140,7 @@ def _scaled_tasks(task: AnyArray, given: GraspInput) -> np.ndarray:
 
 
 class _Along(NamedTuple):
-    """Of one grasp, in scaled units."""
+    """Bounds of the largest multiple of a task that one grasp exerts, with their proofs, in scaled units."""
 
     lower: float
     upper: float

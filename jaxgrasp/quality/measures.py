@@ -23,7 +23,7 @@ class Measure:
 
     name: str
     columns: Callable[[Grasp], dict[str, np.ndarray]]
-    """Of a batch ``(N, n)``: arrays ``(N,)`` by name, the one that sums it up first."""
+    """Function of a batch of grasps ``(N, n)``: it gives arrays ``(N,)`` by name, the one that sums it up first."""
 
 
 def _closure(grasp: Grasp) -> dict[str, np.ndarray]:

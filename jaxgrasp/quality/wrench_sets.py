@@ -54,7 +54,7 @@ class WrenchSet:
         return self.rounding * self.size * (len(self.centres) if self.bound == "linf" else 1)
 
     def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of every contact: the largest power of unit normal force ``(f, n)``, and the u it takes ``(f, n, 3)``."""
+        """Each contact's largest power of unit normal force ``(f, n)``, and the u that attains it ``(f, n, 3)``."""
         across = np.einsum("fj,njk->fnk", directions, self.spans)
         if self.corners is None:
             sizes = np.linalg.norm(across, axis=-1)

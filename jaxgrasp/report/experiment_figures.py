@@ -10,12 +10,12 @@ from jaxgrasp.report.figures import axis, layout
 from jaxgrasp.report.look import INK, MUTED
 
 COLOURS = ("#1f5fa8", "#b5541c", "#2f7d4f", "#7a4fa3", "#8a6d1d", "#5a6472")
-"""Of references, in their order; the last for all others."""
+"""Colours of references, in their order; the last for all others."""
 POINTS = 120
 
 
 def colour(place: int) -> str:
-    """Of the reference at a place."""
+    """The colour of the reference at a place in their order."""
     return COLOURS[min(place, len(COLOURS) - 1)]
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ELEVATION, AZIMUTH = 12, 52
-"""Of the eye [degrees]: it sees a right thumb, and the palm once it is turned."""
+"""Elevation and azimuth of the eye [degrees]: it sees a right thumb, and the palm once it is turned."""
 TO_EYE = np.array(
     [
         np.cos(np.radians(ELEVATION)) * np.cos(np.radians(AZIMUTH)),

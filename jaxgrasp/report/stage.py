@@ -29,7 +29,7 @@ class Scale:
 
     @property
     def metres(self) -> float:
-        """Of a newton."""
+        """Length at which a force of one newton is drawn [m]."""
         return self.length / self.newtons
 
     @staticmethod

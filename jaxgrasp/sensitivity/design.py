@@ -26,7 +26,7 @@ from jaxgrasp.sensitivity.naming import (
 from jaxgrasp.sensitivity.trajectory import OutputOf, outputs_of, read_times
 
 SOFTNESS = (0.3, 0.1, 0.03, 0.01, 0.003)
-"""Of the smallest margin, in stages, relative to the scale of the margins."""
+"""Softness of the smallest margin, in stages, relative to the scale of the margins."""
 LOW, LEAST = 0.25, 0.1
 """The scale is how far this quantile of the margins lies above the smallest one, where all begin, and at least this
 part of the smallest one's size: what is far from being the worst, however large, says nothing about it."""
@@ -42,7 +42,7 @@ class Design(eqx.Module):
     """A task whose worst margin was raised, beside the one it was made from."""
 
     task: Task
-    """With the raised parameters."""
+    """The task with the raised parameters."""
     parameters: tuple[Entry, ...] = eqx.field(static=True)
     """What was free to move."""
     values: Float[Array, "P"]
@@ -57,7 +57,7 @@ class Design(eqx.Module):
 
     @property
     def worst_before(self) -> float:
-        """Of the task as it was given."""
+        """The smallest margin of all times, of the task as it was given."""
         return float(jnp.min(self.margins_before))
 
     @property

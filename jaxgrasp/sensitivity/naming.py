@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 Labels = Mapping[str, Sequence[str]]
-"""Of an array's entries along its first axis, by the array's name."""
+"""Labels of an array's entries along its first axis, by the array's name."""
 
 UNITS = {
     "angles": "rad",
@@ -41,7 +41,7 @@ UNITS = {
     "stiffness": "N/m",
     "torques": "N.m",
 }
-"""Of the numbers that this package names; what is not here has none, or its user knows it."""
+"""Units of the numbers that this package names; what is not here has none, or its user knows it."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class Entry:
     """Which of the tree's leaves it is in."""
     index: tuple[int, ...]
     path: str
-    """Of its array in the tree."""
+    """Path of its array in the tree."""
     name: str
     """As much of the path's end as no other array shares."""
     place: str
-    """In its array: indices or labels in brackets; empty for a plain number."""
+    """Place in its array: indices or labels in brackets; empty for a plain number."""
 
     @property
     def label(self) -> str:
@@ -191,7 +191,7 @@ def _is_whole(entries: Sequence[Entry], array: Array) -> bool:
 
 
 def _labels_of(name: str, path: str, shape: tuple[int, ...], labels: Labels) -> Sequence[str]:
-    """Of the entries along an array's first axis: their numbers, where they have no other."""
+    """Labels of the entries along an array's first axis: their numbers, where they have no other."""
     if not shape:
         return ()
     given = next((labels[key] for key in labels if _ends_with(path, key)), None)

@@ -23,7 +23,7 @@ class Study(NamedTuple):
     slips: dict[str, SensitivityTrajectory]
     """Slip angles [rad] by method, with those of one parameter varied."""
     reserve: SensitivityTrajectory
-    """Of friction, at some of the instants."""
+    """Reserve of friction, at some of the instants."""
 
 
 def study(

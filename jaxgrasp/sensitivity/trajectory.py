@@ -42,7 +42,7 @@ class VariedCurves(eqx.Module):
 
     @property
     def error(self) -> Float[Array, "V T M"]:
-        """Of the prediction, in the output's unit; zero where both are the same, infinite ones too."""
+        """Error of the prediction, in the output's unit; zero where both are the same, infinite ones too."""
         return jnp.where(self.predicted == self.curves, 0, self.predicted - self.curves)
 
 
@@ -52,9 +52,9 @@ class SensitivityTrajectory(eqx.Module):
     times: Float[Array, "T"]
     """[s]"""
     matrix: SensitivityMatrix
-    """Of leading axis T: ``nominal`` (T, M) are the nominal curves, ``derivatives`` (T, M, P) theirs."""
+    """Nominal curves and their derivatives, of leading axis T: ``nominal`` (T, M) and ``derivatives`` (T, M, P)."""
     varied: dict[str, VariedCurves]
-    """By what was varied."""
+    """Varied curves, by the name of the parameter that was varied."""
 
 
 def sensitivity_trajectory(
@@ -194,7 +194,7 @@ def outputs_of(task: Task, output: OutputOf, times: Array, labels: Labels | None
 
 @lru_cache(256)
 def _shapes(at: Callable, output: OutputOf, structure: Any, shapes: tuple, instants: tuple[int], dtype: Any) -> Any:
-    """Of the outputs at one time; kept, since tracing task and output takes as long as running them."""
+    """Shapes of the outputs at one time; kept, since tracing task and output takes as long as running them."""
     parameters = jax.tree.unflatten(structure, shapes)
     _check_returned(jax.eval_shape(at, parameters, jax.ShapeDtypeStruct((), dtype)))
     batch = jax.eval_shape(jax.vmap(at, (None, 0)), parameters, jax.ShapeDtypeStruct(instants, dtype))

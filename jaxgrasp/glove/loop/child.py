@@ -13,7 +13,7 @@ from typing import Any
 PATIENCE = 15.0
 """How long a program may take to start, to answer or to end [s]."""
 KEPT = 1000
-"""Of what a program told, so that memory does not grow with time."""
+"""Newest messages of a program that are kept, so that memory does not grow with time."""
 
 
 def tell(what: dict[str, Any]) -> None:

@@ -15,22 +15,22 @@ class TorqueLaw:
     """
 
     computed_at: float
-    """On the clock of who computed it [s]."""
+    """Time of the computation, on the clock of the side that computed it [s]."""
     is_valid: bool
     """Whether it may be acted on."""
     angles: Float[np.ndarray, "channels"]
     """Those that it was computed for [rad]."""
     torques: Float[np.ndarray, "channels"]
-    """By which to resist flexion there [N.m]."""
+    """Torques by which to resist flexion there [N.m]."""
     derivative: Float[np.ndarray, "channels channels"]
-    """Of the torques (rows) by the angles [N.m/rad]."""
+    """Derivative of the torques (rows) by the angles [N.m/rad]."""
 
     def at(self, angles: Float[np.ndarray, "channels"], reach: float) -> Float[np.ndarray, "channels"]:
         """Torques at other angles [N.m]; beyond a reach [rad] on either side, as at its end."""
         return self.torques + self.derivative @ np.clip(angles - self.angles, -reach, reach)
 
     def since(self, now: float) -> "TorqueLaw":
-        """The same with its age for a time, as it goes to another clock; and back, from when its age was zero."""
+        """The law with its age in place of its time, to go to another clock; there, a second call turns it back."""
         return TorqueLaw(now - self.computed_at, self.is_valid, self.angles, self.torques, self.derivative)
 
     @staticmethod
@@ -69,12 +69,12 @@ class GloveState:
     angles: Float[np.ndarray, "channels"]
     """[rad]"""
     torques: Float[np.ndarray, "channels"]
-    """Commanded [N.m]."""
+    """Commanded torques [N.m]."""
     measured: Float[np.ndarray, "channels"]
-    """By the cables' tension [N.m]."""
+    """Torques measured by the cables' tension [N.m]."""
 
     def since(self, now: float) -> "GloveState":
-        """The same with ages for times, as it goes to another clock, or comes from one."""
+        """The state with ages in place of times, to go to another clock; or with times again, to come from one."""
         rest = (self.link, self.guard, self.clipped, now - self.angles_at)
         return GloveState(now - self.at, *rest, self.angles, self.torques, self.measured)
 

@@ -34,7 +34,7 @@ OPTIONS = {
 ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end it: asked, interrupted, its terminal closed."""
 FIRST_SCALE = 0.05
-"""Of all torques, unless it is told otherwise: the first time that power is on."""
+"""Share of all torques that is let through, unless it is told otherwise: for the first time that power is on."""
 
 
 def main() -> None:

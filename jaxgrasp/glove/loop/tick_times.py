@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 EDGES = np.array([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]) * 1e-3
-"""Of the histogram's bins [s]; the first begins at 0, the last has no end."""
+"""Edges of the histogram's bins [s]; the first bin begins at 0, the last has no end."""
 
 
 class TickTimes:

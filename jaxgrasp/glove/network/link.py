@@ -107,7 +107,7 @@ class _Transport(ABC):
         """What came, each with its sender; however much comes, a call takes only so much."""
 
     def answer(self, sender: Any) -> None:  # noqa: B027
-        """Whoever sent what was understood is who is spoken to."""
+        """Speak from now on to the sender of a message that was understood."""
 
     @abstractmethod
     def close(self) -> None: ...

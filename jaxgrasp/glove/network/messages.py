@@ -17,7 +17,7 @@ _HEAD = struct.Struct("<IIddd")
 CHECK = 8
 NUMBERS = 2**32
 MOST_NUMBERS = 340
-"""Of a message, so that one fits in a datagram of the usual 1,500 bytes."""
+"""Numbers in a message at most, so that one fits in a datagram of the usual 1,500 bytes."""
 TAKEN = 0.25
 """How long a side that falls silent still keeps another from taking its place [s]."""
 WINDOW = 4.0

@@ -51,15 +51,15 @@ class LucidReading:
     """What such a glove says in one line."""
 
     curls: Float[np.ndarray, "5"]
-    """Of thumb to little finger, 0 (open) to 1."""
+    """Curls of thumb to little finger, 0 (open) to 1."""
     splays: Float[np.ndarray, "5"]
-    """0 to 1; NaN where the glove has none."""
+    """Splays of the fingers, 0 to 1; NaN where the glove has none."""
     joints: dict[str, float] = field(default_factory=dict)
-    """Of single joints, by finger and number from the palm, 0 to 1, where the glove reads them."""
+    """Angles of single joints, by finger and number from the palm, 0 to 1, where the glove reads them."""
     joystick: tuple[float, float] = (math.nan, math.nan)
     trigger: float = math.nan
     buttons: frozenset[str] = frozenset()
-    """That are pressed."""
+    """Buttons that are pressed."""
 
 
 def read_line(line: bytes, full_scale: int) -> LucidReading | None:

@@ -32,7 +32,7 @@ class TrackerSample:
     position: Float[np.ndarray, "3"]
     """[m]"""
     quaternion: Float[np.ndarray, "4"]
-    """Of the receiver's axes, of length 1, real part first."""
+    """Orientation of the receiver's axes, of length 1, real part first."""
     flag: str
     """What the tracker adds: a space where all is well, an error's letter, or a stylus's button."""
 

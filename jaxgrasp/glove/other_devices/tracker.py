@@ -21,7 +21,7 @@ PROTOCOLS: dict[str, tuple[type[Decoder], tuple[bytes, ...]]] = {
     "fastrak-ascii": (FastrakAscii, (b"O1,2,11,1\r", b"u", b"F")),
     "fastrak-binary": (FastrakBinary, (b"O1,2,11,0\r", b"u", b"f")),
 }
-"""Of each: what reads it, and what sets it up: output list, metric units, ASCII (``F``) or binary (``f``)."""
+"""Decoder of each protocol, and what sets it up: output list, metric units, ASCII (``F``) or binary (``f``)."""
 STREAM, STOP, ASK = b"C", b"c", b"P"
 IMPATIENT = 0.2
 """Time without an answer after which it is asked again [s]."""
@@ -91,7 +91,7 @@ class Tracker:
 
 
 def _continued(sample: TrackerSample, before: TrackerSample | None) -> TrackerSample:
-    """Of the two quaternions of a rotation, the one nearer to the last."""
+    """A sample with that of its rotation's two quaternions that is nearer to the last."""
     if before is None or np.dot(sample.quaternion, before.quaternion) >= 0:
         return sample
     return TrackerSample(sample.station, sample.position, -sample.quaternion, sample.flag)

@@ -69,7 +69,7 @@ class Device:
         self.accepted = 0
         """Commands."""
         self.session: int | None = None
-        """That of the host that greeted it last."""
+        """Session of the host that greeted it last."""
         self.reader = FrameReader()
         self.order = Sequence()
         self._channels, self._most, self._slew, self._quantum = channels, most, slew, quantum

@@ -64,11 +64,11 @@ class Flag(IntFlag):
     """Flags of a frame."""
 
     ENABLE = 1
-    """Of a command: without it a device disarms. Of what a device sends: it is armed."""
+    """In a command: without it a device disarms. In what a device sends: it is armed."""
     LATCHED = 2
-    """Of what a device sends: it holds zero after a fault, until it is armed anew."""
+    """In what a device sends: it holds zero after a fault, until it is armed anew."""
     SATURATED = 4
-    """Of what a device sends: a gauge was at its end."""
+    """In what a device sends: a gauge was at its end."""
 
 
 NO_FLAGS = Flag(0)
@@ -109,7 +109,7 @@ class Refusal(IntEnum):
     LENGTH = 1
     CHECK = 2
     VERSION = 3
-    """Of the protocol; or a kind that this one does not know."""
+    """Another version of the protocol; or a kind that this one does not know."""
     OVERFLOW = 4
     """More bytes without a zero than a reader keeps."""
 
@@ -177,7 +177,7 @@ class Sequence:
     """Which frames are new: what is not after the newest is stale, and what a newer one skips is missing."""
 
     def __init__(self, newest: int | None = None, window: int = SEQUENCES // 2 - 1) -> None:
-        """Of a sender whose last known frame is ``newest``; None if nothing came yet, so that any is the first.
+        """Numbers of a sender whose last known frame is ``newest``; None if nothing came yet, so that any is the first.
 
         Args:
             newest: number of that frame.

@@ -21,7 +21,7 @@ class Cable:
     sliding: float = 0.08
     """Coefficient of friction in motion."""
     resting: float = 0.12
-    """That at rest."""
+    """Coefficient of friction at rest."""
     slow: float = 0.002
     """Speed over which the one becomes the other [m/s]."""
     winding: float = 2e-4

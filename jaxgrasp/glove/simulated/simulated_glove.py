@@ -53,7 +53,7 @@ class SimulatedGlove:
         count = len(model.joints)
         self.angles, self.speeds = np.zeros(count), np.zeros(count)
         self.tensions = np.zeros(count)
-        """At the fingers [N]."""
+        """Tensions of the cables at the fingers [N]."""
         self.are_encoders_stuck = False
         """Whether ANGLES repeat what they said last: a fault."""
         self.slack: int | None = None

@@ -16,7 +16,7 @@ from jaxgrasp.glove.simulated.simulated_glove import SimulatedGlove
 from jaxgrasp.glove.simulated.slow_line import Terminal
 
 FRAME_EVERY = 0.004
-"""Between the frames that a device sends [s], if the line is not slower."""
+"""Time between the frames that a device sends [s], if the line is not slower."""
 
 
 class Simulation:

@@ -17,7 +17,7 @@ from jaxgrasp.glove.simulated.pseudo_terminal import PseudoTerminal
 from jaxgrasp.glove.simulated.simulation import Simulation
 
 PERIOD = 0.001
-"""Of its loop [s]."""
+"""Period of the simulator's loop [s]."""
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from jaxgrasp.glove.simulated.slow_line import MemoryLine
 
 MILLISECOND = 0.001
 TURN = 0.005
-"""Between two turns of the I/O side [s]."""
+"""Time between two turns of the I/O side [s]."""
 
 
 class HeldPeer(Peer):

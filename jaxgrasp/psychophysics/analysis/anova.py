@@ -25,13 +25,13 @@ class Anova:
     eta_squared: float
     """Share of the variance; partial, that is without the subjects' own, for repeated measures."""
     omega_squared: float
-    """The same less its bias, of one-way analyses; NaN for repeated measures."""
+    """Share of the variance less its bias, of one-way analyses; NaN for repeated measures."""
     generalized_eta_squared: float
     """Share with the subjects' variance in it (Olejnik and Algina 2003): comparable between both kinds."""
     sphericity: float = 1.0
     """Greenhouse and Geisser's epsilon; one where there is nothing to correct."""
     corrected_p_value: float = np.nan
-    """With both degrees of freedom times that; NaN for one-way analyses."""
+    """p-value with both degrees of freedom multiplied by the sphericity; NaN for one-way analyses."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Pair:
 
     groups: tuple[int, int]
     difference: float
-    """Of their means, first less second."""
+    """Difference of their means, first less second."""
     p_value: float
     """Corrected for how many comparisons there are."""
     effect: float
@@ -48,7 +48,7 @@ class Pair:
 
 
 def one_way(groups: Sequence[np.ndarray]) -> Anova:
-    """Of groups of different subjects.
+    """One-way analysis of variance of groups of different subjects.
 
     Raises:
         ValueError: for fewer than two groups, a group of fewer than two, values that are not finite, or no variance.
@@ -59,7 +59,7 @@ def one_way(groups: Sequence[np.ndarray]) -> Anova:
 
 
 def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -> Anova:
-    """The same from means, standard deviations (by n - 1) and sizes alone, as papers print them.
+    """One-way analysis from means, standard deviations (by n - 1) and sizes alone, as papers print them.
 
     Raises:
         ValueError: for different lengths, fewer than two groups, groups of fewer than two, deviations that are
@@ -103,7 +103,7 @@ def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step
 
 
 def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova:
-    """Of the same subjects in every condition.
+    """Analysis of variance by repeated measures, of the same subjects in every condition.
 
     Raises:
         ValueError: for fewer than two subjects or conditions, and cells that are missing or not finite: leave the

@@ -20,7 +20,7 @@ def draw(
 
 
 def percentile_interval(found: Float[np.ndarray, "B"], coverage: float) -> tuple[float, float]:
-    """Between two quantiles; resamples without a threshold count as above all."""
+    """Interval between two quantiles; resamples without a threshold count as above all."""
     tail = (1 - coverage) / 2
     low, high = np.quantile(np.where(np.isnan(found), np.inf, found), [tail, 1 - tail], method="nearest")
     return float(low), float(high)

@@ -27,10 +27,10 @@ class AnalysisSettings:
     """Where None, a Weibull function; for staircases and adaptive procedures that of an unbiased comparison, since a
     steepness of its own is biased where levels follow the answers."""
     interval: Interval | None = None
-    """As the method has it, where None."""
+    """Kind of interval; as the method has it, where None."""
     coverage: float = 0.95
     saturated: Literal["include", "exclude"] = "exclude"
-    """Trials in which a torque was cut."""
+    """What becomes of trials in which a torque was cut."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Cell:
 
 
 def suited_shape(plan: Plan) -> PsychometricShape:
-    """Of the psychometric function, where nobody asks for one."""
+    """Shape of the psychometric function, where nobody asks for one."""
     # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
     return PsychometricShape.DIFFERENCE if plan.procedure.follows_answers else PsychometricShape.WEIBULL
 

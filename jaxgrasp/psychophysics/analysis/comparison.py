@@ -20,26 +20,26 @@ class Group:
 
     reference: float
     persons: int
-    """Who have one."""
+    """Persons who have a threshold."""
     of: int
-    """Who were asked."""
+    """Persons who were asked."""
     mean: float
     deviation: float
-    """Standard, over persons."""
+    """Standard deviation over persons."""
     error: float
-    """Standard, of the mean."""
+    """Standard error of the mean."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of Weber fractions, or of thresholds, between references."""
+    """Comparison of Weber fractions, or of thresholds, between references."""
 
     references: tuple[float, ...]
     subjects: tuple[str, ...]
     within: Anova
-    """Of the same persons at every reference."""
+    """Analysis of variance of the same persons at every reference."""
     between: Anova
-    """As if they were different ones, which is what the paper did."""
+    """Analysis of variance as if they were different persons, which is what the paper did."""
     pairs: tuple[Pair, ...]
 
 
@@ -53,7 +53,8 @@ def group_of(cells: tuple[Cell, ...], reference: float) -> Group:
 
 
 def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
-    """Of the references at which enough persons have a threshold, among the persons who have one at each of these."""
+    """Comparison of the references at which enough persons have a threshold, among the persons who have one at each of
+    these."""
     if len(plan.session.references) < 2 or len(people) < FEWEST:
         return None
     every = np.array([[_of(cells, who, r).threshold.value for r in plan.session.references] for who in people])
@@ -90,7 +91,7 @@ def _of(cells: tuple[Cell, ...], who: str, reference: float) -> Cell:
 
 
 def line_of(pooled: tuple[Cell, ...]) -> WeberLine | None:
-    """Through JNDs of all persons together, each by its own interval, where there are two at least."""
+    """The line through JNDs of all persons together, each by its own interval, where there are two at least."""
     known = [
         cell.weber
         for cell in pooled

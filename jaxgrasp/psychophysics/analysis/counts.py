@@ -18,7 +18,7 @@ class Counts:
     """
 
     levels: Float[np.ndarray, "L"]
-    """Of the comparison: its difference from the reference by the reference [1], or its intensity in detection."""
+    """Levels of the comparison: difference from the reference by the reference [1], or intensity in detection."""
     hits: Int[np.ndarray, "L"]
     """Right answers."""
     trials: Int[np.ndarray, "L"]

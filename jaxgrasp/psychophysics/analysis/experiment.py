@@ -19,13 +19,13 @@ from jaxgrasp.psychophysics.running.session import EVERYONE
 
 @dataclass(frozen=True)
 class Answers:
-    """Of an experiment."""
+    """The plan and all trials of an experiment."""
 
     plan: Plan
     trials: dict[str, list[TrialRecord]]
-    """Of each person, as they are on record, practice too."""
+    """Trials of each person, as they are on record, practice too."""
     simulated: tuple[str, ...] = ()
-    """Persons who are none."""
+    """Codes of simulated observers among the persons."""
 
 
 @dataclass(frozen=True)
@@ -44,17 +44,17 @@ class Trace:
 
 @dataclass(frozen=True)
 class Analysis:
-    """Of an experiment."""
+    """What an experiment's answers say: of each person, of all together, and of how references differ."""
 
     plan: Plan
     settings: AnalysisSettings
-    """With the model that was taken."""
+    """Settings of the analysis, with the model that was taken."""
     subjects: tuple[str, ...]
     cells: tuple[Cell, ...]
-    """Of each person at each reference."""
+    """Results of each person at each reference."""
     pooled: tuple[Cell, ...]
-    """Of all persons' answers at each reference, as if they were one person's: its interval leaves out how persons
-    differ."""
+    """Results of all persons' answers at each reference, as if they were one person's: their interval leaves out how
+    persons differ."""
     groups: tuple[Group, ...]
     """What persons' own thresholds have in common: what papers print, and power is reckoned for."""
     matched: tuple[Matched, ...]

@@ -75,7 +75,8 @@ def place(estimate: float, counts: Counts, *, from_zero: bool = False) -> Findin
 
 
 def _is_better(counts: Counts, chance: float) -> bool:
-    """Than guesses: all answers together, or those of the largest level, where a steep function shows first."""
+    """Whether answers are better than guesses: all of them, or those of the largest level, where a steep function shows
+    first."""
     hits = np.array([counts.hits.sum(), counts.hits[-1]])
     trials = np.array([counts.trials.sum(), counts.trials[-1]])
     # Of as many right answers or more.
@@ -83,6 +84,6 @@ def _is_better(counts: Counts, chance: float) -> bool:
 
 
 def _slope(counts: Counts) -> float:
-    """Of the ratios by level, each level by its trials."""
+    """Slope of the ratios by level, each level weighted by its trials, but for a positive factor."""
     centred = counts.levels - np.average(counts.levels, weights=counts.trials)
     return float(np.sum(counts.trials * centred * counts.ratios))

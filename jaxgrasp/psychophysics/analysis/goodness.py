@@ -12,14 +12,14 @@ from jaxgrasp.psychophysics.analysis.likelihood import FLOOR, Likelihood, Model
 
 @dataclass(frozen=True)
 class Goodness:
-    """Of a fit by largest likelihood."""
+    """Goodness of a fit by largest likelihood."""
 
     deviance: float
     """Twice the log-likelihood that the ratios themselves have over the function."""
     p_value: float
     """Share of answers drawn from the function, each fitted anew, whose deviance is as large or larger."""
     residuals: tuple[float, ...]
-    """Of each level: the root of its part in the deviance, with the sign of ratio less function."""
+    """Deviance residual of each level: the root of its part in the deviance, with the sign of ratio less function."""
 
 
 def goodness(counts: Counts, model: Model | None = None, *, resamples: int = 1000, seed: int = 0) -> Goodness:

@@ -17,7 +17,7 @@ from jaxgrasp.psychophysics.analysis.counts import Counts
 from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, check_criterion, hit_probability
 
 Answers = Real[np.ndarray, "... L"]
-"""Of one set of answers, or of many."""
+"""Counts of answers at each level, of one set of answers or of many."""
 Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """Smallest and largest threshold, width, and lapse."""
 THRESHOLDS, WIDTHS, LAPSES = 240, 80, 6
@@ -29,7 +29,8 @@ SPREAD = (0.05, 5.0)
 LOG_SPREAD = (0.1, 5.0)
 """Widths of a Weibull function."""
 ROUNDS = 3
-"""Of looking closer: each makes the grid a hundred times finer, if the answers are as many."""
+"""Times that a grid is narrowed to where its likelihood is: each makes it a hundred times finer, if answers are many
+enough."""
 NEGLIGIBLE = 15.0
 """Below the largest log-likelihood by this, nothing matters."""
 FLOOR = 1e-12
@@ -73,7 +74,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Of one psychometric function."""
+    """Parameters of one psychometric function."""
 
     threshold: float
     width: float
@@ -81,7 +82,7 @@ class Parameters:
 
 
 class Likelihood:
-    """Of a model, for answers at given levels."""
+    """Likelihood of a model on a grid of its parameters, for answers at given levels."""
 
     def __init__(self, levels: Float[np.ndarray, "L"], model: Model, bounds: Bounds | None = None) -> None:
         """A grid around levels, of which one at least is positive, or within bounds."""
@@ -188,6 +189,6 @@ def _bounds(levels: Float[np.ndarray, "L"], model: Model) -> Bounds:
 
 
 def log_likelihood(counts: Counts, chances: Float[np.ndarray, "L"]) -> float:
-    """Of answers, without the binomial coefficients."""
+    """Log-likelihood of answers, without the binomial coefficients."""
     safe = np.clip(chances, FLOOR, 1 - FLOOR)
     return float(np.sum(xlogy(counts.hits, safe) + xlogy(counts.trials - counts.hits, 1 - safe)))

@@ -33,6 +33,7 @@ def by_line(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) ->
 def by_line_from_chance(
     levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float, chance: float
 ) -> Float[np.ndarray, "*batch"]:
-    """The same with one more point, chance at level zero: of many ways, the only one that gives the paper's results."""
+    """As ``by_line``, with chance at level zero as one more point: of many ways, the only one that gives the paper's
+    results."""
     at_zero = np.full((*ratios.shape[:-1], 1), chance)
     return by_line(np.concatenate([[0.0], levels]), np.concatenate([at_zero, ratios], -1), criterion)

@@ -10,7 +10,7 @@ from jaxgrasp.psychophysics.observer import QUARTILE
 
 @dataclass(frozen=True)
 class Matched:
-    """Of one person at one reference. NaN where there are too few settings."""
+    """Constant and variable error of one person at one reference. NaN where there are too few settings."""
 
     subject: str
     reference: float
@@ -20,7 +20,7 @@ class Matched:
     error_low: float
     error_high: float
     deviation: float
-    """Of the settings: the variable error."""
+    """Standard deviation of the settings: the variable error."""
     deviation_low: float
     deviation_high: float
     saturated: int = 0

@@ -6,7 +6,7 @@ from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, felt_levels
 
 BRIEF = 0.3
-"""In which nobody feels a weight [s]."""
+"""Time in which nobody feels a weight [s]."""
 
 
 def notes_on(plan: Plan, trials: dict[str, list[TrialRecord]], simulated: tuple[str, ...]) -> list[str]:

@@ -11,7 +11,7 @@ from scipy.special import ndtri
 
 @dataclass(frozen=True)
 class DetectionSensitivity:
-    """Of choices between two intervals at one level."""
+    """Sensitivity and preference in choices between two intervals at one level."""
 
     d_prime: float
     """Distance of the two sensations by the noise of each."""

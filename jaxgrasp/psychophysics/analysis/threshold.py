@@ -18,20 +18,21 @@ Interval = Literal["profile", "credible", "bootstrap", "bca", "none"]
 DEFAULT_INTERVAL: dict[str, Interval] = {"likelihood": "profile", "posterior": "credible"}
 RESAMPLES = 2000
 FALLEN = 1e-2
-"""Of a posterior's largest density: where it is below at the end of the grid, the answers bound the threshold."""
+"""Share of a posterior's largest density: where the density at the end of the grid is below it, the answers bound the
+threshold."""
 
 
 @dataclass(frozen=True)
 class Threshold:
-    """Of one set of answers."""
+    """The threshold of one set of answers, with its interval."""
 
     finding: Finding
     estimate: float
     """As the method has it, wherever it lies; NaN where there is none."""
     low: float
-    """Of the interval; 0 where the answers do not bound it."""
+    """Lower end of the interval; 0 where the answers do not bound it."""
     high: float
-    """Of the interval; infinite where the answers do not bound it."""
+    """Upper end of the interval; infinite where the answers do not bound it."""
     criterion: float
     """Hit ratio at the threshold."""
     method: str
@@ -125,7 +126,7 @@ def _by_grid(
 
 
 def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -> list[float]:
-    """Of the threshold."""
+    """Quantiles of the threshold's posterior distribution."""
     weights = grid.posteriors(counts.hits, counts.trials)[0]
     # Each point stands for its step, half of it on either side.
     summed = np.cumsum(weights) - 0.5 * weights
@@ -133,7 +134,7 @@ def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -
 
 
 def _credible_interval(grid: Likelihood, counts: Counts, coverage: float) -> tuple[float, float]:
-    """Between two quantiles of the posterior; open where it has not fallen off at the grid's end: the prior's."""
+    """Interval between quantiles of the posterior; open where it has not fallen off at the grid's end: the prior's."""
     weights = grid.posteriors(counts.hits, counts.trials)[0]
     low, high = posterior_quantiles(grid, counts, [(1 - coverage) / 2, (1 + coverage) / 2])
     falls = weights[[0, -1]] < FALLEN * weights.max()

@@ -10,21 +10,21 @@ from jaxgrasp.psychophysics.analysis.threshold import Threshold
 
 @dataclass(frozen=True)
 class Weber:
-    """At one reference."""
+    """Just noticeable difference and Weber fraction at one reference, with their intervals."""
 
     reference: float
     jnd: float
-    """In the reference's unit."""
+    """Just noticeable difference in the reference's unit."""
     jnd_low: float
     jnd_high: float
     fraction: float
-    """By the reference."""
+    """Weber fraction: the just noticeable difference by the reference."""
     fraction_low: float
     fraction_high: float
 
 
 def weber(found: Threshold, reference: float, spread: float = 0.0) -> Weber:
-    """From a threshold that is a difference by the reference.
+    """Weber fraction from a threshold that is a difference by the reference.
 
     Args:
         found: its threshold.

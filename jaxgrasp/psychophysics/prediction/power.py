@@ -14,15 +14,15 @@ SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Precision:
-    """Of one design."""
+    """How precisely one design estimates a mean threshold."""
 
     trials: int
-    """At each level, of each person."""
+    """Trials at each level, of each person."""
     subjects: int
     within: float
     """Standard deviation of one person's estimated threshold about its own truth."""
     standard_error: float
-    """Of the mean over persons."""
+    """Standard error of the mean over persons."""
     outside: float
     """Share of single persons' estimates that lie outside the levels: these experiments would say so, and not count."""
 

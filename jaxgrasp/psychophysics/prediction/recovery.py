@@ -13,7 +13,7 @@ from jaxgrasp.psychophysics.analysis.threshold import line_estimates
 
 @dataclass(frozen=True)
 class Recovery:
-    """Of one method, over many experiments."""
+    """Bias, spread and coverage of one method, over many experiments."""
 
     bias: float
     """Median of the estimates less the truth, by the truth."""

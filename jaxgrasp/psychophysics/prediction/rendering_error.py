@@ -14,7 +14,7 @@ Values = Float[np.ndarray, "..."] | float
 
 @dataclass(frozen=True)
 class RenderingError:
-    """Of a device. It is taken for noise that each of the two stimuli of a trial has anew.
+    """Errors of a device that renders stimuli, taken for noise that each of the two stimuli of a trial has anew.
 
     ``quantum``, ``pretension``, ``stiction`` and ``limit`` are in the stimulus' unit; ``friction`` and ``lag`` are
     shares of the stimulus, and ``motions`` a number.
@@ -26,10 +26,10 @@ class RenderingError:
     quantum: float = 0.0
     """Step of what can be rendered: an even error of half of it either way."""
     friction: float = 0.0
-    """Of the cables: coefficient times angle of wrap, by which the tension grows or falls as exp(+-friction) with the
-    direction of the motion. What both directions have in common is in both stimuli alike, and is not felt."""
+    """Friction of the cables: coefficient times angle of wrap, by which the tension grows or falls as exp(+-friction)
+    with the direction of the motion. What both directions have in common is in both stimuli alike, and is not felt."""
     pretension: float = 0.0
-    """That keeps cables taut and is pulled at besides: friction changes it with the direction too, even for no
+    """Tension that keeps cables taut and is pulled at besides: friction changes it with the direction too, even for no
     stimulus."""
     stiction: float = 0.0
     """Standard deviation of any other error that does not grow with the stimulus."""
@@ -38,8 +38,8 @@ class RenderingError:
     limit: float = np.inf
     """Largest stimulus that can be rendered."""
     motions: float = 7.0
-    """Over which a person averages what depends on the direction, as if each had a direction at random: the paper's
-    three to four liftings, up and down."""
+    """Motions over which a person averages what depends on the direction, as if each had a direction at random: the
+    paper's three to four liftings, up and down."""
 
     def __post_init__(self):
         for name in ("quantum", "friction", "pretension", "stiction", "lag"):

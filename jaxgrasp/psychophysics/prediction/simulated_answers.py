@@ -41,7 +41,7 @@ def simulated_hits(
 def hit_chances(
     observer: Observer, reference: float, comparisons: Float[np.ndarray, "L"], trials: int
 ) -> Float[np.ndarray, "L"]:
-    """Of a right answer; of who still learns, the mean over a session."""
+    """Chances of a right answer at each level; of an observer who still learns, their mean over a session."""
     if not observer.learning:
         return np.asarray(observer.hit_probability(reference, comparisons))
     numbers = np.arange(trials * len(comparisons))[:, None]

@@ -31,9 +31,9 @@ class Adaptive(Settings):
     levels: int = 25
     """How many are to choose from."""
     trials: int = 40
-    """In a session."""
+    """Trials in a session."""
     shape: PsychometricShape = PsychometricShape.WEIBULL
-    """Of the psychometric function."""
+    """Shape of the psychometric function."""
     criterion: float = 0.75
     """Hit ratio at the threshold."""
     lapse: float = 0.02
@@ -103,6 +103,6 @@ class _AdaptiveSession(Procedure):
         return Presentation(float(self._levels[self._chosen]), self._coin.toss())
 
     def _expected_entropy(self) -> np.ndarray:
-        """Of the belief after an answer at each level."""
+        """Expected entropy of the belief after an answer at each level."""
         joint = self._right * self._belief, (1 - self._right) * self._belief
         return sum(xlogy(total := part.sum(1), total) - xlogy(part, part).sum(1) for part in joint)

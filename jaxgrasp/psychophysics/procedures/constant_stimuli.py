@@ -16,9 +16,9 @@ class ConstantStimuli(Settings):
     levels: tuple[float, ...] = DIFFERENCES
     """Differences from the reference by the reference; intensities where the reference is zero."""
     series: int = SERIES
-    """In a session."""
+    """Series in a session."""
     repeats: int = REPEATS
-    """Of each level in a series: an even number, so that it comes first as often as second."""
+    """Presentations of each level in a series: an even number, so that it comes first as often as second."""
 
     def __post_init__(self):
         if not self.levels:

@@ -12,11 +12,11 @@ class Matching(Settings):
     """Settings that start above and below the reference equally often."""
 
     trials: int = 20
-    """In a session."""
+    """Trials in a session."""
     start: float = 0.4
     """Largest distance of the start from the reference, by the reference; less than 1."""
     step: float = 0.02
-    """Of the adjustment, by the reference."""
+    """Step of the adjustment, by the reference."""
 
     def __post_init__(self):
         check_count("trials", self.trials, 2)

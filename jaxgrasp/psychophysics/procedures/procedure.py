@@ -10,9 +10,9 @@ from jaxgrasp.psychophysics.trial import Presentation, Task
 
 Item = TypeVar("Item")
 SMALLEST = 1e-6
-"""Of what a level or an intensity may be; the largest is its inverse."""
+"""Smallest level or intensity that is allowed; the largest is its inverse."""
 MOST = 10_000
-"""Of whatever is counted."""
+"""Largest count that a plan may ask for, of trials, series and the like."""
 
 
 class Procedure(ABC):
@@ -26,7 +26,7 @@ class Procedure(ABC):
 
     @abstractmethod
     def score(self, value: float) -> None:
-        """Of what was presented: 1 for a right answer, 0 for a wrong one; of a setting, its level."""
+        """Take the score of what was presented: 1 or 0 for a right or a wrong answer; of a setting, its level."""
 
 
 class Listed(Procedure):

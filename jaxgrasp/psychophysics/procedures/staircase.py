@@ -24,9 +24,9 @@ class Staircase(Settings):
     """Right answers in a row before it becomes harder, 2 or more, since one of two guesses is right: the level goes to
     where the hit ratio is a half to the power of 1 / down."""
     factors: tuple[float, ...] = (1.5, 1.2)
-    """By which the level changes, one until the next reversal, the last for all others."""
+    """Factors by which the level changes, one until the next reversal, the last for all others."""
     reversals: int = 10
-    """After which a staircase ends."""
+    """Reversals after which a staircase ends."""
     interleaved: int = 2
     """Staircases in a session."""
     trials: int = 60

@@ -19,7 +19,7 @@ class Person(ABC):
     """Feels stimuli and answers."""
 
     observer: dict[str, float] | None = None
-    """Of a simulated one, whose answers are nobody's: the records say so."""
+    """Parameters of a simulated observer, whose answers are nobody's: the records say so."""
 
     @abstractmethod
     def feel(self, trial: Trial, interval: int) -> None:

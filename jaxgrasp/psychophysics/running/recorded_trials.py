@@ -91,7 +91,7 @@ def _plan(first: dict[str, Any], path: Path) -> Plan:
 
 
 def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
-    """Of an answer, once it is known to be one."""
+    """The score of a recorded answer, once it is known to be one."""
     where = f"{path}, trial {trial.number}"
     if not isinstance(record.get("saturated"), bool):
         raise RecordError(f"{where}: saturated is {record.get('saturated')!r}: expected true or false")

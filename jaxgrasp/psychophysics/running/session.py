@@ -140,7 +140,7 @@ def _felt(trial: Trial, interval: int, stimulus: Stimulus, person: Person) -> tu
 
 @contextlib.contextmanager
 def _let_go_of(stimulus: Stimulus) -> Iterator[None]:
-    """Whoever leaves must not be held by a stimulus, and is told why they left rather than how it ended."""
+    """End a stimulus where its trial is left by an exception, which is raised even if the stimulus was lost."""
     try:
         yield
     except BaseException:

@@ -19,7 +19,6 @@ from jaxgrasp.paper.tables import DIFFERENCES, REFERENCE_WEIGHTS
 from jaxgrasp.paper.weight_perception import WEBER
 from jaxgrasp.psychophysics.analysis.counts import count
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.prediction.power import cheapest
@@ -29,6 +28,7 @@ from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.procedure import Settings
 from jaxgrasp.psychophysics.procedures.staircase import Staircase
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 
 NAME = "psychophysics"
 LEVELS = np.array(DIFFERENCES)

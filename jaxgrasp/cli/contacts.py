@@ -10,8 +10,8 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.grasp_poses import GraspPoses, read_poses
 from jaxgrasp.batch.sources import save_grasps
-from jaxgrasp.cli.arguments import Contacts
 from jaxgrasp.cli.checks import check_not_negative, check_positive
+from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.deepest import keep_deepest
@@ -41,7 +41,7 @@ class _Object:
     wrench: np.ndarray
 
 
-def contacts_command(arguments: Contacts) -> int:
+def contacts_command(arguments: FindContacts) -> int:
     """Find the contacts, write them, and say what was found."""
     _check(arguments)
     poses = read_poses(arguments.file)
@@ -85,7 +85,7 @@ def contacts_command(arguments: Contacts) -> int:
     return 0
 
 
-def _check(arguments: Contacts) -> None:
+def _check(arguments: FindContacts) -> None:
     check_positive(arguments, "mass", "stiffness", "depth", "scale")
     check_not_negative(arguments, "friction")
     if not np.all(np.isfinite(arguments.gravity)):
@@ -94,13 +94,13 @@ def _check(arguments: Contacts) -> None:
         raise ValueError(f"out is {arguments.out}: expected a file that ends in .npz")
 
 
-def _hand(arguments: Contacts) -> Hand:
+def _hand(arguments: FindContacts) -> Hand:
     if arguments.hand == "jaw":
         return parallel_jaw()
     return human_hand(arguments.hand_length, side="right" if arguments.hand == "human-right" else "left")
 
 
-def _object(arguments: Contacts, poses: GraspPoses) -> _Object:
+def _object(arguments: FindContacts, poses: GraspPoses) -> _Object:
     path = arguments.mesh or poses.mesh_path()
     if path is None:
         raise ValueError(
@@ -130,7 +130,7 @@ def _given(name: str, wanted: float | None, poses: GraspPoses) -> float:
 
 
 def _touch(
-    arguments: Contacts, hand: Hand, tree: SphereTree, poses: GraspPoses, own: np.ndarray
+    arguments: FindContacts, hand: Hand, tree: SphereTree, poses: GraspPoses, own: np.ndarray
 ) -> tuple[Found, np.ndarray]:
     """The contacts of some grasps, and which of them began inside the object."""
     transforms = jnp.asarray(poses.transforms[own])
@@ -149,7 +149,7 @@ def _touch(
     return close_hand(hand, back, tree, placed, arguments.depth, towards=near.angles, steps=STRIDES)[1], inside
 
 
-def _sets(found: Found, object_: _Object, arguments: Contacts) -> ContactSets:
+def _sets(found: Found, object_: _Object, arguments: FindContacts) -> ContactSets:
     grasp = grasp_from_contacts(found, object_.friction, arguments.stiffness)
     return ContactSets.from_grasp(jax.device_get(grasp), object_.wrench)
 

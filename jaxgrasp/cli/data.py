@@ -5,7 +5,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from jaxgrasp.batch.sources import Adjustments, GraspSource, open_source
-from jaxgrasp.cli.arguments import Data
+from jaxgrasp.cli.data_arguments import Data
 
 SHIPPED = "simulated_grips.npz"
 

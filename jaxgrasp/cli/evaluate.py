@@ -14,8 +14,8 @@ from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.batch.stream import StreamPlan, StreamResult, evaluate_stream
 from jaxgrasp.batch.summary_json import to_json
 from jaxgrasp.batch.summary_text import summary_text
-from jaxgrasp.cli.arguments import Evaluate
 from jaxgrasp.cli.data import data_path, opened
+from jaxgrasp.cli.evaluate_arguments import Evaluate
 from jaxgrasp.cli.machine import provenance, say, set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.quality.measures import measures_named

@@ -14,8 +14,8 @@ from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.session import EVERYONE
 
 

@@ -34,11 +34,6 @@ class PlanCommand:
     write: Path | None = None
     """Write the plan, with all its defaults, to this new file."""
 
-    def run(self) -> int:
-        from jaxgrasp.cli.experiment_plan import plan_command
-
-        return plan_command(self)
-
 
 @dataclass(frozen=True)
 class RunExperiment:
@@ -63,11 +58,6 @@ class RunExperiment:
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
-
-    def run(self) -> int:
-        from jaxgrasp.cli.experiment_run import run_command
-
-        return run_command(self)
 
 
 @dataclass(frozen=True)
@@ -94,20 +84,10 @@ class Analyse:
     report: bool = True
     """Write report.html (needs the extra `report`)."""
 
-    def run(self) -> int:
-        from jaxgrasp.cli.experiment_analyse import analyse_command
-
-        return analyse_command(self)
-
 
 @dataclass(frozen=True)
 class Paper:
     """Recompute every number of the paper's section III-C beside the printed one."""
-
-    def run(self) -> int:
-        from jaxgrasp.cli.experiment_paper import paper_command
-
-        return paper_command()
 
 
 @dataclass(frozen=True)
@@ -127,11 +107,6 @@ class Power:
     """Persons that can be had at most."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
 
-    def run(self) -> int:
-        from jaxgrasp.cli.experiment_plan import power_command
-
-        return power_command(self)
-
 
 @dataclass(frozen=True)
 class Experiment:
@@ -146,6 +121,3 @@ class Experiment:
             | Annotated[Power, tyro.conf.subcommand("power")]
         ]
     ]
-
-    def run(self) -> int:
-        return self.command.run()

@@ -2,10 +2,11 @@
 
 from collections import Counter
 
+from jaxgrasp.cli.experiment_arguments import Paper
 from jaxgrasp.psychophysics.recomputed import recomputed
 
 
-def paper_command() -> int:
+def paper_command(command: Paper) -> int:
     """A table, and what is to be known of its rows."""
     rows = recomputed()
     widths = [max(len(getattr(row, name)) for row in rows) for name in ("quantity", "printed", "recomputed")]

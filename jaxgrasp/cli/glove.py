@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive
-from jaxgrasp.cli.glove_arguments import GloveFiles, Monitor, Simulate
+from jaxgrasp.cli.glove_arguments import GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost, LinkState
@@ -149,7 +149,7 @@ def curled(host: LucidHost, elapsed: float, now: float) -> str:
     return f"{elapsed:7.1f} s  [%] {curls}   {1e3 * (now - host.read_at):.0f} ms old  {pressed}".rstrip()
 
 
-def ports_command() -> int:
+def ports_command(command: Ports) -> int:
     """A line for each port."""
     from serial.tools.list_ports import comports
 

@@ -34,11 +34,6 @@ class Simulate(GloveFiles):
     seconds: float | None = None
     """How long; until interrupted where not given."""
 
-    def run(self) -> int:
-        from jaxgrasp.cli.glove import simulate_command
-
-        return simulate_command(self)
-
 
 @dataclass(frozen=True)
 class Monitor(GloveFiles):
@@ -52,11 +47,6 @@ class Monitor(GloveFiles):
     """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
     seconds: float | None = None
     """How long; until interrupted where not given."""
-
-    def run(self) -> int:
-        from jaxgrasp.cli.glove import monitor_command
-
-        return monitor_command(self)
 
 
 @dataclass(frozen=True)
@@ -93,11 +83,6 @@ class Run(GloveFiles):
     out: Path = Path("jaxgrasp-glove-run")
     """Folder for what happened, without a port."""
 
-    def run(self) -> int:
-        from jaxgrasp.cli.glove_run import run_command
-
-        return run_command(self)
-
 
 @dataclass(frozen=True)
 class Calibrate:
@@ -112,20 +97,10 @@ class Calibrate:
     plot: bool = True
     """Draw it beside, as PNG (needs the extra `report`)."""
 
-    def run(self) -> int:
-        from jaxgrasp.cli.glove_calibrate import calibrate_command
-
-        return calibrate_command(self)
-
 
 @dataclass(frozen=True)
 class Ports:
     """List the serial ports of this machine."""
-
-    def run(self) -> int:
-        from jaxgrasp.cli.glove import ports_command
-
-        return ports_command()
 
 
 @dataclass(frozen=True)
@@ -141,6 +116,3 @@ class Glove:
             | Annotated[Ports, tyro.conf.subcommand("ports")]
         ]
     ]
-
-    def run(self) -> int:
-        return self.command.run()

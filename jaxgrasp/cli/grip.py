@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.cli.arguments import Grip
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
+from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked

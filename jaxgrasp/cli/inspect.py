@@ -6,8 +6,8 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import Adjustments, looks_like_millimetres
-from jaxgrasp.cli.arguments import Info, Validate
 from jaxgrasp.cli.data import data_path, opened
+from jaxgrasp.cli.data_arguments import Info, Validate
 
 CHUNK = 65_536
 UNITS = {

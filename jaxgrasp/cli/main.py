@@ -2,11 +2,56 @@
 
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import version
+from typing import Annotated, Any
 
 import tyro
 
-from jaxgrasp.cli.arguments import Command, Evaluate
+from jaxgrasp.cli.contacts_arguments import FindContacts
+from jaxgrasp.cli.data_arguments import Info, Validate
+from jaxgrasp.cli.evaluate_arguments import Evaluate
+from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
+from jaxgrasp.cli.glove_arguments import Calibrate, Glove, Monitor, Ports, Run, Simulate
+from jaxgrasp.cli.grip_arguments import Grip
+from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
+
+Command = (
+    Annotated[FindContacts, tyro.conf.subcommand("contacts")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Experiment, tyro.conf.subcommand("experiment")]
+    | Annotated[Glove, tyro.conf.subcommand("glove")]
+    | Annotated[Grip, tyro.conf.subcommand("grip")]
+    | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
+    | Annotated[Validate, tyro.conf.subcommand("validate")]
+)
+FUNCTIONS: dict[type, str] = {
+    FindContacts: "contacts.contacts_command",
+    Evaluate: "evaluate.evaluate_command",
+    Info: "inspect.info_command",
+    Validate: "inspect.validate_command",
+    Grip: "grip.grip_command",
+    FollowSensitivity: "sensitivity.sensitivity_command",
+    PlanCommand: "experiment_plan.plan_command",
+    RunExperiment: "experiment_run.run_command",
+    Analyse: "experiment_analyse.analyse_command",
+    Paper: "experiment_paper.paper_command",
+    Power: "experiment_plan.power_command",
+    Simulate: "glove.simulate_command",
+    Monitor: "glove.monitor_command",
+    Run: "glove_run.run_command",
+    Calibrate: "glove_calibrate.calibrate_command",
+    Ports: "glove.ports_command",
+}
+"""What runs each command, by module and name: imported when it is asked for, so that help comes without JAX."""
+
+
+def run(command: Any) -> int:
+    """Run a command with its arguments, or the one that an ``Experiment`` or ``Glove`` holds; returns the exit code."""
+    chosen = command.command if isinstance(command, Experiment | Glove) else command
+    module, function = FUNCTIONS[type(chosen)].split(".")
+    return getattr(import_module(f"jaxgrasp.cli.{module}"), function)(chosen)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
     try:
-        return command.run()
+        return run(command)
     except (ValueError, OSError, ImportError) as error:
         print(f"jaxgrasp: {error}", file=sys.stderr)
         return 1

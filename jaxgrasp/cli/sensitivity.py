@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.cli.arguments import Sensitivity
 from jaxgrasp.cli.checks import check_positive, sampled_times
 from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
@@ -26,7 +26,7 @@ SAID = 5
 MOST_VALUES = 4
 
 
-def sensitivity_command(arguments: Sensitivity) -> int:
+def sensitivity_command(arguments: FollowSensitivity) -> int:
     """Differentiate, write, and say what matters."""
     check_positive(arguments, "seconds", "step")
     times = sampled_times(arguments.seconds, arguments.step)

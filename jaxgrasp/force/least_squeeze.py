@@ -46,7 +46,7 @@ def least_squeeze(
 
 @jax.custom_jvp
 def least_total(problem: ProblemBatch) -> Array:
-    """Of a flat batch."""
+    """The least totals of a flat batch ``(B,)``."""
     return bounded_total(problem)[0]
 
 
@@ -69,7 +69,7 @@ def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boun
 
 @jax.custom_jvp
 def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
-    """Likewise, ``(B,)``, with what bounds it; +inf where no forces exist or none were found."""
+    """The least totals ``(B,)``, +inf where no forces exist or none were found, and what bounds each."""
     # That forces exist is known first: where none do, they only grow.
     solved = transforms.optimum(problem).verdict <= Verdict.OPTIMAL
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)

@@ -100,7 +100,7 @@ class _Line(NamedTuple):
 
     unshared: UnsharedProblem
     ray: SpatialVec
-    """Of length 1, or 0."""
+    """Direction of the line, of length 1, or 0."""
     size: Array
     """Length of the direction that the ray stands for."""
     valid: Array

@@ -16,7 +16,6 @@ from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analys
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivity, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
@@ -28,6 +27,7 @@ from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
 from jaxgrasp.psychophysics.procedures.staircase import Staircase
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.recomputed import recomputed
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import run_experiment

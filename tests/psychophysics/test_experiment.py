@@ -7,10 +7,10 @@ from jaxgrasp.psychophysics.analysis.anova import repeated_measures
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.experiment import Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
 from jaxgrasp.psychophysics.running.session import run_experiment
 from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered

@@ -5,7 +5,6 @@ import pytest
 
 from jaxgrasp.paper.tables import DIFFERENCES
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.observer import QUARTILE, Observer
 from jaxgrasp.psychophysics.prediction.power import cheapest, precision
 from jaxgrasp.psychophysics.prediction.recovery import by_bootstrap, by_likelihood
@@ -16,6 +15,7 @@ from jaxgrasp.psychophysics.prediction.rendering_error import (
     shares_of_device,
 )
 from jaxgrasp.psychophysics.prediction.simulated_answers import hit_chances, simulated_hits
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 
 LEVELS = np.array(DIFFERENCES)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability, quantile, standard
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability, quantile, standard
 
 SHAPES = pytest.mark.parametrize("shape", list(PsychometricShape))
 

@@ -13,11 +13,11 @@ import pytest
 
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
 from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
 from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records

@@ -13,8 +13,8 @@ from jaxgrasp.psychophysics.analysis.counts import Counts, count, pooled, ratio_
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, log_likelihood
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.analysis.threshold import threshold
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 
 LEVELS = np.array(DIFFERENCES)
 TABLE = [Counts(LEVELS, np.round(100 * np.array(row)).astype(int), np.full(4, 100)) for row in HIT_RATIOS]

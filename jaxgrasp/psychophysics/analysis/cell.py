@@ -10,11 +10,11 @@ from jaxgrasp.psychophysics.analysis.counts import Counts, count
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivity, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, weber
 from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
 
 

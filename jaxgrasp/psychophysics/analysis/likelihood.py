@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.special import xlogy
 
 from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, check_criterion, hit_probability
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_criterion, hit_probability
 
 Answers = Real[np.ndarray, "... L"]
 """Counts of answers at each level, of one set of answers or of many."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import xlogy
 
-from jaxgrasp.psychophysics.analysis.psychometric import PsychometricShape, check_criterion, hit_probability
 from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure, Settings, check_count, check_level
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_criterion, hit_probability
 from jaxgrasp.psychophysics.trial import Presentation
 
 THRESHOLDS, WIDTHS = 60, 20

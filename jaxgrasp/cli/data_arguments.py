@@ -1,0 +1,27 @@
+"""Arguments of the commands that look at a file of grasps, and of all that read one."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Data:
+    """Which grasps, and how they differ from the conventions."""
+
+    file: tyro.conf.Positional[Path | None] = None
+    """An .npz or .csv file of grasps; the simulated grips that ship with the package where not given."""
+    normals: Literal["inward", "outward"] = "inward"
+    """Where the file's normals point: into the object, or out of it."""
+
+
+@dataclass(frozen=True)
+class Info(Data):
+    """Say what a file of grasps holds."""
+
+
+@dataclass(frozen=True)
+class Validate(Data):
+    """List every bad entry of a file of grasps; the exit code is 1 if there is any."""

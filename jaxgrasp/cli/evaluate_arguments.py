@@ -1,0 +1,36 @@
+"""Arguments of ``jaxgrasp evaluate``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from jaxgrasp.cli.data_arguments import Data
+
+MethodName = Literal["A", "B", "A-optimum", "B-optimum"]
+
+
+@dataclass(frozen=True)
+class Evaluate(Data):
+    """Compute closed forms and constrained optima of every grasp, sum them up, and write results and a report."""
+
+    methods: tuple[MethodName, ...] = ("A", "B", "A-optimum", "B-optimum")
+    """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
+    quality: str = ""
+    """Measures of the grasps whatever they hold, with commas between them: force-closure, ferrari-canny-l1,
+    ferrari-canny-linf, min-weight, least-singular-value, volume, isotropy. Balls cost up to a second a grasp."""
+    friction: tuple[float, ...] = ()
+    """Friction for all contacts, in place of the file's; several values are evaluated one after another."""
+    squeeze: tuple[float, ...] = ()
+    """Squeezing force for all contacts [N], in place of the file's; several values likewise."""
+    out: Path = Path("jaxgrasp-results")
+    """Folder for the results; it gets one sub-folder a value where values are swept."""
+    chunk: int = 16_384
+    """Grasps that each core works on at a time."""
+    dtype: Literal["float64", "float32"] = "float64"
+    """Precision of the arithmetic."""
+    skip_bad: bool = False
+    """Set bad grasps aside and count them, instead of stopping at the first."""
+    resume: bool = False
+    """Go on with an interrupted evaluation in the same folder."""
+    report: bool = True
+    """Write report.html beside the results (needs the extra `report`)."""

@@ -1,0 +1,52 @@
+"""Arguments of ``jaxgrasp grip``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Close the virtual hand on an object, lift it, turn it, and write contacts, forces, verdicts and torques.
+
+    grip.npz holds arrays over time: points, normals, depths, forces and squeeze by `links`, angles and torques by
+    `joints` (what resists flexion is negative). Points, normals, forces and poses are in the world, wrench and missed
+    about the object's centre. Codes are those of jaxgrasp.grip.Hold, Touch, GripType and Verdict.
+    """
+
+    object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
+    """What is gripped; in a power grip it lies across the palm."""
+    grip: Literal["power", "precision-3", "precision-5"] = "power"
+    """All of the hand around the object; or three or five fingertips, the thumb's opposite the others."""
+    radius: float = 0.03
+    """Radius of the object [m]; half the edge of a box."""
+    height: float = 0.12
+    """Height of a cylinder, of a capsule's straight part, or of a box [m]."""
+    mass: float = 0.4
+    """Mass of the object [kg]."""
+    friction: float = 0.6
+    """Coulomb's coefficient at every contact."""
+    stiffness: float = 1000.0
+    """K [N/m] of the paper's eq. 6: a contact's squeeze is K times its depth times its link's contribution."""
+    depth: float = 2e-3
+    """How far the links press into the object [m]."""
+    hand_length: float = 0.19
+    """Length of the hand, from the wrist to the middle finger's tip [m]."""
+    side: Literal["right", "left"] = "right"
+    """Which hand."""
+    lift: float = 0.2
+    """How high the hand goes [m]."""
+    turn: float = 90.0
+    """How far it then turns about its own length, by the right hand about the wrist's x [degrees]."""
+    release: bool = False
+    """Open the hand at the end."""
+    seconds: float = 4.0
+    """A quarter of it each to hold, lift, turn, and hold or let go [s]; in a short time inertia weighs more."""
+    step: float = 0.02
+    """Time from one instant to the next [s]."""
+    law: Literal["closed-form", "optimum"] = "optimum"
+    """Which forces decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.carry's default."""
+    report: bool = True
+    """Write grip.html, grip.png and grip_forces.png beside the results (needs the extra `report`)."""
+    out: Path = Path("jaxgrasp-grip")
+    """Folder for the results."""

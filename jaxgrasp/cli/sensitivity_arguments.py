@@ -1,0 +1,38 @@
+"""Arguments of ``jaxgrasp sensitivity``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from jaxgrasp.cli.evaluate_arguments import MethodName
+
+
+@dataclass(frozen=True)
+class FollowSensitivity:
+    """Follow slip angles along a task, and how every parameter moves them; write curves, a ranking and a figure.
+
+    sensitivity.csv has a row for each method, finger and instant: the slip angle [rad] and its derivatives.
+    ranking.csv has the parameters by their influence on the slip angles of each method, and on the reserve of friction,
+    by which an optimum is ranked: its active contacts have no margin left.
+    """
+
+    task: Literal["cylinder"] = "cylinder"
+    """The paper's (section II-G.3): five fingertips turn a cylinder of 10 N at pi rad/s, there and back."""
+    methods: tuple[MethodName, ...] = ("A", "B", "B-optimum")
+    """Methods by which forces are distributed."""
+    by: tuple[str, ...] = ("contributions", "friction", "depths", "stiffness", "azimuths", "radius", "mass", "speed")
+    """The parameters to differentiate by: whole arrays, or entries such as contributions[index]."""
+    finger: Literal["thumb", "index", "middle", "ring", "little"] = "index"
+    """Finger whose slip angle the figure shows."""
+    vary: str = "contributions[index]"
+    """The parameter that the figure varies."""
+    values: tuple[float, ...] = (0.02, 0.1, 0.4)
+    """What it is given, one after another."""
+    seconds: float = 4.0
+    """How long [s]."""
+    step: float = 0.01
+    """Time from one instant to the next [s]."""
+    report: bool = True
+    """Draw sensitivity.png beside the tables (needs the extra `report`)."""
+    out: Path = Path("jaxgrasp-sensitivity")
+    """Folder for the results."""

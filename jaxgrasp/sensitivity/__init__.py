@@ -2,12 +2,13 @@
 
 from jaxgrasp.sensitivity.design import Design, raise_worst
 from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix, sensitivity_matrix
-from jaxgrasp.sensitivity.outputs import Output, friction_reserve
+from jaxgrasp.sensitivity.outputs import FrictionReserve, Output, friction_reserve
 from jaxgrasp.sensitivity.paper_task import cylinder_task
 from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, VariedCurves, sensitivity_trajectory
 
 __all__ = [
     "Design",
+    "FrictionReserve",
     "Influence",
     "Output",
     "SensitivityMatrix",

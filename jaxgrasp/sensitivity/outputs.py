@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -24,7 +24,14 @@ QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
 }
 
 
-def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[str, Array]:
+class FrictionReserve(NamedTuple):
+    """How much friction a grasp has in reserve."""
+
+    reserve: Float[Array, "*batch"]
+    """How many times less friction would do; below 1 the friction does not do, +inf where hardly any is needed."""
+
+
+def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> FrictionReserve:
     """How many times less friction would do, with the normal forces that the hand means to exert in total.
 
     What ranks an optimum, whose active contacts have no margin left however much they have in reserve: the inverse of
@@ -33,7 +40,7 @@ def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[
     """
     share = least_friction(grasp, wrench)
     bounded = (share > 0) & jnp.isfinite(share)
-    return {"reserve": jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf))}
+    return FrictionReserve(jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf)))
 
 
 @dataclass(frozen=True)

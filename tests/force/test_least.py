@@ -228,7 +228,7 @@ def test_where_shares_are_zero_or_infinite_nothing_moves():
         )
 
     def reserve(grasp, wrench):
-        return friction_reserve(grasp, wrench)["reserve"]
+        return friction_reserve(grasp, wrench).reserve
 
     weak, strong = jnp.full(2, 4e-6), jnp.full(2, 4.0)
     for question, squeeze, wrench, expected in (

@@ -20,6 +20,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
@@ -160,7 +161,8 @@ def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:
     data, axes, size = problem.data, problem.scaling.axes, problem.size
     assert axes is not None
     # Facets belong to the user's axes, so that turning a problem by its own axes turns no pyramid.
-    first, second = (vec3.rotate(axes, tangent) for tangent in _tangents(to_batch_last(batch)[0].normals))
+    normals = jnp.stack(to_batch_last(batch)[0].normals, -1)
+    first, second = (vec3.rotate(axes, vec3.from_axis(tangent, -1)) for tangent in tangents(normals))
     program = _program(problem, _facets(data, (first, second), settings.sides))
     # The loops of jaxopt carry numbers of JAX's default precision and refuse any other.
     program = jax.tree.map(lambda x: x.astype(jnp.result_type(float)), program)
@@ -231,15 +233,6 @@ def _facets(data: ContactData, tangents: tuple[Vec3, Vec3], sides: int) -> tuple
     own = vec3.safe_divide(data.squeeze, jnp.sqrt(data.weights))
     bounds = jnp.concatenate([jnp.broadcast_to(slope * own / size, (sides, *own.shape)), own[None]])
     return rows.transpose(3, 2, 0, 1), bounds.transpose(2, 1, 0)
-
-
-def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
-    """Two unit vectors across each normal, from the coordinate axis that is farthest from it."""
-    least = jnp.argmin(jnp.abs(jnp.stack(normal)), 0)
-    axis = Vec3(*((least == i).astype(normal.x.dtype) for i in range(3)))
-    across = vec3.cross(normal, axis)
-    first = Vec3(*(vec3.safe_divide(c, vec3.norm(across)) for c in across))
-    return first, vec3.cross(normal, first)
 
 
 def _splitting(program: PyramidProgram, settings: PyramidSettings) -> PyramidResult:

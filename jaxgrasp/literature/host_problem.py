@@ -10,6 +10,8 @@ import numpy as np
 
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import MethodInput
+from jaxgrasp.literature.scaled_batch import ScaledBatch, scale
+from jaxgrasp.numerics.centring import tangents
 
 RANK_CUT = 1e-11
 """Singular values of the scaled grasp matrix below this share of the largest count as zero."""
@@ -63,35 +65,21 @@ class HostResult(NamedTuple):
     iterations: int = 0
 
 
-def host_problem(given: MethodInput, index: int) -> HostProblem:
+def host_problem(given: MethodInput, scaled: ScaledBatch, load: float, index: int) -> HostProblem:
     """One problem of the batch, with at least one contact."""
     there = np.flatnonzero(given.present[index])
-    points, normals = given.points[index, there], given.normals[index, there]
-    squeeze = given.squeeze[index, there]
-    centre = points.mean(0)
-    arms = points - centre
-    length = float(np.sqrt(np.mean(np.sum(arms**2, -1))))
-    # Contacts in one point, but for rounding of the mean, have no length of their own.
-    if length <= 16 * np.finfo(float).eps * np.linalg.norm(centre):
-        length = float(np.linalg.norm(centre)) or 1.0
-    force = given.wrench[index, :3]
-    torque = (given.wrench[index, 3:] - np.cross(centre, force)) / length
-    load = float(squeeze.sum() + np.linalg.norm(force) + np.linalg.norm(torque)) or 1.0
-    normals = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-    first = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), -1)])
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    rows = given.torque_map[index, there].reshape(3 * len(there), -1).T
+    normals = scaled.normals[index, there]
     return HostProblem(
         there=there,
-        balance=_grasp_matrix(arms / length),
-        wrench=np.concatenate([force, torque]) / load,
+        balance=_grasp_matrix(scaled.arms[index, there]),
+        wrench=scaled.wrench[index],
         normals=normals,
-        tangents=np.stack([first, np.cross(normals, first)], 1),
+        tangents=np.stack(tangents(normals, np), 1),
         friction=given.friction[index, there],
-        squeeze=squeeze / load,
+        squeeze=given.squeeze[index, there] / load,
         normal_min=given.normal_min[index, there] / load,
         normal_max=given.normal_max[index, there] / load,
-        torque_rows=rows,
+        torque_rows=given.torque_map[index, there].reshape(3 * len(there), -1).T,
         torque_max=given.torque_max[index] / load,
         load=load,
     )
@@ -124,12 +112,13 @@ def solve_each(given: MethodInput, solve: Callable[[HostProblem], HostResult]) -
     count, n = given.friction.shape
     forces, objective = np.zeros((count, n, 3)), np.zeros(count)
     status, iterations = np.zeros(count, int), np.zeros(count, int)
+    scaled, loads = scale(given)
     for index in np.flatnonzero(given.valid).tolist():
         if not given.present[index].any():
             # Nothing balances nothing.
             status[index] = MethodStatus.INFEASIBLE if given.wrench[index].any() else MethodStatus.SOLVED
             continue
-        problem = host_problem(given, index)
+        problem = host_problem(given, scaled, float(loads[index]), index)
         found = solve(problem)
         status[index], objective[index], iterations[index] = found.status, found.objective, found.iterations
         if found.forces is not None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import ScaledBatch
+from jaxgrasp.literature.scaled_batch import ScaledBatch
 from jaxgrasp.model.wrench import grasp_matrix
 
 RANK_CUT = 1e-11

@@ -26,9 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import BatchResult, ScaledBatch, solve_all
+from jaxgrasp.literature.batch_problem import BatchResult, solve_all
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
+from jaxgrasp.literature.scaled_batch import ScaledBatch
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 

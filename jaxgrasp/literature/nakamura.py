@@ -21,11 +21,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from jaxgrasp.literature.batch_problem import BatchResult, ScaledBatch, solve_all
+from jaxgrasp.literature.batch_problem import BatchResult, solve_all
 from jaxgrasp.literature.internal import internal
 from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.multipliers import least_internal
+from jaxgrasp.literature.scaled_batch import ScaledBatch
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.literature.batch_problem import ScaledBatch
 from jaxgrasp.literature.internal import Internal
+from jaxgrasp.literature.scaled_batch import ScaledBatch
 
 LONGEST, SHORTEST = 6, -30
 """Powers of two, in radii of Dikin's ellipsoid, between which lengths of steps are tried."""

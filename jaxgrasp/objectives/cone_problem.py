@@ -12,10 +12,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.cone_program import Cones
 from jaxgrasp.numerics.vec3 import safe_divide
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs, tangents
+from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs
 
 
 class Units(NamedTuple):

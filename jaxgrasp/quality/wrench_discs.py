@@ -16,10 +16,8 @@ from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
+from jaxgrasp.numerics.centring import centred, tangents
 
-BLUR = 8
-"""Roundings of where contacts are that a distance between them has to exceed."""
 Length = Float[AnyArray, "..."] | float | None
 About = Float[AnyArray, "... 3"] | None
 
@@ -47,16 +45,14 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDis
         about: ``(..., 3)`` [m]; where not given the mean of the present contacts' points.
     """
     there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
-    points = jnp.where(there[..., None], grasp.points, 0)
+    points = jnp.asarray(grasp.points)
     normals = jnp.where(there[..., None], grasp.normals, jnp.eye(3, dtype=points.dtype)[2])
     normals = normals / jnp.sqrt(jnp.sum(normals**2, -1, keepdims=True))
     friction = jnp.where(there, grasp.friction, 0)
     torsion = 0 if grasp.torsion is None else jnp.where(there & (friction > 0), grasp.torsion, 0)
-    count = jnp.maximum(jnp.sum(there, -1), 1)
-    middle = jnp.sum(points, -2) / count[..., None] if about is None else jnp.asarray(about, points.dtype)
-    middle = jnp.broadcast_to(middle, (*points.shape[:-2], 3))
-    arms = jnp.where(there[..., None], points - middle[..., None, :], 0)
-    unit = _radius(arms, count, middle) if length is None else jnp.asarray(length, points.dtype)
+    given = None if about is None else jnp.broadcast_to(jnp.asarray(about, points.dtype), (*points.shape[:-2], 3))
+    middle, arms, radius = centred(points, there, given)
+    unit = jnp.where(radius > 0, radius, 1) if length is None else jnp.asarray(length, points.dtype)
     unit = jnp.broadcast_to(unit, points.shape[:-2])
     arms = arms / unit[..., None, None]
 
@@ -74,14 +70,6 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDis
     )
 
 
-def tangents(normals: Array) -> tuple[Array, Array]:
-    """Two unit vectors across each normal, the first one across a coordinate axis too: the one least along it."""
-    axis = jnp.eye(3, dtype=normals.dtype)[jnp.argmin(jnp.abs(normals), -1)]
-    first = jnp.cross(normals, axis)
-    first = first / jnp.sqrt(jnp.sum(first**2, -1, keepdims=True))
-    return first, jnp.cross(normals, first)
-
-
 def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArray) -> Array:
     """Power along scaled twists ``(..., 6)`` of normal forces ``press`` (..., n) and friction ``lean`` (..., n, 3).
 
@@ -90,10 +78,3 @@ def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArr
     along = jnp.einsum("...nj,...j->...n", shapes.centres, direction)
     across = jnp.einsum("...njk,...j->...nk", shapes.spans, direction)
     return jnp.sum(press * along + jnp.sum(lean * across, -1), -1)
-
-
-def _radius(arms: Array, count: Array, middle: Array) -> Array:
-    radius = safe_sqrt(safe_divide(jnp.sum(arms**2, (-1, -2)), count))
-    # Points that coincide but for the rounding of their mean have no radius of their own.
-    blur = BLUR * jnp.finfo(radius.dtype).eps * safe_sqrt(jnp.sum(middle**2, -1))
-    return jnp.where(radius > blur, radius, 1)

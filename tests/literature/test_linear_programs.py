@@ -11,6 +11,7 @@ from jaxgrasp.literature.host_problem import host_problem
 from jaxgrasp.literature.linear import LinearProgram, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
+from jaxgrasp.literature.scaled_batch import scale
 
 COUNT, N, SIDES, MOST = 10, 4, 6, 200.0
 JOINTS = 3
@@ -223,7 +224,9 @@ def test_the_compact_dual_has_few_rows():
     """3n - 6 free forces and the largest normal force; a column for each inequality."""
     for n in (3, 5, 10):
         problem = P.problems("ordinary", n, 1, seed=0)
-        program = load_program(host_problem(read_input(grasp_of(problem), problem.wrench), 0), 1.0, 1.0, 8, "inscribed")
+        given = read_input(grasp_of(problem), problem.wrench)
+        scaled, loads = scale(given)
+        program = load_program(host_problem(given, scaled, loads[0], 0), 1.0, 1.0, 8, "inscribed")
         plain, dual = sizes_of(program)
         assert plain[:2] == (6 + 10 * n, 3 * n + 1) and dual[:2] == (3 * n - 5, 10 * n)
 

@@ -8,9 +8,9 @@ from benchmarks import problems as P
 from benchmarks import references as R
 from jaxgrasp import Grasp, closed_form, constrained_optimum, pyramid_optimum
 from jaxgrasp.literature import MethodStatus, buss, kuhn_tucker, kumar_waldron, nakamura
-from jaxgrasp.literature.batch_problem import scale
 from jaxgrasp.literature.kumar_waldron import equilibrating_forces
 from jaxgrasp.literature.method_input import read_input
+from jaxgrasp.literature.scaled_batch import ScaledBatch, scale
 
 COUNT, N = 40, 4
 
@@ -104,7 +104,8 @@ def test_kuhn_tucker_says_when_its_steps_run_out(problem):
 @pytest.mark.parametrize("kind", ["ordinary", "near_collinear", "far_frame"])
 def test_equilibrating_forces_are_the_pseudo_inverse_without_interaction(kind):
     problem = P.problems(kind, N, COUNT, seed=8)
-    given, size = scale(read_input(grasp_of(problem), problem.wrench))
+    scaled, size = scale(read_input(grasp_of(problem), problem.wrench))
+    given = ScaledBatch(*map(jnp.asarray, scaled))
     forces = np.asarray(equilibrating_forces(given)) * np.asarray(size)[:, None, None]
     # An extended-precision pseudo-inverse that shares nothing with the package.
     still = problem._replace(squeeze=np.zeros_like(problem.squeeze))

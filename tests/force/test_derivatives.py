@@ -91,7 +91,7 @@ def ordinary():
     return inputs_of(P.problems("ordinary", N, COUNT, seed=1))
 
 
-@pytest.mark.parametrize("name", [*INPUTS, "all"])
+@pytest.mark.parametrize("name", [*(pytest.param(name, marks=pytest.mark.slow) for name in INPUTS), "all"])
 def test_forward_is_the_limit_of_differences(compiled, ordinary, name):
     """Sixth-order central differences, at three step lengths of which the best counts, lane by lane."""
     moved = only(name, steps(ordinary, seed=2))

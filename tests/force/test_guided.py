@@ -61,7 +61,7 @@ def unbalanced(problem: P.Problems, free: np.ndarray, forces: np.ndarray) -> np.
 
 
 @pytest.mark.parametrize("sharing", SHARINGS)
-@pytest.mark.parametrize("k", [1, 4])
+@pytest.mark.parametrize("k", [pytest.param(1, marks=pytest.mark.slow), 4])
 @pytest.mark.parametrize("kind", KINDS)
 def test_answers_are_proven_by_weak_duality(kind, k, sharing):
     """Allowed forces that balance the free twists, and a multiplier among them that bounds the objective from below."""

@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 
 import jaxgrasp
 from benchmarks import problems as P
@@ -15,6 +16,7 @@ def answers(grasp, wrench):
     return jax.device_get(jaxgrasp.closed_form_and_optimum(grasp, wrench))
 
 
+@pytest.mark.slow
 def test_plain_functions_have_the_same_answers(monkeypatch):
     kinds = [P.problems(kind, 3, 60, seed=11) for kind in ("ordinary", "combined", "limit_101")]
     arrays = (np.concatenate([getattr(some, name) for some in kinds]) for name in FIELDS)

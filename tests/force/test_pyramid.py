@@ -125,6 +125,7 @@ def clarabel_pyramid(
     return forces, float(np.sum(cost * (forces[there].ravel() - squeezing.ravel()) ** 2) / 2)
 
 
+@pytest.mark.slow
 def test_most_are_solved_and_the_rest_is_said(by_sides):
     for sides, solution in by_sides.items():
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))

@@ -33,6 +33,7 @@ def test_a_weight_is_felt_by_the_work_that_lifts_it(fingers):
         assert np.any(column > 1e-3) == (name.split()[0] in fingers), name
 
 
+@pytest.mark.slow
 @FINGERS
 def test_a_stiffness_is_felt_by_its_energy(fingers):
     felt = felt_object(StimulusPlan("stiffness", fingers), MODEL)

@@ -20,10 +20,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks import references as R
 from benchmarks.machine import machine
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 SIZES, BATCHES, DTYPES = (3, 5, 10, 20), (1_000, 12_345, 100_000), (np.float64, np.float32)
 """Of the batches one is no multiple of anything: outside jit it is padded."""

@@ -26,11 +26,11 @@ from unittest.mock import patch
 import jax
 
 import jaxgrasp
-from benchmarks import problems as P
 from benchmarks.page import compile_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
 from jaxgrasp.numerics import fused_cpu_kernel
+from jaxgrasp.testing import problems as P
 
 NAME = "compile"
 HERE = Path(__file__).parent

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
 
 SIZES = (1, 2, 3, 5, 10, 20)
 SHARINGS = ("squeeze", "uniform")

@@ -17,11 +17,11 @@ from pathlib import Path
 
 import jax
 
-from benchmarks import references as R
 from benchmarks.machine import machine
 from benchmarks.page import decisions, extras, gradients, plot, stress, tables, times
 from benchmarks.rivals import registry
 from benchmarks.rivals.interface import Differentiator, Rival
+from jaxgrasp.testing import references as R
 
 SECTIONS = ("singles", "batches", "extras", "stress", "decisions", "gradients")
 NAME = "constrained_optimum"

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import machine
-from benchmarks.problems import problems
+from jaxgrasp.testing.problems import problems
 
 RUN = """
 import resource, sys

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import problems as P
-from benchmarks.limited_problems import limited_problems
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing.limited_problems import limited_problems
 
 HERE = Path(__file__).parent
 SIZES = {4: 28, 12: 28}

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks import references as R
-from benchmarks.problem_data import Problems
 from jaxgrasp import Verdict
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 
 class Laws(NamedTuple):

@@ -16,13 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks import limited_reference
-from benchmarks.limited_problems import limited_problems
 from benchmarks.page import limited_tables
 from benchmarks.page.clock import interleaved
-from benchmarks.problems import problems
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp, Limits, Route, Verdict
+from jaxgrasp.testing import limited_reference
+from jaxgrasp.testing.limited_problems import limited_problems
+from jaxgrasp.testing.problems import problems
 
 NAME = "limited_hands"
 KINDS = (

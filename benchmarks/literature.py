@@ -20,12 +20,9 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from benchmarks import references as R
 from benchmarks.machine import machine
 from benchmarks.page import literature_plot, literature_tables
 from benchmarks.page.clock import interleaved
-from benchmarks.problem_data import Problems
-from benchmarks.problems import problems
 from jaxgrasp import Grasp, Limits, Verdict, closed_form, constrained_optimum, friction_margin
 from jaxgrasp.literature import LITERATURE_METHODS, MethodStatus, kuhn_tucker
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
@@ -34,6 +31,9 @@ from jaxgrasp.literature.linear import LinearProgram, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
 from jaxgrasp.sensitivity import cylinder_task
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.problems import problems
 
 NAME = "literature"
 SEED, SIZES, SIDES = 0, (3, 5, 10), 8

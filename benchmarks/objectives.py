@@ -16,12 +16,12 @@ import jax
 import numpy as np
 
 import jaxgrasp
-from benchmarks import limited_reference
-from benchmarks.limited_problems import LimitedProblems, limited_problems
 from benchmarks.page import objective_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
 from jaxgrasp import OBJECTIVES, Verdict
+from jaxgrasp.testing import limited_reference
+from jaxgrasp.testing.limited_problems import LimitedProblems, limited_problems
 
 NAME = "objectives"
 KINDS = ("ordinary", "near_collinear", "coincident_some", "low_friction", "some_zero_squeeze", "far_frame", "combined")

@@ -18,10 +18,10 @@ import jax
 import numpy as np
 
 import jaxgrasp
-from benchmarks import problems as P
 from benchmarks.page import quality_tables
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp
+from jaxgrasp.testing import problems as P
 
 NAME = "quality"
 SIDES = (4, 8, 16)

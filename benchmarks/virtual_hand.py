@@ -23,16 +23,16 @@ import numpy as np
 
 import jaxgrasp
 from benchmarks import laws
-from benchmarks import references as R
 from benchmarks.closed_form import counts, force_error
 from benchmarks.machine import machine
 from benchmarks.page import devices, hand_tables
 from benchmarks.page.clock import interleaved
-from benchmarks.problem_data import Problems
 from jaxgrasp import Solution
 from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Scene
 from jaxgrasp.grip.power_grip import lay_on, power_grip
 from jaxgrasp.hand import Contacts, Cylinder, Hand, Pose, Posture, Spheres
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 NAME = "virtual_hand"
 PAPER = {3: 2.0, 5: 2.0, 10: 3.0, 15: 5.0, 20: 7.0}

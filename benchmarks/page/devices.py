@@ -16,8 +16,8 @@ import jax
 
 import jaxgrasp
 from benchmarks.page.clock import interleaved
-from benchmarks.problems import problems
 from jaxgrasp import Grasp
+from jaxgrasp.testing.problems import problems
 
 CORES = 2
 REPEATS = 9

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import references as R
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Answers, Rival
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 
 class Best(NamedTuple):

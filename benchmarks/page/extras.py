@@ -9,14 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks import references as R
 from benchmarks.page import devices
 from benchmarks.page.clock import interleaved
 from benchmarks.page.errors import chosen, first
 from benchmarks.page.times import needs_cones, ordinary
-from benchmarks.problem_data import Contacts, Problems
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Contacts, Problems
 
 
 class Plan(NamedTuple):

@@ -6,13 +6,13 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from benchmarks import references as R
 from benchmarks.page.clock import interleaved
 from benchmarks.page.extras import forward, on_device, reverse
 from benchmarks.page.times import needs_cones, ordinary
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Differentiator
 from benchmarks.rivals.registry import load
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 MODULES = {"by_diffcp": "diffcp", "by_cvxpylayers": "cvxpylayers"}
 STEP = 1e-4

@@ -41,7 +41,7 @@ def _preface(report: dict) -> str:
     facts = report["machine"]
     return (
         f"{made_by('quality', facts, ('jax', 'scipy'))}.\n\n"
-        f"{report['plan']['grasps']} ordinary grasps of each size that are closed (`benchmarks/problems.py`)."
+        f"{report['plan']['grasps']} ordinary grasps of each size that are closed (`jaxgrasp/testing/problems.py`)."
     )
 
 

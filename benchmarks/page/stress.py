@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks import problems as P
 from benchmarks.laws import any_of, hold
-from benchmarks.problem_data import Problems
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing.problem_data import Problems
 
 UNBOUNDED = 1e300
 """Stands for an infinite need, which JSON has no number for."""

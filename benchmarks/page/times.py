@@ -6,12 +6,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from benchmarks import problems as P
-from benchmarks import references as R
 from benchmarks.page.clock import interleaved
 from benchmarks.page.errors import Best, best, chosen, first, measure, summary
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Answers, Prepared, Rival
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 
 class Plan(NamedTuple):

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 from cvxpylayers.jax import CvxpyLayer
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Differentiator
 from benchmarks.rivals.squeezed import Squeezed, squeezed
+from jaxgrasp.testing.problem_data import Problems
 
 
 def _layer(contacts: int) -> CvxpyLayer:

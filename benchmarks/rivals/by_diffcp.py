@@ -11,10 +11,10 @@ import diffcp
 import numpy as np
 from scipy import sparse
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Differentiator
 from benchmarks.rivals.program import Conic, conic, epigraph
 from benchmarks.rivals.squeezed import Squeezed, squeezed
+from jaxgrasp.testing.problem_data import Problems
 
 
 def _prepare(problem: Problems, settings: dict) -> Callable[[], np.ndarray]:

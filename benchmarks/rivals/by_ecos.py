@@ -7,9 +7,9 @@ import ecos
 import numpy as np
 from scipy import sparse
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import Conic, conic, epigraph, program
+from jaxgrasp.testing.problem_data import Problems
 
 TOLERANCE = 1e-8
 OPTIMAL, PRIMAL_INFEASIBLE = 0, 1

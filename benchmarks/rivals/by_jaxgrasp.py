@@ -8,10 +8,10 @@ import jax
 import numpy as np
 
 import jaxgrasp
-from benchmarks import references as R
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Answers, Prepared, Rival
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 Method = Callable[[Grasp, jax.Array, jax.Array], jaxgrasp.Solution]
 Cones = Literal["circular", "pyramids", "none"]

@@ -4,9 +4,9 @@ import moreau
 import numpy as np
 from scipy import sparse
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import Conic, conic, program
+from jaxgrasp.testing.problem_data import Problems
 
 TOLERANCE = 1e-8
 

@@ -4,9 +4,9 @@ import numpy as np
 import qoco
 from scipy import sparse
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import conic, program
+from jaxgrasp.testing.problem_data import Problems
 
 TOLERANCE = 1e-8
 

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import qpax
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import facets, program
+from jaxgrasp.testing.problem_data import Problems
 
 SIDES, TOLERANCE = 8, 1e-6
 

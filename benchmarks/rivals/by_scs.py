@@ -9,9 +9,9 @@ import numpy as np
 import scs
 from scipy import sparse
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Prepared, Rival
 from benchmarks.rivals.program import conic, program
+from jaxgrasp.testing.problem_data import Problems
 
 
 def _prepare(problem: Problems, weights: np.ndarray, tolerance: float) -> Prepared:

@@ -6,7 +6,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from benchmarks.problem_data import Problems
+from jaxgrasp.testing.problem_data import Problems
 
 
 class Answers(NamedTuple):

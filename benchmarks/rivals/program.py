@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from benchmarks import references as R
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.interface import Answers
+from jaxgrasp.testing import references as R
+from jaxgrasp.testing.problem_data import Problems
 
 
 class Program(NamedTuple):

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.problem_data import Problems
 from benchmarks.rivals.program import Program, program
+from jaxgrasp.testing.problem_data import Problems
 
 
 class Data(NamedTuple):

@@ -8,8 +8,8 @@ How large? Compiling grows faster than the code in one kernel, so a step of an a
 some hundred operations. What spans a whole batch is better left alone: a kernel runs on one thread.
 
 The attributes are XLA's own affair, and another version may read them otherwise: where ``is_known_xla`` does not know
-it, all stay plain functions, of the same answers but for rounding. When ``tests/numerics/test_one_kernel.py`` and
-``tests/force/test_kernels.py`` pass with a new version, that one line is to be widened.
+it, all stay plain functions, of the same answers but for rounding. When ``tests/numerics/test_fused_cpu_kernel.py`` and
+``tests/solver/test_kernels.py`` pass with a new version, that one line is to be widened.
 """
 
 from collections.abc import Callable, Iterator

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks.limited_problems import limited_problems
 from jaxgrasp.batch import blocks
 from jaxgrasp.batch.contact_sets import OPTIONAL_FIELDS, ContactSets
 from jaxgrasp.batch.shards import ResultFolder
@@ -15,6 +14,7 @@ from jaxgrasp.batch.sources import Adjustments, MemorySource
 from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
 from jaxgrasp.cli.main import main
 from jaxgrasp.model.limits import BOUNDS
+from jaxgrasp.testing.limited_problems import limited_problems
 
 COUNT, N, JOINTS = 12, 4, 3
 METHODS = ("B", "B-optimum")

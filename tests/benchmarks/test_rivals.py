@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks import problems as P
-from benchmarks import references as R
 from benchmarks.page import decisions, gradients
 from benchmarks.page.errors import best, measure
 from benchmarks.rivals import registry
 from benchmarks.rivals.interface import Prepared, Rival
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT = 8
 IN_THE_TEST_EXTRA = ("by_closed_form", "by_jaxgrasp", "by_optimistix", "by_jaxopt", "by_clarabel")

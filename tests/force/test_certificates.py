@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT = 64
 PROOF = 1e6

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT, N = 64, 5
 SHARINGS = ("squeeze", "uniform")

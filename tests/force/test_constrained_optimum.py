@@ -1,6 +1,6 @@
 """Laws of the constrained optimum: allowed, balanced, best; on nasty problems see ``test_stress.py``.
 
-Every answer is judged by ``benchmarks.references`` alone: extended precision, nothing of the solver's own.
+Every answer is judged by ``jaxgrasp.testing.references`` alone: extended precision, nothing of the solver's own.
 """
 
 import jax
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT = 64
 GAP, BALANCE, ROUNDING = 1e-8, 1e-10, 1e-13

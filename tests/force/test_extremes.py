@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from benchmarks.laws import any_of, hold
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
 
 COUNT, N = 64, 3
 POWERS = {"float64": (100, 150, 180, 300), "float32": (12, 17, 19, 30)}

@@ -8,9 +8,9 @@ import pytest
 
 import jaxgrasp
 from benchmarks import laws
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT, N = 64, 4
 SHARINGS = ("squeeze", "uniform")

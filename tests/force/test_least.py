@@ -8,9 +8,9 @@ import pytest
 import scipy.sparse
 from scipy.spatial.transform import Rotation
 
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict, closed_form, grasp_matrix, least_friction, least_squeeze, least_squeeze_factor
 from jaxgrasp.sensitivity import friction_reserve
+from jaxgrasp.testing import problems as P
 
 COUNT = 24
 PINCH = Grasp(

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import limited_reference
-from benchmarks.limited_problems import LimitedProblems, limited_problems
 from jaxgrasp import Grasp, Limits, Route, Verdict
+from jaxgrasp.testing import limited_reference
+from jaxgrasp.testing.limited_problems import LimitedProblems, limited_problems
 
 COUNT, N, JOINTS = 48, 4, 5
 KINDS = (

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks.limits import reachable_limit
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing.reachable_limits import reachable_limit
 
 COUNT, N = 64, 3
 THETA = 1e-8

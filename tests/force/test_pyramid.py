@@ -4,9 +4,9 @@ import jax
 import numpy as np
 import pytest
 
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, Verdict, pyramid_optimum
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT, N = 64, 3
 TOL = 1e-6

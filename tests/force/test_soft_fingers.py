@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import limited_reference
-from benchmarks.limited_problems import LimitedProblems, limited_problems
-from benchmarks.problems import exact_wrench
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import limited_reference
+from jaxgrasp.testing.limited_problems import LimitedProblems, limited_problems
+from jaxgrasp.testing.problems import exact_wrench
 
 COUNT, N = 48, 3
 HARD_ONLY = (

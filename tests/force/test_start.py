@@ -6,9 +6,9 @@ import numpy as np
 import optimistix
 import pytest
 
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict, constrained_optimum
 from jaxgrasp.sensitivity import cylinder_task
+from jaxgrasp.testing import problems as P
 
 COUNT = 64
 

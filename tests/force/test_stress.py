@@ -1,7 +1,7 @@
 """Nothing is silently wrong on nasty problems: what claims to be an answer is one, what claims a proof has one.
 
-Every claim is judged by ``benchmarks.references`` alone: extended precision, nothing of the solver's own. The quick
-tests take some problems of every kind, the slow ones a thousand of each at every size.
+Every claim is judged by ``jaxgrasp.testing.references`` alone: extended precision, nothing of the solver's own. The
+quick tests take some problems of every kind, the slow ones a thousand of each at every size.
 """
 
 import jax
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from benchmarks.laws import Held, hold
 from jaxgrasp import Grasp, Solution, Verdict
+from jaxgrasp.testing import problems as P
 
 SHARINGS = ("squeeze", "uniform")
 COUNT, SEED = 64, 3

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.grip import Hold, Touch, monitor
+from jaxgrasp.testing import problems as P
 
 COUNT = 64
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError, Limits
 from jaxgrasp.literature import LITERATURE_METHODS, MethodAnswer, MethodStatus
+from jaxgrasp.testing import problems as P
 
 COUNT, N = 12, 5
 MOST = 300.0

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError, Limits
 from jaxgrasp.literature import MethodStatus, cheng_orin, kerr_roth, orin_oh
 from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
@@ -12,6 +11,7 @@ from jaxgrasp.literature.linear import LinearProgram, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
 from jaxgrasp.literature.scaled_batch import scale
+from jaxgrasp.testing import problems as P
 
 COUNT, N, SIDES, MOST = 10, 4, 6, 200.0
 JOINTS = 3

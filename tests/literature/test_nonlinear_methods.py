@@ -4,13 +4,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, closed_form, constrained_optimum, pyramid_optimum
 from jaxgrasp.literature import MethodStatus, buss, kuhn_tucker, kumar_waldron, nakamura
 from jaxgrasp.literature.kumar_waldron import equilibrating_forces
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.scaled_batch import ScaledBatch, scale
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT, N = 40, 4
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
 
 
 def batch(count: int = 6) -> tuple[Grasp, np.ndarray]:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import limited_reference
-from benchmarks.limited_problems import LimitedProblems, limited_problems
 from jaxgrasp import OBJECTIVES, BestForces, Grasp, Limits, Verdict, best_forces, friction_margin
+from jaxgrasp.testing import limited_reference
+from jaxgrasp.testing.limited_problems import LimitedProblems, limited_problems
 
 COUNT, N, JOINTS = 24, 4, 5
 KINDS = ("ordinary", "low_friction", "zero_friction", "some_zero_squeeze", "coincident_some", "far_frame", "combined")

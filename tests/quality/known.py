@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks import problems as P
 from jaxgrasp import Grasp
+from jaxgrasp.testing import problems as P
 
 
 def grasp_of(points, normals, friction, torsion=None) -> Grasp:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError
 from jaxgrasp.quality import ferrari_canny, force_closure, min_weight
+from jaxgrasp.testing import problems as P
 from tests.quality import known
 
 ROUNDING = 1e-12

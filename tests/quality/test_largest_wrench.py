@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, GraspError
 from jaxgrasp.quality import largest_wrench, largest_wrench_at
+from jaxgrasp.testing import problems as P
 from tests.quality import known
 
 BOUNDS = ("l1", "linf")

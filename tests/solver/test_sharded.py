@@ -13,7 +13,7 @@ import pytest
 from jax.sharding import PartitionSpec
 
 import jaxgrasp
-from benchmarks import problems as P
+from jaxgrasp.testing import problems as P
 
 SCRIPT = Path(__file__).with_name("sharded.py")
 ROOT = SCRIPT.parents[2]

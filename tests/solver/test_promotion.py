@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
+from jaxgrasp.testing import problems as P
 
 
 def by_squeeze(question):

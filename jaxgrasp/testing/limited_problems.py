@@ -3,15 +3,15 @@
 Limits are drawn about the forces behind a feasible wrench, so that these stay allowed: what was feasible stays so.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.limited_reference import Case
-from benchmarks.problem_data import Problems
-from benchmarks.problems import problems
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS, Limits
+from jaxgrasp.testing.limited_reference import Case
+from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.problems import problems
 
 TURNED = 0.5
 """Part of the torsional friction that the moments behind a feasible wrench use at most."""
@@ -42,13 +42,15 @@ class LimitedProblems(NamedTuple):
         p = self.problem
         own = [getattr(p, name)[index] for name in ("points", "normals", "friction", "squeeze", "wrench")]
         given = {name: getattr(self, name) for name in ("torsion", *BOUNDS)}
-        return Case(*own, weights[index], **{name: None if x is None else x[index] for name, x in given.items()})
+        rest: dict[str, Any] = {name: None if x is None else x[index] for name, x in given.items()}
+        points, normals, friction, squeeze, wrench = own
+        return Case(points, normals, friction, squeeze, wrench, weights[index], **rest)
 
 
 def limited_problems(
     kind: str, n: int, count: int, seed: int, *, soft: bool = False, bounded: bool = False, joints: int = 0
 ) -> LimitedProblems:
-    """Problems of ``benchmarks.problems`` with soft fingers, bounds of normal forces, and so many limited joints.
+    """Problems of ``jaxgrasp.testing.problems`` with soft fingers, bounds of normal forces, and so many limited joints.
 
     Each joint moves about half of the contacts. Kinds without a witness keep their wrench, and get limits about the
     squeezing forces.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from benchmarks import limits as L
-from benchmarks import problems as P
-from benchmarks import references as R
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import reachable_limits as L
+from jaxgrasp.testing import references as R
 
 SIZES = (1, 2, 3, 5)
 COUNT, SEED = 32, 7

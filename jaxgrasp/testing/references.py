@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.problem_data import Problems
+from jaxgrasp.testing.problem_data import Problems
 
 Wide = np.longdouble
 EXTENDED = np.finfo(Wide).eps < 1e-18

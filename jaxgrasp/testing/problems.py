@@ -2,7 +2,7 @@
 
 A feasible wrench is made as G f with f well inside the cones (eighty per cent of the friction), so that rounding of
 the wrench cannot push the problem over the edge. The ``limit`` kinds lie at a given share of the largest wrench that
-the grasp can exert in some direction, as ``benchmarks.limits`` finds and proves it.
+the grasp can exert in some direction, as ``jaxgrasp.testing.reachable_limits`` finds and proves it.
 
 Share of ``ordinary`` problems whose optimum has an active cone, measured over 4,000 problems at n = 3/5/8/10/20:
 0.43/0.49/0.50/0.48/0.46 for method B, 0.48/0.60/0.64/0.63/0.63 for method A.
@@ -13,8 +13,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.random import Generator
 
-from benchmarks.limits import reachable_limit
-from benchmarks.problem_data import Contacts, Problems
+from jaxgrasp.testing.problem_data import Contacts, Problems
+from jaxgrasp.testing.reachable_limits import reachable_limit
 
 INSIDE = 0.8
 """Part of the friction that the forces behind a feasible wrench use at most."""

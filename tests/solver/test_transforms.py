@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
 
 COUNT, N = 64, 3
 METHODS = {"closed": jaxgrasp.closed_form, "optimum": jaxgrasp.constrained_optimum}

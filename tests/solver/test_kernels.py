@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Verdict
 from jaxgrasp.numerics import fused_cpu_kernel
+from jaxgrasp.testing import problems as P
 
 FIELDS = ("points", "normals", "friction", "squeeze")
 

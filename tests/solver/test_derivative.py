@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
 
 COUNT, N = 64, 3
 INPUTS = ("points", "normals", "friction", "squeeze", "wrench", "weights")

@@ -16,7 +16,7 @@ import numpy as np  # noqa: E402
 from jax.sharding import AxisType, NamedSharding, PartitionSpec  # noqa: E402
 
 import jaxgrasp  # noqa: E402
-from benchmarks import problems as P  # noqa: E402
+from jaxgrasp.testing import problems as P  # noqa: E402
 
 
 def forces(grasp, wrench):

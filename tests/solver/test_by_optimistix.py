@@ -10,9 +10,9 @@ import optimistix as optx
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
-from benchmarks import references as R
 from jaxgrasp import Grasp, Verdict
+from jaxgrasp.testing import problems as P
+from jaxgrasp.testing import references as R
 
 COUNT, N = 64, 3
 TOLERANCE = 1e-8

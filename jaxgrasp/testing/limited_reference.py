@@ -4,11 +4,11 @@ Written as a second-order cone program with a quadratic objective, in the user's
 jaxgrasp.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.references import tangents
+from jaxgrasp.testing.references import tangents
 
 
 class Case(NamedTuple):
@@ -99,7 +99,8 @@ def _in_units(case: Case) -> tuple[Case, float]:
     """With forces in units of the load [N], since Clarabel's tolerances are not relative."""
     load = float(np.linalg.norm(case.wrench[:3])) or 1.0
     named = {name: getattr(case, name) for name in ("squeeze", "wrench", "normal_min", "normal_max", "torque_max")}
-    return case._replace(**{name: None if x is None else x / load for name, x in named.items()}), load
+    scaled: dict[str, Any] = {name: None if x is None else x / load for name, x in named.items()}
+    return case._replace(**scaled), load
 
 
 class _Body(NamedTuple):
@@ -187,13 +188,15 @@ def _bounds(case: Case, body: _Body) -> tuple[np.ndarray, np.ndarray]:
     """Rows and bounds of what is linear: normal forces and torques."""
     n, rows, bounds = len(case.friction), [], []
     for sign, values in ((1, case.normal_max), (-1, case.normal_min)):
-        for i in range(n) if values is not None else ():
+        if values is None:
+            continue
+        for i in range(n):
             if np.isfinite(values[i]):
                 row = np.zeros((n, 4))
                 row[i, 0] = sign
                 rows.append(row.ravel())
                 bounds.append(sign * values[i])
-    if case.torque_map is not None:
+    if case.torque_map is not None and case.torque_max is not None:
         asked = _asked(case, body)
         for j in np.flatnonzero(np.isfinite(case.torque_max)):
             rows += [asked[:, :, j].ravel(), -asked[:, :, j].ravel()]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from benchmarks import problems as P
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, pieces
+from jaxgrasp.testing import problems as P
 
 N = 3
 MANY = P.problems("ordinary", N, 1000, seed=5)

@@ -1,0 +1,81 @@
+"""Cone programs judged by their own optimality conditions in NumPy, and beside Clarabel."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
+
+B, K, M, D = 12, 6, 3, 3
+
+
+@pytest.fixture(scope="module")
+def program() -> ConeProgram:
+    """Feasible by construction: h - G x0 lies inside every cone, b = A x0; bounded, since P > 0."""
+    rng = np.random.default_rng(0)
+    root, x0 = rng.normal(size=(B, K, K)), rng.normal(size=(B, K))
+    rows, lines = rng.normal(size=(B, M, D, K)), rng.normal(size=(B, 2, 1, K))
+    inside = rng.normal(size=(B, M, D)) * 0.3
+    inside[..., 0] = np.linalg.norm(inside[..., 1:], axis=-1) + rng.uniform(0.1, 1, (B, M))
+    equations = rng.normal(size=(B, 2, K))
+    cones = (
+        Cones(jnp.asarray(rows), jnp.asarray(inside + np.einsum("bmdk,bk->bmd", rows, x0))),
+        Cones(jnp.asarray(lines), jnp.asarray(0.2 + np.einsum("bmdk,bk->bmd", lines, x0))),
+    )
+    quadratic = root @ root.transpose(0, 2, 1) / K
+    arrays = (quadratic, rng.normal(size=(B, K)), equations, np.einsum("bek,bk->be", equations, x0))
+    return ConeProgram(*map(jnp.asarray, arrays), cones)
+
+
+@pytest.fixture(scope="module")
+def found(program):
+    return jax.device_get(jax.jit(solve)(program))
+
+
+def test_all_are_solved_and_meet_the_optimality_conditions(program, found):
+    assert found.solved.all()
+    p = jax.device_get(program)
+    x, y = found.point, found.equality
+    np.testing.assert_allclose(np.einsum("bek,bk->be", p.equations, x), p.right, atol=1e-8)
+    gradient = np.einsum("bkl,bl->bk", p.quadratic, x) + p.linear + np.einsum("bek,be->bk", p.equations, y)
+    for cones, slack, dual in zip(p.cones, found.slack, found.duals, strict=True):
+        np.testing.assert_allclose(slack, cones.offset - np.einsum("bmdk,bk->bmd", cones.rows, x), atol=1e-8)
+        for side in (slack, dual):
+            assert (np.linalg.norm(side[..., 1:], axis=-1) <= side[..., 0] + 1e-12).all()
+        assert np.abs(np.sum(slack * dual, -1)).max() < 1e-8
+        gradient = gradient + np.einsum("bmdk,bmd->bk", cones.rows, dual)
+    assert np.abs(gradient).max() < 1e-8
+
+
+def test_another_solver_finds_the_same(program, found):
+    clarabel = pytest.importorskip("clarabel")
+    from scipy import sparse
+
+    p = jax.device_get(program)
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
+    for i in range(B):
+        rows = [p.equations[i], *(cones.rows[i].reshape(-1, K) for cones in p.cones)]
+        right = [p.right[i], *(cones.offset[i].ravel() for cones in p.cones)]
+        kinds = [clarabel.ZeroConeT(2), *[clarabel.SecondOrderConeT(D)] * M, clarabel.NonnegativeConeT(2)]
+        answer = clarabel.DefaultSolver(
+            sparse.csc_matrix(np.triu(p.quadratic[i])),
+            p.linear[i],
+            sparse.csc_matrix(np.concatenate(rows)),
+            np.concatenate(right),
+            kinds,
+            settings,
+        ).solve()
+        np.testing.assert_allclose(found.point[i], answer.x, atol=1e-6)
+
+
+def test_equations_that_depend_on_each_other_are_one(program, found):
+    doubled = program._replace(
+        equations=jnp.concatenate([program.equations, program.equations[:, :1], 0 * program.equations[:, :1]], 1),
+        right=jnp.concatenate([program.right, program.right[:, :1], 0 * program.right[:, :1]], 1),
+    )
+    again = jax.device_get(jax.jit(solve)(doubled))
+    assert again.solved.all()
+    np.testing.assert_allclose(again.point, found.point, atol=1e-7)

@@ -1,0 +1,48 @@
+"""Tiles change nothing: what is computed in parts is what is computed at once, and what is left alone stays."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp.numerics.tiling import over_chosen, over_tiles
+
+
+def function(arguments):
+    each, shared = arguments
+    return {"sum": jnp.sum(jnp.sin(each), 1) + shared[0], "twice": 2 * each}
+
+
+@pytest.mark.parametrize("size", [0, 1, 7, 8, 9, 23, 24])
+def test_a_batch_in_tiles_is_the_batch(size):
+    each, shared = jnp.asarray(np.random.default_rng(0).normal(size=(size, 3))), jnp.asarray([2.0])
+    whole = function((each, shared))
+    tiles = jax.jit(lambda each: over_tiles(function, (each, shared), size, 8))
+    for tiled in (over_tiles(function, (each, shared), size, 8), tiles(each)):
+        for name, array in whole.items():
+            np.testing.assert_allclose(tiled[name], array, rtol=1e-15)
+
+
+@pytest.mark.parametrize("count", [0, 1, 8, 9, 20])
+def test_tiles_behind_the_count_are_zeros(count):
+    each = jnp.asarray(np.random.default_rng(0).normal(size=(20, 3)))
+    found = over_tiles(function, (each, jnp.asarray([2.0])), 20, 8, jnp.int32(count))["twice"]
+    np.testing.assert_array_equal(found[:count], 2 * each[:count])
+    behind = max(0, min(20, -(-count // 8) * 8))
+    assert not np.any(found[behind:])
+
+
+@pytest.mark.parametrize("size", [1, 3, 4, 5, 16, 50])
+@pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
+def test_the_chosen_are_replaced_and_no_others(size, share):
+    rng = np.random.default_rng(size)
+    each, chosen = jnp.asarray(rng.normal(size=(size, 2))), jnp.asarray(rng.uniform(size=size) < share)
+    before = {"value": jnp.asarray(rng.normal(size=size)), "steps": jnp.arange(size)}
+
+    def improve(arguments, results):
+        return {"value": jnp.sum(arguments, 1) + results["value"], "steps": results["steps"] + 1}
+
+    after = jax.jit(lambda e, r, c: over_chosen(improve, e, r, c, 4))(each, before, chosen)
+    new = improve(each, before)
+    for name in before:
+        np.testing.assert_array_equal(after[name], np.where(chosen, new[name], before[name]))

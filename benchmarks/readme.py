@@ -1,8 +1,9 @@
-"""README's tables, from the committed results.
+"""The tables of README and of the page about speed, from the committed results.
 
     python -m benchmarks.readme
 
-Each table stands between ``<!-- NAME table -->`` and ``<!-- end table -->``; a test holds README to what this writes.
+Each table stands between ``<!-- NAME table -->`` and ``<!-- end table -->``; a test holds both files to what this
+writes.
 """
 
 import json
@@ -29,7 +30,7 @@ RIVALS = {
     "ECOS 1e-08": "ECOS, 1e-8",
     "SCS 1e-09": "SCS, 1e-9",
 }
-"""Those of the page's methods that README shows, and what it calls them."""
+"""Those of the page's methods that are shown, and what they are called."""
 RIVALS_CONTACTS = 5
 
 
@@ -95,22 +96,38 @@ def throughput() -> str:
     return table(["grasps of five contacts", "grasps per second", "peak memory"], shown)
 
 
-TABLES: dict[str, Callable[[], str]] = {"size": by_size, "rival": by_rival, "throughput": throughput}
+def first_calls() -> str:
+    """What a first call costs, by itself and with nothing cached."""
+    rows = [row for row in result("compile")["programs"] if row["version"] == "after"]
+    seconds = {(row["call"], row["batch"]): row["alone"] for row in rows}
+    shown = [
+        [f"`{call}`" if call.isidentifier() else call, f"{seconds[call, 1]:.1f}", f"{seconds[call, 1000]:.1f}"]
+        for call in dict.fromkeys(row["call"] for row in rows)
+    ]
+    return table(["call", "one problem, CPU seconds", "batch of 1,000"], shown)
 
 
-def filled(text: str) -> str:
-    """README with its tables as the results have them."""
-    for name, make in TABLES.items():
+TABLES: dict[str, dict[str, Callable[[], str]]] = {
+    "README.md": {"size": by_size},
+    "docs/speed.md": {"rival": by_rival, "first call": first_calls, "throughput": throughput},
+}
+"""By the file that they stand in."""
+
+
+def filled(file: str) -> str:
+    """A file's text, with its tables as the results have them."""
+    text = (ROOT / file).read_text()
+    for name, make in TABLES[file].items():
         place = re.compile(rf"(<!-- {name} table -->\n).*?(<!-- end table -->)", re.S)
         text, found = place.subn(lambda match, make=make: match[1] + make() + "\n" + match[2], text)
         if found != 1:
-            raise ValueError(f"README has {found} places for the {name} table: expected 1")
+            raise ValueError(f"{file} has {found} places for the {name} table: expected 1")
     return text
 
 
 def main() -> None:
-    readme = ROOT / "README.md"
-    readme.write_text(filled(readme.read_text()))
+    for file in TABLES:
+        (ROOT / file).write_text(filled(file))
 
 
 if __name__ == "__main__":

@@ -1,32 +1,97 @@
-"""README's Python runs as it stands."""
+"""README and the pages of ``docs``: their Python runs as it stands, commands parse, and links lead somewhere."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
+import pytest
+import tyro
 
 import jaxgrasp
 from benchmarks import readme
+from jaxgrasp.cli.main import Command
 
-README = Path(__file__).parent.parent / "README.md"
+ROOT = Path(__file__).parent.parent
+README = ROOT / "README.md"
+DOCS = sorted((ROOT / "docs").glob("*.md"))
+PAGES = pytest.mark.parametrize("page", [README, *DOCS], ids=lambda page: page.stem)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
-def test_the_ten_lines_run(capsys):
-    code, hand = re.findall(r"```python\n(.*?)```", README.read_text(), re.S)
-    assert len(code.strip().splitlines()) <= 16 and len(hand.strip().splitlines()) <= 8
-    names: dict = {}
-    exec(compile(code, "README", "exec"), names)
-    assert capsys.readouterr().out
-    best, wrench = names["best"], names["wrench"]
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.S | re.M)
+
+
+def run(page: Path, names: dict) -> dict:
+    """All the Python of a page, one block after the other."""
+    for number, code in enumerate(blocks(page, "python")):
+        exec(compile(code, f"{page.name}, block {number}", "exec"), names)
+    return names
+
+
+def anchors(page: Path) -> set[str]:
+    """What GitHub calls the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.fixture(scope="module")
+def ten_lines() -> dict:
+    """What README's ten lines leave behind; the pages go on from it."""
+    return run(README, {})
+
+
+def test_the_ten_lines_run(ten_lines):
+    (code,) = blocks(README, "python")
+    assert len(code.strip().splitlines()) <= 16
+    best, wrench = ten_lines["best"], ten_lines["wrench"]
     assert jaxgrasp.Verdict(int(best.verdict)).solved
     np.testing.assert_allclose(np.asarray(best.forces).sum(0), np.asarray(wrench)[:3], atol=1e-9)
-    assert names["by_squeeze"].shape == (3, 3, 3)
-    exec(compile(hand, "README", "exec"), names)
-    assert "STABLE" in capsys.readouterr().out
+    assert ten_lines["by_squeeze"].shape == (3, 3, 3)
 
 
-def test_the_tables_are_those_of_the_committed_results():
-    assert readme.filled(README.read_text()) == README.read_text()
+@pytest.mark.parametrize("page", [page for page in DOCS if blocks(page, "python")], ids=lambda page: page.stem)
+def test_the_examples_run(page, ten_lines, capsys):
+    run(page, dict(ten_lines))
+    said = capsys.readouterr().out
+    assert said
+    if page.stem == "hand_and_grip":
+        assert said.startswith("STABLE")
+
+
+@PAGES
+def test_the_commands_parse(page):
+    lines = [shlex.split(line, comments=True) for text in blocks(page, "bash") for line in text.splitlines()]
+    for _, *arguments in [line for line in lines if line[:1] == ["jaxgrasp"]]:
+        tyro.cli(Command, args=arguments)
+
+
+@PAGES
+def test_the_links_lead_somewhere(page):
+    """Files that are there, and headings that are there."""
+    for link in LINK.findall(page.read_text()):
+        if link.startswith(("http:", "https:")):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+def test_the_index_lists_every_page():
+    index = ROOT / "docs" / "index.md"
+    listed = {link for link in LINK.findall(index.read_text()) if "/" not in link}
+    assert listed == {page.name for page in DOCS} - {"index.md"}
+
+
+def test_readme_is_short():
+    assert len(README.read_text().split()) <= 1300
+
+
+@pytest.mark.parametrize("file", readme.TABLES)
+def test_the_tables_are_those_of_the_committed_results(file):
+    assert readme.filled(file) == (ROOT / file).read_text()
 
 
 def test_the_quick_start_has_two_lines():

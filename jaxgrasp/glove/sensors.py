@@ -69,7 +69,7 @@ class Gauges:
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """What a glove reads."""
+    """Encoders and strain gauges: counts of a glove to angles and tensions."""
 
     encoders: Encoders
     gauges: Gauges

@@ -85,6 +85,20 @@ def test_lost_precision_is_said():
         jaxgrasp.closed_form(grasp, grasp.points[0].repeat(2))
 
 
+def test_a_warning_points_at_the_users_line():
+    in_a_new_process(
+        "import warnings, numpy as np, jaxgrasp\n"
+        "g = jaxgrasp.Grasp(np.eye(3), -np.eye(3), np.ones(3), np.ones(3))\n"
+        "w, calls = np.zeros(6), [jaxgrasp.closed_form, jaxgrasp.least_squeeze, jaxgrasp.reachable_wrench]\n"
+        "calls += [lambda g, w: jaxgrasp.dual_value(g, w, w), lambda g, w: jaxgrasp.wrench_margin(g, w, w)]\n"
+        "for call in calls:\n"
+        "    with warnings.catch_warnings(record=True) as seen:\n"
+        "        warnings.simplefilter('always')\n"
+        "        call(g, w)\n"
+        "    assert [one.filename for one in seen] == ['<string>'], [one.filename for one in seen]"
+    )
+
+
 def example():
     import numpy as np
 

@@ -1,7 +1,5 @@
 """The public answers: which force at each contact, by closed form or by constrained optimum."""
 
-from collections.abc import Callable
-from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,7 +12,6 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers, warn_of_lost_precision
 from jaxgrasp.solver import by_optimistix, transforms
 from jaxgrasp.solver.dispatch import dispatch
@@ -48,7 +45,8 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.closed_form)
+    warn_of_lost_precision(grasp, wrench, free)
+    return dispatch(transforms.closed_form, grasp, wrench, sharing, free=free)
 
 
 def constrained_optimum(
@@ -101,7 +99,8 @@ def constrained_optimum(
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
     solve = transforms.optimum if solver is None else transforms.optimum_by(solver)
-    return _solve_batch(grasp, wrench, sharing, free, divisor, start, limits, solve=solve)
+    warn_of_lost_precision(grasp, wrench, free)
+    return dispatch(solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor)
 
 
 def closed_form_and_optimum(
@@ -115,7 +114,8 @@ def closed_form_and_optimum(
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
-    return _solve_batch(grasp, wrench, sharing, free, solve=transforms.closed_form_and_optimum)
+    warn_of_lost_precision(grasp, wrench, free)
+    return dispatch(transforms.closed_form_and_optimum, grasp, wrench, sharing, free=free)
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:
@@ -162,28 +162,3 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
         external=closed_form(relaxed, wrench, weights).forces,
         internal=closed_form(grasp, jnp.zeros_like(wrench), weights).forces,
     )
-
-
-def _solve_batch(
-    grasp: Grasp,
-    wrench: AnyArray,
-    sharing: Sharing,
-    free: AnyArray | None,
-    safety: float | AnyArray | None = None,
-    start: AnyArray | None = None,
-    limits: Limits | None = None,
-    *,
-    solve: Callable[[ProblemBatch], Any],
-) -> Any:
-    warn_of_lost_precision(grasp, wrench, free)
-    return dispatch(_from_start(solve), grasp, wrench, sharing, free=free, limits=limits, safety=safety, start=start)
-
-
-@cache
-def _from_start(solve: Callable[[ProblemBatch], Any]) -> Callable[..., Any]:
-    """A solver to which the multiplier to begin from is given beside the problem."""
-
-    def begun(problem: ProblemBatch, start: Array | None = None) -> Any:
-        return solve(eqx.tree_at(lambda p: p.start, problem, start, is_leaf=lambda x: x is None))
-
-    return begun

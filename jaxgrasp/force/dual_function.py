@@ -45,7 +45,8 @@ def dual_value(
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
     """
-    return _at(grasp, wrench, multiplier, sharing)[0]
+    warn_of_lost_precision(grasp, wrench, multiplier)
+    return dispatch(_evaluate, grasp, wrench, sharing, multiplier=multiplier)[0]
 
 
 def multiplier_forces(
@@ -67,12 +68,8 @@ def multiplier_forces(
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
     """
-    return _at(grasp, jnp.zeros(6, int), multiplier, sharing)[1]
-
-
-def _at(grasp: Grasp, wrench: AnyArray, multiplier: AnyArray, sharing: Sharing) -> tuple[Array, Array]:
-    warn_of_lost_precision(grasp, wrench, multiplier)
-    return dispatch(_evaluate, grasp, wrench, sharing, multiplier=multiplier)
+    warn_of_lost_precision(grasp, multiplier)
+    return dispatch(_evaluate, grasp, jnp.zeros(6, int), sharing, multiplier=multiplier)[1]
 
 
 def _evaluate(problem: ProblemBatch, multiplier: Array) -> tuple[Array, Array]:

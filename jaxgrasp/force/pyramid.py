@@ -33,7 +33,7 @@ from jaxgrasp.solver import dual
 from jaxgrasp.solver.by_optimistix import to_result_within
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.result import PassResult, ScaledResult
-from jaxgrasp.solver.transforms import SOLUTION
+from jaxgrasp.solver.transforms import as_solution
 
 TILE = 128
 """Problems that run together: each waits for the slowest of its tile."""
@@ -117,7 +117,8 @@ def pyramid_optimum(
     refuse_soft_fingers(grasp)
     settings = PyramidSettings(sides, solver, tol, max_steps)
     _check(settings)
-    return _solve(grasp, wrench, sharing, settings)
+    warn_of_lost_precision(grasp, wrench)
+    return dispatch(_solver(settings), grasp, wrench, sharing)
 
 
 def _check(settings: PyramidSettings) -> None:
@@ -131,16 +132,10 @@ def _check(settings: PyramidSettings) -> None:
         raise ValueError(f"max_steps is {settings.max_steps}: expected 1 or more")
 
 
-def _solve(grasp: Grasp, wrench: AnyArray, sharing: Sharing, settings: PyramidSettings) -> Solution:
-    warn_of_lost_precision(grasp, wrench)
-    return dispatch(_solver(settings), grasp, wrench, sharing)
-
-
 @cache
 def _solver(settings: PyramidSettings) -> Callable[[ProblemBatch], Solution]:
     def solve(problem: ProblemBatch) -> Solution:
-        answer = _answers(problem, settings)
-        return Solution(**{name: getattr(answer, name) for name in SOLUTION})
+        return as_solution(_answers(problem, settings))
 
     return solve
 

@@ -4,6 +4,7 @@ One evaluation gives value, gradient and Hessian at the trial point; a problem t
 direction, one that refuses shortens its step. So no problem waits for another's line search.
 """
 
+from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -112,6 +113,8 @@ class NewtonState(NamedTuple):
     """At the optimum as far as can be told from here, or stalled."""
     stalled: Array
     """Unable to move on."""
+    evaluations: Array
+    """Evaluations so far, of all problems together ``()``."""
 
 
 def maximise(objective: ConcaveObjective, start: Array, frozen: Array, limit: int | Array) -> NewtonState:
@@ -121,19 +124,14 @@ def maximise(objective: ConcaveObjective, start: Array, frozen: Array, limit: in
     zero = jnp.zeros_like(start[:1])
     nothing = jnp.zeros_like(start)
     steps = jnp.zeros_like(frozen, jnp.int32)
-    state = NewtonState(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen)
-    state = varying_like(state, start, objective)
+    none = jnp.int32(0)
+    state = NewtonState(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen, none)
+    state = varying_like(state, start, objective)._replace(evaluations=none)
 
-    def unfinished(carry):
-        count, state = carry
-        return (count < limit) & ~jnp.all(state.done)
+    def unfinished(state: NewtonState) -> Array:
+        return (state.evaluations < limit) & ~jnp.all(state.done)
 
-    def advance(carry):
-        count, state = carry
-        return count + 1, _advance(objective, state)
-
-    _, state = lax.while_loop(unfinished, advance, (jnp.int32(0), state))
-    return state
+    return lax.while_loop(unfinished, partial(_advance, objective), state)
 
 
 @fused_cpu_kernel
@@ -162,6 +160,7 @@ def _advance(objective: ConcaveObjective, state: NewtonState) -> NewtonState:
         steps=state.steps + _as_count(~state.done & (state.length > 0)) + _as_count(accepted & converges_next),
         done=state.done | stalled | (accepted & (converged | converges_next)),
         stalled=state.stalled | stalled,
+        evaluations=state.evaluations + 1,
     )
 
 

@@ -59,15 +59,11 @@ def solve_both(problem: ProblemBatch) -> tuple[PassResult, PassResult]:
 
 def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     """The constrained optimum everywhere, from the closed form."""
-    result = _finish_without_torques(torque_passes.without_torques(problem), closed)
-    return torque_passes.within_torques(problem, result)
-
-
-def _finish_without_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
-    outside = result.verdict == Verdict.OUTSIDE_CONES
+    bare = torque_passes.without_torques(problem)
+    outside = closed.verdict == Verdict.OUTSIDE_CONES
     # What the fast passes do not suit is not converged from the outset.
-    verdict = jnp.where(result.undecided, Verdict.NOT_CONVERGED, result.verdict)
-    result = result._replace(verdict=verdict, undecided=result.undecided | outside)
+    verdict = jnp.where(closed.undecided, Verdict.NOT_CONVERGED, closed.verdict)
+    result = closed._replace(verdict=verdict, undecided=closed.undecided | outside)
     if problem.start is not None:
         # One that is no number, as of a problem that had none, is none to begin from.
         given = outside & jnp.all(jnp.isfinite(problem.start), 1)
@@ -77,10 +73,11 @@ def _finish_without_torques(problem: ProblemBatch, result: PassResult) -> PassRe
         settings = PassSettings(index == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[index])
         chosen = result.undecided & (settings.careful | (result.verdict == Verdict.OUTSIDE_CONES))
         tile = partial(_optimum_tile, settings=settings)
-        return over_chosen(tile, problem, result, chosen, _newton_width(problem))
+        return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
     # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
-    return lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(result, problem))
+    result = lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(result, bare))
+    return torque_passes.within_torques(problem, result)
 
 
 def _closed_width(problem: ProblemBatch) -> int:

@@ -117,47 +117,40 @@ def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, se
         strength, first, search = carry
         return (first | (strength >= weakest)) & ~jnp.all(search.decided)
 
-    def fall(carry):
+    def one_level(carry):
+        """Maximise, then ask whether the point is the optimum, or what is left a proof."""
         strength, _, search = carry
-        return strength / 10, jnp.asarray(False), _level(proximal_problem, strength, settings, search)
+        objective = proximal_problem.with_proximal_term(ProximalTerm(strength, search.point))
+        reached = maximise(objective, search.point, search.decided, settings.steps)
+        return strength / 10, jnp.asarray(False), _decide(proximal_problem, settings, search, reached)
 
     strongest = jnp.where(settings.careful, STRONGEST, 0).astype(search.point.dtype)
     search = varying_like(search, proximal_problem)
-    *_, search = lax.while_loop(unfinished, fall, (strongest, jnp.asarray(True), search))
+    *_, search = lax.while_loop(unfinished, one_level, (strongest, jnp.asarray(True), search))
     good = settings.careful & ~search.decided & search.loosely_optimal
     return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))
 
 
-def _level(
-    proximal_problem: ProximalProblem, strength: Array, settings: PassSettings, search: ProximalState
-) -> ProximalState:
-    """One level: maximise, then ask whether the point is the optimum, or what is left a proof."""
-    objective = proximal_problem.with_proximal_term(ProximalTerm(strength, search.point))
-    return _decide(
-        proximal_problem, settings, search, maximise(objective, search.point, search.decided, settings.steps)
-    )
-
-
 @fused_cpu_kernel
 def _decide(
-    proximal_problem: ProximalProblem, settings: PassSettings, search: ProximalState, newton_state: NewtonState
+    proximal_problem: ProximalProblem, settings: PassSettings, search: ProximalState, reached: NewtonState
 ) -> ProximalState:
-    forces, optimal, loosely_optimal = proximal_problem.check_optimality(newton_state.point)
+    forces, optimal, loosely_optimal = proximal_problem.check_optimality(reached.point)
 
     def unproven(point: Array, before: Array) -> tuple[Array, Array]:
         return jnp.zeros_like(optimal), jnp.zeros_like(point)
 
-    proven, direction = lax.cond(settings.careful, proximal_problem.proof, unproven, newton_state.point, search.point)
+    proven, direction = lax.cond(settings.careful, proximal_problem.proof, unproven, reached.point, search.point)
     infeasible = ~optimal & proven
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     return ProximalState(
-        point=jnp.where(open_, newton_state.point, search.point),
+        point=jnp.where(open_, reached.point, search.point),
         forces=contact_vec.where(open_, forces, search.forces),
         verdict=jnp.where(open_, verdict, search.verdict),
-        steps=search.steps + jnp.where(open_, newton_state.steps, 0),
+        steps=search.steps + jnp.where(open_, reached.steps, 0),
         certificate=jnp.where(open_ & infeasible, direction, search.certificate),
         decided=search.decided | optimal | infeasible,
         loosely_optimal=jnp.where(open_, loosely_optimal, search.loosely_optimal),
-        stalled=jnp.where(open_, newton_state.stalled, search.stalled),
+        stalled=jnp.where(open_, reached.stalled, search.stalled),
     )

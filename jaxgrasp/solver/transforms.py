@@ -29,9 +29,11 @@ PER_WRENCH = ("wrench", "start")
 """What each of many wrenches that share a grasp has of its own."""
 
 
-def _differentiable(
-    solve: Callable[[ProblemBatch], tuple[PassResult, ...]], constrained: tuple[bool, ...]
-) -> Callable[[ProblemBatch], tuple[Solution, ...]]:
+def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> Callable[[ProblemBatch], Any]:
+    """A solver of PassResults as one of Solutions with derivatives.
+
+    ``constrained`` says whether the cones are imposed: a truth for one result, or a tuple of them for a tuple.
+    """
     flat = _batched(solve)
     outer = jax.custom_jvp(flat)
 
@@ -39,16 +41,19 @@ def _differentiable(
     def jvp(primals, tangents):
         (problem,), (moved,) = primals, tangents
         solutions = outer(problem)
-        moves = [derivative.tangent(problem, moved, *one) for one in zip(solutions, constrained, strict=True)]
-        return solutions, tuple(map(_tangent_solution, solutions, moves))
+
+        def tangent(constrained: bool, solution: Solution) -> Solution:
+            return _tangent_solution(solution, derivative.tangent(problem, moved, solution, constrained))
+
+        return solutions, jax.tree.map(tangent, constrained, solutions)
 
     return outer
 
 
-def _batched(solve: Callable[[ProblemBatch], tuple[PassResult, ...]]) -> Callable[[ProblemBatch], tuple[Solution, ...]]:
+def _batched(solve: Callable[[ProblemBatch], Any]) -> Callable[[ProblemBatch], Any]:
     @custom_vmap
-    def flat(problem: ProblemBatch) -> tuple[Solution, ...]:
-        return tuple(Solution(**{name: getattr(answer, name) for name in SOLUTION}) for answer in solve(problem))
+    def flat(problem: ProblemBatch) -> Any:
+        return jax.tree.map(as_solution, solve(problem), is_leaf=lambda x: isinstance(x, PassResult))
 
     @flat.def_vmap
     def rule(axis_size: int, in_batched, problem: ProblemBatch):
@@ -58,6 +63,11 @@ def _batched(solve: Callable[[ProblemBatch], tuple[PassResult, ...]]) -> Callabl
         return split, jax.tree.map(lambda _: True, split)
 
     return flat
+
+
+def as_solution(result: PassResult) -> Solution:
+    """The fields of a result that users see."""
+    return Solution(**{name: getattr(result, name) for name in SOLUTION})
 
 
 def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tuple[ProblemBatch, int]:
@@ -85,13 +95,8 @@ def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution
     return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])
 
 
-def _single(solve: Callable[[ProblemBatch], PassResult], constrained: bool) -> FlatSolver:
-    alone = _differentiable(lambda problem: (solve(problem),), (constrained,))
-    return lambda problem: alone(problem)[0]
-
-
-closed_form = _single(passes.solve_closed, constrained=False)
-optimum = _single(passes.solve_optimum, constrained=True)
+closed_form = _differentiable(passes.solve_closed, False)
+optimum = _differentiable(passes.solve_optimum, True)
 closed_form_and_optimum = _differentiable(passes.solve_both, (False, True))
 """Both by one solver, which does their common work once."""
 
@@ -99,4 +104,4 @@ closed_form_and_optimum = _differentiable(passes.solve_both, (False, True))
 @cache
 def optimum_by(solver: Any) -> FlatSolver:
     """The optimum by an optimistix solver."""
-    return _single(partial(by_optimistix.solve_optimum, solver), constrained=True)
+    return _differentiable(partial(by_optimistix.solve_optimum, solver), True)

@@ -21,8 +21,10 @@ else:
         def __instancecheck__(cls, instance: Any) -> bool:
             return isinstance(instance, cls.stands_for)
 
+    # Two names, since type checkers at run time tell hints apart by what they print.
     AnyArray = _Kind("Array", (), {"stands_for": (jax.Array, np.ndarray), "__module__": "builtins"})
-    _JaxArray = _Kind("Array", (), {"stands_for": (jax.Array,)})
+    _NumpyArray = _Kind("numpy.ndarray", (), {"stands_for": (np.ndarray,), "__module__": "builtins"})
+    _JaxArray = _Kind("jax.Array", (), {"stands_for": (jax.Array,), "__module__": "builtins"})
 
     class _Shaped:
         """A dtype of jaxtyping's whose annotations ``help`` prints in one short name."""
@@ -32,8 +34,9 @@ else:
 
         def __getitem__(self, of: tuple[type, str]) -> type:
             array, shape = of
-            made = self._dtype[_JaxArray if array is jax.Array else array, shape]
-            made.__module__, made.__qualname__ = "builtins", f"{self._dtype.__name__}[Array, {shape!r}]"
+            kind = {jax.Array: _JaxArray, np.ndarray: _NumpyArray}.get(array, array)
+            made = self._dtype[kind, shape]
+            made.__module__, made.__qualname__ = "builtins", f"{self._dtype.__name__}[{kind.__name__}, {shape!r}]"
             return made
 
     Bool, Float, Int = (_Shaped(dtype) for dtype in (jaxtyping.Bool, jaxtyping.Float, jaxtyping.Int))

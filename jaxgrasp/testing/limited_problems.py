@@ -37,7 +37,7 @@ class LimitedProblems(NamedTuple):
     def limits(self) -> Limits:
         return Limits(**{name: getattr(self, name) for name in BOUNDS})
 
-    def case(self, index: int, weights: np.ndarray) -> Case:
+    def case(self, index: int | np.integer, weights: np.ndarray) -> Case:
         """One problem for the reference."""
         p = self.problem
         own = [getattr(p, name)[index] for name in ("points", "normals", "friction", "squeeze", "wrench")]

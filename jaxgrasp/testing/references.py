@@ -213,7 +213,9 @@ def proven_need(
         return need / or_one(load)
 
 
-def clarabel_optimum(problem: Problems, weights: np.ndarray, index: int = 0) -> tuple[np.ndarray, np.ndarray, str]:
+def clarabel_optimum(
+    problem: Problems, weights: np.ndarray, index: int | np.integer = 0
+) -> tuple[np.ndarray, np.ndarray, str]:
     """Forces, multiplier about the frame's origin, and Clarabel's status, for one problem of a batch.
 
     The cones are posed as they are, in the contact's own axes, on a problem brought to order one. Contacts of

@@ -8,8 +8,11 @@ its contacts; and for each measure of quality that was asked for, columns ``qual
 """
 
 import json
-import os
 import re
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 from pathlib import Path
 
@@ -18,6 +21,8 @@ import numpy as np
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import save_arrays
+from jaxgrasp.files.lock import FolderHeldError, locked
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
@@ -30,56 +35,102 @@ SMALL = 64 << 20
 """Results up to this many bytes end as one file instead of shards."""
 
 
-class ResultFolder:
-    """The output folder of one evaluation."""
+@contextmanager
+def held_folder(folder: Path, announce: Callable[[str], None] = lambda text: None) -> Iterator[None]:
+    """Make an output folder and hold it against other processes until the block ends.
 
-    def __init__(self, folder: Path, identity: dict, resume: bool):
-        """Open ``folder`` for the evaluation that ``identity`` describes.
+    Raises:
+        GraspFileError: if it cannot be written, or another process works in it.
+    """
+    _make(folder)
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder, announce))
+        except FolderHeldError as error:
+            raise GraspFileError(folder, f"{error}: wait for it, or choose another --out") from error
+        except OSError as error:
+            raise _unwritable(folder, error) from error
+        yield
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def _unwritable(folder: Path, error: OSError) -> GraspFileError:
+    return GraspFileError(folder, f"the output folder cannot be written ({error.strerror})")
+
+
+class ResultFolder:
+    """The output folder of one evaluation, to be held (``held_folder``) while it is open."""
+
+    def __init__(self, folder: Path, identity: dict, resume: bool, overwrite: bool = False):
+        """Open ``folder``, made where it is not there, for the evaluation that ``identity`` describes.
+
+        A finished evaluation of the same input by the same options may be done again; one of others gives way only
+        with ``overwrite``.
 
         Raises:
-            GraspFileError: if it cannot be written, holds results already, or those of another evaluation
-                when told to resume.
+            GraspFileError: if it cannot be made, holds results already, or those of another evaluation when told to
+                resume.
         """
         self.folder = folder
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            probe = folder / f".probe.{os.getpid()}"
-            probe.touch()
-            probe.unlink()
-        except OSError as error:
-            raise GraspFileError(folder, f"the output folder cannot be written ({error.strerror})") from error
+        _make(folder)
         self._earlier: dict | None = None
         self.manifest: dict = {"version": VERSION, **identity, "shards": [], "summary": None, "complete": False}
         if (folder / MANIFEST).exists():
-            self._take_up(identity, resume)
+            self._take_up(identity, resume, overwrite)
         elif unknown := [path.name for path in folder.iterdir() if OURS.fullmatch(path.name)]:
             raise GraspFileError(folder, f"it holds {unknown[0]} of unknown origin: choose another --out, or move it")
 
-    def _take_up(self, identity: dict, resume: bool) -> None:
+    def _take_up(self, identity: dict, resume: bool, overwrite: bool) -> None:
         try:
             found = json.loads((self.folder / MANIFEST).read_text())
             complete, entries = found["complete"], found["shards"]
             files = [entry["file"] for entry in entries]
-        except (ValueError, KeyError, TypeError) as error:
+            spans = [(int(entry["start"]), int(entry["stop"])) for entry in entries]
+        except (ValueError, KeyError, TypeError, RecursionError, OSError) as error:
             raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
         if not all(OURS.fullmatch(name) for name in files):
             raise GraspFileError(self.folder, f"its {MANIFEST} names files that are not ours")
-        if not resume:
-            if not complete and entries:
-                raise GraspFileError(
-                    self.folder, "it holds an unfinished evaluation: --resume goes on with it, or choose another --out"
-                )
-            self._earlier = found
+        if [start for start, _ in spans] != [0, *(stop for _, stop in spans)][: len(spans)]:
+            raise GraspFileError(self.folder, f"its {MANIFEST} has shards that do not follow one another")
+        differing = [key for key in ("version", *identity) if found.get(key) != self.manifest[key]]
+        if resume:
+            if differing:
+                raise GraspFileError(self.folder, f"{self._unlike(found, differing[0])}: they cannot be resumed")
+            self.manifest = found
             return
-        named = ("version", *identity)
-        differing = [key for key in named if found.get(key) != self.manifest[key]]
-        if differing:
-            key = differing[0]
+        if not overwrite and not complete and entries:
             raise GraspFileError(
                 self.folder,
-                f"its results have {key} = {found.get(key)!r}, not {identity[key]!r}: they cannot be resumed",
+                "it holds an unfinished evaluation: --resume goes on with it, --overwrite drops it; "
+                "or choose another --out",
             )
-        self.manifest = found
+        if not overwrite and differing and entries:
+            raise GraspFileError(
+                self.folder, f"{self._unlike(found, differing[0])}: choose another --out, or --overwrite drops them"
+            )
+        self._earlier = found
+
+    def _unlike(self, found: dict, key: str) -> str:
+        """By what the results that are there differ from those that are wanted."""
+        return f"its results have {key} = {shortened(found.get(key))}, not {shortened(self.manifest[key])}"
+
+    def damaged(self) -> list[dict]:
+        """Entries of the manifest whose files are missing, cut short or changed; all bytes are read."""
+        return [entry for entry in self.manifest["shards"] if not _is_whole(self.folder / entry["file"], entry)]
+
+    def replace(self, entry: dict, arrays: dict[str, np.ndarray]) -> None:
+        """Write a damaged shard anew."""
+        replace_file(self.folder / entry["file"], lambda stream: save_arrays(stream, arrays))
+
+    def start_over(self) -> None:
+        """Forget all shards, so that everything is computed again."""
+        self.manifest |= {"shards": [], "summary": None, "complete": False}
 
     def begin(self) -> None:
         """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
@@ -133,6 +184,20 @@ class ResultFolder:
     def _write_manifest(self) -> None:
         text = json.dumps(self.manifest).encode()
         replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
+
+
+def _is_whole(path: Path, entry: dict) -> bool:
+    """Whether a shard can be read, to its last byte, and holds the grasps that the manifest says."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.testzip() is not None:
+                return False
+        with np.load(path, allow_pickle=False) as arrays:
+            grasp, offsets = arrays["grasp"], arrays["offsets"]
+            inside = not len(grasp) or (entry["start"] <= grasp.min() and grasp.max() < entry["stop"])
+            return len(offsets) == len(grasp) + 1 and bool(inside)
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError):
+        return False
 
 
 def arrays_of(

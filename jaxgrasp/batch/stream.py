@@ -12,6 +12,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.evaluation import run, usable
+from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.qualities import Columns, measure_all, summarise_qualities
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
@@ -89,8 +90,9 @@ def evaluate_stream(
     begun = time.perf_counter()
     methods, measures = methods_named(plan.methods), measures_named(plan.quality)
     engine = Engine(methods, announce=announce)
+    damaged = _damaged(folder, plan, announce) if folder else []
     resumed = folder.done if folder else 0
-    summary = from_json(folder.summary) if folder and folder.summary else None
+    summary = _summary_so_far(folder) if folder else None
     checked = not plan.skip_bad and not resumed
     if checked:
         check_all(source, plan.adjustments, plan.chunk)
@@ -98,6 +100,10 @@ def evaluate_stream(
         folder.begin()
     constrained = {method.name for method in methods if method.constrained}
     task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked)
+    for entry in damaged:
+        assert folder is not None
+        again = task(entry["start"], next(iter(source.chunks(plan.chunk, entry["start"]))))
+        folder.replace(entry, arrays_of(again.results, again.offsets, again.grasps, constrained, again.quality))
     for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine)):
         summary = chunk.summary if summary is None else summary.merged(chunk.summary)
         if folder:
@@ -109,6 +115,25 @@ def evaluate_stream(
     if folder:
         folder.finish()
     return StreamResult(summary, engine.times, time.perf_counter() - begun, resumed)
+
+
+def _summary_so_far(folder: ResultFolder) -> Summary | None:
+    try:
+        return from_json(folder.summary) if folder.summary else None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = f"the summary in its manifest is not one of ours ({type(error).__name__})"
+        raise GraspFileError(folder.folder, reason) from error
+
+
+def _damaged(folder: ResultFolder, plan: StreamPlan, announce: Callable[[str], None]) -> list[dict]:
+    """Shards that have to be computed again; where a file holds more than a chunk, everything is."""
+    damaged = folder.damaged()
+    for entry in damaged:
+        announce(f"{folder.folder / entry['file']} is missing or damaged: computed again")
+    if any(entry["stop"] - entry["start"] > plan.chunk or entry["file"] == "results.npz" for entry in damaged):
+        folder.start_over()
+        return []
+    return damaged
 
 
 @dataclass(frozen=True)

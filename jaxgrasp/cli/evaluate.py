@@ -9,7 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from jaxgrasp.batch.hints import hints
-from jaxgrasp.batch.shards import ResultFolder
+from jaxgrasp.batch.shards import ResultFolder, held_folder
 from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.batch.stream import StreamPlan, StreamResult, evaluate_stream
 from jaxgrasp.batch.summary_json import to_json
@@ -57,19 +57,20 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
     quality = _asked(arguments)
     plan = StreamPlan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments, quality)
     path = data_path(arguments)
-    with opened(arguments, adjustments) as source:
-        folder = ResultFolder(out, plan.identity(path.name, source), arguments.resume)
+    with held_folder(out, say), opened(arguments, adjustments) as source:
+        identity = plan.identity(path.name, source)
+        folder = ResultFolder(out, identity, arguments.resume, arguments.overwrite)
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
             outcome = evaluate_stream(source, plan, folder, bar.update, say)
         print(summary_text(outcome.summary, outcome.times, outcome.seconds))
         for hint in hints(source, plan, outcome.summary):
             print(f"hint: {hint}")
-    # A resumed evaluation that was finished already has nothing new to say, and no times.
-    if outcome.times.problems or not (out / "summary.json").exists():
-        _write_summary(out / "summary.json", outcome, arguments)
-    print(f"results: {out}")
-    if arguments.report:
-        _write_report(out / "report.html", path, outcome, arguments)
+        # A resumed evaluation that was finished already has nothing new to say, and no times.
+        if outcome.times.problems or not (out / "summary.json").exists():
+            _write_summary(out / "summary.json", outcome, arguments)
+        print(f"results: {out}")
+        if arguments.report:
+            _write_report(out / "report.html", path, outcome, arguments)
 
 
 def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate) -> None:

@@ -31,6 +31,8 @@ class Evaluate(Data):
     skip_bad: bool = False
     """Set bad grasps aside and count them, instead of stopping at the first."""
     resume: bool = False
-    """Go on with an interrupted evaluation in the same folder."""
+    """Go on with an interrupted evaluation in the same folder; files of results that are damaged are computed again."""
+    overwrite: bool = False
+    """Drop the results of another evaluation that are in the folder; without it they are kept, and this one refused."""
     report: bool = True
     """Write report.html beside the results (needs the extra `report`)."""

@@ -131,9 +131,9 @@ def plan(**changes) -> StreamPlan:
     return StreamPlan(chunk=16, **changes)
 
 
-def streamed(sets, folder, resume=False, **changes):
+def streamed(sets, folder, resume=False, overwrite=False, **changes):
     wanted = plan(**changes)
-    out = ResultFolder(folder, wanted.identity("sets", MemorySource(sets)), resume)
+    out = ResultFolder(folder, wanted.identity("sets", MemorySource(sets)), resume, overwrite)
     return evaluate_stream(MemorySource(sets), wanted, out)
 
 
@@ -224,13 +224,105 @@ def test_an_interrupted_stream_goes_on(sets, whole, tmp_path, monkeypatch):
     assert sorted(os.listdir(tmp_path)) == ["manifest.json", "results.npz"]
 
 
-def test_a_finished_evaluation_is_replaced_but_nothing_else(sets, tmp_path):
+def test_another_finished_evaluation_gives_way_only_to_overwrite(sets, tmp_path):
     (tmp_path / "mine.txt").write_text("keep")
     streamed(sets, tmp_path, methods=("B",))
-    streamed(sets, tmp_path, methods=("A",))
+    before = (tmp_path / "results.npz").read_bytes()
+    with pytest.raises(GraspFileError, match=r"methods = \['B'\], not \['A'\]: .* --overwrite"):
+        streamed(sets, tmp_path, methods=("A",))
+    assert (tmp_path / "results.npz").read_bytes() == before
+    other = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
+    with pytest.raises(GraspFileError, match="fingerprint"):
+        streamed(other, tmp_path, methods=("B",))
+    streamed(sets, tmp_path, methods=("B",))  # the same again loses nothing
+    streamed(sets, tmp_path, overwrite=True, methods=("A",))
     _, (results,) = read_results(tmp_path)
     assert "A.forces" in results and "B.forces" not in results
     assert (tmp_path / "mine.txt").read_text() == "keep"
+
+
+@pytest.fixture
+def half(sets, tmp_path, monkeypatch):
+    """A folder with the first two of three chunks."""
+    monkeypatch.setattr(stream, "_workers", lambda engine: 1)
+
+    class Later(MemorySource):
+        passes = 0
+
+        def chunks(self, size, start=0):
+            self.passes += 1
+            parts = [*super().chunks(size, start)]
+            yield from parts
+            if self.passes == 2:
+                raise KeyboardInterrupt
+
+    wanted = plan(methods=("B",))
+    folder = ResultFolder(tmp_path, wanted.identity("sets", MemorySource(sets)), resume=False)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_stream(Later(sets), wanted, folder)
+    manifest, _ = read_results(tmp_path)
+    assert len(manifest["shards"]) == 2
+    return tmp_path
+
+
+def cut_short(path):
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+def one_bit(path):
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(bytes(content))
+
+
+def of_another(path):
+    path.write_bytes((path.parent / "shard-00001.npz").read_bytes())
+
+
+@pytest.mark.parametrize("harm", [cut_short, one_bit, of_another, lambda path: path.unlink()])
+def test_damaged_shards_are_computed_again_before_anything_else_and_said(sets, half, harm):
+    harm(half / "shard-00000.npz")
+    wanted, said = plan(methods=("B",)), []
+    folder = ResultFolder(half, wanted.identity("sets", MemorySource(sets)), resume=True)
+    outcome = evaluate_stream(MemorySource(sets), wanted, folder, announce=said.append)
+    assert sum("shard-00000.npz is missing or damaged" in text for text in said) == 1
+    assert outcome.resumed == 32 and outcome.summary.grasps == len(sets)
+    _, (results,) = read_results(half)
+    np.testing.assert_array_equal(results["grasp"], np.arange(len(sets)))
+    whole = jaxgrasp.evaluate(sets, methods=("B",))
+    np.testing.assert_array_equal(results["B.verdict"], whole.results["B"].verdict)
+    np.testing.assert_allclose(results["B.forces"], whole.results["B"].forces, rtol=1e-9, atol=1e-9)
+
+
+def test_a_finished_evaluation_whose_file_is_damaged_is_done_again(sets, tmp_path):
+    streamed(sets, tmp_path, methods=("B",))
+    cut_short(tmp_path / "results.npz")
+    outcome = streamed(sets, tmp_path, resume=True, methods=("B",))
+    assert outcome.resumed == 0
+    _, (results,) = read_results(tmp_path)
+    assert len(results["grasp"]) == len(sets)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda m: m | {"summary": {"junk": 1}}, "summary in its manifest"),
+        (lambda m: m | {"summary": [3]}, "summary in its manifest"),
+        (lambda m: m | {"shards": m["shards"][1:]}, "do not follow one another"),
+        (lambda m: [m], "is not one of ours"),
+    ],
+)
+def test_a_manifest_that_is_not_ours_is_said(sets, half, change, words):
+    path = half / "manifest.json"
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+    with pytest.raises(GraspFileError, match=words):
+        streamed(sets, half, resume=True, methods=("B",))
+
+
+def test_a_manifest_that_is_nested_without_end_is_said(sets, half):
+    (half / "manifest.json").write_text("[" * 100_000)
+    with pytest.raises(GraspFileError, match="is not one of ours"):
+        streamed(sets, half, resume=True, methods=("B",))
 
 
 def test_a_stream_stops_before_computing_at_a_bad_grasp(sets, tmp_path):
@@ -270,7 +362,7 @@ def test_a_run_that_fails_leaves_earlier_results(sets, tmp_path):
     before = (tmp_path / "results.npz").read_bytes()
     spoiled = dataclasses.replace(sets, friction=np.full_like(sets.friction, np.nan))
     with pytest.raises(jaxgrasp.GraspError):
-        streamed(spoiled, tmp_path)
+        streamed(spoiled, tmp_path, overwrite=True, methods=("B",))
     assert (tmp_path / "results.npz").read_bytes() == before
 
 

@@ -1,6 +1,7 @@
 """The commands as a person types them: what they print, write, and refuse."""
 
 import json
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -10,6 +11,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp.cli.main import main
+from jaxgrasp.files.lock import locked
 from tests.batch.conftest import make_sets
 
 
@@ -91,6 +93,14 @@ def test_evaluate_writes_results_summary_and_report(grasps):
 
 
 @pytest.mark.slow
+def test_a_folder_in_which_another_works_is_refused_before_anything_is_read(grasps):
+    (grasps / "out").mkdir()
+    with locked(grasps / "out"):
+        done = run("evaluate", "nothing.npz", "--out", "out")
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert f"out: process {os.getpid()}, at work since" in done.stderr and "choose another --out" in done.stderr
+
+
 def test_outward_normals_are_suspected_and_turned(grasps):
     with np.load("grasps.npz") as archive:
         columns = dict(archive)

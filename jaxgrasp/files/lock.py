@@ -1,0 +1,99 @@
+"""A folder that one process at a time works in, held by a lock of the operating system's.
+
+The lock is on an open file, so it ends with its process, however that ends. What the file says, the owner's process and
+when it started, is for whoever finds the folder held, or finds that an owner is gone.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from jaxgrasp.files.printable import printable
+
+LOCK = ".lock"
+LARGEST = 1000
+"""Characters of a lock that are read: another's file of that name may hold anything."""
+
+
+class FolderHeldError(OSError):
+    """A folder that another process works in."""
+
+
+@contextmanager
+def locked(folder: Path, announce: Callable[[str], None] = lambda text: None) -> Iterator[None]:
+    """Hold ``folder``, which is there, until the block ends.
+
+    Args:
+        folder: a folder of any content; the lock is the file ``.lock`` in it, gone when the block ends.
+        announce: told of an owner that is gone and left its lock.
+
+    Raises:
+        FolderHeldError: where another process, or another thread of this one, holds it; it says which.
+        OSError: where no lock can be made there.
+    """
+    path = folder / LOCK
+    descriptor = _acquired(path, announce)
+    try:
+        yield
+    finally:
+        # Removed while it is held, so that nobody holds a file that is no longer there.
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _acquired(path: Path, announce: Callable[[str], None]) -> int:
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            if not _try_lock(descriptor):
+                raise FolderHeldError(f"{_owner(descriptor) or 'another process'} works in it")
+            # The one before may have removed the file between our opening and locking it.
+            if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+                if gone := _owner(descriptor):
+                    announce(f"{path.parent}: taken over from {gone} which is gone")
+                started = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, json.dumps({"process": os.getpid(), "started": started}).encode(), 0)
+                return descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _owner(descriptor: int) -> str | None:
+    """Who a lock says that it belongs to; None where it says nothing of the kind."""
+    try:
+        said = json.loads(os.pread(descriptor, LARGEST, 0))
+        return f"process {int(said['process'])}, at work since {printable(str(said['started'])[:30])},"
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _try_lock(descriptor: int) -> bool:
+    """Whether the lock was free, and is ours now."""
+    try:
+        import fcntl
+    except ImportError:
+        return _try_lock_on_windows(descriptor)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _try_lock_on_windows(descriptor: int) -> bool:
+    import msvcrt
+
+    # A byte far behind what is written, since nobody else may read a locked one.
+    os.lseek(descriptor, 1 << 20, os.SEEK_SET)
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,88 @@
+"""A folder belongs to one process at a time, and to nobody once that is gone."""
+
+import json
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from jaxgrasp.files.lock import LOCK, FolderHeldError, locked
+from jaxgrasp.files.printable import printable, shortened
+
+HOLD = """
+import sys, pathlib
+from jaxgrasp.files.lock import locked
+with locked(pathlib.Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def other(tmp_path):
+    """Another process that holds the folder."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_a_folder_that_is_held_is_refused_and_the_owner_named(tmp_path, other):
+    with pytest.raises(FolderHeldError, match=f"process {other.pid}, at work since 20.* works in it"), locked(tmp_path):
+        pass
+    assert (tmp_path / LOCK).exists()
+    other.communicate("")
+    with locked(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_killed_process_left_is_taken_over_and_said(tmp_path, other):
+    other.kill()
+    other.wait()
+    said = []
+    with locked(tmp_path, said.append):
+        assert f"taken over from process {other.pid}" in said[0]
+        assert json.loads((tmp_path / LOCK).read_text())["process"] != other.pid
+    assert not list(tmp_path.iterdir())
+
+
+def test_threads_of_one_process_exclude_one_another(tmp_path):
+    seen = []
+
+    def attempt():
+        try:
+            with locked(tmp_path):
+                pass
+        except FolderHeldError as error:
+            seen.append(str(error))
+
+    with locked(tmp_path):
+        thread = threading.Thread(target=attempt)
+        thread.start()
+        thread.join()
+    assert len(seen) == 1 and "works in it" in seen[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\x00junk", b"[" * 5000, b'{"process": "x"}', b'{"process": 3}'])
+def test_a_file_of_anybody_elses_is_no_owner(tmp_path, content):
+    (tmp_path / LOCK).write_bytes(content)
+    said = []
+    with locked(tmp_path, said.append):
+        assert not said
+
+
+def test_an_error_inside_lets_the_folder_go(tmp_path):
+    with pytest.raises(ZeroDivisionError), locked(tmp_path):
+        _ = 1 / 0
+    with locked(tmp_path):
+        pass
+
+
+def test_what_a_terminal_would_act_on_is_escaped():
+    assert printable("a\x1b[31mb\n\r\0\x9bc\u202ed é") == "a\\x1b[31mb\\n\\r\\x00\\x9bc\\u202ed é"
+    assert len(shortened("x" * 10**6)) < 300 and "1,000,002 characters" in shortened("x" * 10**6)

@@ -18,7 +18,7 @@ from jaxgrasp.force.slip import spin_force
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.problem.flatten import Sharing
+from jaxgrasp.problem.flatten import Sharing, read_sharing
 
 Law = Literal["closed-form", "optimum"]
 
@@ -60,7 +60,6 @@ class Assessment(eqx.Module):
     """``(...)`` Whether the closed form slips while the optimum shows forces that hold."""
 
 
-@partial(jax.jit, static_argnames="law")
 def monitor(
     grasp: Grasp,
     wrench: Float[AnyArray, "*#batch 6"],
@@ -87,7 +86,15 @@ def monitor(
     """
     if law not in ("closed-form", "optimum"):
         raise ValueError(f"law is {law!r}: expected 'closed-form' or 'optimum'")
-    closed, optimum = closed_form_and_optimum(grasp, wrench, sharing, free=free)
+    name, weights = read_sharing(sharing)
+    return _assessed(grasp, wrench, weights, free, sharing=name, law=law)
+
+
+@partial(jax.jit, static_argnames=("sharing", "law"))
+def _assessed(
+    grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, free: AnyArray | None, *, sharing: str, law: Law
+) -> Assessment:
+    closed, optimum = closed_form_and_optimum(grasp, wrench, sharing if weights is None else weights, free=free)
     applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5

@@ -5,6 +5,7 @@ from dataclasses import fields
 from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
+import jax
 import numpy as np
 
 Own = TypeVar("Own", bound="Batched")
@@ -35,20 +36,58 @@ class Batched(eqx.Module):
         return self.batch_shape
 
     def __bool__(self) -> bool:
+        """True, of an empty batch too: a record is not a list."""
         return True
 
     def __getitem__(self: Own, index: Any) -> Own:
-        """Some of the batch: an index, a slice, an array of indices or a mask, applied to the leading axes."""
+        """Some of the batch, by what NumPy takes as an index: it counts along the leading axes alone.
+
+        Raises:
+            IndexError: for an index beyond the batch, or of more axes than it has. One that is traced cannot be looked
+                at, and ends at the last entry, as everywhere in JAX.
+            TypeError: where there are no leading axes.
+        """
         batch = self._batch()
-        if isinstance(index, int | np.integer) and not -batch[0] <= index < batch[0]:
-            raise IndexError(f"index is {index}: expected one of the {batch[0]} entries of the first axis")
+        own = _checked(index, batch)
         taken = {}
         for name, shape in self._shapes():
             array = getattr(self, name)
-            own = batch + shape[len(shape) - self.last_axes[name] :]
-            taken[name] = (array if shape == own else np.broadcast_to(array, own))[index]
+            wide = batch + shape[len(shape) - self.last_axes[name] :]
+            taken[name] = (array if shape == wide else np.broadcast_to(array, wide))[own]
         names = list(taken)
         return eqx.tree_at(lambda record: [getattr(record, name) for name in names], self, list(taken.values()))
 
     def __iter__(self: Own) -> Iterator[Own]:
         return (self[index] for index in range(len(self)))
+
+
+def _checked(index: Any, batch: tuple[int, ...]) -> tuple:
+    """An index of the leading axes as a tuple of one that leaves the last axes alone."""
+    parts = tuple(map(_part, index if isinstance(index, tuple) else (index,)))
+    if not any(isinstance(part, jax.core.Tracer) for part in parts):
+        concrete = tuple(np.asarray(part) if isinstance(part, jax.Array) else part for part in parts)
+        try:
+            _ = np.broadcast_to(np.False_, batch)[concrete]
+        except IndexError as error:
+            raise IndexError(f"index is {index!r}: expected one of a batch of shape {batch} ({error})") from None
+    used = sum(_axes(part) for part in parts)
+    if used > len(batch):
+        raise IndexError(f"index has {used} axes: expected at most {len(batch)}, those of the batch")
+    where = next((place for place, part in enumerate(parts) if part is Ellipsis), len(parts))
+    return (*parts[:where], *[slice(None)] * (len(batch) - used), *parts[where + 1 :])
+
+
+def _part(part: Any) -> Any:
+    """One axis's index; lists as arrays, an empty one of numbers."""
+    if part is None:
+        raise IndexError("index has a new axis (None): expected a part of the batch")
+    if not isinstance(part, list):
+        return part
+    return np.asarray(part) if part else np.zeros(0, int)
+
+
+def _axes(part: Any) -> int:
+    """How many axes an index takes; a mask has its own."""
+    if part is Ellipsis:
+        return 0
+    return part.ndim if getattr(part, "dtype", None) == np.dtype(bool) else 1

@@ -34,7 +34,7 @@ class Grasp(Batched):
         torsion: torsional friction gamma >= 0 of soft fingers ``(..., n)`` [m]; all are hard where it is not given.
 
     Raises:
-        ValueError: for a field that is no array and no nested lists of numbers of equal lengths.
+        ValueError: for nested lists that hold no numbers, or are of unequal lengths.
     """
 
     last_axes: ClassVar[dict[str, int]] = {

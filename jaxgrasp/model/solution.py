@@ -95,7 +95,8 @@ class Solution(Batched):
     }
 
     forces: Float[Array, "*batch n 3"]
-    """What the hand exerts on the object at each contact [N]."""
+    """What the hand exerts on the object at each contact [N]. They balance the wrench where the verdict is one of the
+    first three; for INFEASIBLE and NOT_CONVERGED they are where the solver stopped, and do not."""
     multiplier: Float[Array, "*batch 6"]
     """Lagrange multiplier of G f = w about the frame's origin (eq. 8); of minimal norm, in the grasp's own
     centred and scaled coordinates, where it is not unique."""

@@ -71,3 +71,14 @@ def test_without_contacts_the_object_is_lost(case):
 def test_another_law_is_refused(case, unchecked):
     with pytest.raises(ValueError, match="law is 'hope': expected 'closed-form' or 'optimum'"):
         monitor(case[0], case[1], law="hope")
+
+
+@pytest.mark.parametrize("sharing", ["uniform", "squeeze"])
+def test_sharing_is_named_or_given(sharing):
+    made = P.problems("ordinary", 4, 6, seed=2)
+    grasp = Grasp(made.points, made.normals, made.friction, made.squeeze)
+    named = monitor(grasp, made.wrench, sharing)
+    given = monitor(grasp, made.wrench, made.weights(sharing))
+    np.testing.assert_array_equal(named.touches, given.touches)
+    with pytest.raises(ValueError, match="sharing is 'B'"):
+        monitor(grasp, made.wrench, "B")

@@ -36,8 +36,49 @@ def test_a_batch_has_a_length_and_ends():
     jaxed = jax.tree.map(jnp.asarray, grasps)
     assert [*jaxed][5].points.shape == (4, 3)
     for wrong in (6, -7):
-        with pytest.raises(IndexError, match=f"index is {wrong}: expected one of the 6"):
+        with pytest.raises(IndexError, match=f"index is {wrong}: expected one of a batch"):
             _ = jaxed[wrong]
+
+
+@pytest.mark.parametrize("as_array", [np.asarray, jnp.asarray])
+@pytest.mark.parametrize(
+    "index",
+    [
+        99,
+        (slice(None), 0),
+        (Ellipsis, 0, 0),
+        None,
+        np.array([0, 6]),
+        jnp.array(99),
+        jnp.array([-7]),
+        [0, 99],
+        np.zeros(5, bool),
+        np.zeros((6, 4), bool),
+        1.5,
+        "a",
+    ],
+)
+def test_an_index_beyond_the_batch_is_refused(index, as_array):
+    grasps = jax.tree.map(as_array, batch()[0])
+    with pytest.raises(IndexError, match="^index"):
+        _ = grasps[index]
+
+
+@pytest.mark.parametrize("as_array", [np.asarray, jnp.asarray])
+def test_lists_and_ellipses_count_along_the_batch(as_array):
+    grasps = jax.tree.map(as_array, batch()[0])
+    np.testing.assert_array_equal(grasps[[1, 2]].points, grasps.points[np.array([1, 2])])
+    np.testing.assert_array_equal(grasps[[True, False] * 3].points, grasps.points[::2])
+    assert grasps[[]].points.shape == (0, 4, 3) and len(grasps[0:0]) == 0
+    grid = jax.tree.map(lambda x: x.reshape(2, 3, *x.shape[1:]), grasps)
+    np.testing.assert_array_equal(grid[..., 0].points, grasps.points[np.array([0, 3])])
+    np.testing.assert_array_equal(grid[..., 1, :].friction, grid.friction[1])
+
+
+def test_a_traced_index_takes_one():
+    grasps = jax.tree.map(jnp.asarray, batch()[0])
+    found = jax.jit(lambda i: grasps[i].points)(4)
+    np.testing.assert_array_equal(found, grasps.points[4])
 
 
 def test_a_single_one_has_no_length():

@@ -30,6 +30,7 @@ from jaxgrasp.literature.host_problem import host_problem
 from jaxgrasp.literature.linear import LinearProgram, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
+from jaxgrasp.literature.scaled_batch import scale
 from jaxgrasp.sensitivity import cylinder_task
 from jaxgrasp.testing import references as R
 from jaxgrasp.testing.problem_data import Problems
@@ -199,7 +200,9 @@ def compact_rows(count: int, repeats: int) -> list[dict]:
     for n in SIZES:
         problem = problems("ordinary", n, count, SEED)
         given = read_input(grasp_of(problem), problem.wrench)
-        programs = [load_program(host_problem(given, i), 1.0, 1.0, SIDES, "inscribed") for i in range(count)]
+        scaled, loads = scale(given)
+        own = [host_problem(given, scaled, float(loads[i]), i) for i in range(count)]
+        programs = [load_program(problem, 1.0, 1.0, SIDES, "inscribed") for problem in own]
         solvers = {"plain": solve_plain, "compact dual": solve_compact_dual}
         loops = {form: partial(_each, solve, programs) for form, solve in solvers.items()}
         spent = interleaved(loops, repeats, 10.0)

@@ -51,9 +51,14 @@ class ContactSets:
 
     def __getitem__(self, chosen: "int | slice | np.ndarray") -> "Grasp | ContactSets":
         """One grasp by its number; or some of the sets, by a slice, an array of numbers or a mask."""
-        if not isinstance(chosen, int | np.integer):
-            if not isinstance(chosen, slice) and np.asarray(chosen).dtype == bool:
-                chosen = np.flatnonzero(chosen)
+        if not isinstance(chosen, slice):
+            chosen = np.asarray(chosen)
+            if chosen.dtype == bool and chosen.shape != (len(self),):
+                raise IndexError(f"a mask of shape {chosen.shape}: expected ({len(self)},), one truth for each grasp")
+            chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
+            if chosen.dtype.kind not in "iu":
+                raise IndexError(f"an index of {chosen.dtype}: expected whole numbers, a slice or a mask")
+        if isinstance(chosen, slice) or chosen.ndim:
             return self.rows(chosen)
         if not -len(self) <= chosen < len(self):
             raise IndexError(f"index is {chosen}: expected one of {len(self)} grasps")

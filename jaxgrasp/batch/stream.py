@@ -23,8 +23,6 @@ from jaxgrasp.model.faults import GraspError
 from jaxgrasp.quality.measures import Measure, measures_named
 
 CHUNK = 16_384
-MOST_WORKERS = 8
-"""Chunks at a time: more would wait for each other at Python's lock, and fill memory."""
 
 
 @dataclass(frozen=True)

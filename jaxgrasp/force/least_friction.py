@@ -9,14 +9,16 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.force.least_squeeze import bounded_total, total_tangent
+from jaxgrasp.force.margin import bound_along
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.wrench_boundary import BoundaryPoint
+from jaxgrasp.solver.wrench_boundary import BoundaryPoint, work_along
 
 WIDEST = 1e4
 """Factors beyond this, or below its inverse, are not looked for."""
@@ -38,7 +40,8 @@ def least_friction(
 
     It is the inverse of [`jaxgrasp.least_squeeze`][], to about 1e-9 of itself, and differentiable once, by the total
     too. Where less friction would not leave too little, but nothing that balances the wrench at all, it is found by
-    halving, to 1e-6, and its derivative is given as zero: it is not known.
+    halving, to 1e-6, and moves with the boundary of what the grasp can exert; NaN is the derivative where neither the
+    total nor a boundary can be told to hold it.
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -75,22 +78,46 @@ def _share(problem: ProblemBatch, total: Array) -> Array:
 
 @_share.defjvp
 def _share_tangent(primals, tangents):
-    """At the share the least total is the one allowed, and stays it."""
+    """At the share the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
     share = _share(problem, total)
     inside = jnp.isfinite(share) & (share > 0)
     # An infinite share times a derivative of zero would be no number, in one direction or the other.
     finite = jnp.where(inside, share, 1)
     here = jnp.log(finite)
-    seen = _evaluate(problem, total, here)
     scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, here), (problem,), (problem_moved,))
-    # Elsewhere what is allowed is not what bounds the share.
-    falls = inside & (seen.slope < 0) & (jnp.abs(seen.excess) <= _narrow(total))
+    seen = _evaluate(problem, total, here)
+    spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _narrow(total))
+    falls = spent & (seen.slope < 0)
     needed = jnp.where(falls, seen.needed, 1)
-    rise = total_tangent(scaled, scaled_moved, seen.needed, seen.boundary) / needed - total_moved / jnp.where(
-        falls, total, 1
-    )
-    return share, jnp.where(falls, finite * -rise / jnp.where(falls, seen.slope, 1), 0)
+    rise = total_tangent(scaled, scaled_moved, seen.needed, seen.boundary) / needed
+    rise = rise - total_moved / jnp.where(falls, total, 1)
+    by_total = -rise / jnp.where(falls, seen.slope, 1)
+    by_boundary, met = _boundary_tangent(scaled, scaled_moved)
+    tangent = jnp.where(falls, by_total, jnp.where(~spent & met, by_boundary, jnp.nan))
+    return share, jnp.where(inside, finite * tangent, 0)
+
+
+def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array, Array]:
+    """How the logarithm of a share moves below which nothing balances, and whether a boundary was found.
+
+    It is sought from the wrench away from that of pressing contacts, which lies inside of what they can exert.
+    """
+    press = jnp.ones_like(problem.friction) if problem.present is None else (problem.present > 0.5).astype(float)
+    pushes = jnp.where(press[..., None] > 0, problem.normals, 0)
+    torques = jnp.cross(jnp.where(press[..., None] > 0, problem.points, 0), pushes)
+    pressing = jnp.concatenate([jnp.sum(pushes, 1), jnp.sum(torques, 1)], 1)
+    direction = lax.stop_gradient(jnp.broadcast_to(-pressing, problem.wrench.shape))
+    theta, boundary = bound_along(lax.stop_gradient(problem), direction)
+
+    def work(problem: ProblemBatch) -> Array:
+        return work_along(problem, problem.wrench, boundary)
+
+    growing = eqx.tree_at(lambda p: p.friction, jax.tree.map(zero_tangent, problem), problem.friction)
+    _, by_friction = jax.jvp(work, (problem,), (growing,))
+    _, by_problem = jax.jvp(work, (problem,), (moved,))
+    met = jnp.isfinite(theta) & (by_friction > 0)
+    return -by_problem / jnp.where(met, by_friction, 1), met
 
 
 class _ShareEvaluation(NamedTuple):

@@ -74,7 +74,7 @@ def _margin(problem: ProblemBatch, direction: Array) -> Array:
 @_margin.defjvp
 def _margin_tangent(primals, tangents):
     """The envelope theorem: theta + normal.(G f - wrench - theta direction) is stationary at the limit."""
-    theta, boundary = _bound(*primals)
+    theta, boundary = bound_along(*primals)
     finite = jnp.isfinite(theta)
     far = jnp.where(finite, theta, 0)[:, None]
 
@@ -86,11 +86,12 @@ def _margin_tangent(primals, tangents):
 
 
 @jax.custom_jvp
-def _bound(problem: ProblemBatch, direction: Array) -> tuple[Array, BoundaryPoint]:
+def bound_along(problem: ProblemBatch, direction: Array) -> tuple[Array, BoundaryPoint]:
+    """The margins of a flat batch ``(B,)`` along directions ``(B, 6)``, and what bounds each."""
     return over_tiles(_bound_of_tile, (problem, direction), problem.size, TILE)
 
 
-@_bound.defjvp
+@bound_along.defjvp
 def _no_second_derivative(primals, tangents):
     raise NotImplementedError("wrench_margin has first derivatives only")
 

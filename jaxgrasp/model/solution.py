@@ -134,7 +134,8 @@ class Solution(Batched):
 
     def __str__(self) -> str:
         """Verdicts, the largest force and residual, and of a single problem the advice, in a few lines."""
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(self)):
+        shown = (self.forces, self.verdict, self.residual, self.objective, self.steps, self.route)
+        if not all(map(_is_known, shown)):
             return repr(self)
         contacts = f"{self.forces.shape[-2]} contacts"
         if not self.batch_shape:
@@ -145,9 +146,9 @@ class Solution(Batched):
                 f"{int(self.steps)} Newton steps, by the pass {route.name}"
             )
         verdicts, counts = np.unique(np.asarray(self.verdict), return_counts=True)
-        shown = ", ".join(f"{count:,} {Verdict(int(code)).name}" for code, count in zip(verdicts, counts))
+        found = ", ".join(f"{count:,} {Verdict(int(code)).name}" for code, count in zip(verdicts, counts))
         sizes = self._sizes() if counts.sum() else "nothing solved"
-        return f"Solution of {int(counts.sum()):,} problems of {contacts}\n  {shown or 'no problems'}\n  {sizes}"
+        return f"Solution of {int(counts.sum()):,} problems of {contacts}\n  {found or 'no problems'}\n  {sizes}"
 
     def _sizes(self) -> str:
         """The largest force and residual of what balances its wrench."""
@@ -156,3 +157,12 @@ class Solution(Batched):
             return "no forces"
         forces = np.linalg.norm(np.asarray(self.forces), axis=-1)[answered]
         return f"largest force {forces.max():.4g} N, residual {np.asarray(self.residual)[answered].max():.1e}"
+
+
+def _is_known(array: object) -> bool:
+    """Whether numbers can be read from it here and now: no tracer, no shape alone, nothing deleted or elsewhere."""
+    if isinstance(array, jax.core.Tracer):
+        return False
+    if isinstance(array, Array):
+        return not array.is_deleted() and array.is_fully_addressable
+    return isinstance(array, np.ndarray | np.generic)

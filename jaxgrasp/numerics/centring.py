@@ -22,7 +22,7 @@ class Centred(NamedTuple):
 
 
 def centred(points: Any, there: Any, middle: Any = None, numpy: Module = jnp) -> Centred:
-    """The points that are ``there`` about their mean, or about a given ``middle``, which then is no rounding."""
+    """The points that are ``there`` about their mean, or about a given ``middle``."""
     count = numpy.maximum(numpy.sum(there, -1), 1)
     points = numpy.where(there[..., None], points, 0)
     if middle is None:

@@ -103,7 +103,7 @@ def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
     return kernel
 
 
-_mark = Primitive("one_kernel")
+_mark = Primitive("fused_cpu_kernel")
 """Its operand, whose call gets the attributes."""
 _mark.def_impl(lambda touched: touched)
 _mark.def_abstract_eval(lambda touched: touched)

@@ -1,7 +1,7 @@
 """Vectors in three components, each an array of its own.
 
 A vector field over contacts and problems is a tuple of three arrays with the problems along the last
-axis, so that the compiler vectorises over problems; see ``force/problems.py``.
+axis, so that the compiler vectorises over problems; see ``problem/batch_last.py``.
 """
 
 from collections.abc import Callable

@@ -192,7 +192,7 @@ def multiplier_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tup
 
 
 def multiplier_to_scaled(multiplier: Array, scaling: Scaling) -> tuple[Vec3, Vec3]:
-    """The inverse of ``multiplier_out``, from ``(B, 6)``."""
+    """The inverse of ``multiplier_from_scaled``, from ``(B, 6)``."""
     columns = multiplier.T
     linear, angular = Vec3(*(columns[i : i + 1] for i in range(3))), Vec3(*(columns[i : i + 1] for i in range(3, 6)))
     linear, angular = twist_to_scaled(linear, angular, scaling)
@@ -226,7 +226,7 @@ def wrench_to_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
 
 
 def wrench_from_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
-    """The inverse of ``wrench_in``."""
+    """The inverse of ``wrench_to_scaled``."""
     force, torque = spatial.parts(wrench)
     if scaling.axes is not None:
         force, torque = vec3.rotate_back(scaling.axes, force), vec3.rotate_back(scaling.axes, torque)

@@ -36,8 +36,9 @@ class Epsilon(NamedTuple):
     """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times press."""
 
     def __str__(self) -> str:
-        closed = np.asarray(self.upper) > 0
-        return f"Epsilon: {count_of({'closed': closed, 'not closed': ~closed})}; upper bound {range_of(self.upper)}"
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        which = {"closed": lower > 0, "not closed": upper <= 0, "undecided": (lower <= 0) & (upper > 0)}
+        return f"Epsilon: {count_of(which)}; lower bound {range_of(lower)}; upper bound {range_of(upper)}"
 
 
 def ferrari_canny(

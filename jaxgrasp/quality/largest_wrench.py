@@ -13,7 +13,7 @@ from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import forces_of, unscaled
 from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
-from jaxgrasp.quality.summary_line import count_of, range_of
+from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_discs import discs, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
 
@@ -48,7 +48,7 @@ class LargestWrench(NamedTuple):
     """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times press."""
 
     def __str__(self) -> str:
-        return f"LargestWrench: {count_of({'grasps': self.upper == self.upper})}; upper bound {range_of(self.upper)}"
+        return f"LargestWrench: upper bound {range_of(self.upper)}"
 
 
 def largest_wrench(

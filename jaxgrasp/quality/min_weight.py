@@ -10,7 +10,7 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import read_grasps
-from jaxgrasp.quality.summary_line import count_of, range_of
+from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_discs import discs
 from jaxgrasp.quality.wrench_sets import check_sides, pyramid
 
@@ -32,7 +32,7 @@ class MinWeight(NamedTuple):
     """``(k, 3)``: the edges as parts of the largest friction along two tangents, and of a soft finger's moment."""
 
     def __str__(self) -> str:
-        return f"MinWeight: {count_of({'grasps': self.value == self.value})}; value {range_of(self.value)}"
+        return f"MinWeight: value {range_of(self.value)}"
 
 
 def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:

@@ -2,7 +2,7 @@
 
 At a solution w - G f(multiplier, data) = 0. Differentiating that gives a 6x6 system for the multiplier's
 tangent, whatever route the solver took. The rule is plain JAX, so it can be transposed and differentiated
-again; the scaling enters as a constant, since the answer does not depend on them.
+again; the scaling enters as a constant, since the answer does not depend on it.
 """
 
 from typing import NamedTuple

@@ -5,7 +5,7 @@ projection on its cone,
 
     f_i = P_i(s_i a_i + k_i (linear + angular x r_i)),
 
-of soft fingers in four components (``contact_vec.py``), and the dual value is concave, once continuously
+of soft fingers in four components (``problem/contact_vec.py``), and the dual value is concave, once continuously
 differentiable, with gradient w - G f. Everything here is in the coordinates of ``scaling.py``; ``coordinates.py`` says
 what the six numbers of a multiplier stand for there.
 """

@@ -1,5 +1,6 @@
 """Problems of every kind, and references to judge answers by that share nothing with the solver.
 
-For tests and benchmarks, this package's own and those of other solvers. NumPy alone; the kinds ``limit_...`` and the
-references of limited hands need Clarabel (extra ``test``).
+For tests and benchmarks, this package's own and those of other solvers: ``problems.problems(kind, n, count, seed)``,
+``limited_problems``, and judges in ``references`` and ``limited_reference``. NumPy, but for ``limited_problems``, which
+hands out Grasps; the kinds ``limit_...`` and solved references need Clarabel (extra ``test``).
 """

@@ -1,4 +1,4 @@
-"""Independent references and judges: NumPy in extended precision, and Clarabel; nothing here comes from jaxgrasp.
+"""Independent references and judges: NumPy in extended precision, and Clarabel; nothing here comes from the solver.
 
 Everything but Clarabel works on batches: points and normals ``(B, n, 3)``, friction, squeeze and sharing weights
 ``(B, n)``, wrench ``(B, 6)``, as ``np.longdouble`` inside (64-bit mantissa on x86). Where the platform's long double

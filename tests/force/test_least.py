@@ -128,6 +128,49 @@ def test_the_least_friction_leaves_the_total_that_is_allowed():
     assert ((at <= total * (1 + 1e-8)) & (exact | np.isinf(below))).all()
 
 
+@pytest.fixture(scope="module")
+def shares():
+    """Ordinary problems, their shares, and which of these are held by the boundary of what the grasp can exert."""
+    made = P.problems("ordinary", 4, 64, seed=5)
+    share = np.asarray(least_friction(grasp_of(made), made.wrench))
+    just = made._replace(friction=made.friction * share[:, None] * (1 + 1e-5))
+    needed = np.asarray(least_squeeze(grasp_of(just), made.wrench))
+    return made, share, np.abs(needed / made.squeeze.sum(1) - 1) > 1e-3
+
+
+def test_a_share_falls_as_friction_grows_whatever_holds_it(shares):
+    made, share, bounded = shares
+    assert 5 < bounded.sum() < 40
+
+    def scaled(by):
+        grasp = Grasp(made.points, made.normals, made.friction * by[:, None], made.squeeze)
+        return least_friction(grasp, made.wrench)
+
+    one = jnp.ones(len(share))
+    found, forward = jax.jvp(scaled, (one,), (one,))
+    np.testing.assert_allclose(forward, -found, rtol=1e-6)
+    back = jax.grad(lambda by: jnp.sum(scaled(by)))(one)
+    np.testing.assert_allclose(back, -found, rtol=1e-6)
+
+
+def test_shares_at_a_boundary_move_as_differences_say(shares):
+    made, share, bounded = shares
+    rng = np.random.default_rng(0)
+    moves = 0.02 * rng.normal(size=made.points.shape), 0.3 * rng.normal(size=made.wrench.shape) * np.abs(made.wrench)
+
+    def moved(t):
+        grasp = Grasp(made.points + t * moves[0], made.normals, made.friction, made.squeeze)
+        return least_friction(grasp, made.wrench + t * moves[1])
+
+    _, forward = jax.jvp(moved, (0.0,), (1.0,))
+    coarse, fine = ((np.asarray(moved(h)) - np.asarray(moved(-h))) / (2 * h) for h in (3e-3, 1e-3))
+    scale, unsure = np.abs(fine) + 0.01 * share, np.abs(coarse - fine)
+    # Over a kink, where another facet takes over, differences do not agree with themselves.
+    smooth = bounded & (unsure < 5e-3 * scale)
+    assert smooth.sum() > 0.7 * bounded.sum()
+    assert (np.abs(np.asarray(forward) - fine) < 1e-3 * scale + 2 * unsure)[smooth].all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("question", [least_squeeze, least_friction])
 def test_derivatives_forward_reverse_and_by_differences(question):

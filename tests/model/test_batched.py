@@ -138,6 +138,17 @@ def test_a_solution_that_is_traced_prints_its_shapes():
     assert "forces=" in seen[0] and "[6,4,3]" in seen[0]
 
 
+def test_a_solution_without_numbers_prints_its_fields():
+    grasps, wrench = batch()
+    answers = jaxgrasp.closed_form(grasps, wrench)
+    for other in (
+        jax.eval_shape(jaxgrasp.closed_form, grasps, wrench),
+        jax.tree.map(lambda _: None, answers),
+        jax.tree.map(lambda _: 0, answers),
+    ):
+        assert str(other).startswith("Solution(")
+
+
 def test_qualities_print_a_line():
     grasps, _ = batch()
     closure = jaxgrasp.quality.force_closure(grasps)
@@ -145,4 +156,5 @@ def test_qualities_print_a_line():
     assert str(closure).startswith("ForceClosure: ") and (f"{closed} closed" in str(closure)) == (closed > 0)
     ball = jaxgrasp.quality.ferrari_canny(grasps)
     assert f"{np.max(ball.upper):.4g}" in str(ball)
-    assert "6 grasps" in str(jaxgrasp.quality.min_weight(grasps))
+    assert f"{np.min(ball.lower):.4g} to" in str(ball)
+    assert f"{np.max(jaxgrasp.quality.min_weight(grasps).value):.4g}" in str(jaxgrasp.quality.min_weight(grasps))

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -12,7 +13,7 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.problem.scaling import Scaling
 from jaxgrasp.solver import torque_limits
 from jaxgrasp.solver.dispatch import dispatch
@@ -58,7 +59,7 @@ def verify_certificate(
     if rates is not None and (limits is None or limits.torque_map is None):
         raise ValueError("rates are given without limits of torques: expected limits with a torque_map")
     joints = () if limits is None or limits.torque_max is None else np.shape(limits.torque_max)[-1:]
-    warn_of_lost_precision(grasp, wrench)
+    check_arguments(grasp, {"wrench": (wrench, (6,)), "certificate": (certificate, (6,))}, {"rates": (rates, ("j",))})
     tails = (("rates", joints),)
     return dispatch(
         _force_needed, grasp, wrench, sharing, limits=limits, tails=tails, certificate=certificate, rates=rates

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers
 from jaxgrasp.solver import by_optimistix, transforms
 from jaxgrasp.solver.dispatch import dispatch
 
@@ -45,7 +46,7 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    warn_of_lost_precision(grasp, wrench, free)
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, (6, "k"))})
     return dispatch(transforms.closed_form, grasp, wrench, sharing, free=free)
 
 
@@ -89,6 +90,7 @@ def constrained_optimum(
             solver.
         TypeError: for a solver that is none of these, or whose settings are arrays.
     """
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, (6, "k")), "start": (start, (6,))})
     if solver is not None:
         by_optimistix.check_solver(solver)
     if start is not None and not (free is None and solver is None):
@@ -99,7 +101,6 @@ def constrained_optimum(
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
     solve = transforms.optimum if solver is None else transforms.optimum_by(solver)
-    warn_of_lost_precision(grasp, wrench, free)
     return dispatch(solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor)
 
 
@@ -114,7 +115,7 @@ def closed_form_and_optimum(
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
-    warn_of_lost_precision(grasp, wrench, free)
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, (6, "k"))})
     return dispatch(transforms.closed_form_and_optimum, grasp, wrench, sharing, free=free)
 
 
@@ -151,6 +152,7 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     Raises:
         ValueError: for soft fingers, a sharing that cannot be used, or shapes that do not fit.
     """
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {})
     refuse_soft_fingers(grasp)
     squeeze = jnp.asarray(grasp.squeeze)
     name, weights = read_sharing(sharing)

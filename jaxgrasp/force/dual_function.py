@@ -10,12 +10,13 @@ It is concave, its gradient is w - G f(x), and by weak duality no allowed forces
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import ProblemBatch, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual
 from jaxgrasp.solver.dispatch import dispatch
@@ -45,7 +46,7 @@ def dual_value(
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
     """
-    warn_of_lost_precision(grasp, wrench, multiplier)
+    check_arguments(grasp, {"wrench": (wrench, (6,)), "multiplier": (multiplier, (6,))}, {})
     return dispatch(_evaluate, grasp, wrench, sharing, multiplier=multiplier)[0]
 
 
@@ -68,7 +69,7 @@ def multiplier_forces(
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
     """
-    warn_of_lost_precision(grasp, multiplier)
+    check_arguments(grasp, {"multiplier": (multiplier, (6,))}, {})
     return dispatch(_evaluate, grasp, jnp.zeros(6, int), sharing, multiplier=multiplier)[1]
 
 

@@ -10,13 +10,14 @@ from jax import Array, lax
 
 from jaxgrasp.force.least_squeeze import bounded_total, total_tangent
 from jaxgrasp.force.margin import bound_along
+from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.wrench_boundary import BoundaryPoint, work_along
 
@@ -58,7 +59,9 @@ def least_friction(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated twice.
     """
-    warn_of_lost_precision(grasp, wrench)
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"total": (total, ())})
+    if total is not None:
+        check_sign("total", total)
     return dispatch(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total)
 
 

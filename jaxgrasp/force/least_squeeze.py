@@ -4,12 +4,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.solver import reach, transforms
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.wrench_boundary import BoundaryPoint, boundary_point, without_sharing, work_along
@@ -40,7 +41,7 @@ def least_squeeze(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated twice.
     """
-    warn_of_lost_precision(grasp, wrench)
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {})
     return dispatch(least_total, grasp, wrench, sharing)
 
 

@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.problem.scaling import wrench_to_scaled
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
@@ -62,7 +63,7 @@ def wrench_margin(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated twice.
     """
-    warn_of_lost_precision(grasp, wrench)
+    check_arguments(grasp, {"wrench": (wrench, (6,)), "direction": (direction, (6,))}, {})
     return dispatch(_margin, grasp, wrench, sharing, direction=direction)
 
 

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
@@ -27,7 +28,7 @@ from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.coordinates import ScaledAxes
-from jaxgrasp.problem.flatten import Sharing, refuse_soft_fingers, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing, refuse_soft_fingers
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_axes
 from jaxgrasp.solver import dual
 from jaxgrasp.solver.by_optimistix import to_result_within
@@ -114,10 +115,10 @@ def pyramid_optimum(
         ValueError: for an argument that cannot be used, or shapes that do not fit.
         NotImplementedError: when it is differentiated.
     """
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {})
     refuse_soft_fingers(grasp)
     settings = PyramidSettings(sides, solver, tol, max_steps)
     _check(settings)
-    warn_of_lost_precision(grasp, wrench)
     return dispatch(_solver(settings), grasp, wrench, sharing)
 
 

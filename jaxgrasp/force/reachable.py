@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
@@ -15,7 +16,7 @@ from jaxgrasp.numerics.tiling import over_chosen
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.flatten import Sharing, warn_of_lost_precision
+from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.problem.guided_motion import restricted_metric, unwhitened_coordinates
 from jaxgrasp.problem.scaling import (
     Scaling,
@@ -87,7 +88,7 @@ def reachable_wrench(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated.
     """
-    warn_of_lost_precision(grasp, wrench, free)
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, (6, "k"))})
     return dispatch(_closest, grasp, wrench, sharing, free=free, tails=(("inertia", (6, 6)),), inertia=inertia)
 
 

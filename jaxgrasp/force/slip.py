@@ -1,29 +1,38 @@
 """How far each contact is from slipping."""
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import check_kind, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
 
 
 def slip_angle(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
-    """Angle between each contact force and its inward normal [rad], from 0 (pressing) to pi (pulling).
+    """Angle between each contact force and its inward normal [rad], from 0 (pressing) to pi (pulling); NaN for NaN.
 
     A contact that carries no force has no angle: it is marked by -inf (its margins by +inf), so that the
     largest angle and the smallest margin of a grasp are those of its loaded contacts. The derivative
     there is zero.
     """
+    _check(grasp, forces)
     force, normal = vec3.from_axis(jnp.asarray(forces), -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
     along = vec3.dot(force, normal)
     across = vec3.norm(vec3.cross(normal, force))
-    loaded = vec3.dot(force, force) > 0
+    # What is not a number is no force of zero: its angle is not a number either.
+    loaded = vec3.dot(force, force) != 0
     if grasp.present is not None:
         loaded = loaded & (jnp.asarray(grasp.present) > 0.5)
     # arctan2 keeps its digits at both ends, where arccos loses half of them.
     angle = jnp.arctan2(jnp.where(loaded, across, 0), jnp.where(loaded, along, 1))
     return jnp.where(loaded, angle, -jnp.inf)
+
+
+def _check(grasp: Grasp, forces: AnyArray) -> None:
+    check_kind(grasp)
+    check_numbers("forces", forces, (np.shape(grasp.normals)[-2], 3))
 
 
 def stability_margin(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:
@@ -46,7 +55,7 @@ def friction_margin(
         ValueError: for moments with a grasp that has no torsion, or soft fingers without.
     """
     angle = slip_angle(grasp, forces)
-    loaded = jnp.isfinite(angle)
+    loaded = angle > -jnp.inf
     # An absent contact may have any friction, NaN too.
     friction = jnp.where(loaded, jnp.asarray(grasp.friction), 0)
     spin = spin_force(grasp, moments)

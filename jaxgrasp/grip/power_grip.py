@@ -6,7 +6,8 @@ import numpy as np
 from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.human_hand import check_human, open_angles
-from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.hand.shapes import Shape, check_shape
+from jaxgrasp.model.arguments import check_instance, check_numbers, check_sign
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.vec3 import Vec3
 
@@ -25,7 +26,8 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose
         depth: at which the palm presses into it [m].
 
     Raises:
-        ValueError: for a hand that is not a human one.
+        TypeError: for what is no hand, or no shape.
+        ValueError: for a hand that is not a human one, a shape of no volume, or a depth below zero.
     """
     check_human(hand)
     knuckles = [hand.joints.index(name) for name in ("index abduction", "little abduction")]
@@ -55,6 +57,11 @@ def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, 
     Raises:
         ValueError: for a hand that is not a human one.
     """
+    check_instance("hand", hand, Hand)
+    check_instance("shape", shape, Shape)
+    check_shape(shape)
+    check_numbers("depth", depth)
+    check_sign("depth", depth)
     posture, placed = lay_on(hand, shape, depth)
     closed, contacts = close_hand(hand, posture, shape, placed, depth)
     return closed, placed, contacts

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import check_instance, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec3
@@ -210,6 +211,10 @@ def joint_torques(
         points: one contact of each link, in the world [m], such as those of [`jaxgrasp.hand.find_contacts`][].
         forces: on the object [N]; zero where a link does not touch.
     """
+    check_instance("hand", hand, Hand)
+    check_instance("frames", frames, HandFrames)
+    for name, array in (("points", points), ("forces", forces)):
+        check_numbers(name, array, (len(hand.links), 3))
     moves = ancestry(hand).T.astype(float)
     felt = -jnp.asarray(forces)
     total = jnp.einsum("jl,...lc->...jc", moves, felt)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.model.arguments import check_instance, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics import vec3
@@ -185,7 +186,6 @@ def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
     return jnp.where(inward, largest, length), normal
 
 
-@jax.jit
 def signed_distance(
     shape: Shape, points: Float[AnyArray, "*#batch 3"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
@@ -197,7 +197,18 @@ def signed_distance(
 
     Returns:
         Distances ``(...)`` [m], negative inside, and outward unit normals ``(..., 3)``.
+
+    Raises:
+        TypeError: for what is no shape, or no array of real numbers.
+        ValueError: for points of other than three coordinates.
     """
+    check_instance("shape", shape, Shape)
+    check_numbers("points", points, (3,))
+    return _signed_distance(shape, points)
+
+
+@jax.jit
+def _signed_distance(shape: Shape, points: AnyArray) -> tuple[Array, Array]:
     points = jnp.asarray(points)
     distance, normal = shape._distance(Vec3(*(points[..., i] for i in range(3))))
     return distance, jnp.stack(jnp.broadcast_arrays(*normal), -1)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
+from jaxgrasp.model.arguments import check_instance
 from jaxgrasp.model.grasp import Grasp
 
 UNIT_TOLERANCE = 1e-6
@@ -45,6 +46,7 @@ def check_grasp(grasp: Grasp) -> Grasp:
         GraspError: naming the field, the first bad index, the value and what was expected.
         TypeError: if the grasp is traced, as under ``jit``: there are no values to check.
     """
+    check_instance("grasp", grasp, Grasp)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(grasp)):
         raise TypeError("check_grasp needs concrete arrays: call it outside jit, vmap and grad")
     for fault in (*shape_faults(grasp), *dtype_faults(grasp)):

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 import jax
 import numpy as np
 
+from jaxgrasp.model.arguments import check_instance
 from jaxgrasp.model.faults import Fault, GraspError, entries
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS, NORMALS, TORQUES, Limits
@@ -20,6 +21,8 @@ def check_limits(limits: Limits, grasp: Grasp) -> Limits:
         GraspError: naming the field, the first bad index, the value and what was expected.
         TypeError: if anything is traced, as under ``jit``: there are no values to check.
     """
+    check_instance("limits", limits, Limits)
+    check_instance("grasp", grasp, Grasp)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((limits, grasp))):
         raise TypeError("check_limits needs concrete arrays: call it outside jit, vmap and grad")
     given = {name: getattr(limits, name) for name in BOUNDS}

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_numbers, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 
 
@@ -15,6 +16,7 @@ def grasp_matrix(points: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 
     Returns:
         ``(..., 6, 3n)``: force rows over torque rows [m]; column 3i + j belongs to component j of force i.
     """
+    check_numbers("points", points, ("n", 3))
     points = jnp.asarray(points)
     *batch, n, _ = points.shape
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
@@ -39,7 +41,15 @@ def weight_wrench(
 
     Returns:
         ``(..., 6)``: force [N], then torque about the frame's origin [N.m]; minus the weight's own.
+
+    Raises:
+        TypeError: for what is no array of real numbers.
+        ValueError: for vectors of other than three components, or a mass below zero.
     """
+    check_numbers("mass", mass)
+    check_sign("mass", mass)
+    check_numbers("center_of_mass", center_of_mass, (3,))
+    check_numbers("gravity", gravity, (3,))
     center_of_mass, gravity = jnp.asarray(center_of_mass), jnp.asarray(gravity)
     force = -jnp.asarray(mass)[..., None] * gravity
     torque = jnp.cross(center_of_mass, force)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -28,7 +29,7 @@ from jaxgrasp.objectives.cone_problem import (
 from jaxgrasp.objectives.multiplier_bounds import velocity_of
 from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.problem.flatten import flatten, warn_of_lost_precision
+from jaxgrasp.problem.flatten import flatten
 from jaxgrasp.solver import transforms
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
@@ -110,7 +111,7 @@ def best_forces(
         NotImplementedError: when differentiated twice.
     """
     _check(objective, limits)
-    warn_of_lost_precision(grasp, wrench)
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {})
     # Each part is compiled by itself, so that the objectives, and their derivatives, share the solver.
     problem, batch = _flat(grasp, wrench, _bounded(limits) if objective == "least_torque" else limits)
     if objective == "least_norm":

@@ -1,7 +1,6 @@
 """What users pass, as a flat batch in one precision: any leading axes, and errors that name the field."""
 
 import math
-import warnings
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -167,14 +166,3 @@ def _leading_axes(name: str, array: AnyArray, tail: tuple[int, ...]) -> tuple[in
     if array.shape[max(array.ndim - len(tail), 0) :] != tail:
         raise ValueError(f"{name} has shape {array.shape}: expected (..., {', '.join(map(str, tail))})")
     return array.shape[: array.ndim - len(tail)]
-
-
-def warn_of_lost_precision(*arguments: Grasp | AnyArray | None) -> None:
-    """Say so where float64 data will be computed in float32; to be called by the function that the user calls."""
-    given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in jax.tree.leaves(arguments))
-    if given and not jax.config.read("jax_enable_x64"):
-        warnings.warn(
-            "float64 data are computed in float32, since JAX's 64-bit mode is off: "
-            "call jax.config.update('jax_enable_x64', True) first, or pass float32 arrays",
-            stacklevel=3,
-        )

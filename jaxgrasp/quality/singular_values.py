@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.numerics.vec3 import safe_divide
-from jaxgrasp.problem.flatten import warn_of_lost_precision
 from jaxgrasp.quality.wrench_discs import About, Length, discs
 
 
@@ -36,25 +36,25 @@ def singular_values(grasp: Grasp, *, length: Length = None, about: About = None)
     Raises:
         NotImplementedError: when differentiated twice.
     """
-    warn_of_lost_precision(grasp)
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return _run(grasp, length, about)
 
 
 def least_singular_value(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The last of [`jaxgrasp.quality.singular_values`][]: 0 where no forces, however large, reach some wrench."""
-    warn_of_lost_precision(grasp)
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return _run(grasp, length, about)[..., -1]
 
 
 def grasp_volume(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The product of [`jaxgrasp.quality.singular_values`][], sqrt(det G G^T): the volume of wrenches of unit forces."""
-    warn_of_lost_precision(grasp)
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return jnp.prod(_run(grasp, length, about), -1)
 
 
 def grasp_isotropy(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The least of [`jaxgrasp.quality.singular_values`][] over the largest: 1 where all wrenches are equally easy."""
-    warn_of_lost_precision(grasp)
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     values = _run(grasp, length, about)
     return safe_divide(values[..., -1], values[..., 0])
 

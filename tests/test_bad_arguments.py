@@ -1,0 +1,127 @@
+"""Whatever comes for an argument: one sentence that names it, says what came and what was expected, before any work."""
+
+import inspect
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Grasp, Limits, grip, hand
+from jaxgrasp.testing import problems as P
+
+MADE = P.problems("ordinary", 3, 2, seed=1)
+GRASP = Grasp(MADE.points, MADE.normals, MADE.friction, MADE.squeeze)
+WRENCH, FORCES = MADE.wrench, MADE.squeeze[..., None] * MADE.normals
+BOTH = {"grasp": GRASP, "wrench": WRENCH}
+CALLS: dict[str, dict] = {
+    "best_forces": BOTH | {"objective": "least_norm"},
+    "check_grasp": {"grasp": GRASP},
+    "check_limits": {"limits": Limits(normal_max=np.ones((2, 3))), "grasp": GRASP},
+    "closed_form": BOTH,
+    "closed_form_and_optimum": BOTH,
+    "constrained_optimum": BOTH | {"start": WRENCH},
+    "dual_value": BOTH | {"multiplier": WRENCH},
+    "friction_margin": {"grasp": GRASP, "forces": FORCES},
+    "grasp_matrix": {"points": MADE.points},
+    "least_friction": BOTH,
+    "least_squeeze": BOTH,
+    "least_squeeze_factor": BOTH,
+    "multiplier_forces": {"grasp": GRASP, "multiplier": WRENCH},
+    "pyramid_optimum": BOTH,
+    "reachable_wrench": BOTH,
+    "slip_angle": {"grasp": GRASP, "forces": FORCES},
+    "split_forces": BOTH,
+    "stability_margin": {"grasp": GRASP, "forces": FORCES},
+    "verify_certificate": BOTH | {"certificate": WRENCH},
+    "weight_wrench": {"mass": 0.3, "center_of_mass": np.zeros(3), "gravity": np.array([0, 0, -9.81])},
+    "wrench_margin": BOTH | {"direction": WRENCH},
+}
+OTHERWISE = {
+    "evaluate": "tests/batch, tests/cli",
+    "load_grasps": "tests/batch/test_files.py",
+    "save_grasps": "tests/batch/test_files.py",
+    "use_cache": "tests/numerics/test_compiled_code.py",
+}
+"""Files and folders are their arguments, which have tests of their own."""
+
+
+def wrong(value) -> dict:
+    """What a user may hand over instead."""
+    given = {"None": None, "text": "abc", "dict": {"a": 1}}
+    if isinstance(value, np.ndarray):
+        given |= {
+            "complex": value * (1 + 1j),
+            "short": value[..., :-1],
+            "strings": np.full(value.shape, "a"),
+            "objects": np.full(value.shape, None),
+            "scalar": np.float64(3.0),
+        }
+    return given
+
+
+CASES = [
+    pytest.param(name, argument, given, id=f"{name}-{argument}-{label}")
+    for name, arguments in CALLS.items()
+    for argument, value in arguments.items()
+    for label, given in wrong(value).items()
+    if not (label == "None" and argument == "start")
+]
+
+
+def test_every_public_function_is_tried():
+    functions = {name for name in jaxgrasp._HOME if inspect.isfunction(getattr(jaxgrasp, name))}
+    assert functions == CALLS.keys() | OTHERWISE.keys()
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(("name", "argument", "given"), CASES)
+def test_a_wrong_argument_is_named(name, argument, given):
+    with pytest.raises((TypeError, ValueError)) as caught:
+        getattr(jaxgrasp, name)(**CALLS[name] | {argument: given})
+    text = str(caught.value)
+    assert text.startswith(argument) and "expected" in text and "\n" not in text and len(text) < 250
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("field", ["points", "normals", "friction", "squeeze", "present", "torsion"])
+def test_a_wrong_field_of_a_grasp_is_named(field):
+    fields = {name: getattr(GRASP, name) for name in ("points", "normals", "friction", "squeeze")}
+    for given in ("abc", {"a": 1}, np.full((2, 3), 1j), np.full((2, 3), "a")):
+        with pytest.raises(TypeError, match=f"^{field} is .*expected"):
+            jaxgrasp.closed_form(Grasp(**fields | {field: given}), WRENCH)
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: jaxgrasp.weight_wrench(-1.0, np.zeros(3), np.zeros(3)), "mass is -1.0: expected zero or more"),
+        (lambda: jaxgrasp.weight_wrench(np.array([1.0, -2]), np.zeros(3), np.zeros(3)), r"mass\[1\] is -2.0"),
+        (lambda: jaxgrasp.least_friction(GRASP, WRENCH, total=-1.0), "total is -1.0: expected zero or more"),
+        (lambda: hand.signed_distance(hand.Sphere(1.0), np.zeros(2)), r"points has shape \(2,\): expected \(..., 3\)"),
+        (lambda: hand.signed_distance("ball", np.zeros(3)), "shape is 'ball' of type str: expected a Shape"),
+        (lambda: grip.power_grip(hand.human_hand(), hand.Cylinder(-0.03, 0.1)), "radius is -0.03: expected"),
+        (lambda: grip.power_grip(None, hand.Sphere(0.03)), "hand is None: expected a Hand"),
+        (lambda: grip.power_grip(hand.human_hand(), hand.Sphere(0.03), -1e-3), "depth is -0.001: expected"),
+    ],
+)
+def test_what_cannot_be_is_refused(call, words):
+    with pytest.raises((TypeError, ValueError), match=words):
+        call()
+
+
+def test_forces_that_are_no_numbers_have_margins_that_are_none():
+    margins = jaxgrasp.friction_margin(GRASP, np.full_like(FORCES, np.nan))
+    assert np.isnan(margins).all()
+    assert np.isnan(jaxgrasp.stability_margin(GRASP, np.full_like(FORCES, np.nan))).all()
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_integers_and_traced_arrays_pass():
+    whole = jax.tree.map(lambda x: np.ones(x.shape, int), GRASP)
+    assert jaxgrasp.closed_form(whole, np.zeros(6, int)).forces.shape == (2, 3, 3)
+    found = jax.jit(jaxgrasp.closed_form)(GRASP, WRENCH)
+    np.testing.assert_allclose(found.forces, jaxgrasp.closed_form(GRASP, WRENCH).forces, rtol=1e-12, atol=1e-12)
+    mapped = jax.vmap(lambda g, w: jaxgrasp.friction_margin(g, jaxgrasp.closed_form(g, w).forces))(GRASP, WRENCH)
+    assert mapped.shape == (2, 3)

@@ -126,7 +126,7 @@ def maximise(objective: ConcaveObjective, start: Array, frozen: Array, limit: in
     steps = jnp.zeros_like(frozen, jnp.int32)
     none = jnp.int32(0)
     state = NewtonState(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen, none)
-    state = varying_like(state, start, objective)._replace(evaluations=none)
+    state = varying_like(state, start, objective)
 
     def unfinished(state: NewtonState) -> Array:
         return (state.evaluations < limit) & ~jnp.all(state.done)

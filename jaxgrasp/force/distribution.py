@@ -46,7 +46,7 @@ def closed_form(
     Raises:
         ValueError: for a sharing that is not one of these, or shapes that do not fit.
     """
-    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, (6, "k"))})
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
     return dispatch(transforms.closed_form, grasp, wrench, sharing, free=free)
 
 
@@ -90,7 +90,7 @@ def constrained_optimum(
             solver.
         TypeError: for a solver that is none of these, or whose settings are arrays.
     """
-    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, (6, "k")), "start": (start, (6,))})
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ()), "start": (start, (6,))})
     if solver is not None:
         by_optimistix.check_solver(solver)
     if start is not None and not (free is None and solver is None):
@@ -115,7 +115,7 @@ def closed_form_and_optimum(
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
-    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, (6, "k"))})
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
     return dispatch(transforms.closed_form_and_optimum, grasp, wrench, sharing, free=free)
 
 

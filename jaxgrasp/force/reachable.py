@@ -88,7 +88,7 @@ def reachable_wrench(
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated.
     """
-    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, (6, "k"))})
+    check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, ())})
     return dispatch(_closest, grasp, wrench, sharing, free=free, tails=(("inertia", (6, 6)),), inertia=inertia)
 
 

@@ -26,6 +26,7 @@ from unittest.mock import patch
 import jax
 
 import jaxgrasp
+from benchmarks.earlier import checked_out
 from benchmarks.page import compile_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.sections import run_sections
@@ -61,19 +62,14 @@ class Plan(NamedTuple):
 
 
 def programs(plan: Plan) -> list[dict]:
-    with tempfile.TemporaryDirectory() as scratch:
-        before = Path(scratch) / "before"
-        subprocess.run(["git", "-C", HERE.parent, "worktree", "add", "-q", before, BEFORE], check=True)
-        try:
-            runs = [
-                {"version": version, **row}
-                for batch in plan.batches
-                for _ in range(plan.repeats)
-                for version, folder in (("before", before), ("after", HERE.parent))
-                for row in _lines([str(batch), *plan.calls], (HERE / "compiled_calls.py").read_text(), folder)
-            ]
-        finally:
-            subprocess.run(["git", "-C", HERE.parent, "worktree", "remove", "--force", before], check=True)
+    with checked_out(BEFORE) as before:
+        runs = [
+            {"version": version, **row}
+            for batch in plan.batches
+            for _ in range(plan.repeats)
+            for version, folder in (("before", before), ("after", HERE.parent))
+            for row in _lines([str(batch), *plan.calls], (HERE / "compiled_calls.py").read_text(), folder)
+        ]
     return _least(runs)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.earlier import checked_out
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing.limited_problems import limited_problems
 
@@ -81,15 +82,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit", help="the version to compare with")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as scratch:
-        given, before = Path(scratch) / "problems.npz", Path(scratch) / "before"
+    with tempfile.TemporaryDirectory() as scratch, checked_out(options.commit) as before:
+        given = Path(scratch) / "problems.npz"
         np.savez(given, **problems())  # type: ignore[arg-type]
-        git = ["git", "-C", str(HERE.parent), "worktree"]
-        subprocess.run([*git, "add", "-q", "--detach", before, options.commit], check=True)
-        try:
-            old = answers(before, given, Path(scratch) / "old.npz")
-        finally:
-            subprocess.run([*git, "remove", "--force", before], check=True)
+        old = answers(before, given, Path(scratch) / "old.npz")
         new = answers(HERE.parent, given, Path(scratch) / "new.npz")
     sys.exit(0 if compare(old, new) else 1)
 

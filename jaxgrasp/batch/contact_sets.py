@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.batched import checked_index
 from jaxgrasp.model.faults import Fault, GraspError, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limit_faults import check_limits, limit_faults
@@ -51,18 +52,8 @@ class ContactSets:
 
     def __getitem__(self, chosen: "int | slice | np.ndarray") -> "Grasp | ContactSets":
         """One grasp by its number; or some of the sets, by a slice, an array of numbers or a mask."""
-        if not isinstance(chosen, slice):
-            chosen = np.asarray(chosen)
-            if chosen.dtype == bool and chosen.shape != (len(self),):
-                raise IndexError(f"a mask of shape {chosen.shape}: expected ({len(self)},), one truth for each grasp")
-            chosen = np.flatnonzero(chosen) if chosen.dtype == bool else chosen
-            if chosen.dtype.kind not in "iu":
-                raise IndexError(f"an index of {chosen.dtype}: expected whole numbers, a slice or a mask")
-        if isinstance(chosen, slice) or chosen.ndim:
-            return self.rows(chosen)
-        if not -len(self) <= chosen < len(self):
-            raise IndexError(f"index is {chosen}: expected one of {len(self)} grasps")
-        return self.grasp(int(chosen) % len(self))
+        numbers = np.arange(len(self))[checked_index(chosen, (len(self),))]
+        return self.rows(numbers) if np.ndim(numbers) else self.grasp(int(numbers))
 
     @property
     def sizes(self) -> np.ndarray:

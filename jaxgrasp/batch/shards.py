@@ -10,7 +10,6 @@ its contacts; and for each measure of quality that was asked for, columns ``qual
 import json
 import re
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
@@ -20,7 +19,7 @@ import numpy as np
 
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import save_arrays
+from jaxgrasp.batch.npz_file import DAMAGE, save_arrays
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
@@ -196,7 +195,7 @@ def _is_whole(path: Path, entry: dict) -> bool:
             grasp, offsets = arrays["grasp"], arrays["offsets"]
             inside = not len(grasp) or (entry["start"] <= grasp.min() and grasp.max() < entry["stop"])
             return len(offsets) == len(grasp) + 1 and bool(inside)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError):
+    except DAMAGE:
         return False
 
 

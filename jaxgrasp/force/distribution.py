@@ -161,6 +161,6 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     relaxed = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(squeeze))
     wrench = jnp.asarray(wrench)
     return ForceSplit(
-        external=closed_form(relaxed, wrench, weights).forces,
-        internal=closed_form(grasp, jnp.zeros_like(wrench), weights).forces,
+        external=dispatch(transforms.closed_form, relaxed, wrench, weights).forces,
+        internal=dispatch(transforms.closed_form, grasp, jnp.zeros_like(wrench), weights).forces,
     )

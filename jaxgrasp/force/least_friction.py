@@ -67,8 +67,8 @@ def least_friction(
 
 def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
     if total is None:
-        unshared = 1.0 if problem.present is None else problem.present > 0.5
-        total = jnp.broadcast_to(jnp.sum(jnp.where(unshared, problem.squeeze, 0), 1), (problem.size,))
+        there = 1.0 if problem.present is None else problem.present > 0.5
+        total = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
     return _share(problem, total)
 
 
@@ -106,9 +106,10 @@ def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array
 
     It is sought from the wrench away from that of pressing contacts, which lies inside of what they can exert.
     """
-    press = jnp.ones_like(problem.friction) if problem.present is None else (problem.present > 0.5).astype(float)
-    pushes = jnp.where(press[..., None] > 0, problem.normals, 0)
-    torques = jnp.cross(jnp.where(press[..., None] > 0, problem.points, 0), pushes)
+    points, pushes = problem.points, problem.normals
+    if problem.present is not None:
+        points, pushes = (jnp.where(problem.present[..., None] > 0.5, array, 0) for array in (points, pushes))
+    torques = jnp.cross(points, pushes)
     pressing = jnp.concatenate([jnp.sum(pushes, 1), jnp.sum(torques, 1)], 1)
     direction = lax.stop_gradient(jnp.broadcast_to(-pressing, problem.wrench.shape))
     theta, boundary = bound_along(lax.stop_gradient(problem), direction)
@@ -198,5 +199,5 @@ def _step(state: _Bracket, seen: _ShareEvaluation) -> _Bracket:
     led = jnp.clip(newton, low, high)
     tried = ((led <= low) & low_tried) | ((led >= high) & high_tried)
     met, arrived = high - low <= _narrow(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
-    unshared = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
-    return _Bracket(low, high, low_tried, high_tried, unshared, met | arrived)
+    share = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
+    return _Bracket(low, high, low_tried, high_tried, share, met | arrived)

@@ -7,14 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.grasp import OPTIONAL, Grasp
 
 Tail = tuple[int | str, ...]
 """Last axes of an array: sizes, or a letter for any size."""
-FIELDS: dict[str, Tail] = {"points": ("n", 3), "normals": ("n", 3), "friction": ("n",), "squeeze": ("n",)}
 LONGEST = 50
 """Characters of a wrong value that a message shows."""
-OPTIONAL_FIELDS: dict[str, Tail] = {"present": ("n",), "torsion": ("n",)}
 
 
 def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional: dict[str, tuple[Any, Tail]]) -> None:
@@ -30,54 +28,54 @@ def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional:
         ValueError: for wrong last axes.
     """
     check_kind(grasp)
-    given = {name: one for name, one in optional.items() if one[0] is not None}
-    for name, (array, tail) in (required | given).items():
+    given = required | {name: one for name, one in optional.items() if one[0] is not None}
+    for name, (array, tail) in given.items():
         check_numbers(name, array, tail)
-    _warn_of_lost_precision(grasp, *(array for array, _ in (required | given).values()))
+    _warn_of_lost_precision(grasp, *(array for array, _ in given.values()))
 
 
 def check_kind(grasp: Any) -> None:
     """Raise TypeError unless it is a Grasp whose fields are arrays of real numbers."""
     if not isinstance(grasp, Grasp):
         raise TypeError(f"grasp is {_shown(grasp)}: expected a jaxgrasp.Grasp")
-    for name in FIELDS:
-        check_numbers(name, getattr(grasp, name))
-    for name in OPTIONAL_FIELDS:
-        if getattr(grasp, name) is not None:
-            check_numbers(name, getattr(grasp, name))
+    for name in Grasp.last_axes:
+        array = getattr(grasp, name)
+        if array is not None or name not in OPTIONAL:
+            check_numbers(name, array)
 
 
-def check_numbers(name: str, array: Any, tail: Tail | None = None) -> None:
+def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
     """Raise TypeError for what is no array of real numbers, ValueError for wrong last axes."""
-    wanted = f"numbers of shape (..., {', '.join(map(str, tail))})" if tail else "numbers"
-    dtype = getattr(array, "dtype", None)
-    if dtype is None and isinstance(array, list | tuple | int | float):
+    if isinstance(array, list | tuple | int | float):
         try:
             array = np.asarray(array)
-            dtype = array.dtype
         except ValueError:
-            raise TypeError(f"{name} is of unequal lists: expected an array of {wanted}") from None
+            raise TypeError(f"{name} is of unequal lists: expected {_wanted(tail)}") from None
+    dtype = getattr(array, "dtype", None)
     if dtype is None:
-        raise TypeError(f"{name} is {_shown(array)}: expected an array of {wanted}")
-    if not (jnp.issubdtype(dtype, jnp.floating) or jnp.issubdtype(dtype, jnp.integer)):
-        raise TypeError(f"{name} is an array of {dtype}: expected real {wanted}")
+        raise TypeError(f"{name} is {_shown(array)}: expected {_wanted(tail)}")
+    # The kind of the usual ones tells at once; of JAX's own, such as bfloat16, it does not.
+    if dtype.kind not in "fiu" and not jnp.issubdtype(dtype, jnp.floating):
+        raise TypeError(f"{name} is an array of {dtype}: expected {_wanted(tail, 'real ')}")
     shape = np.shape(array)
-    if tail is None:
-        return
-    end = shape[len(shape) - len(tail) :] if len(shape) >= len(tail) else None
-    if end is None or any(isinstance(size, int) and size != own for size, own in zip(tail, end)):
+    end = shape[len(shape) - len(tail) :]
+    if len(end) < len(tail) or any(isinstance(size, int) and size != own for size, own in zip(tail, end)):
         raise ValueError(f"{name} has shape {shape}: expected (..., {', '.join(map(str, tail))})")
 
 
-def check_sign(name: str, values: Any, above: bool = False) -> None:
-    """Raise ValueError for a concrete number below zero, or at zero where it must be ``above``; NaN is let through."""
+def _wanted(tail: Tail, kind: str = "") -> str:
+    shape = f" of shape (..., {', '.join(map(str, tail))})" if tail else ""
+    return f"{'' if kind else 'an array of '}{kind}numbers{shape}"
+
+
+def check_sign(name: str, values: Any) -> None:
+    """Raise ValueError for a concrete number below zero; NaN is let through."""
     if isinstance(values, jax.core.Tracer):
         return
-    bad = np.asarray(values) <= 0 if above else np.asarray(values) < 0
-    for index in np.argwhere(bad):
+    numbers = np.asarray(values)
+    for index in np.argwhere(numbers < 0):
         place = f"[{', '.join(map(str, index))}]" if index.size else ""
-        wanted = "a number above zero" if above else "zero or more"
-        raise ValueError(f"{name}{place} is {np.asarray(values)[tuple(index)]}: expected {wanted}")
+        raise ValueError(f"{name}{place} is {numbers[tuple(index)]}: expected zero or more")
 
 
 def check_instance(name: str, value: Any, kind: type) -> None:

@@ -48,7 +48,7 @@ class Batched(eqx.Module):
             TypeError: where there are no leading axes.
         """
         batch = self._batch()
-        own = _checked(index, batch)
+        own = checked_index(index, batch)
         taken = {}
         for name, shape in self._shapes():
             array = getattr(self, name)
@@ -61,7 +61,7 @@ class Batched(eqx.Module):
         return (self[index] for index in range(len(self)))
 
 
-def _checked(index: Any, batch: tuple[int, ...]) -> tuple:
+def checked_index(index: Any, batch: tuple[int, ...]) -> tuple:
     """An index of the leading axes as a tuple of one that leaves the last axes alone."""
     parts = tuple(map(_part, index if isinstance(index, tuple) else (index,)))
     if not any(isinstance(part, jax.core.Tracer) for part in parts):
@@ -79,8 +79,8 @@ def _checked(index: Any, batch: tuple[int, ...]) -> tuple:
 
 def _part(part: Any) -> Any:
     """One axis's index; lists as arrays, an empty one of numbers."""
-    if part is None:
-        raise IndexError("index has a new axis (None): expected a part of the batch")
+    if part is None or isinstance(part, bool):
+        raise IndexError(f"index has a new axis ({part}): expected a part of the batch")
     if not isinstance(part, list):
         return part
     return np.asarray(part) if part else np.zeros(0, int)

@@ -7,11 +7,9 @@ import jax
 import numpy as np
 
 from jaxgrasp.model.arguments import check_instance
-from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.grasp import OPTIONAL, Grasp
 
 UNIT_TOLERANCE = 1e-6
-OPTIONAL = ("present", "torsion")
-"""Fields of a Grasp that may be None."""
 
 
 @dataclass(frozen=True)

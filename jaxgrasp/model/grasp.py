@@ -14,6 +14,9 @@ from typing import ClassVar
 from jaxgrasp.model.arrays import AnyArray, Float, Lists, from_lists
 from jaxgrasp.model.batched import Batched
 
+OPTIONAL = ("present", "torsion")
+"""Fields of a Grasp that may be None."""
+
 
 class Grasp(Batched):
     """Contacts of a hand with an object, alone or in batches (source: section II-C and eq. 6).

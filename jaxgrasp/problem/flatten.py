@@ -44,7 +44,6 @@ def flatten(
     sharing: str,
     *,
     free: AnyArray | None = None,
-    start: AnyArray | None = None,
     limits: Limits | None = None,
     safety: float | AnyArray | None = None,
     each: Mapping[str, tuple[Any, tuple[int, ...]]] = MappingProxyType({}),
@@ -52,9 +51,9 @@ def flatten(
 ) -> FlatInput:
     """Inputs of any leading axes as a flat batch in one precision.
 
-    ``free`` are the twists that a guide allows, ``start`` multipliers to begin from, ``limits`` what the hand can
-    exert. Friction is divided by ``safety``. ``each`` are further arrays, of which each problem has its own, and
-    their last axes. The arrays are those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
+    ``free`` are the twists that a guide allows, ``limits`` what the hand can exert. Friction is divided by
+    ``safety``. ``each`` are further arrays, of which each problem has its own, and their last axes. The arrays are
+    those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
@@ -68,8 +67,8 @@ def flatten(
     if free is not None:
         given["free"] = (free, (6, _directions(free)))
     given |= _bounds(limits, n)
-    given |= {"wrench": (wrench, (6,)), "start": (start, (6,)), **each}
-    optional = [array for array in (free, start, grasp.torsion, *jax.tree.leaves(limits)) if array is not None]
+    given |= {"wrench": (wrench, (6,)), **each}
+    optional = [array for array in (free, grasp.torsion, *jax.tree.leaves(limits)) if array is not None]
     dtype = _precision(points, normals, friction, squeeze, wrench, *(array for array, _ in each.values()), *optional)
     arrays = {name: numpy.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     if safety is not None:
@@ -77,7 +76,7 @@ def flatten(
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = _broadcast(leading)
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
-    loads = ("wrench", "start", *each)
+    loads = ("wrench", *each)
     shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name not in loads)
     flat = {}
     for name, array in arrays.items():

@@ -49,7 +49,6 @@ class Inputs(NamedTuple):
     wrench: AnyArray
     weights: AnyArray | None
     free: AnyArray | None
-    start: AnyArray | None
     limits: Limits | None
     safety: float | AnyArray | None
     each: Mapping[str, AnyArray | float]
@@ -62,7 +61,6 @@ def dispatch(
     sharing: Sharing,
     *,
     free: AnyArray | None = None,
-    start: AnyArray | None = None,
     limits: Limits | None = None,
     safety: float | AnyArray | None = None,
     tails: tuple[tuple[str, tuple[int, ...]], ...] = (),
@@ -71,11 +69,11 @@ def dispatch(
     """The answers of ``solve`` with the leading axes of what was given.
 
     ``each`` are further arrays, one for each problem, whose last axes ``tails`` name, or ``(6,)``; those that are None
-    are left out.
+    are left out. ``start``, multipliers to begin from, becomes a field of the problem.
     """
     name, weights = read_sharing(sharing)
     there = {key: array for key, array in each.items() if array is not None}
-    given = Inputs(grasp, wrench, weights, free, start, limits, safety, there)
+    given = Inputs(grasp, wrench, weights, free, limits, safety, there)
     if not _is_alone(given):
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
     try:
@@ -92,18 +90,20 @@ def dispatch(
 def _flat(given: Inputs, sharing: str, tails: tuple, numpy: Any) -> FlatInput:
     last = dict(tails)
     each = {name: (array, last.get(name, (6,))) for name, array in given.each.items()}
-    return flatten(
+    flat = flatten(
         given.grasp,
         given.wrench,
         given.weights,
         sharing,
         free=given.free,
-        start=given.start,
         limits=given.limits,
         safety=given.safety,
         each=each,
         numpy=numpy,
     )
+    # It is a problem's own, as wrenches are, but the solver finds it among the problem's fields.
+    flat.fields["start"] = flat.each.pop("start", None)
+    return flat
 
 
 def _traced(given: Inputs, *, solve: Solve, sharing: str, tails: tuple) -> Any:
@@ -151,8 +151,6 @@ def _size(given: Inputs, tails: tuple) -> int | None:
     """How many problems there are, as far as grasp, wrench and ``each`` tell; None where that makes no sense."""
     grasp, last = given.grasp, dict(tails)
     shapes = [np.shape(grasp.points)[:-2], np.shape(grasp.friction)[:-1], np.shape(given.wrench)[:-1]]
-    if given.start is not None:
-        shapes.append(np.shape(given.start)[:-1])
     for name, array in given.each.items():
         shape = np.shape(array)
         shapes.append(shape[: len(shape) - len(last.get(name, (6,)))])
@@ -199,8 +197,6 @@ def _plain_batch(given: Inputs, tails: tuple) -> tuple[int, ...] | None:
     each = (grasp.friction, grasp.squeeze, grasp.present, grasp.torsion, given.weights)
     shapes += [(array, contacts) for array in each if array is not None]
     shapes += [(array, batch + last.get(name, (6,))) for name, array in given.each.items()]
-    if given.start is not None:
-        shapes.append((given.start, (*batch, 6)))
     # A weak type would be lost with NumPy.
     same = all(np.shape(array) == shape and not getattr(array, "weak_type", False) for array, shape in shapes)
     return batch if same and not getattr(grasp.points, "weak_type", False) else None

@@ -7,17 +7,21 @@ torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of t
 
 import csv
 import os
+import re
 from pathlib import Path
 
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import LABELS
+from jaxgrasp.batch.npz_file import LABELS, LONGEST_LABEL
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
+NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.IGNORECASE)
+"""What counts as a number; Python's own reading would take 1_0 for ten, and digits of every script."""
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
@@ -43,6 +47,13 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     for line, row in numbered:
         if None in row or None in row.values():
             raise GraspFileError(path, f"line {line} has {'more' if None in row else 'fewer'} cells than the header")
+        for name in LABELS:
+            if len(row.get(name, "")) > LONGEST_LABEL:
+                raise GraspFileError(
+                    path,
+                    f"line {line}, column {name} is text of {len(row[name]):,} characters: "
+                    f"expected at most {LONGEST_LABEL:,}",
+                )
 
     def numbers(columns: tuple[str, ...]) -> np.ndarray:
         return np.array([[_number(path, line, c, row[c]) for c in columns] for line, row in numbered])
@@ -104,10 +115,9 @@ def _quoted(cell: str) -> str:
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise GraspFileError(path, f"line {line}, column {column} is {text!r}: expected a number") from None
+    if not NUMBER.fullmatch(text.strip(" \t")):
+        raise GraspFileError(path, f"line {line}, column {column} is {shortened(text)}: expected a number")
+    return float(text)
 
 
 def _check_runs(path: Path, keys: list[str], starts: list[int], lines: tuple[int, ...]) -> None:
@@ -115,6 +125,6 @@ def _check_runs(path: Path, keys: list[str], starts: list[int], lines: tuple[int
     for start in starts:
         if keys[start] in seen:
             raise GraspFileError(
-                path, f"line {lines[start]} returns to grasp {keys[start]!r}: expected its lines together"
+                path, f"line {lines[start]} returns to grasp {shortened(keys[start])}: expected its lines together"
             )
         seen.add(keys[start])

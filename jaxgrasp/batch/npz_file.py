@@ -25,58 +25,16 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, OPTIONAL_NUMBERS, ContactSets, as_wrenches
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.npz_column import DAMAGE, Column
+from jaxgrasp.files.printable import LARGEST
 from jaxgrasp.files.replace import replace_file
 
 VERSION = 1
 LABELS = ("name", "source", "object", "hand")
 BY_CONTACT = (*CONTACT_FIELDS, *OPTIONAL_FIELDS)
 NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
-DAMAGE = (ValueError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, KeyError)
-"""What the standard library raises on a broken, encrypted or otherwise odd archive."""
-
-
-class Column:
-    """One array of the archive, read forward a few rows at a time."""
-
-    def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
-        self.name = name
-        try:
-            self._stream: IO[bytes] = archive.open(f"{name}.npy")
-            version = np.lib.format.read_magic(self._stream)
-            header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-            if version not in header:
-                raise ValueError(f"NPY version {version}")
-            self.shape, fortran, self.dtype = header[version](self._stream)
-        except DAMAGE as error:
-            raise GraspFileError(path, f"its column {name!r} cannot be read ({error})") from error
-        if self.dtype.hasobject:
-            raise GraspFileError(path, f"its column {name!r} holds pickled objects: expected plain numbers or text")
-        if fortran and len(self.shape) > 1:
-            raise GraspFileError(path, f"its column {name!r} is in Fortran order: save np.ascontiguousarray of it")
-        self._path = path
-        self._at = 0
-
-    def take(self, rows: int) -> np.ndarray:
-        """The next rows."""
-        size = rows * self._row_bytes
-        try:
-            data = self._stream.read(size)
-        except DAMAGE as error:
-            raise GraspFileError(self._path, f"its column {self.name!r} is damaged ({error})") from error
-        if len(data) != size:
-            raise GraspFileError(self._path, f"its column {self.name!r} ends early: the file is truncated")
-        self._at += rows
-        return np.frombuffer(data, self.dtype).reshape(rows, *self.shape[1:])
-
-    def skip(self, rows: int) -> None:
-        while rows > 0:
-            step = min(rows, max(1, (1 << 24) // max(1, self._row_bytes)))
-            self.take(step)
-            rows -= step
-
-    @property
-    def _row_bytes(self) -> int:
-        return self.dtype.itemsize * int(np.prod(self.shape[1:], dtype=np.int64))
+LONGEST_LABEL = 1_000
+"""Characters of a grasp's name, source, object or hand: every one of a column takes as much memory as its longest."""
 
 
 class NpzGrasps:
@@ -91,12 +49,21 @@ class NpzGrasps:
             raise
         except DAMAGE as error:
             raise GraspFileError(self.path, "it is not a complete .npz archive") from error
+        try:
+            self._read_headers()
+        except BaseException:
+            self._archive.close()
+            raise
+
+    def _read_headers(self) -> None:
+        """Everything but the numbers, and the check of it."""
         members = self._archive.namelist()
         self.names = [member.removesuffix(".npy") for member in members if member.endswith(".npy")]
         self._check_names()
         self._shapes = {name: self._open(name).shape for name in self.names if name in (*NUMBERS, "offsets")}
         self.dtypes = {name: self._open(name).dtype for name in self._shapes}
         self._check_version()
+        self._check_types()
         self.offsets = self._read_offsets()
         self._check_shapes()
 
@@ -128,12 +95,16 @@ class NpzGrasps:
         """The grasps from ``start`` on, ``size`` at a time, in order."""
         columns = {name: self._open(name) for name in (*NUMBERS, *LABELS) if name in self.names}
         per_contact = "offsets" in self._shapes
-        for name, column in columns.items():
-            by_contact = name in BY_CONTACT and per_contact
-            column.skip(int(self.offsets[start]) if by_contact else start)
-        for first in range(start, len(self), size):
-            last = min(first + size, len(self))
-            yield self._rows(columns, first, last, per_contact)
+        try:
+            for name, column in columns.items():
+                by_contact = name in BY_CONTACT and per_contact
+                column.skip(int(self.offsets[start]) if by_contact else start)
+            for first in range(start, len(self), size):
+                last = min(first + size, len(self))
+                yield self._rows(columns, first, last, per_contact)
+        finally:
+            for column in columns.values():
+                column.close()
 
     def read(self) -> ContactSets:
         """All of it."""
@@ -157,13 +128,24 @@ class NpzGrasps:
             **flat,
             offsets=self.offsets[first : last + 1] - self.offsets[first],
             wrench=as_wrenches(taken["wrench"].astype(dtype, copy=False), last - first),
-            labels={name: taken[name] for name in LABELS if name in taken},
+            labels={name: self._text(name, taken[name]) for name in LABELS if name in taken},
         )
+
+    def _text(self, name: str, column: np.ndarray) -> np.ndarray:
+        if column.dtype.kind == "U":
+            return column
+        try:
+            return np.char.decode(column, "utf-8")
+        except UnicodeDecodeError as error:
+            raise GraspFileError(self.path, f"{name} holds bytes that are not UTF-8 ({error})") from error
 
     def _open(self, name: str) -> Column:
         return Column(self.path, self._archive, name)
 
     def _check_names(self) -> None:
+        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        if twice:
+            raise GraspFileError(self.path, f"it has the column {twice[0]!r} twice")
         wanted = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
         missing = [name for name in wanted if name not in self.names]
         if missing:
@@ -172,21 +154,36 @@ class NpzGrasps:
                 for name in missing
                 if name in ("friction", "squeeze")
             )
-            raise GraspFileError(
-                self.path,
-                f"it lacks {', '.join(map(repr, missing))} and holds {', '.join(self.names) or 'nothing'}{hint}",
-            )
+            held = ", ".join(self.names)[:LARGEST] or "nothing"
+            raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {held}{hint}")
 
     def _check_version(self) -> None:
         if "version" not in self.names:
             return
-        try:
-            with self._archive.open("version.npy") as stream:
-                version = np.lib.format.read_array(stream, allow_pickle=False)
-        except DAMAGE as error:
-            raise GraspFileError(self.path, f"its version cannot be read ({error})") from error
-        if version.shape != () or version != VERSION:
+        column = self._open("version")
+        if column.shape or not np.issubdtype(column.dtype, np.integer):
+            raise GraspFileError(
+                self.path, f"version is {column.dtype} of shape {column.shape}: expected the integer {VERSION}"
+            )
+        version = int(column.whole())
+        if version != VERSION:
             raise GraspFileError(self.path, f"its version is {version}: this jaxgrasp reads version {VERSION}")
+
+    def _check_types(self) -> None:
+        for name, dtype in self.dtypes.items():
+            if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
+                raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers")
+        for name in LABELS:
+            if name not in self.names:
+                continue
+            dtype = self._open(name).dtype
+            if dtype.kind not in "US":
+                raise GraspFileError(self.path, f"{name} holds {dtype}: expected text")
+            length = dtype.itemsize // np.dtype(f"{dtype.kind}1").itemsize
+            if length > LONGEST_LABEL:
+                raise GraspFileError(
+                    self.path, f"{name} holds text of {length:,} characters: expected at most {LONGEST_LABEL:,}"
+                )
 
     def _read_offsets(self) -> np.ndarray:
         shape = self._shapes["points"]
@@ -195,6 +192,8 @@ class NpzGrasps:
                 raise GraspFileError(
                     self.path, f"points has shape {shape}: expected (N, n, 3), or (M, 3) with a column 'offsets'"
                 )
+            if shape[1] == 0:
+                raise GraspFileError(self.path, f"points has shape {shape}: expected at least one contact a grasp")
             return np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
         if not shape:
             raise GraspFileError(self.path, "points is a single number: expected (M, 3)")
@@ -203,7 +202,7 @@ class NpzGrasps:
             raise GraspFileError(
                 self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers"
             )
-        offsets = column.take(column.shape[0]).astype(np.int64)
+        offsets = column.whole().astype(np.int64)
         falling = np.flatnonzero(np.diff(offsets) < 0)
         if offsets[0] != 0 or len(falling) or offsets[-1] != shape[0]:
             at = 0 if offsets[0] != 0 else (int(falling[0]) + 1 if len(falling) else len(offsets) - 1)
@@ -228,9 +227,6 @@ class NpzGrasps:
             raise GraspFileError(
                 self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)"
             )
-        for name, dtype in self.dtypes.items():
-            if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
-                raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers")
         for name in LABELS:
             if name in self.names and self._open(name).shape != (len(self),):
                 raise GraspFileError(self.path, f"{name} has shape {self._open(name).shape}: expected ({len(self)},)")

@@ -19,7 +19,8 @@ import numpy as np
 
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import DAMAGE, save_arrays
+from jaxgrasp.batch.npz_column import DAMAGE, Column
+from jaxgrasp.batch.npz_file import save_arrays
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
@@ -191,11 +192,11 @@ def _is_whole(path: Path, entry: dict) -> bool:
         with zipfile.ZipFile(path) as archive:
             if archive.testzip() is not None:
                 return False
-        with np.load(path, allow_pickle=False) as arrays:
-            grasp, offsets = arrays["grasp"], arrays["offsets"]
+            columns = {name: Column(path, archive, name.removesuffix(".npy")) for name in archive.namelist()}
+            grasp, offsets = (columns[name].whole() for name in ("grasp.npy", "offsets.npy"))
             inside = not len(grasp) or (entry["start"] <= grasp.min() and grasp.max() < entry["stop"])
             return len(offsets) == len(grasp) + 1 and bool(inside)
-    except DAMAGE:
+    except (*DAMAGE, IndexError):
         return False
 
 

@@ -3,7 +3,7 @@
 import os
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -13,7 +13,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.csv_file import read_csv, write_csv
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import LABELS, NpzGrasps, write_npz
+from jaxgrasp.batch.npz_file import LABELS, LONGEST_LABEL, NpzGrasps, write_npz
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
@@ -25,7 +25,7 @@ MILLIMETRES_LIKELY = 2.0
 
 @runtime_checkable
 class GraspSource(Protocol):
-    """Grasps that can be read chunk by chunk."""
+    """Grasps that can be read chunk by chunk, until the block ends that they are opened for."""
 
     @property
     def wrenches(self) -> int: ...
@@ -40,6 +40,10 @@ class GraspSource(Protocol):
 
     def __len__(self) -> int: ...
 
+    def __enter__(self) -> "GraspSource": ...
+
+    def __exit__(self, *_) -> None: ...
+
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]: ...
 
 
@@ -51,6 +55,11 @@ class MemorySource:
 
     def __len__(self) -> int:
         return len(self._sets)
+
+    def __enter__(self) -> "MemorySource":
+        return self
+
+    def __exit__(self, *_) -> None: ...
 
     @property
     def wrenches(self) -> int:
@@ -113,8 +122,8 @@ def load_grasps(path: str | os.PathLike) -> ContactSets:
         GraspFileError: if the file is damaged, lacks a column, or its shapes do not fit.
         GraspError: for the first entry that is not usable: which, its value, and what was expected.
     """
-    source = open_source(path)
-    sets = next(source.chunks(max(1, len(source))))
+    with open_source(path) as source:
+        sets = next(source.chunks(max(1, len(source))))
     for fault in sets.faults():
         raise GraspError(fault)
     if looks_like_millimetres(sets):
@@ -131,7 +140,7 @@ def save_grasps(
     wrenches: AnyArray | None = None,
     *,
     limits: Limits | None = None,
-    **labels: AnyArray,
+    **labels: AnyArray | Sequence[str],
 ) -> None:
     """Write a grasp file, ``.npz`` or ``.csv`` by its name, whole or not at all.
 
@@ -151,6 +160,12 @@ def save_grasps(
             raise ValueError(f"label {name!r} is unknown: expected some of {', '.join(LABELS)}")
         if np.shape(values) != (len(sets),):
             raise ValueError(f"{name} has shape {np.shape(values)}: expected ({len(sets)},), a text for each grasp")
+        texts = np.asarray(values, str)
+        if texts.dtype.itemsize > LONGEST_LABEL * np.dtype("U1").itemsize:
+            at = int(np.argmax(np.char.str_len(texts)))
+            raise ValueError(
+                f"{name}[{at}] is text of {len(texts[at]):,} characters: expected at most {LONGEST_LABEL:,}"
+            )
     if labels:
         sets = replace(sets, labels={name: np.asarray(values, str) for name, values in labels.items()})
     for fault in sets.faults():

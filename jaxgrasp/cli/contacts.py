@@ -13,6 +13,7 @@ from jaxgrasp.batch.sources import save_grasps
 from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.deepest import keep_deepest
 from jaxgrasp.hand.detection import Contacts as Found
@@ -80,8 +81,8 @@ def contacts_command(arguments: FindContacts) -> int:
             f"none of the {len(poses)} grasps can be used: {'; '.join(_left_out(out))}; is the scale right?"
         )
     save_grasps(arguments.out, sets)
-    print(_said(sets, out, dropped))
-    print(f"written: {arguments.out}")
+    show(_said(sets, out, dropped))
+    show(f"written: {arguments.out}")
     return 0
 
 
@@ -112,7 +113,7 @@ def _object(arguments: FindContacts, poses: GraspPoses) -> _Object:
     friction, mass = (_given(name, getattr(arguments, name), poses) for name in ("friction", "mass"))
     tree = sphere_tree(mesh, arguments.levels)
     left_out = filling_error(tree, mesh)
-    print(
+    show(
         f"{path.name}: {left_out.balls} balls in cells of {1e3 * cell_size(mesh, arguments.levels):.2g} mm leave out "
         f"{1e3 * left_out.mean:.2g} mm of the surface in the mean, {1e3 * left_out.largest:.2g} mm at most"
     )

@@ -1,6 +1,5 @@
 """The grasps that a command works on."""
 
-from contextlib import AbstractContextManager, nullcontext
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,6 +14,6 @@ def data_path(data: Data) -> Path:
     return data.file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
 
 
-def opened(data: Data, adjustments: Adjustments) -> AbstractContextManager[GraspSource]:
-    source = open_source(data_path(data), adjustments)
-    return source if isinstance(source, AbstractContextManager) else nullcontext(source)
+def opened(data: Data, adjustments: Adjustments) -> GraspSource:
+    """Its grasps, for a ``with`` block."""
+    return open_source(data_path(data), adjustments)

@@ -16,7 +16,8 @@ from jaxgrasp.batch.summary_json import to_json
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.cli.data import data_path, opened
 from jaxgrasp.cli.evaluate_arguments import Evaluate
-from jaxgrasp.cli.machine import provenance, say, set_up_jax
+from jaxgrasp.cli.machine import provenance, set_up_jax
+from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.quality.measures import measures_named
 
@@ -36,7 +37,7 @@ def evaluate_command(arguments: Evaluate) -> int:
         if sweeping:
             label = "-".join(f"{name}-{value!r}" for name, value in adjustments.fill.items())
             folder = folder / label
-            print(f"\n== {label} ==")
+            show(f"\n== {label} ==")
         _evaluate_one(arguments, adjustments, folder)
     return 0
 
@@ -57,18 +58,18 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
     quality = _asked(arguments)
     plan = StreamPlan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments, quality)
     path = data_path(arguments)
-    with held_folder(out, say), opened(arguments, adjustments) as source:
+    with held_folder(out, announce), opened(arguments, adjustments) as source:
         identity = plan.identity(path.name, source)
         folder = ResultFolder(out, identity, arguments.resume, arguments.overwrite)
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
-            outcome = evaluate_stream(source, plan, folder, bar.update, say)
-        print(summary_text(outcome.summary, outcome.times, outcome.seconds))
+            outcome = evaluate_stream(source, plan, folder, bar.update, announce)
+        show(summary_text(outcome.summary, outcome.times, outcome.seconds))
         for hint in hints(source, plan, outcome.summary):
-            print(f"hint: {hint}")
+            show(f"hint: {hint}")
         # A resumed evaluation that was finished already has nothing new to say, and no times.
         if outcome.times.problems or not (out / "summary.json").exists():
             _write_summary(out / "summary.json", outcome, arguments)
-        print(f"results: {out}")
+        show(f"results: {out}")
         if arguments.report:
             _write_report(out / "report.html", path, outcome, arguments)
 
@@ -89,9 +90,9 @@ def _write_report(path: Path, data: Path, outcome: StreamResult, arguments: Eval
     try:
         write_report(path, outcome.summary, outcome.times, title=data.name, details=_details(arguments))
     except ImportError as error:
-        print(f"no report: {error}")
+        show(f"no report: {error}")
     else:
-        print(f"report:  {path}")
+        show(f"report:  {path}")
 
 
 def _details(arguments: Evaluate) -> dict[str, str]:

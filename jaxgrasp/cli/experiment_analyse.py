@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.cli.experiment_arguments import Analyse
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_shape
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, analyse, load_experiment
@@ -28,12 +29,12 @@ def analyse_command(arguments: Analyse) -> int:
         arguments.method, _model(arguments, answers.plan), arguments.interval, saturated=arguments.saturated
     )
     found = analyse(answers, settings)
-    print("\n".join(said(found)))
+    show("\n".join(said(found)))
     out = arguments.folder if arguments.out is None else arguments.out
     out.mkdir(parents=True, exist_ok=True)
     content = json.dumps(_plain(asdict(found)), indent=1, allow_nan=False).encode()
     replace_file(out / "analysis.json", lambda stream: stream.write(content + b"\n"))
-    print(f"written: {out / 'analysis.json'}")
+    show(f"written: {out / 'analysis.json'}")
     if arguments.report:
         _report(out / "report.html", found)
     return 0
@@ -129,9 +130,9 @@ def _report(path: Path, found: Analysis) -> None:
 
     try:
         write_experiment_page(path, found)
-        print(f"report:  {path}")
+        show(f"report:  {path}")
     except ImportError as error:
-        print(f"no report: {error}")
+        show(f"no report: {error}")
 
 
 def _plain(value: Any) -> Any:

@@ -3,6 +3,7 @@
 import contextlib
 import sys
 
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
 from jaxgrasp.psychophysics.running.person import Move, Person
 from jaxgrasp.psychophysics.stimulus import Rendered
@@ -21,7 +22,7 @@ class TerminalPerson(Person):
     def feel(self, trial: Trial, interval: int) -> None:
         if interval == 1:
             what = "practice" if trial.is_practice else f"session {trial.session}"
-            print(f"\ntrial {trial.number} of {self._most} ({what})")
+            show(f"\ntrial {trial.number} of {self._most} ({what})")
             self._started = False
         name = "reference" if trial.task == "setting" else ("first", "second")[interval - 1]
         typed(f"  feel the {name} one; Enter when you have ")
@@ -34,7 +35,7 @@ class TerminalPerson(Person):
 
     def adjust(self, trial: Trial, setting: float) -> Move:
         if not self._started:
-            print("  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does")
+            show("  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does")
             self._started = True
         while True:
             answer = typed("  > ").strip().lower()
@@ -42,7 +43,7 @@ class TerminalPerson(Person):
                 return MOVES[answer]
 
     def told(self, trial: Trial, right: bool) -> None:
-        print("  right" if right else "  wrong")
+        show("  right" if right else "  wrong")
 
     def rest(self, done: int, most: int) -> None:
         typed(f"\n{done} of at most {most} trials are done. Rest; Enter to go on ")

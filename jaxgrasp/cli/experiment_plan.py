@@ -7,6 +7,7 @@ import numpy as np
 from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.experiment_arguments import ObserverArguments, PlanCommand, Power
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
 from jaxgrasp.psychophysics.observer import Observer
@@ -33,11 +34,11 @@ def plan_command(arguments: PlanCommand) -> int:
     plan = read_plan(arguments.file)
     if arguments.write is not None:
         replace_file(arguments.write, lambda stream: stream.write(plan_toml(plan).encode()))
-        print(f"written: {arguments.write}")
+        show(f"written: {arguments.write}")
     model = load_glove(arguments.glove) if arguments.glove else lrp_hand_master()
-    print("\n".join(summary(plan)))
-    print(f"rendered by {model.name}, {POSTURES[plan.stimulus.kind]}:")
-    print("\n".join(predicted(plan, predicted_stimulus(plan, model))))
+    show("\n".join(summary(plan)))
+    show(f"rendered by {model.name}, {POSTURES[plan.stimulus.kind]}:")
+    show("\n".join(predicted(plan, predicted_stimulus(plan, model))))
     return 0
 
 
@@ -56,7 +57,7 @@ def power_command(arguments: Power) -> int:
     levels = np.array(plan.procedure.levels)
     check_notices(observer, plan)
     wanted, between = _precision(arguments, plan)
-    print(
+    show(
         f"standard error {wanted:g} of the mean threshold at {reference:g} {plan.stimulus.unit}, levels "
         f"{', '.join(f'{level:g}' for level in levels)}"
     )
@@ -68,13 +69,13 @@ def power_command(arguments: Power) -> int:
         between=between,
         most_subjects=arguments.most_subjects,
     )
-    print("\n".join(line for line in predicted(plan, predicted_stimulus(plan, lrp_hand_master())) if "WARNING" in line))
+    show("\n".join(line for line in predicted(plan, predicted_stimulus(plan, lrp_hand_master())) if "WARNING" in line))
     if not found:
-        print(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
+        show(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
         return 0
-    print("trials a level  persons  trials in all  one person's deviation  outside the levels")
+    show("trials a level  persons  trials in all  one person's deviation  outside the levels")
     for one in found[:SHOWN]:
-        print(
+        show(
             f"{one.trials:14d}  {one.subjects:7d}  {one.total(len(levels)):13d}  {one.within:22.4f}  "
             f"{100 * one.outside:17.1f}%"
         )

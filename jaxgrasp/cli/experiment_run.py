@@ -9,6 +9,7 @@ from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson, typed
 from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -39,14 +40,14 @@ def run_command(arguments: RunExperiment) -> int:
         check_notices(observer, plan)
         person = SimulatedPerson(observer, plan.seed, arguments.subject)
     path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, observer=person.observer)
-    print("\n".join(summary(plan)))
+    show("\n".join(summary(plan)))
     try:
         with ExitStack() as stack:
             stimulus, arm = _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, stack)
             done = _asked(arguments, plan, stimulus, person, arm)
     except KeyboardInterrupt:
         raise InterruptedError(f"stopped; all answers are in {path}, --resume goes on with them") from None
-    print(f"{done} trials are in {path}; `jaxgrasp experiment analyse {arguments.out}` analyses them")
+    show(f"{done} trials are in {path}; `jaxgrasp experiment analyse {arguments.out}` analyses them")
     return 0
 
 
@@ -57,7 +58,7 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
         try:
             return run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=resume)
         except StimulusLostError as error:
-            print(f"\n{error}: this trial does not count")
+            show(f"\n{error}: this trial does not count")
             if not isinstance(error, NotFeltError):
                 arm()
             resume = True
@@ -67,7 +68,7 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
     model, _ = load_model({"model": arguments.glove})
     stimulus = predicted_stimulus(plan, model)
     warnings = [line for line in predicted(plan, stimulus) if line.startswith("WARNING")]
-    print("\n".join([*warnings, "a simulated observer answers"]))
+    show("\n".join([*warnings, "a simulated observer answers"]))
     return stimulus, lambda: None
 
 
@@ -85,11 +86,11 @@ def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimu
         GloveProcess(arguments.port or "", len(model.joints), **options, baud=arguments.baud, scale=FIRST)
     )
     _check_linked(glove, arguments.port or "")
-    print("compiling", flush=True)
+    show("compiling")
     felt = felt_object(plan.stimulus, model)
     stimulus = GloveStimulus(felt, model, glove)
     stack.callback(stimulus.close)
-    print("\n".join(predicted(plan, stimulus)))
+    show("\n".join(predicted(plan, stimulus)))
 
     def arm(scale: float, words: str) -> None:
         typed(words)

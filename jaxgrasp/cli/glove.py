@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive
 from jaxgrasp.cli.glove_arguments import GloveFiles, Monitor, Ports, Simulate
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.guard import Guard
 from jaxgrasp.glove.host import GloveHost, LinkState
@@ -49,7 +50,7 @@ def simulate_command(arguments: Simulate) -> int:
     end = math.inf if arguments.seconds is None else time.perf_counter() + arguments.seconds
     simulated = Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options)
     with contextlib.suppress(KeyboardInterrupt), simulated as simulator:
-        print(f"a simulated glove waits at {arguments.port}", flush=True)
+        show(f"a simulated glove waits at {arguments.port}")
         if arguments.spoil:
             simulator.order(spoil=arguments.spoil, seed=0)
         goes_there = True
@@ -71,7 +72,7 @@ def monitor_command(arguments: Monitor) -> int:
     host = GloveHost(
         model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
     )
-    print("channels: " + ", ".join(model.joints))
+    show("channels: " + ", ".join(model.joints))
 
     def turn(now: float) -> None:
         host.poll(now)
@@ -89,7 +90,7 @@ def monitor_command(arguments: Monitor) -> int:
 
 def _monitor_lucidgloves(arguments: Monitor) -> int:
     host = LucidHost(SerialLine(arguments.port, arguments.baud), Guard(lucidgloves()), full_scale=arguments.full_scale)
-    print("curl of " + ", ".join(FINGERS))
+    show("curl of " + ", ".join(FINGERS))
 
     def turn(now: float) -> None:
         host.poll(now)
@@ -123,7 +124,7 @@ def _watch(
             turn(now)
             if now >= next_shown:
                 next_shown = now + (SHOWN_EVERY if is_there() else TROUBLE_EVERY)
-                print(said(now - begun, now), flush=True)
+                show(said(now - begun, now))
             time.sleep(TURN)
 
 
@@ -155,7 +156,7 @@ def ports_command(command: Ports) -> int:
 
     found = sorted(comports())
     for port in found:
-        print(f"{port.device}  {port.description}")
+        show(f"{port.device}  {port.description}")
     if not found:
-        print("no serial port was found")
+        show("no serial port was found")
     return 0

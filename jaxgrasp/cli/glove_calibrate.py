@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.cli.glove_arguments import Calibrate
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.calibrate import CalibrationLine, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
@@ -28,11 +29,11 @@ def calibrate_command(arguments: Calibrate) -> int:
         gauges, lines["gauge"] = fit_gauges(*pairs["gauge"], nominal.gauges.arm, nominal.gauges.full)
     save_sensors(Sensors(encoders, gauges), arguments.out)
     for sensor, line in lines.items():
-        print(_said(sensor, line, model))
+        show(_said(sensor, line, model))
     for sensor in SENSORS:
         if sensor not in lines:
-            print(f"no pairs of a {sensor}: its nominal calibration stays")
-    print(f"written: {arguments.out}")
+            show(f"no pairs of a {sensor}: its nominal calibration stays")
+    show(f"written: {arguments.out}")
     if arguments.plot:
         _plot(arguments, pairs, lines, model)
     return 0
@@ -94,6 +95,6 @@ def _plot(arguments: Calibrate, pairs: dict, lines: dict[str, CalibrationLine], 
     path = arguments.out.with_suffix(".png")
     try:
         write_calibration_picture(path, pairs, lines, model.joints)
-        print(f"figure:  {path}")
+        show(f"figure:  {path}")
     except ImportError as error:
-        print(f"no figure: {error}")
+        show(f"no figure: {error}")

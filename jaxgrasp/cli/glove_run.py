@@ -13,6 +13,7 @@ from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState
@@ -57,20 +58,20 @@ def _play(arguments: Run, model: GloveModel) -> int:
     for name in ("seconds", "control", "tracker"):
         if getattr(arguments, name):
             raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
-    print("compiling, and playing the whole story: a minute or two", flush=True)
+    show("compiling, and playing the whole story: a minute or two")
     story = grasp_and_lift(model)
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
-    print(_said(story))
-    print(f"written: {table}")
+    show(_said(story))
+    show(f"written: {table}")
     picture = arguments.out / "glove.png"
     curves = (story.times, story.torques, story.angles, story.ticks, story.heights, story.marks)
     try:
         write_glove_picture(picture, model.joints, *curves)
-        print(f"figure:  {picture}")
+        show(f"figure:  {picture}")
     except ImportError as error:
-        print(f"no figure: {error}")
+        show(f"no figure: {error}")
     return 0
 
 
@@ -105,7 +106,7 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     host, port = _address("listen", arguments.listen or "")
     extra = {"listen": (host, port), "key": arguments.key, "scale": FIRST, "projection": arguments.projection}
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
-        print(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit", flush=True)
+        show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit")
         orders = Orders(glove)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
@@ -119,7 +120,7 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
     scene, closed, placed = cylinder_scene()
     haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
-    print("compiling", flush=True)
+    show("compiling")
     warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)
     wrist = Wrist(tracker)
@@ -130,17 +131,17 @@ def _render(arguments: Run, model: GloveModel, options: dict) -> int:
         else:
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
-                print("ready; orders: arm, full, disarm, quit", flush=True)
+                show("ready; orders: arm, full, disarm, quit")
                 orders = Orders(glove)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
                 times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
                 raise OSError("the process that owned the glove's line has ended")
-            print(f"the line: {TickTimes.text(glove.summary)}")
+            show(f"the line: {TickTimes.text(glove.summary)}")
     finally:
         if tracker is not None:
             tracker.close()
-    print(f"the engine: {TickTimes.text(times.summary())}")
+    show(f"the engine: {TickTimes.text(times.summary())}")
     return 0
 
 
@@ -148,7 +149,7 @@ def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | No
     host, port = _address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
     engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=_key(arguments.key)), channels)
-    print(f"calls {host}:{port}; the glove is armed there", flush=True)
+    show(f"calls {host}:{port}; the glove is armed there")
     try:
         return run_loop(
             haptics.tick,
@@ -176,7 +177,7 @@ class Orders:
             if order == "quit":
                 break
             if order:
-                print(self._obey(order), flush=True)
+                show(self._obey(order))
         self.is_over = True
 
     def _obey(self, order: str) -> str:

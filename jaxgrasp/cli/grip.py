@@ -13,6 +13,7 @@ import numpy as np
 from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked
 from jaxgrasp.grip.lifting import lift_and_turn
@@ -46,7 +47,7 @@ def grip_command(arguments: Grip) -> int:
     hand = human_hand(arguments.hand_length, side=arguments.side)
     closed, placed, contacts = _closed(arguments, hand, shape)
     kind = GripType(int(grip_type(hand, closed, contacts)))
-    print(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
+    show(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
     postures = lift_and_turn(
         closed,
         times,
@@ -68,8 +69,8 @@ def grip_command(arguments: Grip) -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     summary = {"grip": _words(kind)} | _summary(hand, times, record)
     _write(arguments.out, hand, times, postures, record, summary)
-    print(_said(summary))
-    print(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
+    show(_said(summary))
+    show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     if arguments.report:
         _write_report(arguments, scene, history(scene, postures, times, record))
     return 0
@@ -141,13 +142,13 @@ def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
     instants = {"closed": 0.0, "lifted": whole / 2, "turned": 3 * whole / 4, "end": whole}
     try:
         write_grip_page(out / "grip.html", scene, happened, title=_title(arguments), details=_details(arguments))
-        print(f"report:  {out / 'grip.html'}")
+        show(f"report:  {out / 'grip.html'}")
     except ImportError as error:
-        print(f"no report: {error}")
+        show(f"no report: {error}")
     try:
-        print("pictures:", *write_grip_pictures(out, scene, happened, instants))
+        show("pictures:", *write_grip_pictures(out, scene, happened, instants))
     except ImportError as error:
-        print(f"no pictures: {error}")
+        show(f"no pictures: {error}")
 
 
 def _title(arguments: Grip) -> str:

@@ -1,13 +1,13 @@
 """``jaxgrasp info`` and ``jaxgrasp validate``: what a file holds, and what is wrong with it."""
 
-import sys
-
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import Adjustments, looks_like_millimetres
 from jaxgrasp.cli.data import data_path, opened
 from jaxgrasp.cli.data_arguments import Info, Validate
+from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.files.printable import printable
 
 CHUNK = 65_536
 UNITS = {
@@ -27,25 +27,27 @@ def info_command(arguments: Info) -> int:
     """Print counts, ranges and labels; reads the file once."""
     with opened(arguments, Adjustments(arguments.normals == "outward")) as source:
         chunks = [_facts(sets) for sets in source.chunks(CHUNK)]
-        print(f"{data_path(arguments)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
+        show(f"{data_path(arguments)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
     sizes = np.sum([np.bincount(facts["sizes"], minlength=source.largest + 1) for facts in chunks], 0)
     held = np.flatnonzero(sizes)
-    print("contacts   " + ", ".join(f"{n}: {sizes[n]:,}" for n in held))
+    show("contacts   " + ", ".join(f"{n}: {sizes[n]:,}" for n in held))
     for name, unit in UNITS.items():
         if name not in chunks[0]:
             continue
         low, high = min(f[name][0] for f in chunks), max(f[name][1] for f in chunks)
         if low > high:
             continue
-        print(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
+        show(f"{name:10} {low:.4g} to {high:.4g} {unit}".rstrip())
     if joints := chunks[0]["joints"]:
-        print(f"joints     {joints:,}")
+        show(f"joints     {joints:,}")
     for label in chunks[0]["labels"]:
         values = np.unique(np.concatenate([facts["labels"][label] for facts in chunks]))
-        shown = ", ".join(values[:8]) + (f", ... ({len(values):,} different)" if len(values) > 8 else "")
-        print(f"{label:10} {shown}")
+        shown = ", ".join(map(printable, values[:8])) + (
+            f", ... ({len(values):,} different)" if len(values) > 8 else ""
+        )
+        show(f"{label:10} {shown}")
     if any(facts["millimetres"] for facts in chunks):
-        print("warning: contacts lie metres apart; expected metres, these look like millimetres")
+        show("warning: contacts lie metres apart; expected metres, these look like millimetres")
     return 0
 
 
@@ -56,14 +58,14 @@ def validate_command(arguments: Validate) -> int:
         first = 0
         for sets in source.chunks(CHUNK):
             for fault in sets.faults(first):
-                print(fault)
+                show(fault)
                 count += 1
                 bad.add(fault.index[0])
             first += len(sets)
     if count:
-        print(f"{count:,} fault(s) in {len(bad):,} of {first:,} grasps", file=sys.stderr)
+        announce(f"{count:,} fault(s) in {len(bad):,} of {first:,} grasps")
         return 1
-    print(f"{first:,} grasps, no fault")
+    show(f"{first:,} grasps, no fault")
     return 0
 
 

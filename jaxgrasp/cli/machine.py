@@ -4,13 +4,12 @@ These are global settings, so only a program that owns its process may make them
 """
 
 import platform
-import sys
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 import jax
-from tqdm import tqdm
 
+from jaxgrasp.cli.terminal import announce
 from jaxgrasp.numerics.compiled_code import use_cache
 
 
@@ -20,17 +19,12 @@ def set_up_jax(dtype: str) -> None:
     try:
         use_cache()
     except OSError as error:
-        say(f"compiled code is not kept: {error}")
+        announce(f"compiled code is not kept: {error}")
 
 
 def say_compiling(what: str, duration: str = "up to a minute") -> None:
     """What is compiled next, for how long where nothing of it is kept yet."""
-    say(f"compiling {what}, which takes {duration} the first time ...")
-
-
-def say(text: str) -> None:
-    """A line about what is being done, on stderr and at once, since what follows may take a while."""
-    tqdm.write(text, file=sys.stderr)
+    announce(f"compiling {what}, which takes {duration} the first time ...")
 
 
 def provenance() -> dict[str, str]:

@@ -15,6 +15,8 @@ from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCo
 from jaxgrasp.cli.glove_arguments import Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
+from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.files.printable import printable
 
 Command = (
     Annotated[FindContacts, tyro.conf.subcommand("contacts")]
@@ -58,17 +60,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, run, and turn expected errors into one line on stderr and the exit code 1."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if list(arguments) == ["--version"]:
-        print(f"jaxgrasp {version('jaxgrasp')}")
+        show(f"jaxgrasp {version('jaxgrasp')}")
         return 0
     command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
     try:
         return run(command)
     except (ValueError, OSError, ImportError) as error:
-        print(f"jaxgrasp: {error}", file=sys.stderr)
+        announce(f"jaxgrasp: {printable(error)}")
         return 1
     except KeyboardInterrupt:
         kept = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""
-        print(f"jaxgrasp: interrupted{kept}", file=sys.stderr)
+        announce(f"jaxgrasp: interrupted{kept}")
         return 130
 
 

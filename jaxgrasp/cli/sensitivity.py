@@ -11,6 +11,7 @@ import numpy as np
 from jaxgrasp.cli.checks import check_positive, sampled_times
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
+from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix
@@ -34,22 +35,22 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
     if len(arguments.values) > MOST_VALUES:
         raise ValueError(f"values are {len(arguments.values)}: expected at most {MOST_VALUES}, which a figure can show")
     set_up_jax("float64")
-    print("compiling the task and its derivatives, which takes minutes the first time", flush=True)
+    show("compiling the task and its derivatives, which takes minutes the first time")
     found = study(cylinder_task(), times, methods, arguments.by, arguments.vary, arguments.values, LABELS)
     arguments.out.mkdir(parents=True, exist_ok=True)
     _write_table(arguments.out / "sensitivity.csv", _curves(found))
     _write_table(arguments.out / "ranking.csv", _rankings(found))
-    print("\n".join(_said(found, arguments.finger)))
-    print(f"written: {arguments.out / 'sensitivity.csv'}, {arguments.out / 'ranking.csv'}")
+    show("\n".join(_said(found, arguments.finger)))
+    show(f"written: {arguments.out / 'sensitivity.csv'}, {arguments.out / 'ranking.csv'}")
     if arguments.report:
         from jaxgrasp.report.sensitivity_picture import write_sensitivity_picture
 
         try:
             path = arguments.out / "sensitivity.png"
             write_sensitivity_picture(path, found, arguments.finger, arguments.vary)
-            print(f"figure:  {path}")
+            show(f"figure:  {path}")
         except ImportError as error:
-            print(f"no figure: {error}")
+            show(f"no figure: {error}")
     return 0
 
 

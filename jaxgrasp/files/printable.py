@@ -13,3 +13,8 @@ def shortened(value: object) -> str:
     """A value as Python writes it, in one line of at most some 200 characters."""
     text = printable(repr(value))
     return text if len(text) <= LARGEST else f"{text[:LARGEST]} ... ({len(text):,} characters)"
+
+
+def printable_lines(text: object) -> str:
+    """Like ``printable`` for a text of several lines, which stay lines."""
+    return "\n".join(printable(line) for line in str(text).split("\n"))

@@ -49,7 +49,7 @@ def forget_compiled_code():
 PARTS = 3
 """The long tests take turns, by the day of the commit: each time one law in so many, and of a law that is marked
 ``repeats``, which goes through many sizes or kinds, one case in so many. All of them run with ``JAXGRASP_TEST_ALL=1``,
-and those that are named one by one."""
+and those that are named one by one; what is marked ``always`` runs each time."""
 
 
 def _part(config: pytest.Config) -> int | None:
@@ -83,7 +83,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         law = (item.path, getattr(item, "originalname", item.name))
         # Laws take turns among one another, the cases of a law that repeats among themselves.
         among, one = (law, item.nodeid) if item.get_closest_marker("repeats") else (None, law)
-        waits = item.get_closest_marker("slow") and rounds[among].setdefault(one, len(rounds[among])) % PARTS != part
+        takes_turns = item.get_closest_marker("slow") and not item.get_closest_marker("always")
+        waits = takes_turns and rounds[among].setdefault(one, len(rounds[among])) % PARTS != part
         (left_out if waits else kept).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept

@@ -51,7 +51,15 @@ def test_the_ten_lines_run(ten_lines):
     assert ten_lines["by_squeeze"].shape == (3, 3, 3)
 
 
-@pytest.mark.parametrize("page", [page for page in DOCS if blocks(page, "python")], ids=lambda page: page.stem)
+QUICK_PAGES = ("answers", "experiments")
+
+
+def _with_marks(page: Path):
+    marks = () if page.stem in QUICK_PAGES else (pytest.mark.slow, pytest.mark.always)
+    return pytest.param(page, marks=marks, id=page.stem)
+
+
+@pytest.mark.parametrize("page", [_with_marks(page) for page in DOCS if blocks(page, "python")])
 def test_the_examples_run(page, ten_lines, capsys):
     run(page, dict(ten_lines))
     said = capsys.readouterr().out

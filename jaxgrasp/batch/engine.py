@@ -22,7 +22,7 @@ from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import passes
 
-ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate")
+ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate", "force_bound")
 OF_LIMITS = ("normal_multiplier", "torque_multiplier", "certificate_rates")
 
 
@@ -40,6 +40,8 @@ class MethodResult:
     """Codes of [`jaxgrasp.Route`][]."""
     certificate: np.ndarray
     """``(B, 6)``."""
+    force_bound: np.ndarray
+    """``(B,)`` [N], as in a Solution."""
     margin: np.ndarray
     """Smallest friction margin of the loaded contacts [rad]; +inf where none is loaded."""
     violation: np.ndarray

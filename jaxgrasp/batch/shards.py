@@ -1,10 +1,11 @@
 """Results on disk: one file a chunk and a manifest, so that an interrupt costs only the chunks in work.
 
 A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
-``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)``; with soft
-fingers ``.moments (M, W)``; of limited optima ``.normal_multiplier (M, W)``, ``.torque_multiplier`` and
-``.certificate_rates (N, W, j)``; and ``grasp (N,)``, the grasps' numbers in the input, and ``offsets (N + 1,)`` of
-its contacts; and for each measure of quality that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
+``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)`` and
+``.force_bound (N, W)``; with soft fingers ``.moments (M, W)``; of limited optima ``.normal_multiplier (M, W)``,
+``.torque_multiplier`` and ``.certificate_rates (N, W, j)``; and ``grasp (N,)``, the grasps' numbers in the input, and
+``offsets (N + 1,)`` of its contacts; and for each measure of quality that was asked for, columns
+``quality.MEASURE.COLUMN (N,)``.
 """
 
 import json
@@ -26,7 +27,7 @@ from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
-VERSION = 4
+VERSION = 5
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html")
@@ -212,7 +213,7 @@ def arrays_of(
     for method, result in results.items():
         for field in fields(MethodResult):
             array = getattr(result, field.name)
-            if array is not None and (field.name != "certificate" or method in constrained):
+            if array is not None and (field.name not in ("certificate", "force_bound") or method in constrained):
                 arrays[f"{method}.{field.name}"] = array
     return arrays | {f"quality.{name}": column for name, column in quality.items()}
 

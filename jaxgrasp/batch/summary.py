@@ -30,6 +30,8 @@ class MethodSummary:
     """Largest residual of the answers that claim to balance the wrench."""
     smallest_margin: float
     """Smallest friction margin [rad] of the answers that claim to balance the wrench."""
+    least_force_bound: float
+    """Least ``force_bound`` of the problems without allowed forces [N]: none is proven to have none beyond it."""
     angles: np.ndarray
     """``(ANGLE_BINS, ANGLE_BINS)``: loaded contacts by slip angle (0 to pi) and friction angle (0 to pi / 2),
     in a sample of contacts."""
@@ -41,6 +43,7 @@ class MethodSummary:
             self.routes + other.routes,
             max(self.largest_residual, other.largest_residual),
             min(self.smallest_margin, other.smallest_margin),
+            min(self.least_force_bound, other.least_force_bound),
             self.angles + other.angles,
         )
 
@@ -132,20 +135,26 @@ def summarise(
 
 
 def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
-    answered = result.verdict <= Verdict.OUTSIDE_CONES
+    answered = _balanced(result.verdict)
     return MethodSummary(
         verdicts=np.bincount(result.verdict.ravel(), minlength=len(Verdict)),
         steps=int(result.steps.sum()),
         routes=np.bincount(result.route.ravel(), minlength=len(Route)),
         largest_residual=float(np.max(result.residual[answered], initial=0)),
         smallest_margin=float(np.min(result.margin[answered], initial=np.inf)),
+        least_force_bound=float(np.min(result.force_bound[result.verdict == Verdict.INFEASIBLE], initial=np.inf)),
         angles=_angles(sets, result),
     )
 
 
+def _balanced(verdict: np.ndarray) -> np.ndarray:
+    """Which answers claim to balance the wrench."""
+    return (verdict <= Verdict.OUTSIDE_CONES) | (verdict == Verdict.FEASIBLE)
+
+
 def _angles(sets: ContactSets, result: MethodResult) -> np.ndarray:
     """Slip against friction angle of a sample of contacts of answered problems, first wrench."""
-    answered = np.repeat(result.verdict[:, 0] <= Verdict.OUTSIDE_CONES, sets.sizes)
+    answered = np.repeat(_balanced(result.verdict[:, 0]), sets.sizes)
     chosen = np.flatnonzero(answered)[:: max(1, len(sets.points) // SAMPLED_CONTACTS)]
     force, normal = result.forces[chosen, 0].astype(float), sets.normals[chosen].astype(float)
     loaded = np.einsum("ci,ci->c", force, force) > 0

@@ -36,7 +36,7 @@ def from_json(data: dict) -> Summary:
 
 
 def _method_to_json(method: MethodSummary) -> dict:
-    margin = method.smallest_margin
+    margin, bound = method.smallest_margin, method.least_force_bound
     return {
         "verdicts": {verdict.name: int(method.verdicts[verdict]) for verdict in Verdict},
         "steps": method.steps,
@@ -44,18 +44,20 @@ def _method_to_json(method: MethodSummary) -> dict:
         "largest_residual": method.largest_residual,
         # JSON has no infinity; a method without a loaded contact has no margin.
         "smallest_margin": margin if np.isfinite(margin) else None,
+        "least_force_bound": bound if np.isfinite(bound) else None,
         "angles": method.angles.tolist(),
     }
 
 
 def _method_from_json(data: dict) -> MethodSummary:
-    margin = data["smallest_margin"]
+    margin, bound = data["smallest_margin"], data["least_force_bound"]
     return MethodSummary(
         verdicts=np.array([data["verdicts"][verdict.name] for verdict in Verdict]),
         steps=data["steps"],
         routes=np.array([data["routes"][route.name] for route in Route]),
         largest_residual=data["largest_residual"],
         smallest_margin=np.inf if margin is None else margin,
+        least_force_bound=np.inf if bound is None else bound,
         angles=np.array(data["angles"], int),
     )
 

@@ -13,6 +13,7 @@ _ROWS = (
     ("holds inside every cone", (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)),
     ("  closed form as it is", (Verdict.CLOSED_FORM_OPTIMAL,)),
     ("  needs the optimum", (Verdict.OPTIMAL,)),
+    ("holds, perhaps not the optimum", (Verdict.FEASIBLE,)),
     ("balances, but slips or pulls", (Verdict.OUTSIDE_CONES,)),
     ("no forces exist", (Verdict.INFEASIBLE,)),
     ("no loaded contact", (Verdict.NO_CONTACTS,)),
@@ -33,6 +34,10 @@ def summary_text(summary: Summary, times: Times, seconds: float) -> str:
         counts = [summary.methods[name].count(*verdicts) for name in names]
         if any(counts):
             lines.append(f"{label:30}" + "".join(f"{_share(count, summary.problems):>14}" for count in counts))
+    bounds = [summary.methods[name].least_force_bound for name in names]
+    if any(map(math.isfinite, bounds)):
+        shown = (f"{bound:.2g} N" if math.isfinite(bound) else "-" for bound in bounds)
+        lines.append(f"{'  by as much force, at least':30}" + "".join(f"{text:>14}" for text in shown))
     margins = [summary.methods[name].smallest_margin for name in names]
     lines.append(f"{'worst friction margin':30}" + "".join(f"{_degrees(margin):>14}" for margin in margins))
     if times.problems:

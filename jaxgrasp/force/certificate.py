@@ -81,7 +81,7 @@ def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[
     assert problem.torque_max is not None
     one = jnp.ones_like(data.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.
-    rows = torque_limits.torque_constraints(problem, data, Scaling(data.force, one, one, one, one > 0))
+    rows = torque_limits.torque_constraints(problem, data, Scaling(data.force, one, one, one, one > 0, one))
     turned = vec3.safe_divide(rates, rows.scale)
     beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_max.T), 0, keepdims=True)
     spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)

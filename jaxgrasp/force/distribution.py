@@ -1,5 +1,6 @@
 """The public answers: which force at each contact, by closed form or by constrained optimum."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,7 +13,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.model.solution import Solution
+from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers
 from jaxgrasp.solver import by_optimistix, transforms
 from jaxgrasp.solver.dispatch import dispatch
@@ -58,6 +59,7 @@ def constrained_optimum(
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
     limits: Limits | None = None,
     safety: float | AnyArray = 1.0,
+    largest_force: float | AnyArray | None = None,
     start: Float[AnyArray, "*#batch 6"] | None = None,
     solver: Any = None,
 ) -> Solution:
@@ -72,6 +74,9 @@ def constrained_optimum(
             Torques cost nothing but a look where none is beyond its limit.
         safety: friction is divided by this, since an optimum on a cone's surface has no margin left: a number
             greater than 0, or one for each problem, an array of the leading axes.
+        largest_force: what the hand could exert at most, as a sum of normal forces [N], a number or one for each
+            problem. An INFEASIBLE whose certificate proves less, ``force_bound``, is no answer then and comes back as
+            NOT_CONVERGED: in float32 a proof may end at 181 times the load. ``None`` takes any proof.
         start: the ``multiplier`` of a problem close by, such as the instant before in a loop that solves one after
             the other: where cones are active, fewer steps lead from there. The answer does not depend on it. A
             batch of instants is faster still, and needs none.
@@ -86,8 +91,8 @@ def constrained_optimum(
         no forces exist the verdict is INFEASIBLE and the certificate proves it.
 
     Raises:
-        ValueError: for a sharing or a safety that cannot be used, shapes that do not fit, or a start beside free or
-            solver.
+        ValueError: for a sharing, a safety or a largest_force that cannot be used, shapes that do not fit, or a start
+            beside free or solver.
         TypeError: for a solver that is none of these, or whose settings are arrays.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ()), "start": (start, (6,))})
@@ -98,10 +103,15 @@ def constrained_optimum(
             f"start is given beside {'free' if solver is None else 'solver'}, which takes none: leave it out"
         )
     divisor = _read_safety(grasp, safety)
+    largest_force = _read_largest_force(largest_force)
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
     solve = transforms.optimum if solver is None else transforms.optimum_by(solver)
-    return dispatch(solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor)
+    solution = dispatch(solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor)
+    if largest_force is None:
+        return solution
+    short = (solution.verdict == Verdict.INFEASIBLE) & (solution.force_bound < largest_force)
+    return replace(solution, verdict=jnp.where(short, Verdict.NOT_CONVERGED, solution.verdict))
 
 
 def closed_form_and_optimum(
@@ -117,6 +127,14 @@ def closed_form_and_optimum(
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
     return dispatch(transforms.closed_form_and_optimum, grasp, wrench, sharing, free=free)
+
+
+def _read_largest_force(largest_force: float | AnyArray | None) -> float | AnyArray | None:
+    if largest_force is not None and not isinstance(largest_force, jax.core.Tracer):
+        values = np.asarray(largest_force)
+        if values.dtype.kind not in "fiu" or not np.all(values >= 0):
+            raise ValueError(f"largest_force is {largest_force!r}: expected a number, 0 or more, or an array of them")
+    return largest_force
 
 
 def _read_safety(grasp: Grasp, safety: float | AnyArray) -> float | AnyArray | None:

@@ -33,7 +33,7 @@ from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_axes
 from jaxgrasp.solver import dual
 from jaxgrasp.solver.by_optimistix import to_result_within
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.result import PassResult, ScaledResult
+from jaxgrasp.solver.result import PassResult, ScaledResult, no_certificate
 from jaxgrasp.solver.transforms import as_solution
 
 TILE = 128
@@ -175,7 +175,7 @@ def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:
         multiplier=twist.T,
         verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
         steps=found.steps[None],
-        certificate=jnp.zeros((6, size), data.squeeze.dtype),
+        certificate=no_certificate(jnp.zeros((6, size), data.squeeze.dtype)),
         undecided=jnp.zeros((1, size), bool),
     )
     return to_result_within(problem, result, BALANCE * settings.tol)

@@ -107,6 +107,9 @@ def value_faults(
         for name, values in (("friction", friction), ("squeeze", squeeze)):
             bad = looked_at & ~(np.isfinite(values) & (values >= 0))
             yield from entries(name, values, bad, "a finite number, zero or more")
+            least = np.finfo(values.dtype).tiny
+            vanishing = looked_at & (values > 0) & (values < least)
+            yield from entries(name, values, vanishing, f"0, or at least {least:.3g}: less may count as 0")
         if torsion is not None:
             bad = ~(np.isfinite(torsion) & (torsion >= 0))
             yield from entries("torsion", torsion, looked_at & bad, "a finite length [m], zero or more")

@@ -49,8 +49,15 @@ class Verdict(IntEnum):
     )
     INVALID_DATA = (
         6,
-        "The data hold NaN, infinite or negative entries, zero normals, or limits that contradict each other: "
+        "The data hold NaN, infinite or negative entries, zero normals, sharing weights below the smallest normal "
+        "number, or limits that contradict each other: "
         "run check_grasp on the grasp and check_limits on its limits, and look at the wrench.",
+    )
+    FEASIBLE = (
+        7,
+        "These forces balance the wrench inside every friction cone and limit, but rounding hides whether they are the "
+        "optimum: the load is below rounding of the squeezing forces, or sharing weights lie too many orders of "
+        "magnitude apart.",
     )
 
     def __new__(cls, code: int, advice: str = "") -> "Verdict":
@@ -61,7 +68,7 @@ class Verdict(IntEnum):
 
     @property
     def solved(self) -> bool:
-        """Whether the forces balance the wrench inside every friction cone."""
+        """Whether the forces are the optimum: they balance the wrench inside every friction cone."""
         return self in (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
 
@@ -88,7 +95,7 @@ class Solution(Batched):
     """
 
     last_axes: ClassVar[dict[str, int]] = {
-        **dict.fromkeys(("verdict", "residual", "objective", "steps", "route", "rank"), 0),
+        **dict.fromkeys(("verdict", "residual", "objective", "steps", "route", "rank", "force_bound"), 0),
         **dict.fromkeys(("multiplier", "certificate", "moments"), 1),
         **dict.fromkeys(("normal_multiplier", "torque_multiplier", "certificate_rates"), 1),
         "forces": 2,
@@ -96,17 +103,19 @@ class Solution(Batched):
 
     forces: Float[Array, "*batch n 3"]
     """What the hand exerts on the object at each contact [N]. They balance the wrench where the verdict is one of the
-    first three; for INFEASIBLE and NOT_CONVERGED they are where the solver stopped, and do not."""
+    first three, or FEASIBLE; for INFEASIBLE and NOT_CONVERGED they are where the solver stopped, and do not."""
     multiplier: Float[Array, "*batch 6"]
     """Lagrange multiplier of G f = w about the frame's origin (eq. 8); of minimal norm, in the grasp's own
     centred and scaled coordinates, where it is not unique."""
     verdict: Int[Array, "*batch"]
     """Code of a [`jaxgrasp.Verdict`][]."""
     residual: Float[Array, "*batch"]
-    """Backward error of G f = w: dimensionless, near machine precision for a sound answer."""
+    """What the forces miss of the wrench, as a part of it: |G f - w| / |w|, in the grasp's own centred and scaled
+    coordinates. Where the forces are so much larger than the wrench that their own rounding hides it, a small part of
+    the forces stands in place of |w|. An answer of more than 7.5e-9 (in float32 1.7e-4) is not called sound."""
     objective: Float[Array, "*batch"]
     """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing. The moment m of a soft
-    finger counts as a force of mu m / gamma, which uses as much friction."""
+    finger counts as a force of mu m / gamma, which uses as much friction. For NOT_CONVERGED what it is at least."""
     steps: Int[Array, "*batch"]
     """Newton steps taken; 0 where the closed form was already optimal."""
     route: Int[Array, "*batch"]
@@ -116,6 +125,10 @@ class Solution(Batched):
     certificate: Float[Array, "*batch 6"]
     """For INFEASIBLE and NO_CONTACTS: d = (linear, angular) about the frame's origin with w.d > 0 while no
     contact can push along it; the object escapes along -d. Zero otherwise."""
+    force_bound: Float[Array, "*batch"]
+    """For INFEASIBLE, what the certificate proves: any allowed forces of this wrench would have normal components of
+    at least so much in all [N], over the contacts that no limit bounds. In float64 it is at least 4.2e6 times the
+    load, in float32 181 times: what lies beyond is not excluded. Zero for other verdicts."""
     # Where the problem has no such thing, there is no field to fill.
     moments: Float[Array, "*batch n"] | None = None
     """What soft fingers exert about their normals [N.m]; ``None`` where the grasp has no torsion."""
@@ -132,16 +145,33 @@ class Solution(Batched):
     Contacts cannot push along d less what the joints move them, J e, and w.d exceeds what the joints can do,
     sum of torque_max |e|."""
 
+    @property
+    def advice(self) -> str:
+        """A sentence to act on, about one problem: its verdict's, and how far a proof reaches."""
+        if self.batch_shape:
+            raise ValueError(
+                f"advice is about one problem: this is a batch {self.batch_shape}, take one of it as by [0]"
+            )
+        verdict, bound = Verdict(int(self.verdict)), float(self.force_bound)
+        if verdict == Verdict.NOT_CONVERGED and bound > 0:
+            return (
+                f"No allowed forces give this wrench whose normal components are less than {bound:.3g} N in all, and "
+                "whether larger ones do is not decided: try float64."
+            )
+        if verdict == Verdict.INFEASIBLE:
+            return f"{verdict.advice} Proven for forces of up to {bound:.3g} N in all."
+        return verdict.advice
+
     def __str__(self) -> str:
         """Verdicts, the largest force and residual, and of a single problem the advice, in a few lines."""
-        shown = (self.forces, self.verdict, self.residual, self.objective, self.steps, self.route)
+        shown = (self.forces, self.verdict, self.residual, self.objective, self.steps, self.route, self.force_bound)
         if not all(map(_is_known, shown)):
             return repr(self)
         contacts = f"{self.forces.shape[-2]} contacts"
         if not self.batch_shape:
             verdict, route = Verdict(int(self.verdict)), Route(int(self.route))
             return (
-                f"Solution of {contacts}: {verdict.name}\n  {verdict.advice}\n"
+                f"Solution of {contacts}: {verdict.name}\n  {self.advice}\n"
                 f"  {self._sizes()}, objective {float(self.objective):.6g}, "
                 f"{int(self.steps)} Newton steps, by the pass {route.name}"
             )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.numerics import vec3
@@ -95,7 +95,7 @@ def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
     largest = tolerances(points.x.dtype).largest
     # One sum meets a NaN, or what is too large to be squared, in any of its terms.
     size = vec3.taxicab(points) + size2 + jnp.abs(friction) + jnp.abs(squeeze) + jnp.abs(weights)
-    good = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0)
+    good = (size2 > 0) & (friction >= 0) & (squeeze >= 0) & (weights >= 0) & ~_is_subnormal(weights)
     torsion, normal_min, normal_max = (
         None if x is None else x.T for x in (problem.torsion, problem.normal_min, problem.normal_max)
     )
@@ -138,6 +138,30 @@ def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
         normal_max=normal_max,
     )
     return data, valid
+
+
+def without_squeeze(data: ContactData, chosen: Array) -> ContactData:
+    """Where the scalar ``chosen`` says so: a weight of one and no squeeze for each contact that can move.
+
+    What forces are allowed stays the same.
+    """
+    changed = chosen & (data.weights > 0)
+    cost = data.normal_cost
+    return data._replace(
+        squeeze=jnp.where(changed, 0, data.squeeze),
+        weights=jnp.where(changed, 1, data.weights),
+        normal_cost=None if cost is None else jnp.where(changed, 0, cost),
+    )
+
+
+def _is_subnormal(array: Array) -> Array:
+    """Whether numbers are so small that processors may take them for zero, by their bits, as these may too.
+
+    A weight of zero is a contact that cannot move, which is another problem than one of the smallest weight.
+    """
+    info = jnp.finfo(array.dtype)
+    bits = lax.bitcast_convert_type(array, jnp.dtype(f"uint{info.bits}"))
+    return (bits > 0) & (bits < 1 << info.nmant)
 
 
 def _allowed(squeeze: Array, weights: Array, normal_min: Array | None, normal_max: Array | None) -> Array:

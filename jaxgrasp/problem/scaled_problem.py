@@ -75,9 +75,11 @@ def in_suitable_axes(problem: ProblemBatch) -> ScaledProblem:
     return careful._replace(ill_conditioned=jnp.ones_like(careful.scaling.load, bool))
 
 
-def in_axes_by_care(problem: ProblemBatch, careful: Array) -> ScaledProblem:
-    """By the scalar ``careful`` either ``in_principal_axes`` or the user's axes: one compiled code for both."""
-    data, valid = to_batch_last(problem)
+def in_axes_by_care(problem: ProblemBatch, data: ContactData, valid: Array, careful: Array) -> ScaledProblem:
+    """By the scalar ``careful`` either ``in_principal_axes`` or the user's axes: one compiled code for both.
+
+    ``data`` are those of the batch, or others in their place.
+    """
     data, scaling = scale_in_principal_axes(data, careful)
     metric, coordinates, ill_conditioned = _coordinates(problem, data, scaling, careful)
     return ScaledProblem(data, scaling, coordinates, metric, valid, ill_conditioned)

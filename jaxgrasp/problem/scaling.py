@@ -30,6 +30,10 @@ class Scaling(NamedTuple):
     load: Array
     sound: Array
     """Whether lengths, loads and weights are numbers whose squares keep their digits."""
+    reach: Array
+    """How far the contacts that can move lie from the centre, each counted alike, in units of the length; at least 1.
+
+    Weights may be so uneven that the length is next to nothing beside the grasp."""
     axes: tuple[Vec3, Vec3, Vec3] | None = None
 
 
@@ -44,6 +48,8 @@ class Placement(NamedTuple):
     """Distances that are rounding, of points so far away."""
     mean_distance: Array
     """Mean distance of the contacts from the centre."""
+    reach: Array
+    """As of a Scaling."""
     weight: Array
 
     @property
@@ -63,14 +69,17 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     size2, size = vec3.dot(points, points), vec3.taxicab(points)
     if data.spin_radius is not None:
         size2, size = size2 + data.spin_radius**2, size + data.spin_radius
-    square, mean_distance = vec3.totals(k * size2, k * size)
+    movable = (data.weights > 0).astype(k.dtype)
+    square, mean_distance, plain_square, count = vec3.totals(k * size2, k * size, movable * size2, movable)
     length = vec3.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
     blur = tolerances(length.dtype).rank * jnp.sqrt(vec3.dot(centre, centre))
     length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec3.dot(centre, centre)), 1))
     spin_radius = None if data.spin_radius is None else data.spin_radius / length
     placed = data._replace(points=vec3.scale(1 / length, points), weights=k, spin_radius=spin_radius)
-    return placed, Placement(first, correction, length, blur, mean_distance, weight)
+    reach2 = plain_square / (jnp.maximum(count, 1) * length**2)
+    reach = jnp.sqrt(jnp.maximum(reach2, 1))
+    return placed, Placement(first, correction, length, blur, mean_distance, reach, weight)
 
 
 def torque_about(place: Placement, data: ContactData, carefully: bool) -> Vec3:
@@ -96,7 +105,7 @@ def scale_by_load(
     sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight, load)))
     sound = sound & ((place.mean_distance <= place.blur) | (place.mean_distance >= smallest))
     load = jnp.where(load > 0, load, 1)
-    scaling = Scaling(place.centre, place.length, place.weight, load, sound, axes)
+    scaling = Scaling(place.centre, place.length, place.weight, load, sound, place.reach, axes)
     return _divide_by_load(data, scaling), scaling
 
 

@@ -23,7 +23,9 @@ class Tolerances:
     gap: float
     """Relative duality gap of a converged optimum."""
     balance: float
-    """Backward error above which no answer is called sound."""
+    """Part of its load that a sound answer may miss."""
+    sums: float
+    """Part of the forces, each with its lever, that sums of them may miss by rounding."""
     largest: float
     """Larger numbers in the data are invalid: products of a few of them would overflow."""
     smallest: float
@@ -42,7 +44,8 @@ def tolerances(dtype: np.dtype) -> Tolerances:
         singular=eps**0.7,
         gradient=eps**0.75,
         gap=eps**0.5 / 64,
-        balance=eps**0.64,
+        balance=eps**0.5 / 2,
+        sums=16 * eps,
         largest=most**0.4,
         smallest=least**0.4,
         proof=1 / (16 * eps**0.5),

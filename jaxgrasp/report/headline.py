@@ -1,5 +1,6 @@
 """The headline of the report: a few large numbers, each in a sentence that says what it counts."""
 
+import math
 from dataclasses import dataclass
 
 from jaxgrasp.batch.histogram import LogHistogram
@@ -146,8 +147,12 @@ def _infeasible(summary: Summary) -> list[Tile]:
     if proved and closed is not None:
         beyond = closed.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
         sentence += f" {whole(beyond)} of them stay out of reach whatever the friction."
+    if math.isfinite(own.least_force_bound):
+        sentence += f" What is proven reaches to {own.least_force_bound:.2g} N of normal force in all, at least."
     undecided = own.count(Verdict.NOT_CONVERGED)
     sentence += f" Not decided: {whole(undecided)}." if undecided else " None was left undecided."
+    unsure = own.count(Verdict.FEASIBLE)
+    sentence += f" Held, but perhaps not by the optimum: {whole(unsure)}." if unsure else ""
     invalid = own.count(Verdict.INVALID_DATA)
     sentence += f" Invalid data: {whole(invalid)}." if invalid else ""
     return [Tile("Cannot hold", [("", share(proved, summary.problems))], sentence)]

@@ -20,6 +20,7 @@ VERDICT_COLOURS = {
     Verdict.NO_CONTACTS: "#BDBDBD",
     Verdict.NOT_CONVERGED: "#F0E442",
     Verdict.INVALID_DATA: "#000000",
+    Verdict.FEASIBLE: "#56B4E9",
 }
 VERDICT_TITLES = {
     Verdict.CLOSED_FORM_OPTIMAL: "closed form, inside every cone",
@@ -29,6 +30,7 @@ VERDICT_TITLES = {
     Verdict.NO_CONTACTS: "no contact can carry a force",
     Verdict.NOT_CONVERGED: "not decided",
     Verdict.INVALID_DATA: "invalid data",
+    Verdict.FEASIBLE: "allowed, but perhaps not the optimum",
 }
 TOUCH_COLOURS = {Touch.HOLDS: "#009E73", Touch.SLIDES: "#D55E00", Touch.PULLS: "#CC79A7"}
 HOLD_COLOURS = {Hold.STABLE: "#009E73", Hold.SLIPPING: "#D55E00", Hold.LOST: "#5A5A5A"}

@@ -23,7 +23,7 @@ from jaxgrasp.solver import dual, pseudo_inverse
 from jaxgrasp.solver.dual import PlainProblem
 from jaxgrasp.solver.infeasibility import find_certificate, out_of_range
 from jaxgrasp.solver.newton import has_converged, is_within
-from jaxgrasp.solver.result import PassResult, ScaledResult, to_result
+from jaxgrasp.solver.result import Certificate, PassResult, ScaledResult, to_result
 
 MAX_STEPS = 256
 TILE = 128
@@ -64,19 +64,21 @@ def _tile(solver: Any, batch: ProblemBatch) -> PassResult:
     start = pseudo_inverse.closed_multiplier(problem)
     free = pseudo_inverse.forces_without_cones(problem, start)
     inside = jnp.all(friction_cone.contains(free, problem.data.cone), 0, keepdims=True)
-    missed, beyond = out_of_range(problem)
+    beyond = out_of_range(problem)
+    missed = beyond.force > 0
     point, steps = _search(solver, problem, start)
     tolerance = float(max(solver.rtol, solver.atol))
     forces, optimal = _check_optimality(problem, point, tolerance)
-    proven, direction = _find_certificate(problem, start, point)
-    verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(proven, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
+    certificate = _find_certificate(problem, start, point)
+    verdict = jnp.where(certificate.force > 0, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
+    verdict = jnp.where(optimal, Verdict.OPTIMAL, verdict)
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
     found = ScaledResult(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
         verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
         steps=jnp.where(inside, 0, steps),
-        certificate=jnp.where(missed, beyond, direction),
+        certificate=jax.tree.map(partial(jnp.where, missed), beyond, certificate),
         undecided=jnp.zeros_like(missed),
     )
     return to_result_within(problem, found, tolerance)
@@ -124,7 +126,7 @@ def _check_optimality(problem: ScaledProblem, point: SpatialVec, tolerance: floa
     return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
 
 
-def _find_certificate(problem: ScaledProblem, start: SpatialVec, point: SpatialVec) -> tuple[Array, SpatialVec]:
-    """Whether what is left of the wrench, or the way the multiplier ran, proves that there is no solution."""
+def _find_certificate(problem: ScaledProblem, start: SpatialVec, point: SpatialVec) -> Certificate:
+    """What is left of the wrench, or the way the multiplier ran, proves of forces that do not exist."""
     residual = dual.residual(problem, dual.candidate_forces(problem, point).forces)
     return find_certificate(problem, residual, point - start)

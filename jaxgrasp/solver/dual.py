@@ -90,11 +90,22 @@ def candidate_forces(problem: DualProblem, multiplier: SpatialVec) -> CandidateF
     return candidate_forces_at(problem.data, contact_velocities(problem, multiplier))
 
 
+def target_forces(data: ContactData, twist: ContactVec) -> ContactVec:
+    """The forces that the cones then cut to the candidate forces: s a + k v."""
+    return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, _less_cost(data, twist)))
+
+
+def _less_cost(data: ContactData, twist: ContactVec) -> ContactVec:
+    """The velocities less what a unit of normal force costs, along the normals."""
+    if data.normal_cost is None:
+        return twist
+    return twist._replace(linear=vec3.sub(twist.linear, vec3.scale(data.normal_cost, data.normals)))
+
+
 def candidate_forces_at(data: ContactData, twist: ContactVec) -> CandidateForces:
     """The candidate forces for velocities of the contacts, wherever these come from."""
-    if data.normal_cost is not None:
-        twist = twist._replace(linear=vec3.sub(twist.linear, vec3.scale(data.normal_cost, data.normals)))
-    target = contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, twist))
+    target = target_forces(data, twist)
+    twist = _less_cost(data, twist)
     sides = friction_cone.cone_side(target, data.cone)
     return CandidateForces(twist, sides, friction_cone.project(target, data.cone, sides))
 

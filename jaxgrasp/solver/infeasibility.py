@@ -14,14 +14,14 @@ from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.coordinates import plain_axes
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import rounding_growth
-from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, torque_limits
+from jaxgrasp.solver.result import Certificate
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
-def proves_infeasible(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
-    """Whether ``direction`` (in the coordinates) shows that the load is out of any sensible force's reach.
+def least_normal_force(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
+    """The total normal force that ``direction`` (in the coordinates) proves to be needed, as of a Certificate.
 
     With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
@@ -41,28 +41,30 @@ def proves_infeasible(problem: ScaledProblem, direction: Array, constraints: Tor
     held = data.squeeze * vec3.dot(twist.linear, data.normals)
     work = work - vec3.totals(jnp.where(can_move, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
-    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
-    return (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
+    rounding = 8 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
+    proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
+    return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, rounding)), 0)
 
 
 @fused_cpu_kernel
 def find_certificate(
     problem: ScaledProblem, residual: Array, run: Array, constraints: TorqueConstraints | None = None
-) -> tuple[Array, Array]:
-    """Whether what is left of the wrench, or the way the multiplier ran, proves it, and that direction as a twist.
+) -> Certificate:
+    """What is left of the wrench, or the way the multiplier ran, whichever proves it, as a twist.
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
     # What is looked at is what is returned: computed anew, in other kernels, it would be rounded otherwise.
     residual, run = lax.optimization_barrier((residual, run))
-    by_rest, by_run = (proves_infeasible(problem, direction, constraints) for direction in (residual, run))
-    proven = jnp.where(by_rest, residual, run / jnp.maximum(spatial.length(run), 1))
-    return by_rest | by_run, jnp.concatenate([spatial.join(*problem.coordinates.twist(proven[:6])), proven[6:]])
+    by_rest, by_run = (least_normal_force(problem, direction, constraints) for direction in (residual, run))
+    proven = jnp.where(by_rest > 0, residual, run / jnp.maximum(spatial.length(run), 1))
+    twist = jnp.concatenate([spatial.join(*problem.coordinates.twist(proven[:6])), proven[6:]])
+    return Certificate(twist, jnp.where(by_rest > 0, by_rest, by_run))
 
 
 @fused_cpu_kernel
-def out_of_range(problem: ScaledProblem) -> tuple[Array, SpatialVec]:
-    """Whether something is asked for along twists that no contact reaches, and that as a direction.
+def out_of_range(problem: ScaledProblem) -> Certificate:
+    """What is asked for along twists that no contact reaches, as a direction, if that is more than rounding.
 
     The direction is a twist, since the coordinates leave it out.
     """
@@ -70,4 +72,4 @@ def out_of_range(problem: ScaledProblem) -> tuple[Array, SpatialVec]:
     direction = problem.coordinates.unreached(dual.required_wrench(plain))
     # Loads are of order one here, so this compares with the whole load.
     missed = spatial.length(direction) > tolerances(direction.dtype).range
-    return missed & proves_infeasible(plain, direction), direction
+    return Certificate(direction, jnp.where(missed, least_normal_force(plain, direction), 0))

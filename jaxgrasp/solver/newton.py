@@ -256,6 +256,8 @@ class OptimalityCheck(NamedTuple):
     optimal: Array
     loosely_optimal: Array
     """Whether it is but for ``LOOSE_FACTOR`` times the tolerances."""
+    missed: Array
+    """The part of the load that the forces miss."""
 
 
 def as_returned(forces: ContactVec) -> ContactVec:
@@ -280,7 +282,7 @@ def optimality_by(
     def within(slack: float) -> Array:
         return has_converged(data, point, residual, squared_norm, found.objective, found.total_normal_force, slack)
 
-    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR))
+    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.error)
 
 
 def damping_of(squared_norm: Array, damping_factor: Array, proximal: ProximalTerm | None) -> Array:

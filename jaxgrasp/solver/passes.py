@@ -5,6 +5,10 @@
 2. Newton on the dual for those outside their cones, first a few steps, then, gathered again, more.
 3. The careful pass for the rest: principal axes, whitened coordinates, a proximal term that falls away,
    and a proof where no forces exist.
+4. For what that leaves, the careful pass without squeezing and with equal sharing: it asks only whether there are
+   allowed forces, which loads and weights of any size leave as easy as it is.
+
+Whatever has converged, but misses its load by more than rounding, is refined at once.
 """
 
 import math
@@ -17,13 +21,20 @@ from jaxgrasp.model.solution import Route, Verdict
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
-from jaxgrasp.numerics.tiling import over_chosen, over_tiles
-from jaxgrasp.problem import friction_cone, spatial
-from jaxgrasp.problem.batch_last import ProblemBatch, squeezing_forces
+from jaxgrasp.numerics.tiling import merged, over_chosen, over_tiles
+from jaxgrasp.problem import contact_vec, friction_cone, spatial
+from jaxgrasp.problem.batch_last import (
+    ContactData,
+    ProblemBatch,
+    squeezing_forces,
+    to_batch_last,
+    without_squeeze,
+)
+from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_axes_by_care, in_suitable_axes
 from jaxgrasp.problem.scaling import multiplier_to_scaled
-from jaxgrasp.problem.spatial import SpatialVec
-from jaxgrasp.solver import pseudo_inverse, torque_passes
+from jaxgrasp.problem.tolerances import tolerances
+from jaxgrasp.solver import dual, pseudo_inverse, torque_passes
 from jaxgrasp.solver.infeasibility import out_of_range
 from jaxgrasp.solver.proximal import (
     STEPS_PER_LEVEL,
@@ -33,11 +44,14 @@ from jaxgrasp.solver.proximal import (
     initial_state,
     proximal_search,
 )
-from jaxgrasp.solver.result import PassResult, ScaledResult, to_result
+from jaxgrasp.solver.refinement import refined
+from jaxgrasp.solver.result import Certificate, PassResult, ScaledResult, no_certificate, to_result
 
 CAREFUL_TILE = 16
 STEPS = (5, 6, 30)
 """Evaluations that each fast pass may spend; after each of them the unfinished are gathered again."""
+CAREFUL, UNSQUEEZED = len(STEPS), len(STEPS) + 1
+"""The passes after the fast ones."""
 
 
 def solve_closed(problem: ProblemBatch) -> PassResult:
@@ -62,7 +76,7 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     bare = torque_passes.without_torques(problem)
     outside = closed.verdict == Verdict.OUTSIDE_CONES
     # What the fast passes do not suit is not converged from the outset.
-    verdict = jnp.where(closed.undecided, Verdict.NOT_CONVERGED, closed.verdict)
+    verdict = jnp.where(closed.undecided & outside, Verdict.NOT_CONVERGED, closed.verdict)
     result = closed._replace(verdict=verdict, undecided=closed.undecided | outside)
     if problem.start is not None:
         # One that is no number, as of a problem that had none, is none to begin from.
@@ -70,13 +84,16 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         result = result._replace(multiplier=jnp.where(given[:, None], problem.start, result.multiplier))
 
     def improve(index: Array, result: PassResult) -> PassResult:
-        settings = PassSettings(index == len(STEPS), jnp.asarray((*STEPS, STEPS_PER_LEVEL), jnp.int32)[index])
-        chosen = result.undecided & (settings.careful | (result.verdict == Verdict.OUTSIDE_CONES))
+        steps = jnp.asarray((*STEPS, STEPS_PER_LEVEL, STEPS_PER_LEVEL), jnp.int32)[index]
+        settings = PassSettings(index >= CAREFUL, steps, index != UNSQUEEZED)
+        # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
+        open_ = settings.careful & (~torque_passes.solved(result) | ~settings.squeezed)
+        chosen = result.undecided & (open_ | (result.verdict == Verdict.OUTSIDE_CONES))
         tile = partial(_optimum_tile, settings=settings)
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
     # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
-    result = lax.fori_loop(0, len(STEPS) + 1, improve, varying_like(result, bare))
+    result = lax.fori_loop(0, UNSQUEEZED + 1, improve, varying_like(result, bare))
     return torque_passes.within_torques(problem, result)
 
 
@@ -92,34 +109,34 @@ def _newton_width(problem: ProblemBatch) -> int:
 
 
 def _closed_tile(problem: ProblemBatch) -> PassResult:
-    return _closed_result(in_suitable_axes(problem))
+    suited = in_suitable_axes(problem)
+    # In a kernel of its own: within the other its loop, which hardly ever runs, would halve the speed.
+    return _closed_result(suited, _out_of_range(suited, suited.ill_conditioned))
 
 
 @fused_cpu_kernel
-def _closed_result(problem: ScaledProblem) -> PassResult:
+def _closed_result(problem: ScaledProblem, certificate: Certificate) -> PassResult:
     ill_conditioned = problem.ill_conditioned
     multiplier = pseudo_inverse.refined_multiplier(problem)
     forces = pseudo_inverse.forces_without_cones(problem, multiplier)
-    missed, direction = _out_of_range(problem, ill_conditioned)
     inside = vec3.every(friction_cone.contains(forces, problem.data.cone))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
-    verdict = jnp.where(missed, Verdict.INFEASIBLE, verdict)
+    verdict = jnp.where(certificate.force > 0, Verdict.INFEASIBLE, verdict)
     undecided = ill_conditioned & (verdict == Verdict.OUTSIDE_CONES)
-    found = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), direction, undecided)
+    found = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), certificate, undecided)
     return to_result(problem, found, jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM))
 
 
-@fused_cpu_kernel
-def _out_of_range(problem: ScaledProblem, suspects: Array) -> tuple[Array, SpatialVec]:
+def _out_of_range(problem: ScaledProblem, suspects: Array) -> Certificate:
     """Which of the ``suspects`` are asked for what no contact reaches; contacts of the others reach everything."""
     data = problem.data
-    none = jnp.zeros((1, data.force.x.shape[-1]), bool), spatial.join(data.force, data.torque) * 0
+    none = varying_like(no_certificate(spatial.join(data.force, data.torque)), data, problem.scaling)
 
-    def search(_, none: tuple[Array, SpatialVec]) -> tuple[Array, SpatialVec]:
-        missed, direction = out_of_range(problem)
-        return none[0] | missed & suspects, none[1] + direction
+    def search(_: Certificate) -> Certificate:
+        direction, force = out_of_range(problem)
+        return Certificate(direction, jnp.where(suspects, force, 0))
 
-    return lax.fori_loop(0, jnp.any(suspects).astype(jnp.int32), search, varying_like(none, data, problem.scaling))
+    return lax.cond(jnp.any(suspects), search, lambda none: none, none)
 
 
 def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings) -> PassResult:
@@ -129,23 +146,45 @@ def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings
     if more of the same may help. The careful one begins at the beginning.
     """
     careful = settings.careful
-    problem = in_axes_by_care(batch, careful)
-    missed, direction = _out_of_range(problem, careful)
+    own, valid = to_batch_last(batch)
+    problem = in_axes_by_care(batch, without_squeeze(own, ~settings.squeezed), valid, careful)
+    certificate = _out_of_range(problem, careful)
+    missed = certificate.force > 0
     last = spatial.join(*multiplier_to_scaled(prior.multiplier, problem.scaling))
     point = jnp.where(careful, 0, last)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
     start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed)
-    found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=direction), settings)
-    return _optimum_result(problem, found, careful, prior.steps)
+    found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=certificate), settings)
+    found = refined(problem, found, careful)
+    return _optimum_result(problem, found, own, settings, prior)
 
 
 @fused_cpu_kernel
-def _optimum_result(problem: ScaledProblem, state: ProximalState, careful: Array, before: Array) -> PassResult:
+def _optimum_result(
+    problem: ScaledProblem, state: ProximalState, own: ContactData, settings: PassSettings, prior: PassResult
+) -> PassResult:
+    careful, squeezed = settings.careful, settings.squeezed
     converged = state.verdict == Verdict.OPTIMAL
-    steps = state.steps + jnp.where(careful, 0, before)[None]
-    found = ScaledResult(state.forces, state.point, state.verdict, steps, state.certificate, ~converged)
+    steps = state.steps + jnp.where(careful & squeezed, 0, prior.steps)[None]
+    undecided = ~(converged | (state.verdict == Verdict.INFEASIBLE))
+    found = ScaledResult(state.forces, state.point, state.verdict, steps, state.certificate, undecided)
     result = to_result(problem, found, jnp.where(careful, Route.CAREFUL, Route.FAST))
-    # An answer that its own residual disowns goes to the careful pass, like one that is stalled.
-    undecided = ~careful & (result.undecided | (result.verdict == Verdict.NOT_CONVERGED))
-    more = undecided & ~(state.stalled | converged | problem.ill_conditioned)[0]
-    return result._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, result.verdict), undecided=undecided)
+    more = ~careful & result.undecided & ~(state.stalled | converged | problem.ill_conditioned)[0]
+    result = result._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, result.verdict))
+    # Without squeezing, proofs that there are no allowed forces hold; such forces may not be the optimum.
+    verdict = jnp.where(_costs_least(problem, state.forces, own, prior), Verdict.OPTIMAL, Verdict.FEASIBLE)
+    feasible = ~squeezed & (result.verdict == Verdict.OPTIMAL)
+    vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | (torque_passes.solved(prior) & feasible))
+    result = result._replace(
+        verdict=jnp.where(feasible, verdict, result.verdict),
+        multiplier=jnp.where(squeezed, result.multiplier, prior.multiplier),
+    )
+    return merged(vain, prior, result)
+
+
+def _costs_least(problem: ScaledProblem, forces: ContactVec, own: ContactData, prior: PassResult) -> Array:
+    """Whether forces cost no more than ``prior`` proves necessary, within the gap of a converged optimum."""
+    user = problem.data._replace(squeeze=own.squeeze, weights=own.weights)
+    (cost,) = vec3.totals(dual.deviation_cost(user, contact_vec.scale(problem.scaling.load, forces)))
+    gap = tolerances(cost.dtype).gap * jnp.maximum(cost, dual.objective_of_no_force(user))
+    return (cost - prior.objective[None] <= gap)[0]

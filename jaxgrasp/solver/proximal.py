@@ -7,8 +7,10 @@ is left of the wrench tends to the shortest one out of reach: the proof.
 With a strength of zero, and one level, the same code is Newton's method on the dual as it is: the fast passes.
 """
 
+from functools import partial
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -30,6 +32,7 @@ from jaxgrasp.solver.newton import (
     check_optimality,
     maximise,
 )
+from jaxgrasp.solver.result import Certificate, no_certificate
 
 STRONGEST = 1e-2
 STEPS_PER_LEVEL = 40
@@ -43,13 +46,15 @@ class ProximalState(NamedTuple):
     verdict: Array
     """NOT_CONVERGED for those that are not decided."""
     steps: Array
-    certificate: Array
-    """As many rows as the point has; read where the verdict is INFEASIBLE."""
+    certificate: Certificate
+    """Of as many rows as the point has."""
     decided: Array
     loosely_optimal: Array
     """Whether the point is the optimum within ``LOOSE_FACTOR`` times the tolerances."""
     stalled: Array
     """Whether Newton's method was unable to move on."""
+    missed: Array
+    """The part of the load that the forces miss."""
 
 
 class PassSettings(NamedTuple):
@@ -59,6 +64,8 @@ class PassSettings(NamedTuple):
     """Level by level, with proofs; else the dual as it is, once."""
     steps: Array
     """Evaluations at each level."""
+    squeezed: Array
+    """The problem as it is; else without squeezing and with equal sharing, which asks only for allowed forces."""
 
 
 @runtime_checkable
@@ -73,8 +80,8 @@ class ProximalProblem(Protocol):
         """The forces of a point, and whether they are the optimum."""
         ...
 
-    def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
-        """Whether a point, or the way to it, proves that no forces exist, and the direction that does."""
+    def proof(self, point: Array, before: Array) -> Certificate:
+        """What a point, or the way to it, proves of forces that do not exist."""
         ...
 
 
@@ -89,14 +96,14 @@ class UnlimitedProblem(NamedTuple):
     def check_optimality(self, point: SpatialVec) -> OptimalityCheck:
         return check_optimality(self.problem, point)
 
-    def proof(self, point: SpatialVec, before: SpatialVec) -> tuple[Array, SpatialVec]:
+    def proof(self, point: SpatialVec, before: SpatialVec) -> Certificate:
         forces = dual.candidate_forces(self.problem, point).forces
         return find_certificate(self.problem, dual.residual(self.problem, forces), point - before)
 
 
 def careful_settings() -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
-    return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL))
+    return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL), jnp.asarray(True))
 
 
 def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, decided: Array) -> ProximalState:
@@ -106,7 +113,7 @@ def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, de
     no, none = jnp.zeros_like(decided), jnp.zeros_like(decided, jnp.int32)
     verdict = jnp.where(decided, verdict, Verdict.NOT_CONVERGED) + none
     forces = contact_vec.scale(jnp.ones_like(point[:1]), forces)
-    return ProximalState(point, forces, verdict, none, jnp.zeros_like(point), decided, no, no)
+    return ProximalState(point, forces, verdict, none, no_certificate(point), decided, no, no, 0 * point[:1])
 
 
 def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, settings: PassSettings) -> ProximalState:
@@ -135,13 +142,13 @@ def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, se
 def _decide(
     proximal_problem: ProximalProblem, settings: PassSettings, search: ProximalState, reached: NewtonState
 ) -> ProximalState:
-    forces, optimal, loosely_optimal = proximal_problem.check_optimality(reached.point)
+    forces, optimal, loosely_optimal, missed = proximal_problem.check_optimality(reached.point)
 
-    def unproven(point: Array, before: Array) -> tuple[Array, Array]:
-        return jnp.zeros_like(optimal), jnp.zeros_like(point)
+    def unproven(point: Array, before: Array) -> Certificate:
+        return no_certificate(point)
 
-    proven, direction = lax.cond(settings.careful, proximal_problem.proof, unproven, reached.point, search.point)
-    infeasible = ~optimal & proven
+    certificate = lax.cond(settings.careful, proximal_problem.proof, unproven, reached.point, search.point)
+    infeasible = ~optimal & (certificate.force > 0)
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     return ProximalState(
@@ -149,8 +156,9 @@ def _decide(
         forces=contact_vec.where(open_, forces, search.forces),
         verdict=jnp.where(open_, verdict, search.verdict),
         steps=search.steps + jnp.where(open_, reached.steps, 0),
-        certificate=jnp.where(open_ & infeasible, direction, search.certificate),
+        certificate=jax.tree.map(partial(jnp.where, open_ & infeasible), certificate, search.certificate),
         decided=search.decided | optimal | infeasible,
         loosely_optimal=jnp.where(open_, loosely_optimal, search.loosely_optimal),
         stalled=jnp.where(open_, reached.stalled, search.stalled),
+        missed=jnp.where(open_, missed, search.missed),
     )

@@ -11,7 +11,7 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.coordinates import Coordinates, plain_axes
+from jaxgrasp.problem.coordinates import Coordinates, ScaledAxes
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import (
     Scaling,
@@ -23,7 +23,6 @@ from jaxgrasp.problem.scaling import (
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.dual import DualProblem, PlainProblem
 
 
 class PassResult(NamedTuple):
@@ -38,11 +37,28 @@ class PassResult(NamedTuple):
     route: Array
     rank: Array
     certificate: Array
+    force_bound: Array
     undecided: Array
+    """Whether the next pass has more to say: where the verdict is none yet, or the load is hidden by rounding."""
     moments: Array | None
     normal_multiplier: Array | None
     torque_multiplier: Array | None
     certificate_rates: Array | None
+
+
+class Certificate(NamedTuple):
+    """A direction, and what it proves."""
+
+    direction: Array
+    """A twist, of limited torques over the rates of the joints."""
+    force: Array
+    """The total normal force that any allowed forces of the wrench would need at least ``(1, B)``, in units of the
+    load; 0 where that is within any sensible force's reach, so that the direction proves nothing."""
+
+
+def no_certificate(like: Array) -> Certificate:
+    """One that proves nothing, of as many rows as a direction."""
+    return Certificate(jnp.zeros_like(like), jnp.zeros_like(like[:1]))
 
 
 class JointResult(NamedTuple):
@@ -63,8 +79,8 @@ class ScaledResult(NamedTuple):
     multiplier: SpatialVec
     verdict: Array
     steps: Array
-    certificate: SpatialVec
-    """A twist; read only where the verdict is INFEASIBLE."""
+    certificate: Certificate
+    """Read only where the verdict is INFEASIBLE."""
     undecided: Array
     joints: JointResult | None = None
     """None where no joint's torque is limited."""
@@ -77,7 +93,11 @@ def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array)
     size, valid = problem.size, problem.valid & scaling.sound
     solved = (found.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (found.verdict == Verdict.OPTIMAL)
     answered = solved | (found.verdict == Verdict.OUTSIDE_CONES)
-    residual, error, objective, _ = measure_forces(problem, found.forces)
+    residual, error, hidden, objective, _ = measure_forces(problem, found.forces)
+    # The dual's value at the multiplier, which no allowed forces undercut.
+    left = coordinates.wrench(*spatial.parts(residual))
+    bound = objective + spatial.inner(found.multiplier, left)
+    objective = jnp.where(found.verdict == Verdict.NOT_CONVERGED, bound, objective)
     unsound = answered & ~(error <= tolerances(error.dtype).balance)
     verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, found.verdict)
     verdict = jnp.where(scaling.weight > 0, verdict, Verdict.NO_CONTACTS)
@@ -98,7 +118,8 @@ def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array)
         route=_row(jnp.full_like(verdict, route), size).astype(jnp.int32),
         rank=_row(rank(scaling, coordinates), size).astype(jnp.int32),
         certificate=certificate,
-        undecided=_row(found.undecided & valid & (scaling.weight > 0), size),
+        force_bound=_row(jnp.where(proven, scaling.load * found.certificate.force, 0), size),
+        undecided=_row((found.undecided | unsound | (solved & hidden)) & valid & (scaling.weight > 0), size),
         moments=None if moments is None else (moments * one).T,
         normal_multiplier=_normal_multipliers(problem, found, one),
         torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(scaling) * one).T,
@@ -131,43 +152,49 @@ class Measurement(NamedTuple):
     residual: SpatialVec
     """w - G f, but for what a guide carries of it."""
     error: Array
+    """The residual's size beside the load."""
+    hidden: Array
+    """Whether it is more than a small part of the load, which rounding of the forces hides."""
     objective: Array
     total_normal_force: Array
     """Sum of the normal forces."""
 
 
-def measure_forces(problem: DualProblem, forces: ContactVec) -> Measurement:
-    """What the forces leave of the wrench, their objective, and their backward error
+def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
+    """What the forces leave of the wrench, their objective, and the residual beside the load
 
-    |w - G f| / (|w| + sum of |G_i| max(|f_i|, s_i)), for twists as they are and as the coordinates count them: the
+    |w - G f| / max(|w|, c sum of |G_i| |f_i|), for twists as the contacts' reach and as the coordinates count them: the
     larger.
 
-    The squeezing force counts because f_i is computed from it: where zero is the right answer, an error
-    cannot be measured against that.
+    Beside the forces a load may be so light that their own rounding hides it: c is such that what rounding leaves
+    counts as balanced.
     """
-    data, coordinates = problem.data, problem.coordinates
-    plain = plain_axes(data.force.x)
-    push = jnp.maximum(contact_vec.norm(forces), data.squeeze)
+    data, coordinates, tol = problem.data, problem.coordinates, tolerances(problem.data.force.x.dtype)
+    unit = 1 / problem.scaling.reach
+    plain = ScaledAxes(Vec3(unit, unit, unit))
+    size = contact_vec.norm(forces)
     spins = None if data.spin_radius is None else vec3.scale(data.spin_radius, data.normals)
     objective, total_push, *through, fx, fy, fz, tx, ty, tz = vec3.totals(
         dual.deviation_cost(data, forces),
         vec3.dot(forces.linear, data.normals),
-        plain.leverage(data.points, spins) * push,
-        coordinates.leverage(data.points, spins) * push,
+        plain.leverage(data.points, spins) * size,
+        coordinates.leverage(data.points, spins) * size,
         *dual.wrench_terms(data, forces),
     )
     force, torque = vec3.sub(data.force, Vec3(fx, fy, fz)), vec3.sub(data.torque, Vec3(tx, ty, tz))
     residual, load = (
         coordinates.not_guided(spatial.join(force, torque)),
-        coordinates.not_guided(dual.required_wrench(PlainProblem(data, plain))),
+        coordinates.not_guided(spatial.join(data.force, data.torque)),
     )
 
-    def relative(seen: Coordinates, through: Array) -> Array:
+    def relative(seen: Coordinates, through: Array) -> tuple[Array, Array]:
         left, asked = (spatial.length(seen.wrench(*spatial.parts(wrench))) for wrench in (residual, load))
-        return vec3.safe_divide(left, asked + through)
+        hidden = (asked > 0) & (left > tol.balance * asked)
+        return vec3.safe_divide(left, jnp.maximum(asked, tol.sums / tol.balance * through)), hidden
 
-    error = jnp.maximum(relative(plain, through[0]), relative(coordinates, through[1]))
-    return Measurement(residual, error, objective, total_push)
+    as_they_are, as_seen = relative(plain, through[0]), relative(coordinates, through[1])
+    error, hidden = jnp.maximum(as_they_are[0], as_seen[0]), as_they_are[1] | as_seen[1]
+    return Measurement(residual, error, hidden, objective, total_push)
 
 
 def _certificate(scaling: Scaling, found: ScaledResult, verdict: Array, residual: SpatialVec, one: Array) -> Array:
@@ -176,7 +203,7 @@ def _certificate(scaling: Scaling, found: ScaledResult, verdict: Array, residual
     That of contacts which only squeeze may be no more than rounding, which proves nothing.
     """
     proven = verdict == Verdict.INFEASIBLE
-    proof = jnp.where(proven, found.certificate, 0)
+    proof = jnp.where(proven, found.certificate.direction, 0)
     bare = (verdict == Verdict.NO_CONTACTS) & (spatial.length(residual) > tolerances(residual.dtype).range)
     linear, angular = spatial.parts(jnp.where(bare, residual, proof))
     linear, angular = certificate_from_scaled(linear, angular, scaling)

@@ -26,7 +26,7 @@ from jaxgrasp.solver import dual, torque_limits
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm, maximise
 from jaxgrasp.solver.proximal import careful_settings, initial_state, proximal_search
-from jaxgrasp.solver.result import JointResult, PassResult, ScaledResult, to_result
+from jaxgrasp.solver.result import Certificate, JointResult, PassResult, ScaledResult, no_certificate, to_result
 from jaxgrasp.solver.torque_limits import TorqueConstraints, TorqueLimitedObjective
 
 
@@ -59,7 +59,10 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     torque = torque_limits.torques_of_forces(problem.torque_map, result.forces, result.moments)
     within = jnp.all(jnp.abs(torque) <= problem.torque_max, 1)
     strange = ~jnp.all(jnp.isfinite(torque) & (problem.torque_max >= 0), 1)
-    result = result._replace(undecided=(_solved(result) & ~within) | strange)
+    # Forces that are allowed but not the optimum are no better a start than none.
+    broken = (result.verdict == Verdict.FEASIBLE) & ~within
+    verdict = jnp.where(broken, Verdict.NOT_CONVERGED, result.verdict)
+    result = result._replace(undecided=(solved(result) & ~within) | strange, verdict=verdict)
     nothing = varying_like(nothing, problem, result)
     result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)
     # One question for all, since every pass that asks for itself copies what it may change.
@@ -81,7 +84,8 @@ def _within(problem: ProblemBatch, result: PassResult) -> PassResult:
     return over_chosen(_careful_tile, problem, result, result.undecided, CAREFUL_TILE)
 
 
-def _solved(result: PassResult) -> Array:
+def solved(result: PassResult) -> Array:
+    """Which results are optima."""
     return (result.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (result.verdict == Verdict.OPTIMAL)
 
 
@@ -111,8 +115,8 @@ def _excess(problem: ProblemBatch, result: PassResult) -> Array:
 
 def _settled(problem: ProblemBatch, prior: PassResult, excess: Array, valid: Array) -> Array:
     """Problems that no limit concerns after all."""
-    unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~_solved(prior)
-    return valid[0] & (unsolved | (_solved(prior) & ~jnp.any(excess > 0, 1)))
+    unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~solved(prior)
+    return valid[0] & (unsolved | (solved(prior) & ~jnp.any(excess > 0, 1)))
 
 
 def _merge(settled: Array, prior: PassResult, result: PassResult) -> PassResult:
@@ -135,7 +139,7 @@ def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, limit: Array)
     known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight / scaling.load
     start = jnp.concatenate([twist, vec3.safe_divide(known, constraints.scale)])
     reached = maximise(objective, start, ill_conditioned, limit)
-    best, good, _ = objective.check_optimality(reached.point)
+    best, good, *_ = objective.check_optimality(reached.point)
     good = good & ~ill_conditioned
     rates = jnp.sum(chosen * (constraints.scale * reached.point[6:]).T[..., None], 1)
     velocities = torque_limits.velocities_by_joints(constraints, reached.point[6:])
@@ -144,7 +148,7 @@ def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, limit: Array)
         multiplier=reached.point[:6],
         verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
         steps=reached.steps + prior.steps[None],
-        certificate=jnp.zeros_like(twist),
+        certificate=no_certificate(twist),
         undecided=~good,
         joints=JointResult(velocities, rates.T, 0 * rates.T),
     )
@@ -189,7 +193,7 @@ class _TorqueLimitedProblem(NamedTuple):
     def check_optimality(self, point: Array) -> OptimalityCheck:
         return self.with_proximal_term().check_optimality(point)
 
-    def proof(self, point: Array, before: Array) -> tuple[Array, Array]:
+    def proof(self, point: Array, before: Array) -> Certificate:
         forces = self.with_proximal_term().forces(point).forces
         beyond = torque_limits.beyond(torque_limits.torques(self.constraints, forces), self.constraints.bound)
         residual = jnp.concatenate([dual.residual(self.problem, forces), beyond])
@@ -207,14 +211,14 @@ def _careful_tile(batch: ProblemBatch, prior: PassResult) -> PassResult:
     joints = JointResult(
         velocities=torque_limits.velocities_by_joints(constraints, state.point[6:]),
         multiplier=constraints.scale * state.point[6:],
-        rates=constraints.scale * state.certificate[6:],
+        rates=constraints.scale * state.certificate.direction[6:],
     )
     found = ScaledResult(
         forces=state.forces,
         multiplier=state.point[:6],
         verdict=state.verdict,
         steps=state.steps + prior.steps[None],
-        certificate=state.certificate[:6],
+        certificate=state.certificate._replace(direction=state.certificate.direction[:6]),
         undecided=undecided,
         joints=joints,
     )

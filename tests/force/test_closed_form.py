@@ -251,7 +251,8 @@ def test_degenerate_grasps_match_extended_precision(kind, sharing):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(solution))
     assert (solution.rank == rank).all()
     assert (solution.verdict <= Verdict.OUTSIDE_CONES).all()
-    assert solution.residual.max() < 1e-10
+    # Two roundings of the forces, in the unit that stands in place of a load of zero.
+    assert solution.residual.max() < 1e-9
     # At a spread of 1e-7 rounding of the data alone moves the forces by 1e-9; metres away, by more.
     assert relative(solution.forces, expected).max() < (1e-5 if kind == "combined" else 1e-7)
 

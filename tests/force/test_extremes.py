@@ -71,3 +71,24 @@ def test_half_precision_is_solved_in_single(dtype):
     expected = jaxgrasp.constrained_optimum(Grasp(*single[:4]), single[4])
     assert found.forces.dtype == jnp.float32
     np.testing.assert_array_equal(found.forces, expected.forces)
+
+
+@pytest.mark.parametrize("dtype", POWERS)
+@pytest.mark.parametrize("sharing", ["squeeze", "uniform"])
+def test_a_weight_that_processors_take_for_zero_is_refused(dtype, sharing):
+    """One of zero is a contact that cannot move: no answer to a problem in which it can."""
+    problem = P.problems("ordinary", N, COUNT, seed=2).cast(np.dtype(dtype).type)
+    least = np.finfo(dtype).tiny
+    for squeeze, refused in ((least / 4, sharing == "squeeze"), (least, False), (0.0, False)):
+        squeezes = problem.squeeze.copy()
+        squeezes[: COUNT // 2, 1] = squeeze
+        given = Grasp(problem.points, problem.normals, problem.friction, squeezes)
+        for solve in (jaxgrasp.constrained_optimum, jaxgrasp.closed_form):
+            verdict = np.asarray(solve(given, problem.wrench, sharing).verdict)
+            assert np.all((verdict[: COUNT // 2] == Verdict.INVALID_DATA) == refused)
+            assert not np.any(verdict[COUNT // 2 :] == Verdict.INVALID_DATA)
+        if squeeze == least / 4:
+            with pytest.raises(jaxgrasp.GraspError, match=r"squeeze\[0, 1\] is .*: expected 0, or at least"):
+                jaxgrasp.check_grasp(given)
+        else:
+            jaxgrasp.check_grasp(given)

@@ -138,6 +138,7 @@ def shares():
     return made, share, np.abs(needed / made.squeeze.sum(1) - 1) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_share_falls_as_friction_grows_whatever_holds_it(shares):
     made, share, bounded = shares
     assert 5 < bounded.sum() < 40
@@ -153,6 +154,7 @@ def test_a_share_falls_as_friction_grows_whatever_holds_it(shares):
     np.testing.assert_allclose(back, -found, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_shares_at_a_boundary_move_as_differences_say(shares):
     made, share, bounded = shares
     rng = np.random.default_rng(0)

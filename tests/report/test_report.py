@@ -54,6 +54,7 @@ def fake_result(sets: ContactSets, verdicts: list[Verdict], lift: float, objecti
         steps=3 * column.astype(int),
         route=column.astype(int),
         certificate=np.zeros((len(sets), 1, 6)),
+        force_bound=1e7 * column,
         margin=column * (np.arctan(0.5) - np.arctan2(lift, 2)),
         violation=column * max(0, lift - 1),
     )

@@ -1,0 +1,70 @@
+"""Forces brought to balance where their multiplier's own rounding stands in the way.
+
+The candidate forces s a + k v are differences: where the squeezing forces nearly cancel, as under a light load that
+no squeezing can hold, an error of rounding in the multiplier is as large as the forces themselves. From the targets
+that a multiplier gives, Newton's method goes on with corrections to these targets, which are small numbers with all
+their digits. Rounding of the targets does no harm: it stands for squeezing forces that differ by as little.
+"""
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics import ldl
+from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.shard_map_loop import varying_like
+from jaxgrasp.problem import contact_vec, friction_cone
+from jaxgrasp.problem.contact_vec import ContactVec
+from jaxgrasp.problem.metric import squared_norm
+from jaxgrasp.problem.scaled_problem import ScaledProblem
+from jaxgrasp.problem.spatial import parts
+from jaxgrasp.problem.tolerances import tolerances
+from jaxgrasp.solver import dual
+from jaxgrasp.solver.newton import as_returned, damped, optimality_by
+from jaxgrasp.solver.proximal import ProximalState
+from jaxgrasp.solver.result import measure_forces
+
+_Carry = tuple[ContactVec, Array, Array, ProximalState]
+REFINING_STEPS = 4
+"""Newton steps: the digits double with each, and the first starts from about half of them."""
+
+ENOUGH = 0.25
+"""Part of the largest residual of a sound answer at which none is refined."""
+
+
+@fused_cpu_kernel
+def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> ProximalState:
+    """The state with the forces of an optimum brought to balance where they miss their load.
+
+    As ``careful``, what has not converged is tried too.
+    """
+    data, enough = problem.data, ENOUGH * tolerances(state.missed.dtype).balance
+    rounding = jnp.asarray(16 * jnp.finfo(state.missed.dtype).eps, state.missed.dtype)
+    wanting = (state.verdict == Verdict.OPTIMAL) & (state.missed > enough)
+    wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED))
+
+    def step(
+        _, carry: tuple[ContactVec, Array, Array, ProximalState]
+    ) -> tuple[ContactVec, Array, Array, ProximalState]:
+        target, point, wanting, state = carry
+        sides = friction_cone.cone_side(target, data.cone)
+        forces = as_returned(friction_cone.project(target, data.cone, sides))
+        found = measure_forces(problem, forces)
+        left = problem.coordinates.wrench(*parts(found.residual))
+        check = optimality_by(data, forces, point, left, squared_norm(problem.metric, left), found)
+        good = wanting & check.loosely_optimal & (found.error <= enough)
+        state = state._replace(
+            point=jnp.where(good, point, state.point),
+            forces=contact_vec.where(good, forces, state.forces),
+            verdict=jnp.where(good, Verdict.OPTIMAL, state.verdict),
+            steps=state.steps + wanting.astype(jnp.int32),
+        )
+        curvature = dual.negative_hessian(problem, friction_cone.derivative(data.cone, sides))
+        more = dual.solve(ldl.factor(damped(curvature, problem.metric, rounding)), left)
+        moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
+        return contact_vec.add(target, moved), point + more, wanting & ~good, state
+
+    target = dual.target_forces(data, dual.contact_velocities(problem, state.point))
+    start = varying_like((target, state.point, wanting, state), problem, state)
+    trips = jnp.where(jnp.any(wanting), REFINING_STEPS + 1, 0)
+    return lax.fori_loop(0, trips, step, start)[-1]

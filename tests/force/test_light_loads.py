@@ -1,0 +1,142 @@
+"""Loads that are next to nothing beside the squeezing forces, and squeezing forces of every size in one grasp.
+
+Whether allowed forces exist does not depend on the size of the load: a grasp that holds w holds w/10^12. So verdicts
+must not depend on it either, and Clarabel, which is asked about the load at its ordinary size, judges them all.
+"""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Grasp, Solution, Verdict
+from jaxgrasp.testing import references as R
+
+COUNT = 100
+LIGHT = (1e-2, 1e-4, 3e-6, 3e-8, 3e-10, 3e-12, 1e-14, 1e-20)
+ALLOWED = 1e-8
+"""Part of a load that an optimum may miss, where double precision can do better."""
+ROUNDINGS = 16
+"""Roundings of the largest force, at its lever, that are granted where the load is lighter than they are."""
+
+
+def sampled(n: int, seed: int) -> tuple[Grasp, np.ndarray]:
+    """Contacts anywhere on a unit sphere that press inward, and any wrench of length 1."""
+    rng = np.random.default_rng([seed, n])
+    points = rng.normal(size=(COUNT, n, 3))
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    wrench = rng.normal(size=(COUNT, 6)) * (1, 1, 1, 0.3, 0.3, 0.3)
+    wrench /= np.linalg.norm(wrench, axis=-1, keepdims=True)
+    friction, squeeze = rng.uniform(0.2, 0.6, (COUNT, n)), rng.uniform(0.5, 5, (COUNT, n))
+    return Grasp(points, -points, friction, squeeze), wrench
+
+
+def exists(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
+    """Whether allowed forces of the wrench exist, by Clarabel; problems that it leaves open are drawn no more."""
+    clarabel = pytest.importorskip("clarabel")
+    sparse = pytest.importorskip("scipy.sparse")
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    found = []
+    for points, normals, friction, wanted in zip(grasp.points, grasp.normals, grasp.friction, wrench, strict=True):
+        n = len(points)
+        rows, right, cones = [np.zeros((6, 3 * n))], [wanted], [clarabel.ZeroConeT(6)]
+        for i, (point, normal, mu) in enumerate(zip(points, normals, friction, strict=True)):
+            own = slice(3 * i, 3 * i + 3)
+            rows[0][:3, own], rows[0][3:, own] = np.eye(3), np.cross(np.eye(3), point)
+            cone = np.zeros((3, 3 * n))
+            cone[0, own], cone[1:, own] = -mu * normal, -np.stack(R.tangents(normal))
+            rows.append(cone)
+            right.append(np.zeros(3))
+            cones.append(clarabel.SecondOrderConeT(3))
+        cost = normals.ravel()
+        problem = sparse.csc_matrix(np.concatenate(rows))
+        none = sparse.csc_matrix((3 * n, 3 * n))
+        status = str(clarabel.DefaultSolver(none, cost, problem, np.concatenate(right), cones, settings).solve().status)
+        assert status in ("Solved", "PrimalInfeasible"), status
+        found.append(status == "Solved")
+    return np.array(found)
+
+
+@pytest.fixture(scope="module", params=[3, 5])
+def judged(request) -> tuple[Grasp, np.ndarray, np.ndarray]:
+    grasp, wrench = sampled(request.param, seed=0)
+    feasible = exists(grasp, wrench)
+    assert 0.2 < feasible.mean() < 0.95
+    return grasp, wrench, feasible
+
+
+@jax.jit
+def solve(grasp: Grasp, wrench: np.ndarray, weights: np.ndarray) -> Solution:
+    return jaxgrasp.constrained_optimum(grasp, wrench, weights)
+
+
+def missed(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """What forces leave of a wrench, in extended precision, less what their own rounding may leave of it."""
+    forces, points = np.asarray(forces, R.Wide), np.asarray(grasp.points, R.Wide)
+    made = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
+    left = np.linalg.norm(np.asarray(made - wrench, float), axis=-1)
+    granted = ROUNDINGS * np.finfo(float).eps * np.linalg.norm(np.asarray(forces, float), axis=-1).sum(-1)
+    return np.maximum(left - granted, 0)
+
+
+def beyond_cones(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
+    """Distance of the forces from their cones, beside the largest of them."""
+    forces = np.asarray(forces, R.Wide)
+    apart = R.norm(forces - R.project(forces, grasp.normals, grasp.friction)).max(-1)
+    return np.asarray(apart / R.or_one(R.norm(forces).max(-1)), float)
+
+
+@pytest.mark.parametrize("light", LIGHT)
+@pytest.mark.parametrize("sharing", ["squeeze", "uniform"])
+def test_what_holds_a_load_holds_a_lighter_one(judged, sharing, light):
+    grasp, wrench, feasible = judged
+    weights = grasp.squeeze if sharing == "squeeze" else np.ones_like(grasp.squeeze)
+    found = jax.device_get(solve(grasp, light * wrench, weights))
+    held = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    np.testing.assert_array_equal(held, feasible)
+    np.testing.assert_array_equal(found.verdict == Verdict.INFEASIBLE, ~feasible)
+    assert np.all(missed(grasp, light * wrench, found.forces)[held] <= ALLOWED * light)
+    assert np.all(beyond_cones(grasp, found.forces)[held] <= 1e-13)
+    # Only near 1e-8 of the squeeze there is something that rounding hides.
+    assert np.mean(found.verdict == Verdict.FEASIBLE) <= (0.05 if 1e-11 < light < 1e-5 else 0)
+
+
+@pytest.mark.parametrize("light", [1.0, 3e-6, 1e-14])
+def test_the_residual_is_what_is_missed_of_the_load(judged, light):
+    grasp, wrench, feasible = judged
+    found = jax.device_get(solve(grasp, light * wrench, grasp.squeeze))
+    assert np.all(found.residual[feasible] < 8e-9)
+    forces, points = np.asarray(found.forces, R.Wide), np.asarray(grasp.points, R.Wide)
+    made = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
+    left = np.linalg.norm(np.asarray(made - light * wrench, float), axis=-1)
+    # In the grasp's own frame lengths are other units: a factor of a few.
+    size = np.maximum(light, 4.8e-7 * np.linalg.norm(np.asarray(forces, float), axis=-1).sum(-1))
+    floor = 1e-9
+    assert np.all(left[feasible] / size[feasible] <= 4 * found.residual[feasible] + floor)
+
+
+@pytest.mark.parametrize("n", [3, 5, 8])
+def test_squeezing_forces_of_every_size_leave_no_verdict_open(n):
+    grasp, wrench = sampled(n, seed=1)
+    squeeze = 10 ** np.random.default_rng(n).uniform(-12, 6, (COUNT, n))
+    grasp = Grasp(grasp.points, grasp.normals, grasp.friction, squeeze)
+    feasible = exists(grasp, wrench)
+    found = jax.device_get(solve(grasp, wrench, squeeze))
+    held = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    np.testing.assert_array_equal(held, feasible)
+    np.testing.assert_array_equal(found.verdict == Verdict.INFEASIBLE, ~feasible)
+    assert np.all(missed(grasp, wrench, found.forces)[held] <= ALLOWED)
+    assert np.all(beyond_cones(grasp, found.forces)[held] <= 1e-13)
+
+
+def test_two_contacts_hold_no_torque_about_their_line_however_light():
+    """A pinch holds nothing that turns about its own line, not even what rounding of the pinch hides."""
+    grasp = Grasp(
+        np.array([[0.03, 0, 0], [-0.03, 0, 0]]), np.array([[-1.0, 0, 0], [1, 0, 0]]), np.full(2, 0.5), np.full(2, 3.0)
+    )
+    for light in 10.0 ** -np.arange(0, 30, 3):
+        turning = jaxgrasp.constrained_optimum(grasp, np.array([0, 0, 0, light, 0, 0]))
+        assert turning.verdict == Verdict.INFEASIBLE, light
+        lifting = jaxgrasp.constrained_optimum(grasp, np.array([0, 0, light, 0, 0, 0]))
+        assert lifting.verdict == Verdict.CLOSED_FORM_OPTIMAL, light

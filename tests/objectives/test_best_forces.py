@@ -309,6 +309,45 @@ def test_forward_reverse_and_finite_differences_agree(objective, limited):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("objective", ["least_norm", "least_maximal_force", "least_torque"])
+def test_slopes_are_those_of_an_independent_oracle(objective):
+    """Differences of Clarabel's own values, as wrench and contacts move; nothing of ours but the derivative."""
+    made = made_of("ordinary", limited=True, seed=5)
+    p = made.problem
+    rng = np.random.default_rng(2)
+    moves = rng.normal(size=p.wrench.shape) * np.abs(p.wrench), 1e-3 * rng.normal(size=p.points.shape)
+
+    def value(t):
+        grasp = eqx.tree_at(lambda g: g.points, all_there(made), p.points + t * moves[1])
+        return best_forces(grasp, p.wrench + t * moves[0], objective, limits=made.limits).value
+
+    found, forward = jax.jvp(value, (0.0,), (1.0,))
+    step, compared = 1e-4, 0
+
+    def valued(i: int, t: float) -> float:
+        changes = {"wrench": p.wrench + t * moves[0], "points": p.points + t * moves[1], "squeeze": 0 * p.squeeze}
+        case = made._replace(problem=p._replace(**changes)).case(i, np.ones((COUNT, N)))
+        least_norm = objective == "least_norm"
+        answer = (
+            limited_reference.optimum(case, 1e-10) if least_norm else getattr(limited_reference, objective)(case, 1e-10)
+        )
+        if answer.status != "Solved":
+            return np.nan
+        # The optimum without squeezing minimises half the sum of squares.
+        return np.sqrt(2 * answer.objective) if least_norm else answer.objective
+
+    for i in np.flatnonzero(np.isfinite(found))[:16]:
+        ahead, here, behind = (valued(i, t) for t in (step, 0.0, -step))
+        slopes = np.array([ahead - here, here - behind]) / step
+        # Where the two sides differ a bound takes over within the step.
+        if not np.isfinite(slopes).all() or abs(slopes[0] - slopes[1]) > 1e-2 * (abs(slopes[0]) + 0.1 * here):
+            continue
+        compared += 1
+        assert abs(slopes.mean() - forward[i]) <= 2e-3 * (abs(forward[i]) + 0.1 * here)
+    assert compared >= 4
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", ["least_maximal_force", "least_torque"])
 def test_the_first_bit_of_friction_is_worth_what_the_derivative_says(objective):
     made = made_of("ordinary", limited=True, seed=5)

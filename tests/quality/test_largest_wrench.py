@@ -147,6 +147,29 @@ def test_derivatives_are_those_of_the_value():
     np.testing.assert_allclose(forward, (ends[0] - ends[1]) / (2 * step), rtol=1e-4)
 
 
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_slopes_are_those_of_another_solver(bound):
+    """Differences of Clarabel's own values; nothing of ours but the derivative."""
+    grasp, task = known.ordinary(5, 4), P.problems("ordinary", 5, 4, 1).wrench
+    found = largest_wrench(grasp, task, bound, tol=1e-9)
+    points, friction = (jnp.asarray(getattr(grasp, name)) for name in ("points", "friction"))
+    rng = np.random.default_rng(3)
+    tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in ((points, 0.03), (friction, 1), (task, 1)))
+
+    def of(points, friction, task):
+        return largest_wrench_at(known.changed(known.of_jax(grasp), points=points, friction=friction), task, found)
+
+    _, forward = jax.jvp(of, (points, friction, jnp.asarray(task)), tangent)
+    step = 1e-4
+
+    def theirs(i: int, t: float) -> float:
+        there = [np.asarray(a) + t * b for a, b in zip((points, friction, task), tangent)]
+        return by_clarabel(known.one(known.changed(grasp, points=there[0], friction=there[1]), i), there[2][i], bound)
+
+    slopes = [(theirs(i, step) - theirs(i, -step)) / (2 * step) for i in range(4)]
+    np.testing.assert_allclose(forward, slopes, rtol=2e-3)
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_bad_tasks_are_named():
     grasp = known.triangle()

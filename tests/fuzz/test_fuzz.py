@@ -1,0 +1,109 @@
+"""Problems nobody chose: every claim is judged in extended precision, by code that shares nothing with the solver.
+
+A quick share of all 32 kinds, the rest long, in both precisions: ``JAXGRASP_TEST_ALL=1 pytest -m slow tests/fuzz``.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Grasp, Solution, Verdict
+from tests.fuzz.judged import worth
+from tests.fuzz.sampled import KINDS, Sample, sample
+
+COUNT, LONG_COUNT = 32, 2_000
+
+
+class Allowed(NamedTuple):
+    """What is granted in a precision."""
+
+    missed: float
+    """Part of the load that an answer may miss."""
+    roundings: float
+    """Of the sum of the forces' sizes, granted beside that."""
+    outside: float
+    gap: float
+    proof: float
+    """Loads that a proof reaches at least."""
+
+
+ALLOWED = {
+    "float64": Allowed(2e-8, 32, 1e-13, 1e-8, 1e6),
+    "float32": Allowed(5e-4, 64, 4e-6, 3e-3, 40.0),
+}
+
+
+@jax.jit
+def solve(grasp: Grasp, wrench: np.ndarray, weights: np.ndarray) -> Solution:
+    return jaxgrasp.constrained_optimum(grasp, wrench, weights)
+
+
+def solved(problem: Sample, weights: np.ndarray) -> Solution:
+    return jax.device_get(solve(Grasp(*problem[:4]), problem.wrench, weights))
+
+
+def cast(problem: Sample, dtype: str) -> Sample:
+    """In another precision; normals of unit length as far as it goes."""
+    return Sample(*(array.astype(dtype) for array in problem))
+
+
+def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution) -> None:
+    """Assert what every verdict claims."""
+    allowed = ALLOWED[problem.wrench.dtype.name]
+    value = worth(problem, weights, found.forces, found.multiplier, found.certificate)
+    # Points metres away are themselves known to a rounding of their distance only.
+    far = 1 + np.sqrt(np.sum(problem.points.mean(1) ** 2, -1) / np.mean(np.ptp(problem.points, axis=1) ** 2, -1))
+    granted = allowed.roundings * np.finfo(problem.wrench.dtype).eps * far * (value.size + value.load)
+    answered = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    optimal = found.verdict <= Verdict.OPTIMAL
+    infeasible = found.verdict == Verdict.INFEASIBLE
+    broken = {
+        "balance": answered & ~(value.missed <= allowed.missed * value.load + granted),
+        "cones": answered & ~(value.outside <= allowed.outside * far),
+        "optimality": optimal & ~(value.gap <= allowed.gap * far),
+        "proof": infeasible & ~(value.proven >= found.force_bound / far),
+        "reach of a proof": infeasible
+        & ~(found.force_bound >= allowed.proof * np.sqrt(np.sum(problem.wrench[:, :3] ** 2, -1))),
+        "numbers": ~np.isfinite(found.forces).all((1, 2)),
+    }
+    for law, where in broken.items():
+        assert not where.any(), f"{law} in {kind}, {problem.points.shape[1]} contacts: {np.flatnonzero(where)[:10]}"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_claimed_holds(kind):
+    problem = sample(kind, 4, COUNT, seed=0)
+    for weights in (problem.squeeze, np.ones_like(problem.squeeze)):
+        found = solved(problem, weights)
+        judge(kind, problem, weights, found)
+        assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 1 / COUNT
+
+
+@pytest.mark.slow
+@pytest.mark.repeats
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 12])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_claimed_holds_for_many(kind, n):
+    problem = sample(kind, n, LONG_COUNT, seed=1)
+    for weights in (problem.squeeze, np.ones_like(problem.squeeze)):
+        found = solved(problem, weights)
+        judge(kind, problem, weights, found)
+        assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.repeats
+@pytest.mark.parametrize("n", [3, 5, 8])
+@pytest.mark.parametrize("kind", KINDS)
+def test_single_precision_claims_no_more_than_it_knows(kind, n):
+    problem = cast(sample(kind, n, LONG_COUNT, seed=2), "float32")
+    found = solved(problem, problem.squeeze)
+    judge(kind, problem, problem.squeeze, found)
+    wide = cast(problem, "float64")
+    double = solved(wide, wide.squeeze)
+    total = np.sum(double.forces * wide.normals, (1, 2))
+    both = (found.verdict == Verdict.INFEASIBLE) & (double.verdict <= Verdict.OPTIMAL)
+    assert np.all(found.force_bound[both] <= 1.01 * total[both])

@@ -4,11 +4,13 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.problem.flatten import refuse_soft_fingers
 
 
+@checked
 def lagrange_forces(
     grasp: Grasp, wrench: Float[AnyArray, "*batch 6"], weights: Float[AnyArray, "*batch n"] | None = None
 ) -> tuple[Float[Array, "*batch n 3"], Float[Array, "*batch 6"]]:

@@ -37,6 +37,7 @@ from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.grip.tick import Tick, assessed, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 
 
@@ -69,6 +70,7 @@ class CarryState(NamedTuple):
     """Where that began."""
 
 
+@checked
 def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Instant]:
     """What becomes of an object while a hand goes through postures.
 

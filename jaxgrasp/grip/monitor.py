@@ -16,6 +16,7 @@ from jax import Array
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.slip import spin_force
 from jaxgrasp.model.arrays import AnyArray, Float, Int
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.problem.flatten import Sharing, read_sharing
@@ -60,6 +61,7 @@ class Assessment(eqx.Module):
     """``(...)`` Whether the closed form slips while the optimum shows forces that hold."""
 
 
+@checked
 def monitor(
     grasp: Grasp,
     wrench: Float[AnyArray, "*#batch 6"],

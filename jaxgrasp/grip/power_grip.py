@@ -7,7 +7,8 @@ from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.human_hand import check_human, open_angles
 from jaxgrasp.hand.shapes import Shape, check_shape
-from jaxgrasp.model.arguments import check_instance, check_numbers, check_sign
+from jaxgrasp.model.arguments import check_instance
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.vec3 import Vec3
 
@@ -40,6 +41,7 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose
     return Posture(wrist, jnp.asarray(open_angles(hand))), Pose(jnp.array([x, 0.0, z]), jnp.asarray(rotation))
 
 
+@checked
 def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
     """A hand closed on an object that lies in its palm.
 
@@ -60,8 +62,8 @@ def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, 
     check_instance("hand", hand, Hand)
     check_instance("shape", shape, Shape)
     check_shape(shape)
-    check_numbers("depth", depth)
-    check_sign("depth", depth)
+    if not (np.isfinite(depth) and depth >= 0):
+        raise ValueError(f"depth is {depth}: expected a number of metres, zero or more")
     posture, placed = lay_on(hand, shape, depth)
     closed, contacts = close_hand(hand, posture, shape, placed, depth)
     return closed, placed, contacts

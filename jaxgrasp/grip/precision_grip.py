@@ -13,6 +13,7 @@ from jaxgrasp.hand.human_hand import check_human, open_angles
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.shapes import Shape, check_shape
 from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.least_squares import least_squares
 from jaxgrasp.numerics.rotation import rotation_by
@@ -33,6 +34,7 @@ OFF_LINE = 0.2
 """By how much unit normals may miss the line from the thumb to the fingers; friction 0.5 allows 0.46 rad."""
 
 
+@checked
 def precision_grip(hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
     """A hand that holds an object by its fingertips: posture, the object's place, and the contacts.
 

@@ -11,9 +11,11 @@ from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import ancestry
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 
 
+@checked
 @partial(jax.jit, static_argnames="steps")
 def close_hand(
     hand: Hand,

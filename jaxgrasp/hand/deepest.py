@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.model.checked import checked
 
 
 class Kept(NamedTuple):
@@ -18,6 +19,7 @@ class Kept(NamedTuple):
     """``(...)``: present contacts for which there was no place."""
 
 
+@checked
 def keep_deepest(contacts: Contacts, size: int) -> Kept:
     """Keep the ``size`` deepest contacts of each pose, and count the others.
 

@@ -23,6 +23,7 @@ from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, st
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.batched import Batched
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread
@@ -61,6 +62,7 @@ class _Scene(eqx.Module):
         return self.posture.angles.shape[0]
 
 
+@checked
 @jax.jit
 def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> Contacts:
     """The contacts of a posed hand with an object.

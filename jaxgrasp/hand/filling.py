@@ -11,6 +11,7 @@ from jaxgrasp.hand.mesh import Mesh, MeshSurface, NearestPoints, check_mesh, mas
 from jaxgrasp.hand.octree import Octree, octree_balls
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.model.checked import checked
 from jaxgrasp.numerics.vec3 import Vec3
 
 LEVELS = 5
@@ -41,6 +42,7 @@ class LevelError(NamedTuple):
     error: FillingError
 
 
+@checked
 def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | None = None) -> SphereTree:
     """The tree of balls inside a solid.
 
@@ -64,6 +66,7 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
     return SphereTree(balls, _nodes(tree), jnp.asarray(outline.moments), descends)
 
 
+@checked
 def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: int = 0) -> list[LevelError]:
     """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
 

@@ -13,6 +13,7 @@ from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.to_grasp import link_contributions
 from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions
 
@@ -47,6 +48,7 @@ CONTRIBUTIONS: Mapping[GripType, Contributions] = MappingProxyType({GripType.CYL
 """Tables that the paper gives."""
 
 
+@checked
 @jax.jit
 def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*batch"]:
     """The kind of grip, told from the links that touch and from their normals.
@@ -97,6 +99,7 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
     return jnp.select(conditions, [jnp.asarray(code, jnp.int32) for code in codes], GripType.UNKNOWN).astype(jnp.int32)
 
 
+@checked
 def contributions_of(
     hand: Hand, grip: GripType, tables: Mapping[GripType, Contributions] = CONTRIBUTIONS
 ) -> Float[Array, "L"]:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, Spheres
 
 LENGTH, BREADTH = 0.19, 0.085
@@ -80,6 +81,7 @@ class _FingerParts(NamedTuple):
     spheres: list[tuple[np.ndarray, np.ndarray]]
 
 
+@checked
 def human_hand(length: float = LENGTH, breadth: float | None = None, side: str = "right") -> Hand:
     """A human hand: 14 flexions and 5 abductions, 19 links that can touch.
 
@@ -125,6 +127,7 @@ def open_angles(hand: Hand) -> np.ndarray:
     return np.array([OPPOSITION if name == "thumb abduction" else 0.0 for name in hand.joints])
 
 
+@checked
 def mirrored(hand: Hand) -> Hand:
     """The hand's image in its wrist's xz plane: a left hand from a right one."""
     flip = jnp.array([1.0, -1.0, 1.0])

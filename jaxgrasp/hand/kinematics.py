@@ -10,6 +10,7 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_instance, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import spread
@@ -35,6 +36,7 @@ class Standing(NamedTuple):
     links: Bodies
 
 
+@checked
 @jax.jit
 def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
     """The frames of a hand's joints and links.
@@ -172,6 +174,7 @@ def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
     return columns.swapaxes(0, 1).reshape(*batch, columns.shape[0], 3, 3)
 
 
+@checked
 def contact_jacobian(
     hand: Hand, frames: HandFrames, points: Float[AnyArray, "*batch L 3"]
 ) -> Float[Array, "*batch L 3 J"]:
@@ -193,6 +196,7 @@ def contact_jacobian(
     return jnp.where(moves[:, :, None], columns, 0).swapaxes(-1, -2)
 
 
+@checked
 def joint_torques(
     hand: Hand,
     frames: HandFrames,

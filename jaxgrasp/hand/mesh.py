@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
 
@@ -39,6 +40,7 @@ class MassProperties(NamedTuple):
     """``(3, 3)`` by unit of mass, about the centre of mass [m^2]."""
 
 
+@checked
 def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
     """A mesh from any file that trimesh reads.
 
@@ -66,6 +68,7 @@ def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
         raise ValueError(f"{path}: {error}") from None
 
 
+@checked
 def check_mesh(mesh: Mesh) -> Mesh:
     """The mesh, wound outwards; ValueError unless it closes around a volume."""
     trimesh = _import_trimesh()
@@ -102,6 +105,7 @@ def mass_properties(mesh: Mesh) -> MassProperties:
     )
 
 
+@checked
 def principal_frame(mesh: Mesh) -> tuple[Mesh, Pose]:
     """The mesh in the frame of its principal axes at its centre of mass, and that frame's pose in the old one."""
     _, center, inertia = mass_properties(mesh)

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, Spheres
 
 COLUMNS = 6
@@ -12,6 +13,7 @@ QUARTERS = ((0, 0), (0, 1), (1, 0), (1, 1))
 between them, as two flat pads do."""
 
 
+@checked
 def parallel_jaw(
     opening: float = 0.08, *, reach: tuple[float, float] = (0.0941, 0.1122), width: float = 0.02, radius: float = 5e-3
 ) -> Hand:

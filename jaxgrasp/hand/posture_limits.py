@@ -6,6 +6,7 @@ import numpy as np
 from jaxgrasp.hand.detection import find_contacts
 from jaxgrasp.hand.kinematics import flatten_posture
 from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose, Posture
 
@@ -13,6 +14,7 @@ ROUNDING = 1e-6
 """How far an angle may pass its limit [rad], or a rotation its orthonormality, by rounding alone."""
 
 
+@checked
 def check_posture(hand: Hand, posture: Posture) -> None:
     """Raise ValueError at the first entry of concrete postures that no such hand can take.
 
@@ -37,6 +39,7 @@ def check_posture(hand: Hand, posture: Posture) -> None:
         )
 
 
+@checked
 def check_pose(name: str, pose: Pose) -> None:
     """Raise ValueError unless origins are finite and rotations are rotations."""
     origin, rotation = np.asarray(pose.origin), np.asarray(pose.rotation)
@@ -58,11 +61,13 @@ def is_rotation(matrices: np.ndarray, rounding: float) -> np.ndarray | np.bool_:
         return (square <= rounding) & (np.linalg.det(matrices) > 0)
 
 
+@checked
 def clamp_posture(hand: Hand, posture: Posture) -> Posture:
     """The posture with every angle brought within its limits; what is not a number stays."""
     return Posture(posture.wrist, jnp.clip(jnp.asarray(posture.angles), hand.lower, hand.upper))
 
 
+@checked
 def check_clear(hand: Hand, posture: Posture, shape: Shape, placed: Pose, depth: float = 0.0) -> None:
     """Raise ValueError where a hand starts inside an object: closing it there says nothing.
 

@@ -16,6 +16,7 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_instance, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import shared_or_spread
@@ -186,6 +187,7 @@ def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
     return jnp.where(inward, largest, length), normal
 
 
+@checked
 def signed_distance(
     shape: Shape, points: Float[AnyArray, "*#batch 3"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
@@ -214,6 +216,7 @@ def _signed_distance(shape: Shape, points: AnyArray) -> tuple[Array, Array]:
     return distance, jnp.stack(jnp.broadcast_arrays(*normal), -1)
 
 
+@checked
 def check_shape(shape: Shape) -> None:
     """Raise ValueError unless every size is a positive, finite number."""
     for name, given in shape._sizes.items():

@@ -5,6 +5,7 @@ from jax import Array
 
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.model.squeeze import Contributions, squeezing
@@ -13,6 +14,7 @@ THUMB, PALM = 2.0, 1.0
 """Contributions of each of the thumb's and the palm's links, which Table I does not name: ours."""
 
 
+@checked
 def link_contributions(
     hand: Hand, table: Contributions | None = None, thumb: float = THUMB, palm: float = PALM
 ) -> Float[Array, "L"]:
@@ -43,6 +45,7 @@ def link_contributions(
     return jnp.array(values)
 
 
+@checked
 def grasp_from_contacts(
     contacts: Contacts,
     friction: Float[AnyArray, "*#batch"] | float,

@@ -8,11 +8,13 @@ from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, Pose, Posture, padded
 
 OCTANTS = tuple("".join("-+"[up] + axis for up, axis in zip(ups, "xyz", strict=True)) for ups in np.ndindex(2, 2, 2))
 
 
+@checked
 def rigid_body(tree: SphereTree) -> Hand:
     """An object as a Hand without joints, which finds contacts as a hand does: a part for each octant of it.
 
@@ -38,6 +40,7 @@ def rigid_body(tree: SphereTree) -> Hand:
     )
 
 
+@checked
 def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Contacts:
     """Where an object touches what stands in the world.
 
@@ -57,6 +60,7 @@ def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Conta
     return Contacts(found.points, -found.normals, found.depths, found.present, found.tests)
 
 
+@checked
 def spring_wrench(
     contacts: Contacts, stiffness: Float[AnyArray, "*#batch"] | float, about: Float[AnyArray, "*#batch 3"]
 ) -> Float[Array, "*batch 6"]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ class MujocoGrasp:
     """The body that touches, contact by contact; ``"body 7"`` if it has no name."""
 
 
+@checked
 def from_mujoco(
     model: mujoco.MjModel,
     data: mujoco.MjData,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, padded
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class _CarryingJoint:
         return _CarryingJoint(self.joint, self.position + self.rotation @ position, self.rotation @ rotation)
 
 
+@checked
 def hand_from_mujoco(
     model: mujoco.MjModel,
     wrist: str,

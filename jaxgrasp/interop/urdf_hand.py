@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
+from jaxgrasp.model.checked import checked
 
 if TYPE_CHECKING:
     import mujoco
@@ -28,6 +29,7 @@ COMPILER = {
 """How MuJoCo is to read the file."""
 
 
+@checked
 def hand_from_urdf(
     path: str | Path,
     wrist: str,

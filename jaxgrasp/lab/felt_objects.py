@@ -19,6 +19,7 @@ from jaxgrasp.hand.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, HandFrames, Pose
 from jaxgrasp.psychophysics.plan import StimulusPlan
@@ -163,6 +164,7 @@ class Resisted(FeltObject):
         return np.zeros((1, self.channels))
 
 
+@checked
 def felt_object(plan: StimulusPlan, model: GloveModel, hand: Hand | None = None) -> FeltObject:
     """What a plan lets a hand in a glove feel.
 

@@ -6,9 +6,11 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.cable import Cable
 from jaxgrasp.lab.felt_objects import FeltObject, resistances
+from jaxgrasp.model.checked import checked
 from jaxgrasp.psychophysics.prediction.rendering_error import RenderingError
 
 
+@checked
 def glove_error(
     felt: FeltObject,
     model: GloveModel,

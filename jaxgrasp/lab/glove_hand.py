@@ -13,6 +13,7 @@ from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.tick import observe
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
 
 
@@ -29,6 +30,7 @@ class GloveHand(eqx.Module):
         return Posture(wrist, jnp.asarray(self.others).at[np.array(self.places)].set(flexions))
 
 
+@checked
 def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> GloveHand:
     """A hand in a glove.
 

@@ -16,6 +16,7 @@ from jaxgrasp.hand.human_hand import human_hand, open_angles
 from jaxgrasp.hand.shapes import Cylinder
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.model.task import GRAVITY
 
@@ -51,6 +52,7 @@ class Story:
     """What happened when [s]."""
 
 
+@checked
 def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
     """A hand that holds a cylinder of 0.15 kg, which stands on a table: all numbers are ours.
 
@@ -73,6 +75,7 @@ def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
     return scene, closed, Pose(origin, jnp.asarray(placed.rotation))
 
 
+@checked
 def grasp_and_lift(model: GloveModel | None = None) -> Story:
     """Play it: close, lift, cut, arm again; a minute or two, most of it compiling."""
     model = lrp_hand_master() if model is None else model

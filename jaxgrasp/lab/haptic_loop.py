@@ -17,6 +17,7 @@ from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.lab.glove_hand import frames_of, glove_hand, resistance_and_slope
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 
 LONGEST = 0.05
@@ -82,6 +83,7 @@ def warm_up(haptics: Haptics, wrist: Pose) -> None:
         spare.tick(0.01 * k, angles, wrist)
 
 
+@checked
 def run_loop(
     tick: Callable[[float, Float[np.ndarray, "channels"], Pose], TorqueLaw],
     state: Callable[[], GloveState | None],

@@ -19,12 +19,14 @@ from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, facet_rows, normal_rows
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 
 HOLDS = 1e-9
 """What a face may be violated by, the load being one, where it does not depend on the unknowns."""
 
 
+@checked
 def kuhn_tucker(
     grasp: Grasp,
     wrench: Float[AnyArray, "*#batch 6"],

@@ -31,6 +31,7 @@ from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.scaled_batch import ScaledBatch
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 
 RANK_CUT = 1e-11
@@ -41,6 +42,7 @@ ALLOWED = 1e-9
 """How far a force may lie beyond its cone, the load being one: a closed form that is chosen to lie on it."""
 
 
+@checked
 def kumar_waldron(
     grasp: Grasp,
     wrench: Float[AnyArray, "*#batch 6"],

@@ -37,7 +37,7 @@ def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional:
 def check_kind(grasp: Any) -> None:
     """Raise TypeError unless it is a Grasp whose fields are arrays of real numbers."""
     if not isinstance(grasp, Grasp):
-        raise TypeError(f"grasp is {_shown(grasp)}: expected a jaxgrasp.Grasp")
+        raise TypeError(f"grasp is {shown(grasp)}: expected a jaxgrasp.Grasp")
     for name in Grasp.last_axes:
         array = getattr(grasp, name)
         if array is not None or name not in OPTIONAL:
@@ -53,7 +53,7 @@ def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
             raise TypeError(f"{name} is of unequal lists: expected {_wanted(tail)}") from None
     dtype = getattr(array, "dtype", None)
     if dtype is None:
-        raise TypeError(f"{name} is {_shown(array)}: expected {_wanted(tail)}")
+        raise TypeError(f"{name} is {shown(array)}: expected {_wanted(tail)}")
     # The kind of the usual ones tells at once; of JAX's own, such as bfloat16, it does not.
     if dtype.kind not in "fiu" and not jnp.issubdtype(dtype, jnp.floating):
         raise TypeError(f"{name} is an array of {dtype}: expected {_wanted(tail, 'real ')}")
@@ -81,13 +81,14 @@ def check_sign(name: str, values: Any) -> None:
 def check_instance(name: str, value: Any, kind: type) -> None:
     """Raise TypeError unless ``value`` is of a type of this package's."""
     if not isinstance(value, kind):
-        raise TypeError(f"{name} is {_shown(value)}: expected a {kind.__name__}")
+        raise TypeError(f"{name} is {shown(value)}: expected a {kind.__name__}")
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value and its type, in a few words."""
     if value is None:
         return "None"
-    text = repr(value)
+    text = " ".join(repr(value).split())
     return f"{text if len(text) <= LONGEST else text[:LONGEST] + ' ...'} of type {type(value).__name__}"
 
 

@@ -7,9 +7,11 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.paper.tables import CONTRIBUTIONS, FINGERS, PHALANGES
 
 
+@checked
 def squeezing(
     contribution: Float[AnyArray, "*#batch"] | float,
     stiffness: Float[AnyArray, "*#batch"] | float,

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.held import HeldObject
@@ -46,6 +47,7 @@ class Carried(eqx.Module):
     """Gravity in the world [m/s^2]."""
 
 
+@checked
 def carrying(held: HeldObject, path: Callable[[Array], Pose], gravity: Float[AnyArray, "3"] | None = None) -> Task:
     """The task of leading an object along a path: its weight and its inertia must be balanced.
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import GraspInput, read_grasps
 from jaxgrasp.quality.summary_line import count_of, range_of
@@ -62,6 +63,7 @@ class Decision(NamedTuple):
     lean: np.ndarray
 
 
+@checked
 def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -> ForceClosure:
     """Whether a grasp can exert any wrench, if only its forces may be large enough, with a proof of either answer.
 

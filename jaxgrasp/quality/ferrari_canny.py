@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import decide
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
@@ -41,6 +42,7 @@ class Epsilon(NamedTuple):
         return f"Epsilon: {count_of(which)}; lower bound {range_of(lower)}; upper bound {range_of(upper)}"
 
 
+@checked
 def ferrari_canny(
     grasp: Grasp,
     bound: Bound = "l1",
@@ -102,6 +104,7 @@ def ferrari_canny(
     return Epsilon(lower, upper, directions, press, lean)
 
 
+@checked
 def ferrari_canny_at(
     grasp: Grasp, found: Epsilon, *, length: Length = None, about: About = None
 ) -> Float[Array, "..."]:

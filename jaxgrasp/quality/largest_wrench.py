@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import forces_of, unscaled
@@ -51,6 +52,7 @@ class LargestWrench(NamedTuple):
         return f"LargestWrench: upper bound {range_of(self.upper)}"
 
 
+@checked
 def largest_wrench(
     grasp: Grasp,
     task: Float[AnyArray, "*#batch 6"],
@@ -100,6 +102,7 @@ def largest_wrench(
     return LargestWrench(lower, upper, twists, *forces_of(given, press, lean), press, lean)
 
 
+@checked
 def largest_wrench_at(grasp: Grasp, task: Float[AnyArray, "*#batch 6"], found: LargestWrench) -> Float[Array, "..."]:
     """The largest multiple near a grasp and task that ``largest_wrench`` has measured, for derivatives by both.
 

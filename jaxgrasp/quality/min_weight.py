@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.summary_line import range_of
@@ -35,6 +36,7 @@ class MinWeight(NamedTuple):
         return f"MinWeight: value {range_of(self.value)}"
 
 
+@checked
 def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
     """The largest least weight with which all edges of the friction pyramids balance each other.
 
@@ -73,6 +75,7 @@ def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
     return MinWeight(value, weights, twists, corners)
 
 
+@checked
 def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
     """The value near a grasp that ``min_weight`` has measured, for derivatives by points, normals and friction.
 

@@ -6,12 +6,14 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.numerics.vec3 import safe_divide
 from jaxgrasp.quality.wrench_discs import About, Length, discs
 
 
+@checked
 def singular_values(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "... 6"]:
     """The six singular values of the scaled grasp matrix, largest first.
 
@@ -40,18 +42,21 @@ def singular_values(grasp: Grasp, *, length: Length = None, about: About = None)
     return _run(grasp, length, about)
 
 
+@checked
 def least_singular_value(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The last of [`jaxgrasp.quality.singular_values`][]: 0 where no forces, however large, reach some wrench."""
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return _run(grasp, length, about)[..., -1]
 
 
+@checked
 def grasp_volume(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The product of [`jaxgrasp.quality.singular_values`][], sqrt(det G G^T): the volume of wrenches of unit forces."""
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
     return jnp.prod(_run(grasp, length, about), -1)
 
 
+@checked
 def grasp_isotropy(grasp: Grasp, *, length: Length = None, about: About = None) -> Float[Array, "..."]:
     """The least of [`jaxgrasp.quality.singular_values`][] over the largest: 1 where all wrenches are equally easy."""
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})

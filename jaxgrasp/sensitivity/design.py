@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.task import Task
 from jaxgrasp.sensitivity.naming import (
     Entry,
@@ -67,6 +68,7 @@ class Design(eqx.Module):
         return {entry.label: (before, after) for entry, before, after in pairs}
 
 
+@checked
 def raise_worst(
     task: Task,
     times: Float[AnyArray, "T"] | Sequence[float],

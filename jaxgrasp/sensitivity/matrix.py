@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.sensitivity.naming import (
     Entry,
     Labels,
@@ -114,6 +115,7 @@ class SensitivityMatrix(eqx.Module):
         }
 
 
+@checked
 def sensitivity_matrix(
     f: Callable[[Any], Any],
     parameters: Any,

@@ -11,6 +11,7 @@ from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
@@ -31,6 +32,7 @@ class FrictionReserve(NamedTuple):
     """How many times less friction would do; below 1 the friction does not do, +inf where hardly any is needed."""
 
 
+@checked
 def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> FrictionReserve:
     """How many times less friction would do, with the normal forces that the hand means to exert in total.
 

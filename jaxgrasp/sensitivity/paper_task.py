@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.held import HeldCylinder
 from jaxgrasp.model.paths import Turn
 from jaxgrasp.model.task import Task, carrying
@@ -15,6 +16,7 @@ INDEX_CONTRIBUTIONS = (0.02, 0.1, 0.4)
 GRAVITY = 9.81
 
 
+@checked
 def cylinder_task() -> Task:
     """Five fingertips turn a cylinder about its own, level axis: two seconds one way, two seconds back.
 

@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries as faults_in
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.task import Task
@@ -57,6 +58,7 @@ class SensitivityTrajectory(eqx.Module):
     """Varied curves, by the name of the parameter that was varied."""
 
 
+@checked
 def sensitivity_trajectory(
     task: Task,
     times: Float[AnyArray, "T"] | Sequence[float],

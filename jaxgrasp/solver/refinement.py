@@ -24,12 +24,13 @@ from jaxgrasp.solver.newton import as_returned, damped, optimality_by
 from jaxgrasp.solver.proximal import ProximalState
 from jaxgrasp.solver.result import measure_forces
 
-_Carry = tuple[ContactVec, Array, Array, ProximalState]
 REFINING_STEPS = 4
 """Newton steps: the digits double with each, and the first starts from about half of them."""
-
+CORRECTIONS = 3
+"""Steps of the forces themselves, along their cones, after that."""
 ENOUGH = 0.25
 """Part of the largest residual of a sound answer at which none is refined."""
+_Carry = tuple[ContactVec, ContactVec, Array, Array, ProximalState]
 
 
 @fused_cpu_kernel
@@ -43,12 +44,11 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
     wanting = (state.verdict == Verdict.OPTIMAL) & (state.missed > enough)
     wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED))
 
-    def step(
-        _, carry: tuple[ContactVec, Array, Array, ProximalState]
-    ) -> tuple[ContactVec, Array, Array, ProximalState]:
-        target, point, wanting, state = carry
+    def step(i: Array, carry: _Carry) -> _Carry:
+        target, corrected, point, wanting, state = carry
         sides = friction_cone.cone_side(target, data.cone)
-        forces = as_returned(friction_cone.project(target, data.cone, sides))
+        nearest = friction_cone.project(target, data.cone, sides)
+        forces = as_returned(contact_vec.where(i <= REFINING_STEPS, nearest, corrected))
         found = measure_forces(problem, forces)
         left = problem.coordinates.wrench(*parts(found.residual))
         check = optimality_by(data, forces, point, left, squared_norm(problem.metric, left), found)
@@ -59,12 +59,18 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
             verdict=jnp.where(good, Verdict.OPTIMAL, state.verdict),
             steps=state.steps + wanting.astype(jnp.int32),
         )
-        curvature = dual.negative_hessian(problem, friction_cone.derivative(data.cone, sides))
+        jacobian = friction_cone.derivative(data.cone, sides)
+        curvature = dual.negative_hessian(problem, jacobian)
         more = dual.solve(ldl.factor(damped(curvature, problem.metric, rounding)), left)
         moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
-        return contact_vec.add(target, moved), point + more, wanting & ~good, state
+        along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
+        beyond = contact_vec.add(forces, along)
+        corrected = friction_cone.project(beyond, data.cone, friction_cone.cone_side(beyond, data.cone))
+        more_target = i < REFINING_STEPS
+        target = contact_vec.where(more_target, contact_vec.add(target, moved), target)
+        return target, corrected, jnp.where(more_target, point + more, point), wanting & ~good, state
 
     target = dual.target_forces(data, dual.contact_velocities(problem, state.point))
-    start = varying_like((target, state.point, wanting, state), problem, state)
-    trips = jnp.where(jnp.any(wanting), REFINING_STEPS + 1, 0)
+    start = varying_like((target, target, state.point, wanting, state), problem, state)
+    trips = jnp.where(jnp.any(wanting), REFINING_STEPS + CORRECTIONS + 1, 0)
     return lax.fori_loop(0, trips, step, start)[-1]

@@ -140,3 +140,21 @@ def test_two_contacts_hold_no_torque_about_their_line_however_light():
         assert turning.verdict == Verdict.INFEASIBLE, light
         lifting = jaxgrasp.constrained_optimum(grasp, np.array([0, 0, light, 0, 0, 0]))
         assert lifting.verdict == Verdict.CLOSED_FORM_OPTIMAL, light
+
+
+@pytest.mark.parametrize(("n", "seed", "which"), [(3, 0, [2076]), (5, 0, [1343, 2882]), (10, 1000, [942])])
+def test_lifts_that_ask_for_forces_of_ten_thousand_loads_are_decided(n, seed, which):
+    """Next to the limit of what the grasp can exert: multipliers of 1e9, whose rounding is larger than 1e-8 loads."""
+    rng = np.random.default_rng(seed + n)
+    points = rng.normal(size=(4000, n, 3))
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    points[..., 2] = np.abs(points[..., 2])
+    friction, squeeze = rng.uniform(0.2, 0.6, (4000, n)), rng.uniform(0.5, 5, (4000, n))
+    grasp = Grasp(points[which], -points[which], friction[which], squeeze[which])
+    wrench = np.tile([0, 0, 3.0, 0, 0, 0], (len(which), 1))
+    assert exists(grasp, wrench).all()
+    found = jax.device_get(jaxgrasp.constrained_optimum(grasp, wrench))
+    assert np.all(found.verdict == Verdict.OPTIMAL)
+    assert np.all(np.linalg.norm(found.forces, axis=-1).max(-1) > 1e4)
+    assert np.all(missed(grasp, wrench, found.forces) <= 3 * ALLOWED)
+    assert np.all(beyond_cones(grasp, found.forces) <= 1e-13)

@@ -193,7 +193,7 @@ def test_bad_input_is_named():
         force_closure(known.changed(grasp, torsion=np.zeros(2)))
     with pytest.raises(GraspError, match="length is 0.0: expected a finite length above zero"):
         force_closure(grasp, length=0.0)
-    with pytest.raises(GraspError, match=r"about is an array of shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"about has shape \(2,\): expected \(..., 3\)"):
         force_closure(grasp, about=np.zeros(2))
     with pytest.raises(GraspError, match=r"about\[1\] is nan"):
         force_closure(grasp, about=np.array([0, np.nan, 0]))

@@ -104,5 +104,5 @@ def test_derivatives_are_those_of_the_value():
 
 @pytest.mark.usefixtures("unchecked")
 def test_bad_sides_are_named():
-    with pytest.raises(ValueError, match=r"sides is 2.5: expected a whole number"):
+    with pytest.raises(TypeError, match=r"sides is 2.5 of type float: expected a whole number"):
         min_weight(known.triangle(), sides=2.5)

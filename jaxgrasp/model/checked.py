@@ -1,0 +1,185 @@
+"""Arguments checked against their own annotations, before any work: one sentence that names what is wrong.
+
+A public function of the rooms is ``checked``. What its signature says is what is asked of its arguments: kinds, last
+axes, names out of a few. What sizes make sense it says itself.
+"""
+
+import collections.abc
+import inspect
+import os
+import types
+import typing
+from collections.abc import Callable
+from functools import cache, wraps
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.model.arguments import shown
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Tail = tuple[int | str, ...]
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """A function whose arguments are checked by its annotations.
+
+    Raises, when called:
+        TypeError: for an argument of another kind.
+        ValueError: for other last axes, or a name that is none of those that may be given.
+    """
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            given = signature.bind(*args, **kwargs).arguments
+        except TypeError:
+            # Too few, too many or unknown: Python's own message says it best.
+            return function(*args, **kwargs)
+        hints = hints_of(function)
+        for name, value in given.items():
+            if name in hints:
+                check_value(name, value, hints[name])
+        return function(*args, **kwargs)
+
+    call.__is_checked__ = True  # type: ignore[attr-defined]
+    return call
+
+
+@cache
+def hints_of(function: Callable) -> dict[str, Any]:
+    """The annotations of a function's named parameters."""
+    inner = inspect.unwrap(function)
+    named = {
+        name
+        for name, parameter in inspect.signature(inner).parameters.items()
+        if parameter.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    }
+    hints = {}
+    for name, hint in inspect.get_annotations(inner).items():
+        try:
+            hints[name] = eval(hint, inner.__globals__) if isinstance(hint, str) else hint
+        except NameError:
+            # A type of a package that need not be installed: what it is of stays unchecked.
+            continue
+    return {name: hint for name, hint in hints.items() if name in named}
+
+
+def check_value(name: str, value: Any, hint: Any) -> None:
+    """Raise where a value is not of an annotation."""
+    wrong = _misfit(value, hint)
+    if wrong is None:
+        return
+    kind, expected = wrong
+    if kind is ValueError and hasattr(value, "shape"):
+        raise ValueError(f"{name} has shape {tuple(value.shape)}: expected {expected}")
+    dtype = getattr(value, "dtype", None)
+    what = shown(value) if dtype is None or np.shape(value) == () else f"an array of {dtype}"
+    if isinstance(value, str) and kind is ValueError:
+        what = repr(value)
+    raise kind(f"{name} is {what}: expected {expected}")
+
+
+def _misfit(value: Any, hint: Any) -> tuple[type[Exception], str] | None:
+    """The error and what was expected; None where the value fits."""
+    origin = typing.get_origin(hint)
+    if origin in (typing.Union, types.UnionType):
+        return _misfit_of_all(value, typing.get_args(hint))
+    if origin is typing.Literal:
+        names = typing.get_args(hint)
+        fits = any(value is name or (type(value) is type(name) and value == name) for name in names)
+        *others, last = map(repr, names)
+        return None if fits else (ValueError, f"{', '.join(others)} or {last}" if others else last)
+    if hint is Any:
+        return None
+    if hint is None or hint is type(None):
+        return None if value is None else (TypeError, "None")
+    if hasattr(hint, "dim_str") or hint in _ARRAYS:
+        return _misfit_of_numbers(value, _tail(getattr(hint, "dim_str", "...")))
+    if hint in _SCALARS:
+        text, is_one = _SCALARS[hint]
+        return None if is_one(value) else (TypeError, text)
+    return _misfit_of_class(value, origin or hint)
+
+
+def _misfit_of_all(value: Any, hints: tuple) -> tuple[type[Exception], str] | None:
+    misfits = [_misfit(value, hint) for hint in hints]
+    wrong = [misfit for misfit in misfits if misfit is not None]
+    if len(wrong) < len(misfits):
+        return None
+    kinds = {kind for kind, _ in wrong}
+    said = (text for kind, text in wrong if kind is ValueError or ValueError not in kinds or text == "None")
+    texts = dict.fromkeys(said)
+    return (ValueError if ValueError in kinds else TypeError), " or ".join(texts)
+
+
+def _misfit_of_class(value: Any, kind: Any) -> tuple[type[Exception], str] | None:
+    if kind is collections.abc.Callable:
+        return None if callable(value) else (TypeError, "a function")
+    if not isinstance(kind, type) or (getattr(kind, "_is_protocol", False) and not _is_runtime(kind)):
+        return None
+    if isinstance(value, str) and issubclass(str, kind) and kind is not str:
+        # A text is a sequence of texts, and never meant as one.
+        return TypeError, "a list, not one text"
+    fits = isinstance(value, kind) or (kind in (list, tuple) and isinstance(value, list | tuple))
+    return None if fits else (TypeError, f"a {kind.__name__}")
+
+
+def _is_runtime(kind: type) -> bool:
+    return getattr(kind, "_is_runtime_protocol", False)
+
+
+def _tail(dimensions: str) -> Tail:
+    """The last axes that an annotation such as ``"*batch n 3"`` fixes."""
+    tail: list[int | str] = []
+    for one in reversed(dimensions.split()):
+        if one.startswith(("*", "#*", "...")):
+            break
+        tail.append(int(one) if one.isdigit() else one.lstrip("#"))
+    return tuple(reversed(tail))
+
+
+def _misfit_of_numbers(value: Any, tail: Tail) -> tuple[type[Exception], str] | None:
+    shape = f" of shape (..., {', '.join(map(str, tail))})" if tail else ""
+    wanted = f"an array of numbers{shape}"
+    if isinstance(value, list | tuple):
+        try:
+            value = np.asarray(value)
+        except ValueError:
+            return TypeError, wanted
+    dtype = getattr(value, "dtype", None)
+    if dtype is None:
+        return None if not tail and _is_number(value) else (TypeError, wanted)
+    if np.dtype(dtype).kind not in "fiub" and not jnp.issubdtype(dtype, jnp.floating):
+        return TypeError, wanted
+    own = np.shape(value)[len(np.shape(value)) - len(tail) :]
+    if len(own) < len(tail) or any(isinstance(size, int) and size != found for size, found in zip(tail, own)):
+        return ValueError, f"(..., {', '.join(map(str, tail))})"
+    return None
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool | np.bool_):
+        return False
+    if isinstance(value, int | float | np.integer | np.floating):
+        return True
+    dtype = getattr(value, "dtype", None)
+    return dtype is not None and np.shape(value) == () and np.dtype(dtype).kind in "fiu"
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) or np.dtype(getattr(value, "dtype", float)).kind in "iu"
+
+
+_SCALARS: dict[Any, tuple[str, Callable[[Any], bool]]] = {
+    float: ("a number", _is_number),
+    int: ("a whole number", _is_whole),
+    bool: ("True or False", lambda value: isinstance(value, bool | np.bool_)),
+    str: ("a text", lambda value: isinstance(value, str)),
+    os.PathLike: ("a path", lambda value: isinstance(value, os.PathLike)),
+}
+_ARRAYS = (jax.Array, np.ndarray, typing.get_args(jax.typing.ArrayLike)[0])

@@ -12,6 +12,8 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 
 WIDTHS = (2, 4, 6, 8, 12, 16, 20, 24, 32, 48, 64)
+LARGEST_BLOCK = 1 << 17
+"""Problems that are computed at a time: enough to keep every device busy, and few beside what memory holds."""
 WORTH_A_SHAPE = 30_000
 """Problems that a shape of its own must serve; below, padding costs less time than compiling."""
 
@@ -46,19 +48,22 @@ def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[Block]:
     The problems of grasp ``i`` of a block stand together, one for each wrench. In a stream of chunks, a
     block is brought to the size of a full ``chunk``, or an eighth of it where grasps of several widths
     share the chunk, by zeros, on which no solver spends time; so later chunks meet shapes that are
-    compiled already. The extra answers come last.
+    compiled already. The extra answers come last. What is larger than ``LARGEST_BLOCK`` comes in blocks of that size.
     """
     padded = widths(sets.sizes, sets.wrenches)
     different = np.unique(padded)
     step = chunk if len(different) == 1 else max(1, chunk // 8)
     step = -(-step // devices) * devices
     for width in different:
-        rows = np.flatnonzero(padded == width)
-        chosen = sets if len(rows) == len(sets) else sets.rows(rows)
-        missing = -len(rows) % step
-        wide = partial(_widen, missing=missing, repeats=sets.wrenches)
-        grasp, limits = jax.tree.map(wide, (chosen.padded(int(width)), chosen.limits(int(width))))
-        yield Block(rows, grasp, limits, _widen(chosen.wrench, missing, 1).reshape(-1, 6))
+        every = np.flatnonzero(padded == width)
+        most = max(devices, LARGEST_BLOCK // sets.wrenches // devices * devices)
+        size = most if len(every) > most else -(-len(every) // step) * step
+        for start in range(0, len(every), size):
+            rows = every[start : start + size]
+            chosen = sets if len(rows) == len(sets) else sets.rows(rows)
+            wide = partial(_widen, missing=size - len(rows), repeats=sets.wrenches)
+            grasp, limits = jax.tree.map(wide, (chosen.padded(int(width)), chosen.limits(int(width))))
+            yield Block(rows, grasp, limits, _widen(chosen.wrench, size - len(rows), 1).reshape(-1, 6))
 
 
 def _widen(array: np.ndarray, missing: int, repeats: int) -> np.ndarray:

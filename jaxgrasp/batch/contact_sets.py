@@ -99,12 +99,14 @@ class ContactSets:
         given = {name: getattr(grasp, name) for name in (*CONTACT_FIELDS, "torsion")}
         given |= {name: getattr(limits, name, None) for name in BOUNDS}
         columns: dict[str, Any] = {name: np.asarray(array) for name, array in given.items() if array is not None}
-        leading = np.asarray(grasp.friction).ndim
+        leading, everywhere = np.asarray(grasp.friction).ndim, bool(present.all())
         for name, array in columns.items():
             if name == "torque_max":
                 columns[name] = array.reshape(count, -1)
             else:
-                columns[name] = array.reshape(count, n, *array.shape[leading:])[present]
+                by_contact = array.reshape(count * n, *array.shape[leading:])
+                # A mask would copy all of it.
+                columns[name] = by_contact if everywhere else by_contact[present.ravel()]
         offsets = np.concatenate([[0], np.cumsum(present.sum(1))])
         return cls(**columns, offsets=offsets, wrench=as_wrenches(np.asarray(wrench), count))
 

@@ -88,27 +88,26 @@ def run(engine: Engine, sets: ContactSets, chunk: int = 1) -> dict[str, MethodRe
 
     ``chunk`` is the number of grasps in a full chunk, for a stream of them; see ``blocks``.
     """
-    parts = [
-        (block.rows, engine.run(block, len(block.rows) * sets.wrenches))
-        for block in blocks(sets, chunk, engine.devices)
-    ]
-    results = {}
-    for method in engine.methods:
-        shaped = {name: _empty(name, sets) for name in _given([part[method.name] for _, part in parts])}
-        for rows, part in parts:
-            _place(shaped, part[method.name], rows, sets)
-        results[method.name] = MethodResult(**shaped)
-    return results
+    shaped: dict[str, dict[str, np.ndarray]] = {}
+    for block in blocks(sets, chunk, engine.devices):
+        for method, part in engine.run(block, len(block.rows) * sets.wrenches).items():
+            own = shaped.setdefault(method, {name: _empty(name, sets) for name in _given(part)})
+            _place(own, part, block.rows, sets)
+    if not shaped:
+        shaped = {method.name: {name: _empty(name, sets) for name in ALWAYS} for method in engine.methods}
+    return {name: MethodResult(**arrays) for name, arrays in shaped.items()}
 
 
 BY_CONTACT = ("forces", "moments", "normal_multiplier")
 
 
-def _given(parts: list[MethodResult]) -> list[str]:
+ALWAYS = tuple(field.name for field in fields(MethodResult) if field.default is MISSING)
+"""What every result has."""
+
+
+def _given(part: MethodResult) -> list[str]:
     """The fields that there are."""
-    if not parts:
-        return [field.name for field in fields(MethodResult) if field.default is MISSING]
-    return [field.name for field in fields(MethodResult) if getattr(parts[0], field.name) is not None]
+    return [field.name for field in fields(MethodResult) if getattr(part, field.name) is not None]
 
 
 def _empty(name: str, sets: ContactSets) -> np.ndarray:

@@ -85,6 +85,7 @@ def test_lost_precision_is_said():
         jaxgrasp.closed_form(grasp, grasp.points[0].repeat(2))
 
 
+@pytest.mark.slow
 def test_a_warning_points_at_the_users_line():
     in_a_new_process(
         "import warnings, numpy as np, jaxgrasp\n"

@@ -51,7 +51,7 @@ def test_the_ten_lines_run(ten_lines):
     assert ten_lines["by_squeeze"].shape == (3, 3, 3)
 
 
-QUICK_PAGES = ("answers", "experiments")
+QUICK_PAGES = ("answers",)
 
 
 def _with_marks(page: Path):

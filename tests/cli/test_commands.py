@@ -101,6 +101,7 @@ def test_a_folder_in_which_another_works_is_refused_before_anything_is_read(gras
     assert f"out: process {os.getpid()}, at work since" in done.stderr and "choose another --out" in done.stderr
 
 
+@pytest.mark.slow
 def test_outward_normals_are_suspected_and_turned(grasps):
     with np.load("grasps.npz") as archive:
         columns = dict(archive)

@@ -119,6 +119,7 @@ def test_a_file_of_misses_is_an_error(scene, run):
     assert not (scene / "contacts.npz").exists()
 
 
+@pytest.mark.slow
 def test_a_gripper_that_starts_inside_is_left_out_and_named(scene, run):
     moved = poses()
     moved[1, :3, 3] += moved[1, :3, 0] * 0.045

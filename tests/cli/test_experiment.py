@@ -81,6 +81,7 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
     assert main(["experiment", "analyse", "jaxgrasp-experiment", "--method", "line", "--criterion", "0.96"]) == 0
 
 
+@pytest.mark.slow
 def test_power(folder, capsys):
     assert main(["experiment", "power", "--wanted", "0.03"]) == 0
     lines = capsys.readouterr().out.splitlines()

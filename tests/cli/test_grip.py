@@ -62,6 +62,7 @@ def test_a_cylinder_is_held_and_let_go(folder, capsys, grip, kind):
     assert lifted[:76].max() > 0.15 and lifted[-1] < lifted[75] - 0.05
 
 
+@pytest.mark.slow
 def test_a_grip_out_of_reach_is_said(folder, capsys):
     assert main(["grip", "--grip", "precision-5", "--object", "sphere", "--radius", "0.003"]) == 1
     assert "no precision grip of 5 fingers on this Sphere was found" in capsys.readouterr().err

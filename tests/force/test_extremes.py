@@ -74,7 +74,7 @@ def test_half_precision_is_solved_in_single(dtype):
 
 
 @pytest.mark.parametrize("dtype", POWERS)
-@pytest.mark.parametrize("sharing", ["squeeze", "uniform"])
+@pytest.mark.parametrize("sharing", ["squeeze", pytest.param("uniform", marks=pytest.mark.slow)])
 def test_a_weight_that_processors_take_for_zero_is_refused(dtype, sharing):
     """One of zero is a contact that cannot move: no answer to a problem in which it can."""
     problem = P.problems("ordinary", N, COUNT, seed=2).cast(np.dtype(dtype).type)

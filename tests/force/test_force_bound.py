@@ -30,7 +30,6 @@ def wide(grasp: Grasp) -> Grasp:
     return jax.tree.map(lambda array: np.asarray(array, float), grasp)
 
 
-@jax.jit
 def solve(grasp: Grasp, wrench: np.ndarray, largest_force=None) -> Solution:
     return jaxgrasp.constrained_optimum(grasp, wrench, largest_force=largest_force)
 
@@ -67,7 +66,7 @@ def test_it_is_the_certificates(both):
 
 def test_what_the_hand_could_exert_leaves_open_what_is_not_excluded(both):
     grasp, wrench, single, double = both
-    could = np.float32(2e4)
+    could = 2e4
     asked = jax.device_get(solve(grasp, wrench, could))
     short = (single.verdict == Verdict.INFEASIBLE) & (single.force_bound < could)
     assert 0 < short.sum() < (single.verdict == Verdict.INFEASIBLE).sum()
@@ -79,35 +78,27 @@ def test_what_the_hand_could_exert_leaves_open_what_is_not_excluded(both):
     np.testing.assert_array_equal(jax.device_get(solve(wide(grasp), wrench.astype(float), 2e4)).verdict, double.verdict)
 
 
-def test_advice_says_how_far_a_proof_reaches():
-    problem = P.problems("infeasible", 4, 2, seed=0)
-    grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    found = jaxgrasp.constrained_optimum(grasp, problem.wrench)
-    assert f"up to {float(found.force_bound[0]):.3g} N in all" in found[0].advice
-    assert found[0].advice in str(found[0])
-    with pytest.raises(ValueError, match=r"this is a batch \(2,\)"):
+def test_advice_says_how_far_a_proof_reaches(both):
+    found = both[3]
+    one, held = (int(np.flatnonzero(found.verdict == v)[0]) for v in (Verdict.INFEASIBLE, Verdict.OPTIMAL))
+    assert f"up to {found.force_bound[one]:.3g} N in all" in found[one].advice
+    assert found[one].advice in str(found[one])
+    assert found[held].advice == Verdict.OPTIMAL.advice
+    with pytest.raises(ValueError, match=r"this is a batch \(256,\)"):
         _ = found.advice
-    good = P.problems("ordinary", 4, 1, seed=0)
-    held = jaxgrasp.constrained_optimum(
-        Grasp(good.points[0], good.normals[0], good.friction[0], good.squeeze[0]), good.wrench[0]
-    )
-    assert held.advice == Verdict(int(held.verdict)).advice
 
 
-@pytest.mark.parametrize("bad", [-1.0, "much", np.array([1.0, -2.0]), None])
+@pytest.mark.parametrize("bad", [-1.0, "much", np.array([1.0, -2.0])])
 def test_a_largest_force_that_is_none_is_refused(unchecked, bad):
     problem = P.problems("ordinary", 3, 2, seed=0)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)
-    if bad is None:
-        jaxgrasp.constrained_optimum(grasp, problem.wrench, largest_force=bad)
-        return
     with pytest.raises(ValueError, match="largest_force is .*: expected a number, 0 or more"):
         jaxgrasp.constrained_optimum(grasp, problem.wrench, largest_force=bad)
 
 
 def test_a_collinear_grasp_makes_no_wrench_vanish():
     """In single precision a line's own axis is out of reach by rounding; what is asked about it is missed, and said."""
-    grasp, wrench = near_a_line(3, "float32")
+    grasp, wrench = near_a_line(5, "float32")
     line = Grasp(np.float32(1e-4) * grasp.points, grasp.normals, grasp.friction, grasp.squeeze)
     for given in (grasp, line):
         found = jax.device_get(solve(given, wrench))

@@ -151,6 +151,7 @@ def test_a_guide_never_makes_it_dearer():
         assert ((tighter.verdict == Verdict.INFEASIBLE) | (looser.objective <= tighter.objective * (1 + 1e-9))).all()
 
 
+@pytest.mark.slow
 def test_a_rail_without_friction_cannot_be_climbed():
     """Two frictionless fingers level with each other press; nothing lifts."""
     points, normals = np.array([[0.02, 0, 0], [-0.02, 0, 0]]), np.array([[-1.0, 0, 0], [1, 0, 0]])

@@ -278,6 +278,7 @@ def test_derivatives_where_a_contact_holds():
     np.testing.assert_allclose(np.sum(by_wrench * -others, -1)[ends], -1.0, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_absent_contacts_and_endless_margins_have_zero_derivatives():
     problem, direction, present = case(*KNOWN["feet slide"][:5])
     problem.points[32:], problem.normals[32:], present[32:] = np.nan, np.nan, 0

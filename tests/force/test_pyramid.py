@@ -138,6 +138,7 @@ def test_most_are_solved_and_the_rest_is_said(by_sides):
         assert (others == Verdict.OPTIMAL).mean() > (0.8 if sides == 4 else 0.9)
 
 
+@pytest.mark.slow
 def test_forces_are_allowed_and_balance(batch, by_sides):
     for solution in by_sides.values():
         good = solution.verdict == Verdict.OPTIMAL

@@ -196,6 +196,7 @@ def test_torsion_that_cannot_be_used_is_a_verdict(value):
     assert found.verdict == Verdict.INVALID_DATA and not np.asarray(found.forces).any()
 
 
+@pytest.mark.slow
 def test_moments_use_up_the_friction_margin():
     """On the ellipse the margin is zero, whatever the share of the moment in it; and monitor sees the contact slide."""
     share = np.linspace(0, 1, 9)

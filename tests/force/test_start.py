@@ -31,6 +31,7 @@ def starts_about(multiplier: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ordinary", "near_collinear", "infeasible"])
 def test_the_answer_does_not_depend_on_the_start(kind):
     problem = P.problems(kind, 5, COUNT, seed=3)

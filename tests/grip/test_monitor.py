@@ -73,6 +73,7 @@ def test_another_law_is_refused(case, unchecked):
         monitor(case[0], case[1], law="hope")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sharing", ["uniform", "squeeze"])
 def test_sharing_is_named_or_given(sharing):
     made = P.problems("ordinary", 4, 6, seed=2)

@@ -131,6 +131,7 @@ def test_contacts_move_with_the_scene(case):
     np.testing.assert_allclose(again.points[found.present == 1], points, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_alone_mapped_and_batched_are_one(case):
     shape, posture, placed, found = case
     alone = [

@@ -72,6 +72,7 @@ def test_contacts_move_with_both(box, obstacle):
     np.testing.assert_allclose(moved.normals * there, found.normals @ turn.T * there, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_two_trees_press_each_other_alike():
     """Deepest overlap and its direction, seen from either side."""
     trees = sphere_tree(BOX, 4), sphere_tree(Sphere(0.04), 4)

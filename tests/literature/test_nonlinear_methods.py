@@ -57,6 +57,7 @@ def test_nakamura_proves_what_cannot_be_held():
     assert (nakamura(grasp_of(problem), problem.wrench).status == MethodStatus.INFEASIBLE).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sharing", ["squeeze", "uniform"])
 def test_kuhn_tucker_is_dearer_than_the_cones_and_closes_in_on_them(problem, sharing):
     optimum = constrained_optimum(grasp_of(problem), problem.wrench, sharing)

@@ -29,6 +29,7 @@ def answers_of(folder, people: int, stimulus=None, plan: Plan = PLAN, observers=
     return load_experiment(folder)
 
 
+@pytest.mark.slow
 def test_what_is_there_is_found(folder):
     """Weber fractions of persons and of all, the line through JNDs, and that references differ."""
     found = analyse(answers_of(folder, 6), SETTINGS)

@@ -30,6 +30,7 @@ def data_of(page: str) -> dict[str, dict]:
     return {name: json.loads(text) for name, text in found}
 
 
+@pytest.mark.slow
 def test_figures_show_what_was_found(folder):
     found = done(PLAN, folder)
     page = experiment_html(found)

@@ -101,6 +101,7 @@ def test_forward_and_reverse_are_one(whole):
     np.testing.assert_allclose(found.derivatives, forward.derivatives, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_any_tree_of_outputs_and_any_choice_of_parameters():
     labels = {"contributions": FINGERS, "slip_angle": FINGERS, "forces": FINGERS}
     found = sensitivity_matrix(slips, VALUES, ["contributions[index]", "stiffness", "points[0, 2]"], labels=labels)

@@ -87,6 +87,7 @@ def test_vmap_of_vmap_under_jit_is_the_batch(flat, rows):
     same(nested(*(x.reshape(8, 8, *x.shape[1:]) for x in rows)), expected)
 
 
+@pytest.mark.slow
 def test_loop_over_single_calls_is_the_batch(flat, rows):
     method, expected = flat
     alone = [jax.device_get(solve(method, *(x[i] for x in rows))) for i in range(COUNT)]

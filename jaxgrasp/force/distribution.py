@@ -76,7 +76,7 @@ def constrained_optimum(
             greater than 0, or one for each problem, an array of the leading axes.
         largest_force: what the hand could exert at most, as a sum of normal forces [N], a number or one for each
             problem. An INFEASIBLE whose certificate proves less, ``force_bound``, is no answer then and comes back as
-            NOT_CONVERGED: in float32 a proof may end at 181 times the load. ``None`` takes any proof.
+            NOT_CONVERGED: in float32 a proof may end at 20 times the load. ``None`` takes any proof.
         start: the ``multiplier`` of a problem close by, such as the instant before in a loop that solves one after
             the other: where cones are active, fewer steps lead from there. The answer does not depend on it. A
             batch of instants is faster still, and needs none.

@@ -127,8 +127,8 @@ class Solution(Batched):
     contact can push along it; the object escapes along -d. Zero otherwise."""
     force_bound: Float[Array, "*batch"]
     """For INFEASIBLE, what the certificate proves: any allowed forces of this wrench would have normal components of
-    at least so much in all [N], over the contacts that no limit bounds. In float64 it is at least 4.2e6 times the
-    load, in float32 181 times: what lies beyond is not excluded. Zero for other verdicts."""
+    at least so much in all [N], over the contacts that no limit bounds. In float64 it is at least 4.6e5 times the
+    load, in float32 20 times: what lies beyond is not excluded. Zero for other verdicts."""
     # Where the problem has no such thing, there is no field to fill.
     moments: Float[Array, "*batch n"] | None = None
     """What soft fingers exert about their normals [N.m]; ``None`` where the grasp has no torsion."""

@@ -19,6 +19,9 @@ from jaxgrasp.solver import dual, torque_limits
 from jaxgrasp.solver.result import Certificate
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
+STATED = 8.0
+"""Times the rounding of a direction that is granted to whoever computes anew what it proves."""
+
 
 def least_normal_force(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
     """The total normal force that ``direction`` (in the coordinates) proves to be needed, as of a Certificate.
@@ -41,9 +44,9 @@ def least_normal_force(problem: ScaledProblem, direction: Array, constraints: To
     held = data.squeeze * vec3.dot(twist.linear, data.normals)
     work = work - vec3.totals(jnp.where(can_move, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
-    rounding = 8 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
+    rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
     proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
-    return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, rounding)), 0)
+    return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, 0) + STATED * rounding), 0)
 
 
 @fused_cpu_kernel

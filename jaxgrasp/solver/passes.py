@@ -172,19 +172,22 @@ def _optimum_result(
     more = ~careful & result.undecided & ~(state.stalled | converged | problem.ill_conditioned)[0]
     result = result._replace(verdict=jnp.where(more, Verdict.OUTSIDE_CONES, result.verdict))
     # Without squeezing, proofs that there are no allowed forces hold; such forces may not be the optimum.
-    verdict = jnp.where(_costs_least(problem, state.forces, own, prior), Verdict.OPTIMAL, Verdict.FEASIBLE)
+    cost, least = _cost(problem, state.forces, own, prior)
+    verdict = jnp.where(least, Verdict.OPTIMAL, Verdict.FEASIBLE)
     feasible = ~squeezed & (result.verdict == Verdict.OPTIMAL)
     vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | (torque_passes.solved(prior) & feasible))
     result = result._replace(
         verdict=jnp.where(feasible, verdict, result.verdict),
+        objective=jnp.where(feasible, cost, result.objective),
         multiplier=jnp.where(squeezed, result.multiplier, prior.multiplier),
     )
     return merged(vain, prior, result)
 
 
-def _costs_least(problem: ScaledProblem, forces: ContactVec, own: ContactData, prior: PassResult) -> Array:
-    """Whether forces cost no more than ``prior`` proves necessary, within the gap of a converged optimum."""
+def _cost(problem: ScaledProblem, forces: ContactVec, own: ContactData, prior: PassResult) -> tuple[Array, Array]:
+    """The objective of forces in the problem as it is, and whether it is what ``prior`` proves to be least, within the
+    gap of a converged optimum."""
     user = problem.data._replace(squeeze=own.squeeze, weights=own.weights)
     (cost,) = vec3.totals(dual.deviation_cost(user, contact_vec.scale(problem.scaling.load, forces)))
     gap = tolerances(cost.dtype).gap * jnp.maximum(cost, dual.objective_of_no_force(user))
-    return (cost - prior.objective[None] <= gap)[0]
+    return cost[0], (cost - prior.objective[None] <= gap)[0]

@@ -17,12 +17,12 @@ from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.metric import squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
-from jaxgrasp.problem.spatial import parts
+from jaxgrasp.problem.spatial import SpatialVec, parts
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.newton import as_returned, damped, optimality_by
+from jaxgrasp.solver.newton import LOOSE_FACTOR, as_returned, damped
 from jaxgrasp.solver.proximal import ProximalState
-from jaxgrasp.solver.result import measure_forces
+from jaxgrasp.solver.result import Measurement, measure_forces
 
 REFINING_STEPS = 4
 """Newton steps: the digits double with each, and the first starts from about half of them."""
@@ -51,8 +51,8 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
         forces = as_returned(contact_vec.where(i <= REFINING_STEPS, nearest, corrected))
         found = measure_forces(problem, forces)
         left = problem.coordinates.wrench(*parts(found.residual))
-        check = optimality_by(data, forces, point, left, squared_norm(problem.metric, left), found)
-        good = wanting & check.loosely_optimal & (found.error <= enough)
+        balanced = (found.error <= enough) & (squared_norm(problem.metric, left) <= _small(found))
+        good = wanting & balanced & _costs_least(problem, found.objective, point)
         state = state._replace(
             point=jnp.where(good, point, state.point),
             forces=contact_vec.where(good, forces, state.forces),
@@ -74,3 +74,18 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
     start = varying_like((target, target, state.point, wanting, state), problem, state)
     trips = jnp.where(jnp.any(wanting), REFINING_STEPS + CORRECTIONS + 1, 0)
     return lax.fori_loop(0, trips, step, start)[-1]
+
+
+def _small(found: Measurement) -> Array:
+    """Largest squared residual of forces of that size."""
+    return (LOOSE_FACTOR * tolerances(found.error.dtype).gradient * (1 + found.total_normal_force)) ** 2
+
+
+def _costs_least(problem: ScaledProblem, objective: Array, point: SpatialVec) -> Array:
+    """Whether an objective is what the dual at ``point`` proves to be least, within the gap of an optimum.
+
+    The forces have left those that the point stands for, so that their residual alone does not tell.
+    """
+    least = dual.dual_value(problem, dual.candidate_forces(problem, point), point)
+    scale = jnp.maximum(jnp.abs(objective), dual.objective_of_no_force(problem.data))
+    return objective - least <= LOOSE_FACTOR * tolerances(objective.dtype).gap * scale

@@ -22,6 +22,8 @@ class Worth(NamedTuple):
     """Distance of the forces from their cones, beside the largest of them."""
     gap: np.ndarray
     """Objective less the dual's value at the multiplier, beside the objective or that of no force."""
+    rounding: np.ndarray
+    """How far, on the scale of the gap, the optimum moves when every number of the data moves by a part of 1 of it."""
     proven: np.ndarray
     """Total of normal forces that the certificate proves to be needed at least [N]; inf where there are none at all."""
 
@@ -46,7 +48,11 @@ def worth(problem: Sample, weights: np.ndarray, forces: np.ndarray, multiplier: 
     idle = _cost(np.zeros_like(f), a, s, k).sum(-1)
     scale = np.maximum(objective, np.where(idle > 0, idle, 1e-300))
     apart = np.sqrt(_square(f - _projected(f, a, mu))).max(-1) / largest
-    found = missed, load, size.sum(-1), apart, (objective - dual) / scale, _needed(certificate, p, a, mu, k, w)
+    linear, angular = (np.sqrt(_square(np.asarray(part, Wide))) for part in (multiplier[:, :3], multiplier[:, 3:]))
+    lever = linear[:, None] + angular[:, None] * np.sqrt(_square(p))
+    moved = np.sum(lever * size, -1) + linear * np.sqrt(_square(w[:, :3])) + angular * np.sqrt(_square(w[:, 3:]))
+    needed = _needed(certificate, p, a, mu, k, w)
+    found = missed, load, size.sum(-1), apart, (objective - dual) / scale, moved / scale, needed
     return Worth(*(np.asarray(array, float) for array in found))
 
 

@@ -31,8 +31,8 @@ class Allowed(NamedTuple):
 
 
 ALLOWED = {
-    "float64": Allowed(2e-8, 32, 1e-13, 1e-8, 1e6),
-    "float32": Allowed(5e-4, 64, 4e-6, 3e-3, 40.0),
+    "float64": Allowed(2e-8, 32, 1e-13, 1e-8, 4e5),
+    "float32": Allowed(5e-4, 64, 4e-6, 3e-3, 20.0),
 }
 
 
@@ -55,7 +55,8 @@ def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution) -> N
     allowed = ALLOWED[problem.wrench.dtype.name]
     value = worth(problem, weights, found.forces, found.multiplier, found.certificate)
     # Points metres away are themselves known to a rounding of their distance only.
-    far = 1 + np.sqrt(np.sum(problem.points.mean(1) ** 2, -1) / np.mean(np.ptp(problem.points, axis=1) ** 2, -1))
+    apart = np.sqrt(np.mean(np.ptp(problem.points, axis=1) ** 2, -1))
+    far = 1 + np.linalg.norm(problem.points.mean(1), axis=-1) / np.maximum(apart, 1e-3)
     granted = allowed.roundings * np.finfo(problem.wrench.dtype).eps * far * (value.size + value.load)
     answered = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
     optimal = found.verdict <= Verdict.OPTIMAL
@@ -63,7 +64,7 @@ def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution) -> N
     broken = {
         "balance": answered & ~(value.missed <= allowed.missed * value.load + granted),
         "cones": answered & ~(value.outside <= allowed.outside * far),
-        "optimality": optimal & ~(value.gap <= allowed.gap * far),
+        "optimality": optimal & ~(value.gap <= allowed.gap + 4 * np.finfo(problem.wrench.dtype).eps * value.rounding),
         "proof": infeasible & ~(value.proven >= found.force_bound / far),
         "reach of a proof": infeasible
         & ~(found.force_bound >= allowed.proof * np.sqrt(np.sum(problem.wrench[:, :3] ** 2, -1))),

@@ -317,7 +317,7 @@ def ticks(plan: Plan) -> dict:
 
     from jaxgrasp.glove.model import lrp_hand_master
     from jaxgrasp.grip.tick import observe
-    from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_and_slope
+    from jaxgrasp.lab.glove_hand import felt, glove_hand, resistance
     from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 
     jax.config.update("jax_enable_x64", True)
@@ -326,7 +326,11 @@ def ticks(plan: Plan) -> dict:
     worn = glove_hand(scene.hand, model, np.asarray(closed.angles))
     angles = jnp.asarray(closed.angles)[np.array(worn.places)]
     contacts = int(np.sum(jax.device_get(observe(scene, closed, placed).grasp.present)))
-    calls = {"torques": resistance, "with_derivative": resistance_and_slope}
+    at_rest = np.zeros(6)
+    calls = {
+        "torques": resistance,
+        "with_derivative": lambda *asked: felt(*asked, at_rest, law="closed-form")[:2],
+    }
     spent: dict[str, list[float]] = {name: [] for name in calls}
     for k in range(plan.ticks + 1):
         for name, call in calls.items():

@@ -68,8 +68,13 @@ class Run(GloveFiles):
     """Control torques by the measured tensions."""
     projection: Literal["clip", "scale"] = "clip"
     """Clip each torque at its limit, or scale all together and keep their direction."""
+    law: Literal["closed-form", "optimum"] = "optimum"
+    """Which forces the hand applies: they are what is felt, and decide whether the object slips."""
     tracker: str | None = None
     """Port of a Polhemus tracker that moves the wrist."""
+    alignment: Path | None = None
+    """How the tracker stands, as `jaxgrasp glove align` wrote it; without one its axes are the world's, and its first
+    sample is the hand at home."""
     tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary"] = "isotrak-binary"
     """Protocol of the tracker."""
     tracker_baud: int = 115_200
@@ -99,6 +104,20 @@ class Calibrate:
 
 
 @dataclass(frozen=True)
+class Align:
+    """Find out how a tracker stands: hold the hand at home, move it forward, move it up; write the alignment."""
+
+    tracker: tyro.conf.Positional[str]
+    """Port of the Polhemus tracker."""
+    tracker_protocol: Literal["isotrak-binary", "fastrak-ascii", "fastrak-binary"] = "isotrak-binary"
+    """Its protocol."""
+    tracker_baud: int = 115_200
+    """Baud rate of its serial line."""
+    out: Path = Path("alignment.json")
+    """The alignment, for `jaxgrasp glove run --alignment`."""
+
+
+@dataclass(frozen=True)
 class Ports:
     """List the serial ports of this machine."""
 
@@ -113,6 +132,7 @@ class Glove:
             | Annotated[Monitor, tyro.conf.subcommand("monitor")]
             | Annotated[Run, tyro.conf.subcommand("run")]
             | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+            | Annotated[Align, tyro.conf.subcommand("align")]
             | Annotated[Ports, tyro.conf.subcommand("ports")]
         ]
     ]

@@ -22,6 +22,7 @@ from jaxgrasp.glove.loop.peers import EngineLink
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
@@ -55,11 +56,11 @@ def run_command(arguments: Run) -> int:
 
 
 def _play(arguments: Run, model: GloveModel) -> int:
-    for name in ("seconds", "control", "tracker"):
+    for name in ("seconds", "control", "tracker", "alignment"):
         if getattr(arguments, name):
             raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
     show("compiling, and playing the whole story: a minute or two")
-    story = grasp_and_lift(model)
+    story = grasp_and_lift(model, arguments.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
@@ -118,12 +119,13 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
 
 def _render(arguments: Run, model: GloveModel, options: dict) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
+    alignment = None if arguments.alignment is None else load_alignment(arguments.alignment)
     scene, closed, placed = cylinder_scene()
-    haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
+    haptics = Haptics(scene, model, np.asarray(closed.angles), placed, arguments.law)
     show("compiling")
     warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)
-    wrist = Wrist(tracker)
+    wrist = Wrist(tracker, alignment)
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     try:
         if arguments.connect is not None:
@@ -202,11 +204,10 @@ class Orders:
 
 
 class Wrist:
-    """Where the wrist is: at the origin, or moved from there as a tracker moves from its first sample."""
+    """Where the wrist is: at the origin, or where a tracker has it, aligned by three places or by its first sample."""
 
-    def __init__(self, tracker: Tracker | None) -> None:
-        self._tracker = tracker
-        self._first: np.ndarray | None = None
+    def __init__(self, tracker: Tracker | None, alignment: Alignment | None = None) -> None:
+        self._tracker, self._alignment = tracker, alignment
 
     def __call__(self, now: float) -> Pose | None:
         """The pose at a time [s]; None while the tracker says nothing."""
@@ -215,16 +216,9 @@ class Wrist:
         sample = self._tracker.poll(now)
         if sample is None or now - self._tracker.sampled_at > OLDEST_POSE:
             return None
-        if self._first is None:
-            self._first = sample.position
-        return pose_at(sample.position - self._first, _rotation(sample.quaternion))
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """The matrix of a unit quaternion, real part first."""
-    w, v = quaternion[0], quaternion[1:]
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+        if self._alignment is None:
+            self._alignment = at_home(sample)
+        return pose_at(*self._alignment.pose(sample))
 
 
 def _tracker(arguments: Run) -> Tracker | None:

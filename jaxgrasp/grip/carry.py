@@ -1,9 +1,9 @@
 """A hand and an object over time: contacts, forces, verdict, and where the object goes next.
 
 - STABLE: the object goes where its contacts go.
-- SLIPPING: the contacts exert what comes closest to the wrench that would take it along, by how it would move
-  the object; what is missed of it lags behind, or slides down. Where the closed form slips although the optimum
-  holds, nothing is missed, and the object stays in the hand.
+- SLIPPING: what the contacts cannot exert of the wrench that would take it along lags behind, or slides down. By the
+  closed form each contact exerts its force as far as its friction goes, whether or not other forces would hold. By the
+  optimum, which slips only where none hold, they exert what comes closest, by how it would move the object.
 - LOST: it keeps the motion that it had, and falls.
 
 The wrench holds the object's weight, gives it the acceleration of its contacts, and resists the obstacles that it is
@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.force.reachable import reachable_wrench
+from jaxgrasp.force.reachable import Reachable, reachable_wrench
 from jaxgrasp.grip.falling import fallen, gone_on, led_on
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.motion import (
@@ -34,10 +34,12 @@ from jaxgrasp.grip.motion import (
 )
 from jaxgrasp.grip.obstacles import stop
 from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.grip.slipping import resultant
 from jaxgrasp.grip.tick import Tick, assessed, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.checked import checked
+from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 
 
@@ -50,8 +52,10 @@ class Instant(NamedTuple):
     hold: Hold
     stands: bool
     """Whether the table or an obstacle carried it."""
+    exerted: Float[Array, "L 3"]
+    """What the contacts exert on the object [N]."""
     missed: Float[Array, "6"]
-    """What of the wrench no allowed forces of these contacts could exert [N, N.m]."""
+    """What of the wrench that leaves [N, N.m]."""
 
 
 def stacked(record: list[Instant]) -> Instant:
@@ -76,7 +80,7 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
 
     Stable, it goes where its contacts go, and presses into obstacles as far as the hand presses it; slipping, what the
     contacts cannot exert of the wrench lags behind; lost, it falls. A loop in Python over compiled ticks, so that only
-    an object that slips pays for the closest wrench.
+    an object that slips by the optimum pays for the closest wrench.
 
     Args:
         scene: hand, object, table, guide, obstacles, and the laws of their contacts.
@@ -134,8 +138,8 @@ def advance(
     """
     tick, led = _tick(scene, dt, carried, posture, now, later, law=law)
     hold = Hold(int(tick.assessment.hold))
-    missed = _missed(scene, tick, carried.placed, hold)
-    instant = Instant(carried.placed, tick, hold, bool(carried.stands), missed)
+    exerted, missed = _exerted(scene, tick, carried.placed, hold, law)
+    instant = Instant(carried.placed, tick, hold, bool(carried.stands), exerted, missed)
     return instant, _go_on(scene, dt, carried, led, missed, tick.assessment.hold)
 
 
@@ -171,15 +175,21 @@ def _followed(
     return follow_along(scene.guide, now, later, points, weights, placed, dt)
 
 
-def _missed(scene: Scene, tick: Tick, placed: Pose, hold: Hold) -> Array:
-    """What of the wrench the contacts cannot exert, measured by how it would move the object."""
+def _exerted(scene: Scene, tick: Tick, placed: Pose, hold: Hold, law: Law) -> tuple[Array, Array]:
+    """What the contacts exert, and what that leaves of the wrench."""
     if hold == Hold.STABLE:
-        return jnp.zeros_like(tick.wrench)
-    if hold == Hold.LOST:
-        return tick.wrench
+        return tick.exerted, jnp.zeros_like(tick.wrench)
+    if hold == Hold.LOST or law == "closed-form":
+        return tick.exerted, tick.wrench - resultant(tick.grasp, tick.exerted)
+    closest = closest_forces(scene, tick.grasp, tick.wrench, placed)
+    return closest.forces, tick.wrench - closest.wrench
+
+
+def closest_forces(scene: Scene, grasp: Grasp, wrench: Array, placed: Pose) -> Reachable:
+    """What comes closest to a wrench that no allowed forces exert, by how what is missed moves the object."""
     inertia = spatial_inertia(scene.body, placed.rotation)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    return tick.wrench - reachable_wrench(tick.grasp, tick.wrench, inertia=inertia, free=free).wrench
+    return reachable_wrench(grasp, wrench, inertia=inertia, free=free)
 
 
 @jax.jit

@@ -115,7 +115,8 @@ def _assessed(
 
 
 def _solved(solution: Solution) -> Array:
-    return (solution.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (solution.verdict == Verdict.OPTIMAL)
+    """Whether the forces balance the wrench inside every cone, whether or not they are the best that do."""
+    return (solution.verdict <= Verdict.OPTIMAL) | (solution.verdict == Verdict.FEASIBLE)
 
 
 def _touches(grasp: Grasp, applied: Solution, there: Array, holds: Array) -> Array:

@@ -4,10 +4,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.grip.monitor import Assessment, Law, monitor
+from jaxgrasp.grip.monitor import Assessment, Hold, Law, monitor
 from jaxgrasp.grip.motion import guide_at
 from jaxgrasp.grip.obstacles import world_wrench
 from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.grip.slipping import cut_to_cones
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
@@ -26,9 +27,14 @@ class Tick(eqx.Module):
     """In a frame at the object's centre, along the world's axes."""
     wrench: Float[Array, "*batch 6"]
     """What the contacts must exert about that centre [N, N.m]."""
+    inertial: Float[Array, "*batch 6"]
+    """What of it accelerates the object."""
     assessment: Assessment
+    exerted: Float[Array, "*batch L 3"]
+    """What the contacts exert on the object [N]: the applied law's forces where it holds; where it slips, each of them
+    cut to its friction. Where no allowed forces hold, [`jaxgrasp.reachable_wrench`][] has those that come closest."""
     torques: Float[Array, "*batch J"]
-    """On the joints [N.m]: negative where they resist a positive angle."""
+    """On the joints, by what the contacts exert [N.m]: negative where they resist a positive angle."""
 
 
 @checked
@@ -80,11 +86,13 @@ def assessed(
     """What contacts are worth, once they are known."""
     weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
     wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
-    if inertial is not None:
-        wrench = wrench + inertial
+    inertial = jnp.broadcast_to(jnp.zeros(6) if inertial is None else inertial, wrench.shape)
+    wrench = wrench + inertial
     if scene.obstacles:
         wrench = wrench - world_wrench(scene, placed)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     assessment = monitor(grasp, wrench, free=free, law=law)
-    torques = joint_torques(scene.hand, frames, contacts.points, assessment.forces)
-    return Tick(contacts, grasp, wrench, assessment, torques)
+    slips = (assessment.hold == Hold.SLIPPING)[..., None, None]
+    exerted = jnp.where(slips, cut_to_cones(grasp, assessment.forces), assessment.forces)
+    torques = joint_torques(scene.hand, frames, contacts.points, exerted)
+    return Tick(contacts, grasp, wrench, inertial, assessment, exerted, torques)

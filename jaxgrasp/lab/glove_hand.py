@@ -1,6 +1,8 @@
 """A virtual hand that a glove moves: its flexions come from the glove, the rest stays as it is."""
 
 from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,9 +11,11 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.grip.carry import closest_forces
+from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.tick import observe
-from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
@@ -53,23 +57,83 @@ def frames_of(hand: Hand, posture: Posture) -> HandFrames:
     return pose_hand(hand, posture)
 
 
-@jax.jit
+class Felt(NamedTuple):
+    """What a hand feels of an object at one instant."""
+
+    torques: Float[Array, "channels"]
+    """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
+    slope: Float[Array, "channels channels"]
+    """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
+    hold: Array
+    """Code of a [`jaxgrasp.grip.Hold`][]."""
+
+
+@partial(jax.jit, static_argnames="law")
 def resistance(
-    scene: Scene, worn: GloveHand, flexions: Float[AnyArray, "channels"], wrist: Pose, placed: Pose
+    scene: Scene,
+    worn: GloveHand,
+    flexions: Float[AnyArray, "channels"],
+    wrist: Pose,
+    placed: Pose,
+    inertial: Float[AnyArray, "6"] | None = None,
+    *,
+    law: Law = "closed-form",
 ) -> Float[Array, "channels"]:
-    """Torques by which the glove is to resist flexion [N.m]: what the contact forces ask of the joints, less."""
-    torques = observe(scene, worn.posture(flexions, wrist), placed).torques
+    """Torques by which the glove is to resist flexion [N.m].
+
+    Args:
+        scene: hand, object and world.
+        worn: the hand in its glove.
+        flexions: as the glove reads them [rad].
+        wrist: where it is.
+        placed: where the object is.
+        inertial: wrench about the object's centre that accelerates it [N, N.m]; none at rest.
+        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
+    """
+    torques = observe(scene, worn.posture(flexions, wrist), placed, inertial, law=law).torques
     return -torques[np.array(worn.places)]
 
 
-@jax.jit
-def resistance_and_slope(
-    scene: Scene, worn: GloveHand, flexions: Float[AnyArray, "channels"], wrist: Pose, placed: Pose
-) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
-    """Torques as by ``resistance`` [N.m], and their exact derivative by the flexions [N.m/rad], with which to answer
-    between two ticks."""
+@partial(jax.jit, static_argnames="law")
+def felt(
+    scene: Scene,
+    worn: GloveHand,
+    flexions: Float[AnyArray, "channels"],
+    wrist: Pose,
+    placed: Pose,
+    inertial: Float[AnyArray, "6"],
+    *,
+    law: Law,
+) -> Felt:
+    """Torques as by ``resistance``, with their exact derivative."""
 
-    return with_slope(lambda angles: resistance(scene, worn, angles, wrist, placed), flexions)
+    def both(angles: Array) -> tuple[Array, tuple[Array, Array]]:
+        tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law)
+        torques = -tick.torques[np.array(worn.places)]
+        return torques, (torques, tick.assessment.hold)
+
+    slope, (torques, hold) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
+    return Felt(torques, slope, hold)
+
+
+@jax.jit
+def felt_slipping(
+    scene: Scene,
+    worn: GloveHand,
+    flexions: Float[AnyArray, "channels"],
+    wrist: Pose,
+    placed: Pose,
+    inertial: Float[AnyArray, "6"],
+) -> Felt:
+    """What is felt of an object that no allowed forces hold: those that come closest; the slope is by fixed forces."""
+    tick = observe(scene, worn.posture(flexions, wrist), placed, inertial, law="optimum")
+    forces = closest_forces(scene, tick.grasp, tick.wrench, placed).forces
+
+    def torques_at(angles: Array) -> Array:
+        frames = pose_hand(scene.hand, worn.posture(angles, wrist))
+        return -joint_torques(scene.hand, frames, tick.contacts.points, forces)[np.array(worn.places)]
+
+    return Felt(*with_slope(torques_at, jnp.asarray(flexions)), tick.assessment.hold)
 
 
 def with_slope(

@@ -8,6 +8,7 @@ import numpy as np
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
+from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Body
 from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.scene import Scene
@@ -76,11 +77,16 @@ def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
 
 
 @checked
-def grasp_and_lift(model: GloveModel | None = None) -> Story:
-    """Play it: close, lift, cut, arm again; a minute or two, most of it compiling."""
+def grasp_and_lift(model: GloveModel | None = None, law: Law = "optimum") -> Story:
+    """Play it: close, lift, cut, arm again; a minute or two, most of it compiling.
+
+    Args:
+        model: of the glove; the paper's where not given.
+        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][]. By the closed form this grip slips.
+    """
     model = lrp_hand_master() if model is None else model
     scene, closed, placed = cylinder_scene()
-    haptics = Haptics(scene, model, np.asarray(closed.angles), placed)
+    haptics = Haptics(scene, model, np.asarray(closed.angles), placed, law)
     glove = VirtualGlove(model, nominal_sensors(model))
     places = list(model.places(scene.hand.joints))
     glove.order(bend=np.asarray(open_angles(scene.hand))[places].tolist(), lasts=0.0)
@@ -97,10 +103,10 @@ def grasp_and_lift(model: GloveModel | None = None) -> Story:
         state = glove.peer.state
         if state is not None and np.all(np.isfinite(state.angles)):
             rise = HEIGHT * _smooth((glove.now - LIFT) / LIFTING)
-            law = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
-            glove.peer.said = law
+            said = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
+            glove.peer.said = said
             ticks.append(glove.now)
-            wanted.append(law.torques)
+            wanted.append(said.torques)
             heights.append(float(haptics.placed.origin[2] - placed.origin[2]))
         while script and glove.now >= script[0][0]:
             script.pop(0)[1]()

@@ -12,10 +12,10 @@ from jax import Array
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.carry import Instant, advance, set_down
-from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.carry import Instant, advance, closest_forces, set_down
+from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
-from jaxgrasp.lab.glove_hand import frames_of, glove_hand, resistance_and_slope
+from jaxgrasp.lab.glove_hand import Felt, felt, felt_slipping, frames_of, glove_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
@@ -35,6 +35,10 @@ class Haptics:
     placed: Pose
     """Where the object stands at first."""
     law: Law = "closed-form"
+    """Which forces the hand applies: what is felt, and what the object does."""
+    smoothing: float = 0.02
+    """Time constant of the accelerations that are felt [s]: between two ticks they are differences of what the glove
+    reads, whose last digits are noise. 0 for as they are."""
     instant: Instant | None = field(default=None, init=False)
     """Record of the last tick but one: contacts, forces, hold."""
 
@@ -43,6 +47,7 @@ class Haptics:
         self._worn = glove_hand(self.scene.hand, self.model, self.others)
         self._carried = set_down(self.scene, self.placed)
         self._before: tuple[float, Posture, HandFrames] | None = None
+        self._inertial = np.zeros(6)
 
     def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         """What the glove is to do, from what it reads.
@@ -63,9 +68,25 @@ class Haptics:
                 self.scene, passed, self._carried, self._before[1], self._before[2], frames, law=self.law
             )
             self.placed = self._carried.placed
+            self._accelerate(self.instant, passed)
         self._before = now, posture, frames
-        found = resistance_and_slope(self.scene, self._worn, angles, wrist, self.placed)
-        return law_of(now, angles, found)
+        found = self._felt(angles, wrist)
+        return law_of(now, angles, (found.torques, found.slope))
+
+    def _accelerate(self, instant: Instant, passed: float) -> None:
+        """What accelerates the object, as it is felt."""
+        if instant.hold == Hold.LOST:
+            self._inertial = np.zeros(6)
+            return
+        kept = np.exp(-passed / self.smoothing) if self.smoothing > 0 else 0.0
+        self._inertial = kept * self._inertial + (1 - kept) * np.asarray(instant.tick.inertial)
+
+    def _felt(self, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
+        asked = self.scene, self._worn, angles, wrist, self.placed, self._inertial
+        found = felt(*asked, law=self.law)
+        if self.law == "optimum" and int(found.hold) == Hold.SLIPPING:
+            return felt_slipping(*asked)
+        return found
 
 
 def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array, Array]) -> TorqueLaw:
@@ -77,10 +98,15 @@ def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array
 
 def warm_up(haptics: Haptics, wrist: Pose) -> None:
     """Compile what ticks need, before anything is armed; the object stays where it is."""
-    spare = Haptics(haptics.scene, haptics.model, haptics.others, haptics.placed, haptics.law)
+    spare = Haptics(haptics.scene, haptics.model, haptics.others, haptics.placed, haptics.law, haptics.smoothing)
     angles = np.asarray(haptics.others, float)[list(spare._worn.places)]
     for k in range(2):
         spare.tick(0.01 * k, angles, wrist)
+    if spare.law == "optimum":
+        # What only an object needs that slips: twice, for where it goes and for what is felt.
+        felt_slipping(spare.scene, spare._worn, angles, wrist, spare.placed, np.zeros(6))
+        assert spare.instant is not None
+        closest_forces(spare.scene, spare.instant.tick.grasp, spare.instant.tick.wrench, spare.placed)
 
 
 @checked

@@ -78,7 +78,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
     table = Pose(np.array([0.0, 0, -0.5]), np.eye(3))
     scene = Scene(hand, Body(shape, 0.4), table, 0.6, 1e3, np.ones(len(hand.links)), np.array([0.0, 0, -9.81]))
     tick = observe(scene, posture, placed)
-    record = [Instant(placed, tick, Hold(int(tick.assessment.hold)), False, np.zeros(6))]
+    record = [Instant(placed, tick, Hold(int(tick.assessment.hold)), False, tick.exerted, np.zeros(6))]
     postures = jax.tree.map(lambda x: x[None], posture)
     _write_report(Grip(out=folder), scene, history(scene, postures, np.zeros(1), stacked(record)))
     lines = capsys.readouterr().out.splitlines()

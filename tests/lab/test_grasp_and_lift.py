@@ -7,7 +7,7 @@ import pytest
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.grip import observe
 from jaxgrasp.hand import Posture, human_hand, joint_torques, pose_hand
-from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_and_slope
+from jaxgrasp.lab.glove_hand import felt, glove_hand, resistance
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.report.glove_picture import write_glove_picture
@@ -56,11 +56,12 @@ def test_the_slope_is_that_of_the_torques(scene):
     scene, closed, placed = scene
     worn = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
     angles = np.asarray(closed.angles)[list(worn.places)]
-    torques, slope = jax.device_get(resistance_and_slope(scene, worn, angles, closed.wrist, placed))
+    at_rest = np.zeros(6)
+    torques, slope, _ = jax.device_get(felt(scene, worn, angles, closed.wrist, placed, at_rest, law="closed-form"))
     found = observe(scene, Posture(closed.wrist, closed.angles), placed)
     frames = pose_hand(scene.hand, closed)
     np.testing.assert_allclose(torques, -np.asarray(found.torques)[list(worn.places)], atol=1e-12)
-    by_force = joint_torques(scene.hand, frames, found.contacts.points, found.assessment.forces)
+    by_force = joint_torques(scene.hand, frames, found.contacts.points, found.exerted)
     np.testing.assert_allclose(torques, MODEL.resisting(scene.hand.joints, np.asarray(by_force)), atol=1e-12)
     for k in range(14):
         # Of sixth order: within the step no finger may come to touch.

@@ -1,0 +1,119 @@
+"""How a tracker's transmitter stands in the world, and its receiver on the wrist: samples to poses of the hand.
+
+A tracker says where its receiver is in the frame of its transmitter. Both are strapped on as it comes, so that neither
+its axes nor its zero mean anything until three places have been shown: the hand at home, moved forward, and moved up.
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.glove.other_devices.polhemus import TrackerSample
+
+LEAST_MOVE = 0.05
+"""A move shorter than this tells no direction to a degree, by a tracker of a millimetre [m]."""
+LEAST_ANGLE = 60.0
+"""Between the moves forward and up, which are meant to be square [deg]."""
+OFF_ROTATION = 1e-6
+"""By how much a stored rotation may miss being one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Rotations that make a tracker's samples poses of the wrist, and the sample that is its zero."""
+
+    transmitter: Float[np.ndarray, "3 3"]
+    """Turns the transmitter's axes into the world's."""
+    receiver: Float[np.ndarray, "3 3"]
+    """Turns the wrist's axes into the receiver's."""
+    zero: Float[np.ndarray, "3"]
+    """Where the receiver is, in the transmitter's frame, when the wrist is at the world's origin [m]."""
+
+    def pose(self, sample: TrackerSample) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+        """The wrist's origin [m] and rotation in the world."""
+        turned = self.transmitter @ rotation_of(sample.quaternion) @ self.receiver
+        return self.transmitter @ (sample.position - self.zero), turned
+
+
+def at_home(home: TrackerSample, transmitter: Float[np.ndarray, "3 3"] | None = None) -> Alignment:
+    """The alignment by which one sample is the wrist at the origin, along the world's axes.
+
+    Args:
+        home: the sample.
+        transmitter: turns the transmitter's axes into the world's; as they are where not given.
+    """
+    turn = np.eye(3) if transmitter is None else transmitter
+    return Alignment(turn, (turn @ rotation_of(home.quaternion)).T, home.position)
+
+
+def aligned(home: TrackerSample, forward: TrackerSample, up: TrackerSample) -> Alignment:
+    """The alignment from three places: at home, moved along the world's x axis from there, and along its z axis.
+
+    Raises:
+        ValueError: for a move that is too short to tell a direction, or moves that are not nearly square.
+    """
+    moves = {"forward": forward.position - home.position, "up": up.position - home.position}
+    for name, move in moves.items():
+        length = float(np.linalg.norm(move))
+        if not length >= LEAST_MOVE:
+            raise ValueError(f"{name} is {100 * length:.1f} cm from home: expected {100 * LEAST_MOVE:.0f} cm or more")
+    x, z = (move / np.linalg.norm(move) for move in moves.values())
+    angle = math.degrees(math.acos(float(np.clip(x @ z, -1, 1))))
+    if not LEAST_ANGLE <= angle <= 180 - LEAST_ANGLE:
+        raise ValueError(f"up is {angle:.0f} degrees from forward: expected about 90")
+    # What is up counts whole; forward is made square to it.
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    return at_home(home, np.stack([x, np.cross(z, x), z]))
+
+
+def rotation_of(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """The matrix of a unit quaternion, real part first."""
+    w, v = quaternion[0], quaternion[1:]
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def save_alignment(alignment: Alignment, path: Path) -> None:
+    """Write an alignment as JSON, whole or not at all."""
+    fields = {name: getattr(alignment, name).tolist() for name in ("transmitter", "receiver", "zero")}
+    text = json.dumps({"alignment": 1} | fields, indent=1) + "\n"
+    replace_file(path, lambda stream: stream.write(text.encode()))
+
+
+def load_alignment(path: Path) -> Alignment:
+    """Read what ``save_alignment`` wrote.
+
+    Raises:
+        ValueError: for a file that is none; the message names the entry, what stands there and what was expected.
+    """
+    try:
+        found = json.loads(path.read_text())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is not JSON ({error})") from error
+    if not isinstance(found, dict) or found.get("alignment") != 1:
+        raise ValueError(f"{path} is no alignment of a tracker: expected the entry 'alignment' to be 1")
+    arrays = {name: _numbers(path, found, name, shape) for name, shape in _SHAPES.items()}
+    for name in ("transmitter", "receiver"):
+        turn = arrays[name]
+        if np.abs(turn @ turn.T - np.eye(3)).max() > OFF_ROTATION or np.linalg.det(turn) < 0:
+            raise ValueError(f"{path}: {name} is no rotation: expected orthonormal rows of determinant 1")
+    return Alignment(**arrays)
+
+
+_SHAPES = {"transmitter": (3, 3), "receiver": (3, 3), "zero": (3,)}
+
+
+def _numbers(path: Path, found: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    try:
+        array = np.array(found.get(name), float)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise ValueError(f"{path}: {name} is {str(found.get(name))[:60]}: expected finite numbers of shape {shape}")
+    return array

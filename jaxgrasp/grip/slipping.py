@@ -1,0 +1,27 @@
+"""What contacts exert that slip: each at most what its friction allows."""
+
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+
+
+def cut_to_cones(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n 3"]:
+    """Forces of hard fingers as sliding leaves them: pressed as hard, dragged by as much as friction holds (eq. 2),
+    and none where a contact would have to pull (eq. 3)."""
+    normals = jnp.asarray(grasp.normals)
+    along = jnp.sum(forces * normals, -1)
+    across = forces - along[..., None] * normals
+    square = jnp.sum(across * across, -1)
+    size = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), 0)
+    pressed = jnp.maximum(along, 0)
+    limit = grasp.friction * pressed
+    share = jnp.where(size > limit, limit / jnp.where(size > 0, size, 1), 1)
+    return pressed[..., None] * normals + share[..., None] * across
+
+
+def resultant(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 6"]:
+    """The wrench of contact forces about the grasp's origin."""
+    torque = jnp.cross(jnp.asarray(grasp.points), forces)
+    return jnp.concatenate([jnp.sum(forces, -2), jnp.sum(torque, -2)], -1)

@@ -1,0 +1,174 @@
+"""A tracker that is strapped on as it comes moves the hand as the hand moves."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxgrasp.cli import glove_align
+from jaxgrasp.cli.glove_run import Wrist
+from jaxgrasp.cli.main import main
+from jaxgrasp.glove.other_devices.alignment import (
+    aligned,
+    at_home,
+    load_alignment,
+    rotation_of,
+    save_alignment,
+)
+from jaxgrasp.glove.other_devices.polhemus import TrackerSample
+from jaxgrasp.glove.other_devices.tracker import Tracker
+
+
+def quaternion(rng: np.random.Generator) -> np.ndarray:
+    turn = rng.normal(size=4)
+    return turn / np.linalg.norm(turn)
+
+
+def about(axis: int, degrees: float) -> np.ndarray:
+    half = np.radians(degrees) / 2
+    return np.append(np.cos(half), np.sin(half) * np.eye(3)[axis])
+
+
+def composed(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The quaternion of one rotation after another, by their definition."""
+    return np.append(a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))
+
+
+def inverse(a: np.ndarray) -> np.ndarray:
+    return a * (1, -1, -1, -1)
+
+
+class Rig:
+    """A transmitter somewhere in the room and a receiver somewhere on the wrist, which see a hand's true poses."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.transmitter, self.receiver = quaternion(rng), quaternion(rng)
+        self.place = rng.normal(size=3)
+
+    def sees(self, origin: np.ndarray, turn: np.ndarray) -> TrackerSample:
+        """The sample of a wrist at an origin, turned by a quaternion."""
+        position = rotation_of(self.transmitter).T @ (origin - self.place)
+        seen = composed(composed(inverse(self.transmitter), turn), self.receiver)
+        return TrackerSample(1, position, seen, " ")
+
+
+HOME = np.array([1.0, 0, 0, 0])
+
+
+class Quiet(Tracker):
+    """One that is never asked."""
+
+    def __init__(self, line, protocol) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def shown(rig: Rig, height: float = 0.12) -> list[TrackerSample]:
+    places = ([0, 0, 0], [0.15, 0, 0], [0, 0, height])
+    return [rig.sees(np.array(place, float), HOME) for place in places]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_three_places_tell_every_pose(seed):
+    rig, rng = Rig(seed), np.random.default_rng(100 + seed)
+    found = aligned(*shown(rig))
+    for _ in range(20):
+        origin, turn = rng.normal(size=3), quaternion(rng)
+        place, rotation = found.pose(rig.sees(origin, turn))
+        np.testing.assert_allclose(place, origin, atol=1e-12)
+        np.testing.assert_allclose(rotation, rotation_of(turn), atol=1e-12)
+
+
+def test_moves_that_are_not_quite_square_leave_up_as_it_was_shown():
+    rig = Rig(7)
+    home, _, up = shown(rig)
+    forward = rig.sees(np.array([0.15, 0.0, 0.03]), HOME)
+    found = aligned(home, forward, up)
+    np.testing.assert_allclose(found.pose(up)[0], [0, 0, 0.12], atol=1e-12)
+    place, _ = found.pose(forward)
+    assert place[1] == pytest.approx(0, abs=1e-12) and place[0] == pytest.approx(0.15)
+
+
+@pytest.mark.parametrize("first", [about(0, 80), about(1, -120), quaternion(np.random.default_rng(3))])
+def test_the_first_sample_is_the_hand_at_home_however_it_is_turned(first):
+    """A first sample rolled by 80 degrees does not roll the hand; what it turns from there does."""
+
+    class Fake(Tracker):
+        def __init__(self) -> None:
+            self.sampled_at = 0.0
+            self.sample = TrackerSample(1, np.array([0.3, -0.2, 0.5]), first, " ")
+
+        def poll(self, now: float) -> TrackerSample:
+            return self.sample
+
+    tracker = Fake()
+    wrist = Wrist(tracker)
+    begun = wrist(0.0)
+    np.testing.assert_allclose(begun.origin, 0, atol=1e-12)
+    np.testing.assert_allclose(begun.rotation, np.eye(3), atol=1e-12)
+    tracker.sample = TrackerSample(1, np.array([0.4, -0.2, 0.5]), composed(about(2, 30), first), " ")
+    moved = wrist(0.0)
+    np.testing.assert_allclose(moved.origin, [0.1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(moved.rotation, rotation_of(about(2, 30)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        (([0, 0, 0], [0.01, 0, 0], [0, 0, 0.1]), "forward is 1.0 cm from home: expected 5 cm or more"),
+        (([0, 0, 0], [0.1, 0, 0], [0, 0, 0.02]), "up is 2.0 cm from home"),
+        (([0, 0, 0], [0.1, 0, 0], [0.1, 0, 0.05]), "up is 27 degrees from forward: expected about 90"),
+    ],
+)
+def test_moves_that_tell_no_direction_are_refused(places, words):
+    with pytest.raises(ValueError, match=words):
+        aligned(*(TrackerSample(1, np.array(place, float), HOME, " ") for place in places))
+
+
+def test_it_is_kept_in_a_file(folder):
+    found = aligned(*shown(Rig(1)))
+    save_alignment(found, folder / "a.json")
+    read = load_alignment(folder / "a.json")
+    for name in ("transmitter", "receiver", "zero"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(found, name))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"alignment": 2}, "expected the entry 'alignment' to be 1"),
+        ({"zero": [1, 2]}, r"zero is \[1, 2\]: expected finite numbers of shape \(3,\)"),
+        ({"zero": [1, 2, "x"]}, "zero is"),
+        ({"receiver": np.diag([1, 1, -1]).tolist()}, "receiver is no rotation"),
+        ({"transmitter": None}, r"transmitter is None: expected finite numbers of shape \(3, 3\)"),
+    ],
+)
+def test_a_file_that_is_none_is_refused(folder, change, words):
+    save_alignment(at_home(shown(Rig(1))[0]), folder / "a.json")
+    good = json.loads((folder / "a.json").read_text())
+    (folder / "a.json").write_text(json.dumps(good | change))
+    with pytest.raises(ValueError, match=words):
+        load_alignment(folder / "a.json")
+
+
+def test_the_command_asks_until_the_hand_is_still(folder, monkeypatch, capsys):
+    rig, asked = Rig(4), []
+    home, forward, up = shown(rig)
+    shaken = [home, rig.sees(np.array([0.02, 0, 0]), HOME)]
+    heard = iter([shaken, [home] * 3, [forward], [up]])
+    monkeypatch.setattr(glove_align, "SerialLine", lambda port, baud: port)
+    monkeypatch.setattr(glove_align, "Tracker", Quiet)
+    monkeypatch.setattr(glove_align, "_listen", lambda tracker: next(heard))
+    monkeypatch.setattr(glove_align, "typed", lambda prompt: asked.append(prompt) or "")
+    assert main(["glove", "align", "somewhere", "--out", "a.json"]) == 0
+    assert len(asked) == 4 and "the hand moved by 20 mm meanwhile" in capsys.readouterr().out
+    place, _ = load_alignment(folder / "a.json").pose(rig.sees(np.array([0.1, 0.2, 0.3]), HOME))
+    np.testing.assert_allclose(place, [0.1, 0.2, 0.3], atol=1e-12)
+
+
+def test_a_port_that_does_not_exist_is_said(folder, capsys):
+    assert main(["glove", "align", "/dev/nowhere", "--out", "a.json"]) == 1
+    assert "nowhere" in capsys.readouterr().err and not (folder / "a.json").exists()

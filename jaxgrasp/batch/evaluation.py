@@ -10,6 +10,7 @@ from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.qualities import measure_all, summarise_qualities
 from jaxgrasp.batch.summary import Summary, summarise
+from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
@@ -32,6 +33,10 @@ class Evaluation:
     summary: Summary
     times: Times
     quality: dict[str, np.ndarray]
+
+    def __str__(self) -> str:
+        """The summary that a person reads in ten seconds."""
+        return summary_text(self.summary, self.times, self.times.compiling + sum(self.times.solving.values()))
 
 
 def evaluate(

@@ -74,8 +74,9 @@ def _comparison_lines(summary: Summary) -> list[str]:
 
 
 def _quantiles(label: str, histogram: LogHistogram, show) -> str:
-    cells = "".join(f"{show(histogram.quantile(share)):>14}" for share in (0.5, 0.95, 1.0))
-    return f"{label:30}{cells}"
+    # Those of a histogram are known to half of its bins; the largest is exact.
+    about = [f"~{show(value, 2)}" if (value := histogram.quantile(share)) else "0" for share in (0.5, 0.95)]
+    return f"{label:30}" + "".join(f"{cell:>14}" for cell in (*about, show(histogram.quantile(1.0), 3)))
 
 
 def _closing(summary: Summary, times: Times, seconds: float) -> str:
@@ -96,12 +97,12 @@ def _degrees(angle: float) -> str:
     return f"{round(math.degrees(angle), 1) + 0.0:.1f} deg" if math.isfinite(angle) else "-"
 
 
-def _percent(value: float) -> str:
-    return f"{100 * value:.3g} %" if value else "0"
+def _percent(value: float, digits: int) -> str:
+    return f"{100 * value:.{digits}g} %" if value else "0"
 
 
-def _newtons(value: float) -> str:
-    return f"{value:.3g} N" if value else "0"
+def _newtons(value: float, digits: int) -> str:
+    return f"{value:.{digits}g} N" if value else "0"
 
 
 def _duration(seconds: float) -> str:

@@ -430,3 +430,13 @@ def test_the_text_says_the_numbers(whole):
     holds = whole.summary.methods["B-optimum"].count(Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
     assert f"{100 * holds / 80:.1f} %" in text
     assert "price of friction" in text and "1.5 s in all" in text
+
+
+def test_an_evaluation_prints_its_summary():
+    sets = make_sets([3] * 40)
+    found = jaxgrasp.evaluate(sets)
+    said = str(found)
+    assert "40 grasps of 3 contacts" in said and len(said.splitlines()) < 30
+    # Quantiles out of a histogram are said to be about right, the largest is exact.
+    line = next(line for line in said.splitlines() if line.startswith("B: distance"))
+    assert line.count("~") <= 2 and not line.split()[-2].startswith("~")

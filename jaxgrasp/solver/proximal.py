@@ -61,9 +61,11 @@ class PassSettings(NamedTuple):
     """How one pass works, in scalars, so that all passes are one compiled code."""
 
     careful: Array
-    """Level by level, with proofs; else the dual as it is, once."""
+    """Level by level; else the dual as it is, once."""
     steps: Array
     """Evaluations at each level."""
+    proves: Array
+    """With proofs that no forces exist, which the way of the multiplier gives once it has run far enough."""
     squeezed: Array
     """The problem as it is; else without squeezing and with equal sharing, which asks only for allowed forces."""
 
@@ -103,7 +105,7 @@ class UnlimitedProblem(NamedTuple):
 
 def careful_settings() -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
-    return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL), jnp.asarray(True))
+    return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL), jnp.asarray(True), jnp.asarray(True))
 
 
 def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, decided: Array) -> ProximalState:
@@ -147,7 +149,8 @@ def _decide(
     def unproven(point: Array, before: Array) -> Certificate:
         return no_certificate(point)
 
-    certificate = lax.cond(settings.careful, proximal_problem.proof, unproven, reached.point, search.point)
+    asked = settings.proves & jnp.any(~(search.decided | optimal))
+    certificate = lax.cond(asked, proximal_problem.proof, unproven, reached.point, search.point)
     infeasible = ~optimal & (certificate.force > 0)
     open_ = ~search.decided
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))

@@ -94,8 +94,14 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
     # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
-    result = lax.fori_loop(0, UNSQUEEZED + 1, improve, varying_like(result, bare))
+    passes = UNSQUEEZED + 1 if _is_double(bare) else UNSQUEEZED
+    result = lax.fori_loop(0, passes, improve, varying_like(result, bare))
     return torque_passes.within_torques(problem, result)
+
+
+def _is_double(problem: ProblemBatch) -> bool:
+    """Whether there are digits enough to tell a refined answer from one that only looks so."""
+    return problem.points.dtype == jnp.float64
 
 
 def _closed_width(problem: ProblemBatch) -> int:
@@ -156,7 +162,8 @@ def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
     start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed)
     found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=certificate), settings)
-    found = refined(problem, found, careful)
+    if _is_double(batch):
+        found = refined(problem, found, careful)
     return _optimum_result(problem, found, own, settings, prior)
 
 

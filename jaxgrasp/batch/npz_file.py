@@ -33,6 +33,7 @@ VERSION = 1
 LABELS = ("name", "source", "object", "hand")
 BY_CONTACT = (*CONTACT_FIELDS, *OPTIONAL_FIELDS)
 NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
+KNOWN = ("version", *NUMBERS, "offsets", *LABELS)
 LONGEST_LABEL = 1_000
 """Characters of a grasp's name, source, object or hand: every one of a column takes as much memory as its longest."""
 
@@ -60,8 +61,8 @@ class NpzGrasps:
         members = self._archive.namelist()
         self.names = [member.removesuffix(".npy") for member in members if member.endswith(".npy")]
         self._check_names()
-        self._shapes = {name: self._open(name).shape for name in self.names if name in (*NUMBERS, "offsets")}
-        self.dtypes = {name: self._open(name).dtype for name in self._shapes}
+        self._headers = {name: self._open(name) for name in self.names if name in KNOWN}
+        self._shapes = {name: column.shape for name, column in self._headers.items()}
         self._check_version()
         self._check_types()
         self.offsets = self._read_offsets()
@@ -93,7 +94,7 @@ class NpzGrasps:
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
         """The grasps from ``start`` on, ``size`` at a time, in order."""
-        columns = {name: self._open(name) for name in (*NUMBERS, *LABELS) if name in self.names}
+        columns = {name: self._open(name) for name in (*NUMBERS, *LABELS) if name in self._headers}
         per_contact = "offsets" in self._shapes
         try:
             for name, column in columns.items():
@@ -158,9 +159,9 @@ class NpzGrasps:
             raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {held}{hint}")
 
     def _check_version(self) -> None:
-        if "version" not in self.names:
+        if "version" not in self._headers:
             return
-        column = self._open("version")
+        column = self._headers["version"]
         if column.shape or not np.issubdtype(column.dtype, np.integer):
             raise GraspFileError(
                 self.path, f"version is {column.dtype} of shape {column.shape}: expected the integer {VERSION}"
@@ -170,13 +171,15 @@ class NpzGrasps:
             raise GraspFileError(self.path, f"its version is {version}: this jaxgrasp reads version {VERSION}")
 
     def _check_types(self) -> None:
-        for name, dtype in self.dtypes.items():
-            if not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
+        dtypes = {name: column.dtype for name, column in self._headers.items()}
+        for name in (*NUMBERS, "offsets"):
+            dtype = dtypes.get(name)
+            if dtype is not None and not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
                 raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers")
         for name in LABELS:
-            if name not in self.names:
+            if name not in dtypes:
                 continue
-            dtype = self._open(name).dtype
+            dtype = dtypes[name]
             if dtype.kind not in "US":
                 raise GraspFileError(self.path, f"{name} holds {dtype}: expected text")
             length = dtype.itemsize // np.dtype(f"{dtype.kind}1").itemsize
@@ -197,7 +200,7 @@ class NpzGrasps:
             return np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
         if not shape:
             raise GraspFileError(self.path, "points is a single number: expected (M, 3)")
-        column = self._open("offsets")
+        column = self._headers["offsets"]
         if len(column.shape) != 1 or column.shape[0] == 0 or not np.issubdtype(column.dtype, np.integer):
             raise GraspFileError(
                 self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers"
@@ -228,8 +231,8 @@ class NpzGrasps:
                 self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)"
             )
         for name in LABELS:
-            if name in self.names and self._open(name).shape != (len(self),):
-                raise GraspFileError(self.path, f"{name} has shape {self._open(name).shape}: expected ({len(self)},)")
+            if name in self._shapes and self._shapes[name] != (len(self),):
+                raise GraspFileError(self.path, f"{name} has shape {self._shapes[name]}: expected ({len(self)},)")
         if len(self) == 0:
             raise GraspFileError(self.path, "it holds no grasps")
 

@@ -10,7 +10,7 @@ from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.worst import KEPT, worst_cases
 from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.model.solution import Route, Verdict, is_balanced, is_optimum
 
 ANGLE_BINS = 90
 SAMPLED_CONTACTS = 10_000
@@ -135,7 +135,7 @@ def summarise(
 
 
 def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
-    answered = _balanced(result.verdict)
+    answered = is_balanced(result.verdict)
     return MethodSummary(
         verdicts=np.bincount(result.verdict.ravel(), minlength=len(Verdict)),
         steps=int(result.steps.sum()),
@@ -147,14 +147,9 @@ def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
     )
 
 
-def _balanced(verdict: np.ndarray) -> np.ndarray:
-    """Which answers claim to balance the wrench."""
-    return (verdict <= Verdict.OUTSIDE_CONES) | (verdict == Verdict.FEASIBLE)
-
-
 def _angles(sets: ContactSets, result: MethodResult) -> np.ndarray:
     """Slip against friction angle of a sample of contacts of answered problems, first wrench."""
-    answered = np.repeat(_balanced(result.verdict[:, 0]), sets.sizes)
+    answered = np.repeat(is_balanced(result.verdict[:, 0]), sets.sizes)
     chosen = np.flatnonzero(answered)[:: max(1, len(sets.points) // SAMPLED_CONTACTS)]
     force, normal = result.forces[chosen, 0].astype(float), sets.normals[chosen].astype(float)
     loaded = np.einsum("ci,ci->c", force, force) > 0
@@ -171,7 +166,7 @@ def _bin(angle: np.ndarray, largest: float) -> np.ndarray:
 
 def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> tuple[MethodComparison, np.ndarray]:
     """The comparison, and the price of every problem (-inf where there is no optimum to compare with)."""
-    solved = (optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (optimum.verdict == Verdict.OPTIMAL)
+    solved = is_optimum(optimum.verdict)
     already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
     with np.errstate(divide="ignore", invalid="ignore"):
         price = np.where(already, 0, (optimum.objective - closed.objective) / optimum.objective)

@@ -18,7 +18,7 @@ from jaxgrasp.force.slip import spin_force
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.model.solution import Solution, Verdict, is_held
 from jaxgrasp.problem.flatten import Sharing, read_sharing
 
 Law = Literal["closed-form", "optimum"]
@@ -102,7 +102,7 @@ def _assessed(
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
     # What cannot be told from the data is not lost: the verdicts say INVALID_DATA.
     lost = ~jnp.any(there, -1) & (closed.verdict != Verdict.INVALID_DATA)
-    holds = _solved(applied)
+    holds = is_held(applied.verdict)
     state = jnp.where(lost, Hold.LOST, jnp.where(holds, Hold.STABLE, Hold.SLIPPING))
     return Assessment(
         closed=closed,
@@ -110,13 +110,8 @@ def _assessed(
         hold=state.astype(jnp.int32),
         touches=_touches(grasp, applied, there, holds),
         forces=applied.forces,
-        disagrees=_solved(optimum) & ~_solved(closed),
+        disagrees=is_held(optimum.verdict) & ~is_held(closed.verdict),
     )
-
-
-def _solved(solution: Solution) -> Array:
-    """Whether the forces balance the wrench inside every cone, whether or not they are the best that do."""
-    return (solution.verdict <= Verdict.OPTIMAL) | (solution.verdict == Verdict.FEASIBLE)
 
 
 def _touches(grasp: Grasp, applied: Solution, there: Array, holds: Array) -> Array:

@@ -1,7 +1,7 @@
 """What a force-distribution method answers: the forces, and a verdict that says what they are worth."""
 
 from enum import IntEnum
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import jax
 import numpy as np
@@ -70,6 +70,24 @@ class Verdict(IntEnum):
     def solved(self) -> bool:
         """Whether the forces are the optimum: they balance the wrench inside every friction cone."""
         return self in (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
+
+
+Codes = TypeVar("Codes", Array, np.ndarray)
+
+
+def is_optimum(verdict: Codes) -> Codes:
+    """Which codes say that the forces are the optimum."""
+    return verdict <= Verdict.OPTIMAL
+
+
+def is_held(verdict: Codes) -> Codes:
+    """Which codes say that the forces balance the wrench inside every cone, the best that do or not."""
+    return is_optimum(verdict) | (verdict == Verdict.FEASIBLE)
+
+
+def is_balanced(verdict: Codes) -> Codes:
+    """Which codes say that the forces balance the wrench, inside the cones or not."""
+    return is_held(verdict) | (verdict == Verdict.OUTSIDE_CONES)
 
 
 class Route(IntEnum):

@@ -92,7 +92,11 @@ def candidate_forces(problem: DualProblem, multiplier: SpatialVec) -> CandidateF
 
 def target_forces(data: ContactData, twist: ContactVec) -> ContactVec:
     """The forces that the cones then cut to the candidate forces: s a + k v."""
-    return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, _less_cost(data, twist)))
+    return _target(data, _less_cost(data, twist))
+
+
+def _target(data: ContactData, twist: ContactVec) -> ContactVec:
+    return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, twist))
 
 
 def _less_cost(data: ContactData, twist: ContactVec) -> ContactVec:
@@ -104,8 +108,8 @@ def _less_cost(data: ContactData, twist: ContactVec) -> ContactVec:
 
 def candidate_forces_at(data: ContactData, twist: ContactVec) -> CandidateForces:
     """The candidate forces for velocities of the contacts, wherever these come from."""
-    target = target_forces(data, twist)
     twist = _less_cost(data, twist)
+    target = _target(data, twist)
     sides = friction_cone.cone_side(target, data.cone)
     return CandidateForces(twist, sides, friction_cone.project(target, data.cone, sides))
 
@@ -224,6 +228,11 @@ def objective_of_no_force(data: ContactData) -> Array:
     """The objective of no force at all: what gaps are measured against where the optimum's own is small."""
     held = squeezing_forces(data)
     return vec3.totals(deviation_cost(data, contact_vec.sub(held, held)))[0]
+
+
+def gap_scale(data: ContactData, objective: Array) -> Array:
+    """What a duality gap is small or large beside: the objective, or that of no force where it is less."""
+    return jnp.maximum(jnp.abs(objective), objective_of_no_force(data))
 
 
 def negative_hessian(problem: DualProblem, jacobian: Lower) -> Lower:

@@ -244,9 +244,13 @@ def is_within(
     gap: float,
 ) -> Array:
     """Whether the residual, beside the forces, and the duality gap, beside the objective, are as small as that."""
-    balanced = squared_norm <= (residual * (1 + total_normal_force)) ** 2
-    scale = jnp.maximum(jnp.abs(value), dual.objective_of_no_force(data))
-    return balanced & (jnp.abs(spatial.inner(point, gradient)) <= gap * scale)
+    small_gap = jnp.abs(spatial.inner(point, gradient)) <= gap * dual.gap_scale(data, value)
+    return is_small(squared_norm, total_normal_force, residual) & small_gap
+
+
+def is_small(squared_norm: Array, total_normal_force: Array, residual: float) -> Array:
+    """Whether a residual of that squared length is as small beside forces of that size."""
+    return squared_norm <= (residual * (1 + total_normal_force)) ** 2
 
 
 class OptimalityCheck(NamedTuple):

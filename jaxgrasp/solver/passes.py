@@ -17,7 +17,7 @@ from functools import partial
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.model.solution import Route, Verdict, is_optimum
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
@@ -88,7 +88,7 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.
         settings = PassSettings(index >= CAREFUL, steps, index > 0, index != UNSQUEEZED)
         # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
-        open_ = settings.careful & (~torque_passes.solved(result) | ~settings.squeezed)
+        open_ = settings.careful & (~is_optimum(result.verdict) | ~settings.squeezed)
         chosen = result.undecided & (open_ | (result.verdict == Verdict.OUTSIDE_CONES))
         tile = partial(_optimum_tile, settings=settings)
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
@@ -183,7 +183,7 @@ def _optimum_result(
     cost, least = _cost(problem, state.forces, own, prior)
     verdict = jnp.where(least, Verdict.OPTIMAL, Verdict.FEASIBLE)
     feasible = ~squeezed & (result.verdict == Verdict.OPTIMAL)
-    vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | (torque_passes.solved(prior) & feasible))
+    vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | (is_optimum(prior.verdict) & feasible))
     result = result._replace(
         verdict=jnp.where(feasible, verdict, result.verdict),
         objective=jnp.where(feasible, cost, result.objective),
@@ -197,5 +197,5 @@ def _cost(problem: ScaledProblem, forces: ContactVec, own: ContactData, prior: P
     gap of a converged optimum."""
     user = problem.data._replace(squeeze=own.squeeze, weights=own.weights)
     (cost,) = vec3.totals(dual.deviation_cost(user, contact_vec.scale(problem.scaling.load, forces)))
-    gap = tolerances(cost.dtype).gap * jnp.maximum(cost, dual.objective_of_no_force(user))
+    gap = tolerances(cost.dtype).gap * dual.gap_scale(user, cost)
     return cost[0], (cost - prior.objective[None] <= gap)[0]

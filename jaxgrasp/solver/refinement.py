@@ -20,9 +20,9 @@ from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec, parts
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.newton import LOOSE_FACTOR, as_returned, damped
+from jaxgrasp.solver.newton import LOOSE_FACTOR, as_returned, damped, is_small
 from jaxgrasp.solver.proximal import ProximalState
-from jaxgrasp.solver.result import Measurement, measure_forces
+from jaxgrasp.solver.result import measure_forces
 
 REFINING_STEPS = 4
 """Newton steps: the digits double with each, and the first starts from about half of them."""
@@ -39,7 +39,8 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
 
     As ``careful``, what has not converged is tried too.
     """
-    data, enough = problem.data, ENOUGH * tolerances(state.missed.dtype).balance
+    data, tol = problem.data, tolerances(state.missed.dtype)
+    enough = ENOUGH * tol.balance
     rounding = jnp.asarray(16 * jnp.finfo(state.missed.dtype).eps, state.missed.dtype)
     wanting = (state.verdict == Verdict.OPTIMAL) & (state.missed > enough)
     wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED))
@@ -51,8 +52,8 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
         forces = as_returned(contact_vec.where(i <= REFINING_STEPS, nearest, corrected))
         found = measure_forces(problem, forces)
         left = problem.coordinates.wrench(*parts(found.residual))
-        balanced = (found.error <= enough) & (squared_norm(problem.metric, left) <= _small(found))
-        good = wanting & balanced & _costs_least(problem, found.objective, point)
+        small = is_small(squared_norm(problem.metric, left), found.total_normal_force, LOOSE_FACTOR * tol.gradient)
+        good = wanting & (found.error <= enough) & small & _costs_least(problem, found.objective, point)
         state = state._replace(
             point=jnp.where(good, point, state.point),
             forces=contact_vec.where(good, forces, state.forces),
@@ -76,16 +77,11 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
     return lax.fori_loop(0, trips, step, start)[-1]
 
 
-def _small(found: Measurement) -> Array:
-    """Largest squared residual of forces of that size."""
-    return (LOOSE_FACTOR * tolerances(found.error.dtype).gradient * (1 + found.total_normal_force)) ** 2
-
-
 def _costs_least(problem: ScaledProblem, objective: Array, point: SpatialVec) -> Array:
     """Whether an objective is what the dual at ``point`` proves to be least, within the gap of an optimum.
 
     The forces have left those that the point stands for, so that their residual alone does not tell.
     """
     least = dual.dual_value(problem, dual.candidate_forces(problem, point), point)
-    scale = jnp.maximum(jnp.abs(objective), dual.objective_of_no_force(problem.data))
-    return objective - least <= LOOSE_FACTOR * tolerances(objective.dtype).gap * scale
+    gap = LOOSE_FACTOR * tolerances(objective.dtype).gap
+    return objective - least <= gap * dual.gap_scale(problem.data, objective)

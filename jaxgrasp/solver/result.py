@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.model.solution import Route, Verdict, is_optimum
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
@@ -91,7 +91,7 @@ def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array)
     """What was found in the user's axes and units, with residual and objective measured on the forces themselves."""
     data, scaling, coordinates = problem.data, problem.scaling, problem.coordinates
     size, valid = problem.size, problem.valid & scaling.sound
-    solved = (found.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (found.verdict == Verdict.OPTIMAL)
+    solved = is_optimum(found.verdict)
     answered = solved | (found.verdict == Verdict.OUTSIDE_CONES)
     residual, error, hidden, objective, _ = measure_forces(problem, found.forces)
     # The dual's value at the multiplier, which no allowed forces undercut.

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.model.solution import Route, Verdict, is_optimum
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.shard_map_loop import varying_like
@@ -62,7 +62,7 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     # Forces that are allowed but not the optimum are no better a start than none.
     broken = (result.verdict == Verdict.FEASIBLE) & ~within
     verdict = jnp.where(broken, Verdict.NOT_CONVERGED, result.verdict)
-    result = result._replace(undecided=(solved(result) & ~within) | strange, verdict=verdict)
+    result = result._replace(undecided=(is_optimum(result.verdict) & ~within) | strange, verdict=verdict)
     nothing = varying_like(nothing, problem, result)
     result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)
     # One question for all, since every pass that asks for itself copies what it may change.
@@ -82,11 +82,6 @@ def _within(problem: ProblemBatch, result: PassResult) -> PassResult:
                 break
     result = result._replace(certificate_rates=nothing)
     return over_chosen(_careful_tile, problem, result, result.undecided, CAREFUL_TILE)
-
-
-def solved(result: PassResult) -> Array:
-    """Which results are optima."""
-    return (result.verdict == Verdict.CLOSED_FORM_OPTIMAL) | (result.verdict == Verdict.OPTIMAL)
 
 
 def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass) -> PassResult:
@@ -115,8 +110,8 @@ def _excess(problem: ProblemBatch, result: PassResult) -> Array:
 
 def _settled(problem: ProblemBatch, prior: PassResult, excess: Array, valid: Array) -> Array:
     """Problems that no limit concerns after all."""
-    unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~solved(prior)
-    return valid[0] & (unsolved | (solved(prior) & ~jnp.any(excess > 0, 1)))
+    unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~is_optimum(prior.verdict)
+    return valid[0] & (unsolved | (is_optimum(prior.verdict) & ~jnp.any(excess > 0, 1)))
 
 
 def _merge(settled: Array, prior: PassResult, result: PassResult) -> PassResult:

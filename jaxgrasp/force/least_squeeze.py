@@ -7,7 +7,7 @@ from jax import Array
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import is_held
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
@@ -72,7 +72,7 @@ def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boun
 def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
     """The least totals ``(B,)``, +inf where no forces exist or none were found, and what bounds each."""
     # That forces exist is known first: where none do, they only grow.
-    solved = transforms.optimum(problem).verdict <= Verdict.OPTIMAL
+    solved = is_held(transforms.optimum(problem).verdict)
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
 
 

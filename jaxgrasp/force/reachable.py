@@ -9,7 +9,7 @@ from jax import Array
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import Verdict, is_held
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.tiling import over_chosen
@@ -96,7 +96,7 @@ def reachable_wrench(
 def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     """The answers of a flat batch: the optimum of all, and a projection for those that have none."""
     solution = transforms.optimum(problem)
-    solved = solution.verdict <= Verdict.OPTIMAL
+    solved = is_held(solution.verdict)
     usable = solution.verdict != Verdict.INVALID_DATA
     answer = Reachable(
         wrench=jnp.where(usable[:, None], problem.wrench, 0),

@@ -1,7 +1,7 @@
 """What a force-distribution method answers: the forces, and a verdict that says what they are worth."""
 
 from enum import IntEnum
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -72,20 +72,17 @@ class Verdict(IntEnum):
         return self in (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
 
-Codes = TypeVar("Codes", Array, np.ndarray)
-
-
-def is_optimum(verdict: Codes) -> Codes:
-    """Which codes say that the forces are the optimum."""
+def is_optimum(verdict: Any) -> Any:
+    """Which codes, in an array of either kind or alone, say that the forces are the optimum."""
     return verdict <= Verdict.OPTIMAL
 
 
-def is_held(verdict: Codes) -> Codes:
+def is_held(verdict: Any) -> Any:
     """Which codes say that the forces balance the wrench inside every cone, the best that do or not."""
     return is_optimum(verdict) | (verdict == Verdict.FEASIBLE)
 
 
-def is_balanced(verdict: Codes) -> Codes:
+def is_balanced(verdict: Any) -> Any:
     """Which codes say that the forces balance the wrench, inside the cones or not."""
     return is_held(verdict) | (verdict == Verdict.OUTSIDE_CONES)
 
@@ -200,7 +197,7 @@ class Solution(Batched):
 
     def _sizes(self) -> str:
         """The largest force and residual of what balances its wrench."""
-        answered = np.asarray(self.verdict) <= Verdict.OUTSIDE_CONES
+        answered = is_balanced(np.asarray(self.verdict))
         if not answered.any():
             return "no forces"
         forces = np.linalg.norm(np.asarray(self.forces), axis=-1)[answered]

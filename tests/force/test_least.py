@@ -195,10 +195,12 @@ def test_derivatives_forward_reverse_and_by_differences(question):
         errors.append(np.abs(slope - tangent) / (np.abs(tangent) + 0.1 * np.abs(value)))
     error = np.min(errors, 0)
     if question is least_friction:
-        # Where less would be impossible rather than too little, no derivative is given.
+        # Not all are held by their squeeze: elsewhere less friction would leave the wrench out of reach.
         scaled = Grasp(*inputs[:2], inputs[2] * np.asarray(value)[:, None], inputs[3])
         exact = np.abs(np.asarray(least_squeeze(scaled, inputs[4])) / inputs[3].sum(1) - 1) < 1e-8
-        assert exact.mean() > 0.5 and not tangent[~exact].any()
+        assert 0.5 < exact.mean() < 1
+        # Those shares are found by halving, to 1e-6, of which differences over 1e-3 make a thousandth.
+        assert (error[~exact] < 5e-3).all()
         error = error[exact]
     # Some have a kink within the steps.
     assert np.quantile(error, 0.9) < 1e-6

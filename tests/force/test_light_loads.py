@@ -162,3 +162,20 @@ def test_lifts_that_ask_for_forces_of_ten_thousand_loads_are_decided(n, seed, wh
     assert np.all(np.linalg.norm(found.forces, axis=-1).max(-1) > 1e4)
     assert np.all(missed(grasp, wrench, found.forces) <= 3 * ALLOWED)
     assert np.all(beyond_cones(grasp, found.forces) <= 1e-13)
+
+
+@pytest.mark.slow
+def test_what_is_allowed_answers_every_question_whether_or_not_it_is_the_optimum():
+    """The least squeeze and the closest wrench do not hang on how unevenly a hand means to squeeze."""
+    even, wrench = sampled(5, seed=1)
+    squeeze = 10 ** np.random.default_rng(5).uniform(-12, 6, (COUNT, 5))
+    uneven = Grasp(even.points, even.normals, even.friction, squeeze)
+    found = solve(uneven, wrench, squeeze)
+    open_ = np.asarray(found.verdict) == Verdict.FEASIBLE
+    assert open_.sum() > 10
+    least, expected = (np.asarray(jaxgrasp.least_squeeze(grasp, wrench)) for grasp in (uneven, even))
+    np.testing.assert_allclose(least[open_], expected[open_], rtol=1e-6)
+    closest = jaxgrasp.reachable_wrench(uneven, wrench)
+    assert np.all(np.asarray(closest.distance)[open_] == 0)
+    np.testing.assert_array_equal(np.asarray(closest.forces)[open_], np.asarray(found.forces)[open_])
+    assert "largest force" in str(found[int(np.flatnonzero(open_)[0])])

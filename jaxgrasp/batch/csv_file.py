@@ -7,7 +7,6 @@ torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of t
 
 import csv
 import os
-import re
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +14,12 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import LABELS, LONGEST_LABEL
+from jaxgrasp.files.decimal_number import decimal_number
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.IGNORECASE)
-"""What counts as a number; Python's own reading would take 1_0 for ten, and digits of every script."""
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
@@ -115,9 +113,10 @@ def _quoted(cell: str) -> str:
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
-    if not NUMBER.fullmatch(text.strip(" \t")):
-        raise GraspFileError(path, f"line {line}, column {column} is {shortened(text)}: expected a number")
-    return float(text)
+    try:
+        return decimal_number(text)
+    except ValueError as error:
+        raise GraspFileError(path, f"line {line}, column {column} {error}") from None
 
 
 def _check_runs(path: Path, keys: list[str], starts: list[int], lines: tuple[int, ...]) -> None:

@@ -12,6 +12,7 @@ from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.line import check_port
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
@@ -74,6 +75,7 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
 
 def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimulus, Arm]:
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
+    check_port(arguments.port or "", arguments.baud)
     set_up_jax("float64")
     say_compiling("the hand and its torques")
     from jaxgrasp.lab.felt_objects import felt_object

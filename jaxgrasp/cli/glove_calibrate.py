@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove_arguments import Calibrate
 from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.decimal_number import decimal_number
 from jaxgrasp.glove.calibrate import CalibrationLine, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
@@ -15,6 +16,9 @@ from jaxgrasp.report.calibration_picture import write_calibration_picture
 
 COLUMNS = ("sensor", "channel", "counts", "value")
 SENSORS = ("encoder", "gauge")
+MOST_COUNTS = 2.0**31
+"""No counter of a glove goes further, and no glove feels a value [rad, N] as large as the next."""
+LARGEST_VALUE = 1e6
 
 
 def calibrate_command(arguments: Calibrate) -> int:
@@ -45,12 +49,15 @@ def read_pairs(path: Path, model: GloveModel) -> dict[str, tuple[np.ndarray, np.
     Raises:
         ValueError: for a file without these columns, and lines that are no pair; the message names the line.
     """
-    with open(path, newline="", encoding="utf-8") as stream:
-        reader = csv.DictReader(stream)
-        missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-        if missing:
-            raise ValueError(f"{path} has no column {missing[0]!r}: expected {', '.join(COLUMNS)}")
-        found = [_pair(row, reader.line_num, path, model) for row in reader]
+    try:
+        with open(path, newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise ValueError(f"{path} has no column {missing[0]!r}: expected {', '.join(COLUMNS)}")
+            found = [_pair(row, reader.line_num, path, model) for row in reader]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is no CSV in UTF-8: {error}") from None
     pairs = {}
     for sensor in SENSORS:
         of_channels = [
@@ -75,13 +82,20 @@ def _pair(row: dict[str, str], line: int, path: Path, model: GloveModel) -> tupl
         raise ValueError(f"{where}: sensor is {row['sensor']!r}: expected {' or '.join(SENSORS)}")
     if row["channel"] not in model.joints:
         raise ValueError(f"{where}: channel is {row['channel']!r}: expected one of {', '.join(model.joints)}")
+    counts, value = _number(where, "counts", row, MOST_COUNTS), _number(where, "value", row, LARGEST_VALUE)
+    if counts != round(counts):
+        raise ValueError(f"{where}: counts is {counts}: expected a whole number")
+    return row["sensor"], model.joints.index(row["channel"]), int(counts), value
+
+
+def _number(where: str, name: str, row: dict[str, str], largest: float) -> float:
     try:
-        counts, value = int(row["counts"]), float(row["value"])
-    except (TypeError, ValueError):
-        raise ValueError(f"{where}: counts {row['counts']!r}, value {row['value']!r}: expected numbers") from None
-    if not math.isfinite(value):
-        raise ValueError(f"{where}: value is {value}: expected a finite number")
-    return row["sensor"], model.joints.index(row["channel"]), counts, value
+        number = decimal_number(row[name] or "")
+    except ValueError as error:
+        raise ValueError(f"{where}: {name} {error}") from None
+    if not abs(number) <= largest:
+        raise ValueError(f"{where}: {name} is {number:g}: expected a number up to {largest:g}")
+    return number
 
 
 def _said(sensor: str, line: CalibrationLine, model: GloveModel) -> str:

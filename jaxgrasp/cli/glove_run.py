@@ -15,7 +15,7 @@ from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
@@ -44,21 +44,34 @@ def run_command(arguments: Run) -> int:
         raise ValueError("listen needs the port of the glove")
     if arguments.connect and arguments.port is not None:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
-    if arguments.port is None and arguments.connect is None:
-        set_up_jax("float64")
-        say_compiling(COMPILED)
-        return _play(arguments, model)
+    alignment = _check_ends(arguments)
     if arguments.listen:
         return _serve(arguments, model, options)
     set_up_jax("float64")
     say_compiling(COMPILED)
-    return _render(arguments, model, options)
+    if arguments.port is None and arguments.connect is None:
+        return _play(arguments, model)
+    return _render(arguments, model, options, alignment)
+
+
+def _check_ends(arguments: Run) -> Alignment | None:
+    """What is at both ends is there and can be used, before anything compiles; the tracker's alignment."""
+    if arguments.port is None and arguments.connect is None:
+        for name in ("seconds", "control", "tracker", "alignment"):
+            if getattr(arguments, name):
+                raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
+    for name in ("listen", "connect"):
+        if (address := getattr(arguments, name)) is not None:
+            _address(name, address)
+    _key(arguments.key)
+    alignment = None if arguments.alignment is None else load_alignment(arguments.alignment)
+    for port, baud in ((arguments.port, arguments.baud), (arguments.tracker, arguments.tracker_baud)):
+        if port is not None:
+            check_port(port, baud)
+    return alignment
 
 
 def _play(arguments: Run, model: GloveModel) -> int:
-    for name in ("seconds", "control", "tracker", "alignment"):
-        if getattr(arguments, name):
-            raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
     show("compiling, and playing the whole story: a minute or two")
     story = grasp_and_lift(model, arguments.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -117,9 +130,8 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     return 0
 
 
-def _render(arguments: Run, model: GloveModel, options: dict) -> int:
+def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
-    alignment = None if arguments.alignment is None else load_alignment(arguments.alignment)
     scene, closed, placed = cylinder_scene()
     haptics = Haptics(scene, model, np.asarray(closed.angles), placed, arguments.law)
     show("compiling")

@@ -16,7 +16,7 @@ from jaxgrasp.cli.glove_arguments import Align, Calibrate, Glove, Monitor, Ports
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import announce, show
-from jaxgrasp.files.printable import printable
+from jaxgrasp.files.printable import message_line
 
 Command = (
     Annotated[FindContacts, tyro.conf.subcommand("contacts")]
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return run(command)
     except (ValueError, OSError, ImportError) as error:
-        announce(f"jaxgrasp: {printable(error)}")
+        announce(f"jaxgrasp: {message_line(error)}")
         return 1
     except KeyboardInterrupt:
         kept = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""

@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 Made = TypeVar("Made")
 HUGE = 1e300
+"""No quantity is this large, and whole numbers beyond are too large to be a float."""
 
 
 def load_toml(path: Path) -> dict[str, Any]:

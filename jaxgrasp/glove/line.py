@@ -120,3 +120,12 @@ class Pace:
     def sent(self, now: float) -> None:
         """A frame was given to the line."""
         self._free_at = max(now, self._free_at) + self.frame_time
+
+
+def check_port(port: str, baud: int) -> None:
+    """A port that cannot be opened is said before anything else is done.
+
+    Raises:
+        LineError: if it cannot be opened.
+    """
+    SerialLine(port, baud).close()

@@ -45,8 +45,11 @@ def test_calibrate(folder, capsys):
     [
         ({"sensor": "thermometer"}, "line 2: sensor is 'thermometer': expected encoder or gauge"),
         ({"channel": "thumb"}, "line 2: channel is 'thumb': expected one of thumb MP"),
-        ({"counts": "x"}, "line 2: counts 'x'"),
-        ({"value": "nan"}, "line 2: value is nan: expected a finite number"),
+        ({"counts": "x"}, "line 2: counts is 'x': expected a number"),
+        ({"counts": "1_0"}, "line 2: counts is '1_0': expected a number"),
+        ({"counts": "1.5"}, "line 2: counts is 1.5: expected a whole number"),
+        ({"counts": "9" * 20}, "line 2: counts is 1e+20: expected a number up to 2.14748e+09"),
+        ({"value": "nan"}, "line 2: value is nan: expected a number up to 1e+06"),
         ({"value": "1"}, "channel 0 does not change"),
     ],
 )
@@ -65,6 +68,11 @@ def test_bad_arguments(folder, capsys):
         (["run", "--listen", "x:1"], "listen needs the port"),
         (["run", "--port", "p", "--listen", "x"], "listen is 'x': expected HOST:PORT"),
         (["run", "--port", "p", "--connect", "x:1"], "port and connect were both given"),
+        (["run", "--connect", "x"], "connect is 'x': expected HOST:PORT"),
+        (["run", "--connect", "x:1", "--key", "x"], "key is no hexadecimal number"),
+        (["run", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
+        (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
+        (["run", "--alignment", "there"], "alignment needs the port of a glove"),
     ):
         assert main(["glove", *arguments]) == 1
         assert message in capsys.readouterr().err, arguments

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.other_devices.polhemus import TrackerSample
 
@@ -20,6 +21,8 @@ LEAST_MOVE = 0.05
 LEAST_ANGLE = 60.0
 """Between the moves forward and up, which are meant to be square [deg]."""
 OFF_ROTATION = 1e-6
+FARTHEST = 1e3
+"""No tracker reaches so far [m]."""
 """By how much a stored rotation may miss being one."""
 
 
@@ -112,8 +115,10 @@ _SHAPES = {"transmitter": (3, 3), "receiver": (3, 3), "zero": (3,)}
 def _numbers(path: Path, found: dict, name: str, shape: tuple[int, ...]) -> np.ndarray:
     try:
         array = np.array(found.get(name), float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.array(np.nan)
-    if array.shape != shape or not np.all(np.isfinite(array)):
-        raise ValueError(f"{path}: {name} is {str(found.get(name))[:60]}: expected finite numbers of shape {shape}")
+    if array.shape != shape or not np.all(np.abs(array) <= FARTHEST):
+        raise ValueError(
+            f"{path}: {name} is {shortened(found.get(name))}: expected numbers of shape {shape}, up to {FARTHEST:g}"
+        )
     return array

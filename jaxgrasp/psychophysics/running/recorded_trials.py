@@ -1,11 +1,12 @@
 """What is on record of a person: read, and led through the plan again, so that nothing else passes for it."""
 
-import math
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from jaxgrasp.files.printable import shortened
+from jaxgrasp.files.toml_fields import HUGE
 from jaxgrasp.psychophysics.plan import Plan, plan_of
 from jaxgrasp.psychophysics.running.records import FORMAT, RecordError, read_records
 from jaxgrasp.psychophysics.schedule import Schedule
@@ -22,7 +23,7 @@ def read_experiment(path: Path) -> tuple[Plan, dict[str, float] | None, list[Tri
     """
     first, *rest = _records(path)
     plan = _plan(first, path)
-    return plan, first["observer"], replay(Schedule(plan, path.stem), path.stem, [first, *rest], path)
+    return plan, _observer(first, path), replay(Schedule(plan, path.stem), path.stem, [first, *rest], path)
 
 
 def replay(schedule: Schedule, subject: str, records: list[dict[str, Any]], path: Path) -> list[TrialRecord]:
@@ -50,7 +51,7 @@ def check_plan(records: list[dict[str, Any]], plan: Plan, observer: dict[str, fl
     if not records:
         return
     _check_same(_plan(records[0], path), plan, path)
-    was = records[0]["observer"]
+    was = _observer(records[0], path)
     if was != observer:
         names = ["a person" if one is None else f"a simulated observer, {one}" for one in (was, observer)]
         raise RecordError(f"{path} was begun by {names[0]}, and now it is {names[1]}")
@@ -90,6 +91,15 @@ def _plan(first: dict[str, Any], path: Path) -> Plan:
         raise RecordError(f"{path}: {error}") from None
 
 
+def _observer(first: dict[str, Any], path: Path) -> dict[str, float] | None:
+    """The parameters of the observer who was simulated, if any; the first record is one that ``_plan`` took."""
+    given = first["observer"]
+    for name, value in (given or {}).items():
+        if not _is_number(value):
+            raise RecordError(f"{path}: observer.{name} is {shortened(value)}: expected a number")
+    return None if given is None else {name: float(value) for name, value in given.items()}
+
+
 def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
     """The score of a recorded answer, once it is known to be one."""
     where = f"{path}, trial {trial.number}"
@@ -119,7 +129,7 @@ def _is_pair(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < HUGE
 
 
 def felt_levels(trials: Iterable[TrialRecord]) -> list[float]:

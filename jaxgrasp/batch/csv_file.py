@@ -1,4 +1,4 @@
-"""Small sets as CSV: one line a contact, the wrench repeated on each line of its grasp.
+"""Sets as CSV: one line a contact, the wrench repeated on each line of its grasp.
 
 Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp),
 px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
@@ -7,7 +7,9 @@ torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of t
 
 import csv
 import os
+from array import array
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,15 +22,57 @@ from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
+TOGETHER = {"points": POINT, "normals": NORMAL, "wrench": WRENCH}
+NUMBERS = (*POINT, *NORMAL, *WRENCH, "friction", "squeeze", *OPTIONAL_NUMBERS)
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
-    """Read a small set; errors name the line and the column."""
+    """Read a set; errors name the line and the column."""
     path, fill = Path(path), fill or {}
     try:
-        header, numbered = _read_lines(path)
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            header = next(reader, [])
+            _check_header(path, header, fill)
+            table = _read_rows(path, header, reader)
     except (UnicodeDecodeError, csv.Error) as error:
         raise GraspFileError(path, f"it is not CSV in UTF-8 ({error})") from error
+    if not table.starts:
+        raise GraspFileError(path, "it holds no grasps")
+    column = dict(zip(table.columns, table.numbers.T, strict=True))
+    together = {name: np.stack([column[one] for one in some], 1) for name, some in TOGETHER.items()}
+    offsets = np.array([*table.starts, len(table.numbers)])
+    wrench = together["wrench"][offsets[:-1]]
+    expected = np.repeat(wrench, np.diff(offsets), 0)
+    differs = np.flatnonzero((together["wrench"] != expected).any(1) & np.isfinite(expected).all(1))
+    if len(differs):
+        raise GraspFileError(path, f"line {table.lines[differs[0]]} has another wrench than its grasp's first")
+    contacts = {
+        name: column[name].copy() if name in column else np.full(len(table.numbers), fill[name])
+        for name in ("friction", "squeeze", *(name for name in OPTIONAL_NUMBERS if name in column))
+    }
+    labels = {name: np.array(values) for name, values in table.labels.items()}
+    return ContactSets(
+        together["points"], together["normals"], **contacts, offsets=offsets, wrench=wrench[:, None], labels=labels
+    )
+
+
+class _Table(NamedTuple):
+    """What the lines of a file hold, one row each."""
+
+    columns: list[str]
+    """Those of numbers, in the order of the file."""
+    numbers: np.ndarray
+    """``(rows, columns)``."""
+    lines: array
+    """Number of each row's (last) line."""
+    starts: list[int]
+    """The first row of each grasp."""
+    labels: dict[str, list[str]]
+    """Of each grasp."""
+
+
+def _check_header(path: Path, header: list[str], fill: dict[str, float]) -> None:
     needed = ["grasp", *POINT, *NORMAL, *WRENCH, *(c for c in ("friction", "squeeze") if c not in fill)]
     torques = [column for column in ("torque_map", "torque_max") if column in header]
     if torques:
@@ -39,55 +83,51 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     doubled = {column for column in header if header.count(column) > 1}
     if doubled:
         raise GraspFileError(path, f"it has the column {min(doubled)} twice")
-    if not numbered:
-        raise GraspFileError(path, "it holds no grasps")
-    lines, rows = zip(*numbered, strict=True)
-    for line, row in numbered:
-        if None in row or None in row.values():
-            raise GraspFileError(path, f"line {line} has {'more' if None in row else 'fewer'} cells than the header")
-        for name in LABELS:
-            if len(row.get(name, "")) > LONGEST_LABEL:
+
+
+def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
+    """Every row as numbers at once: the text of a large file takes ten times the memory."""
+    places = [k for k, name in enumerate(header) if name in NUMBERS]
+    labels = {name: (header.index(name), list[str]()) for name in LABELS if name in header}
+    numbers, lines, starts, of_grasp = array("d"), array("q"), [], header.index("grasp")
+    seen: set[str] = set()
+    last = None
+    for row in reader:
+        if not row:
+            continue
+        line = reader.line_num
+        if len(row) != len(header):
+            raise GraspFileError(
+                path, f"line {line} has {'more' if len(row) > len(header) else 'fewer'} cells than the header"
+            )
+        if row[of_grasp] != last:
+            last = row[of_grasp]
+            if last in seen:
                 raise GraspFileError(
-                    path,
-                    f"line {line}, column {name} is text of {len(row[name]):,} characters: "
-                    f"expected at most {LONGEST_LABEL:,}",
+                    path, f"line {line} returns to grasp {shortened(last)}: expected its lines together"
                 )
+            seen.add(last)
+            starts.append(len(lines))
+            for name, (place, values) in labels.items():
+                values.append(_label(path, line, name, row[place]))
+        for place in places:
+            numbers.append(_number(path, line, header[place], row[place]))
+        lines.append(line)
+    columns = [header[place] for place in places]
+    shaped = np.frombuffer(numbers).reshape(len(lines), len(columns)) if lines else np.zeros((0, len(columns)))
+    return _Table(columns, shaped, lines, starts, {name: values for name, (_, values) in labels.items()})
 
-    def numbers(columns: tuple[str, ...]) -> np.ndarray:
-        return np.array([[_number(path, line, c, row[c]) for c in columns] for line, row in numbered])
 
-    keys = [row["grasp"] for row in rows]
-    starts = [i for i, key in enumerate(keys) if i == 0 or key != keys[i - 1]]
-    _check_runs(path, keys, starts, lines)
-    wrench = numbers(WRENCH)
-    offsets = np.array([*starts, len(rows)])
-    for i, start in enumerate(starts):
-        differs = np.flatnonzero(
-            (wrench[start : offsets[i + 1]] != wrench[start]).any(1) & np.isfinite(wrench[start]).all()
+def _label(path: Path, line: int, name: str, text: str) -> str:
+    if len(text) > LONGEST_LABEL:
+        raise GraspFileError(
+            path, f"line {line}, column {name} is text of {len(text):,} characters: expected at most {LONGEST_LABEL:,}"
         )
-        if len(differs):
-            raise GraspFileError(path, f"line {lines[start + differs[0]]} has another wrench than its grasp's first")
-    contacts = {
-        column: np.full(len(rows), fill[column])
-        if column in fill and column not in header
-        else numbers((column,))[:, 0]
-        for column in ("friction", "squeeze", *(name for name in OPTIONAL_NUMBERS if name in header))
-    }
-    labels = {name: np.array([rows[start][name] for start in starts]) for name in LABELS if name in header}
-    return ContactSets(
-        numbers(POINT), numbers(NORMAL), **contacts, offsets=offsets, wrench=wrench[starts][:, None], labels=labels
-    )
-
-
-def _read_lines(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """The header, and each row with the number of its (last) line."""
-    with open(path, newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream)
-        return list(reader.fieldnames or []), [(reader.line_num, row) for row in reader]
+    return text
 
 
 def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
-    """Write a small set, whole or not at all; digits enough to read the same numbers back."""
+    """Write a set, whole or not at all; digits enough to read the same numbers back."""
     if sets.wrenches != 1:
         raise ValueError(f"wrench has {sets.wrenches} wrenches a grasp: a CSV file holds one; write an .npz file")
     if sets.torque_map is not None:
@@ -117,13 +157,3 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
         return decimal_number(text)
     except ValueError as error:
         raise GraspFileError(path, f"line {line}, column {column} {error}") from None
-
-
-def _check_runs(path: Path, keys: list[str], starts: list[int], lines: tuple[int, ...]) -> None:
-    seen: set[str] = set()
-    for start in starts:
-        if keys[start] in seen:
-            raise GraspFileError(
-                path, f"line {lines[start]} returns to grasp {shortened(keys[start])}: expected its lines together"
-            )
-        seen.add(keys[start])

@@ -10,10 +10,10 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp import grip, hand, literature, quality, sensitivity
-from jaxgrasp.model.checked import check_value, hints_of
+from jaxgrasp.validation.checked import check_value, hints_of
 from tests.test_bad_arguments import GRASP, WRENCH
 
-ROOMS = ("hand", "grip", "quality", "sensitivity", "literature", "interop", "lab")
+ROOMS = ("hand", "grip", "quality", "sensitivity", "literature", "interop", "lab", "glove", "psychophysics")
 FUNCTIONS = {
     f"{room}.{name}": function
     for room in ROOMS

@@ -4,10 +4,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.problem.flatten import refuse_soft_fingers
+from jaxgrasp.validation.checked import checked
 
 
 @checked

@@ -4,10 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.model.arguments import check_kind, check_numbers
+from jaxgrasp.model.arguments import check_kind
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
+from jaxgrasp.validation.values import check_numbers
 
 
 def slip_angle(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n"]:

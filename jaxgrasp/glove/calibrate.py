@@ -1,6 +1,7 @@
 """Calibration: the straight lines of encoders and gauges by least squares, from pairs that were recorded."""
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
+from jaxgrasp.validation.checked import checked
 
 HUGE = 1e9
 """Beyond any number of a calibration."""
@@ -80,6 +82,7 @@ def fit_line(
     return CalibrationLine(at_zero, slopes, errors_at_zero, errors, residuals)
 
 
+@checked
 def fit_encoders(
     counts: Int[np.ndarray, "pairs channels"], angles: Float[np.ndarray, "pairs channels"]
 ) -> tuple[Encoders, CalibrationLine]:
@@ -93,6 +96,7 @@ def fit_encoders(
     return Encoders(line.at_zero, line.per_count), line
 
 
+@checked
 def fit_gauges(
     counts: Int[np.ndarray, "pairs channels"],
     tensions: Float[np.ndarray, "pairs channels"],
@@ -109,7 +113,8 @@ def fit_gauges(
     return Gauges(-line.at_zero / line.per_count, line.per_count, arm, full), line
 
 
-def save_sensors(sensors: Sensors, path: Path) -> None:
+@checked
+def save_sensors(sensors: Sensors, path: str | os.PathLike) -> None:
     """Write sensors as JSON; whole or not at all."""
     encoders, gauges = sensors.encoders, sensors.gauges
     content = {
@@ -117,16 +122,18 @@ def save_sensors(sensors: Sensors, path: Path) -> None:
         "gauges": {name: getattr(gauges, name).tolist() for name in ("zero", "per_count", "arm")}
         | {"full": gauges.full},
     }
-    replace_file(path, lambda stream: stream.write((json.dumps(content, indent=1) + "\n").encode()))
+    replace_file(Path(path), lambda stream: stream.write((json.dumps(content, indent=1) + "\n").encode()))
 
 
-def load_sensors(path: Path, channels: int) -> Sensors:
+@checked
+def load_sensors(path: str | os.PathLike, channels: int) -> Sensors:
     """Sensors that ``save_sensors`` wrote.
 
     Raises:
         ValueError: for a file that is none of these, or of another number of channels; the message names the key.
         OSError: for a file that cannot be read.
     """
+    path = Path(path)
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:

@@ -1,6 +1,7 @@
 """Gloves as they are driven: which joints they resist, how much, how fast, and in which steps."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.files.toml_fields import load_toml, nearest, number
+from jaxgrasp.validation.checked import checked
 
 MOST_CHANNELS = 14
 """Values in a frame of the native protocol."""
@@ -93,19 +95,21 @@ class GloveModel:
         return tuple(list(joints).index(joint) for joint in self.joints)
 
 
+@checked
 def lrp_hand_master() -> GloveModel:
     """The paper's: 14 flexions, 0.12 N.m each (section III-A)."""
     return GloveModel("LRP Hand Master", FLEXIONS, (0.12,) * len(FLEXIONS))
 
 
-def load_glove(path: Path) -> GloveModel:
+@checked
+def load_glove(path: str | os.PathLike) -> GloveModel:
     """A glove from a TOML file of ``name``, ``joints``, ``limits`` (a number or one for each), ``rate``, ``quantum``.
 
     Raises:
         ValueError: for a file that is no TOML, keys that are unknown or missing, and values that no glove has.
         OSError: for a file that cannot be read.
     """
-    given = load_toml(path)
+    given = load_toml(Path(path))
     known = [one.name for one in fields(GloveModel) if one.init]
     for key in given:
         if key not in known:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.validation.checked import checked
 
 FULL_TENSION = 4.5
 """Tension up to which the paper's gauges are linear [N] (section III-A)."""
@@ -75,6 +76,7 @@ class Sensors:
     gauges: Gauges
 
 
+@checked
 def nominal_sensors(model: GloveModel) -> Sensors:
     """Sensors before any calibration.
 

@@ -38,9 +38,9 @@ from jaxgrasp.grip.slipping import resultant
 from jaxgrasp.grip.tick import Tick, assessed, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.validation.checked import checked
 
 
 class Instant(NamedTuple):

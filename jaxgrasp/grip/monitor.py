@@ -16,10 +16,10 @@ from jax import Array
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.slip import spin_force
 from jaxgrasp.model.arrays import AnyArray, Float, Int
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_held
 from jaxgrasp.problem.flatten import Sharing, read_sharing
+from jaxgrasp.validation.checked import checked
 
 Law = Literal["closed-form", "optimum"]
 
@@ -86,8 +86,6 @@ def monitor(
     Raises:
         ValueError: for another law, or as [`jaxgrasp.closed_form`][] does.
     """
-    if law not in ("closed-form", "optimum"):
-        raise ValueError(f"law is {law!r}: expected 'closed-form' or 'optimum'")
     name, weights = read_sharing(sharing)
     return _assessed(grasp, wrench, weights, free, sharing=name, law=law)
 

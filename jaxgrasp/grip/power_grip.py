@@ -7,10 +7,9 @@ from jaxgrasp.hand.closing import close_hand
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.human_hand import check_human, open_angles
 from jaxgrasp.hand.shapes import Shape, check_shape
-from jaxgrasp.model.arguments import check_instance
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.validation.checked import checked
 
 ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
@@ -59,8 +58,6 @@ def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, 
     Raises:
         ValueError: for a hand that is not a human one.
     """
-    check_instance("hand", hand, Hand)
-    check_instance("shape", shape, Shape)
     check_shape(shape)
     if not (np.isfinite(depth) and depth >= 0):
         raise ValueError(f"depth is {depth}: expected a number of metres, zero or more")

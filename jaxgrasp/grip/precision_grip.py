@@ -13,10 +13,10 @@ from jaxgrasp.hand.human_hand import check_human, open_angles
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.shapes import Shape, check_shape
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.least_squares import least_squares
 from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 PRESHAPES = {"MP": (25, 45, 65), "PIP": (25, 50), "thumb abduction": (30, 50)}

@@ -13,10 +13,10 @@ from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.model.wrench import weight_wrench
+from jaxgrasp.validation.checked import checked
 
 
 class Tick(eqx.Module):

@@ -11,8 +11,8 @@ from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import ancestry
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.validation.checked import checked
 
 
 @checked

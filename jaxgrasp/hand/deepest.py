@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.hand.detection import Contacts
-from jaxgrasp.model.checked import checked
+from jaxgrasp.validation.checked import checked
 
 
 class Kept(NamedTuple):

@@ -23,11 +23,11 @@ from jaxgrasp.hand.kinematics import Bodies, ancestry, body, flatten_posture, st
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.batched import Batched
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import over_chosen, shared_or_spread, spread
 from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.validation.checked import checked
 
 TILE = 32
 

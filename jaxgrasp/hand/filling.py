@@ -11,8 +11,8 @@ from jaxgrasp.hand.mesh import Mesh, MeshSurface, NearestPoints, check_mesh, mas
 from jaxgrasp.hand.octree import Octree, octree_balls
 from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
-from jaxgrasp.model.checked import checked
 from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.validation.checked import checked
 
 LEVELS = 5
 """How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""

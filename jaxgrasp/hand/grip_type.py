@@ -13,9 +13,9 @@ from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.to_grasp import link_contributions
 from jaxgrasp.model.arrays import Float, Int
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.model.squeeze import CYLINDRICAL_POWER_GRIP, Contributions
+from jaxgrasp.validation.checked import checked
 
 FINGERS = ("index", "middle", "ring", "little")
 SIDEWAYS = 0.7

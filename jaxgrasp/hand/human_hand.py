@@ -14,8 +14,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, Spheres
+from jaxgrasp.validation.checked import checked
 
 LENGTH, BREADTH = 0.19, 0.085
 """Length and breadth of a hand of middling size [m]."""

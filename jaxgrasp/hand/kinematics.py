@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.model.arguments import check_instance, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import spread
 from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.validation.checked import checked
+from jaxgrasp.validation.values import check_numbers
 
 Axes = tuple[Vec3, Vec3, Vec3]
 """A rotation by its columns."""
@@ -215,8 +215,6 @@ def joint_torques(
         points: one contact of each link, in the world [m], such as those of [`jaxgrasp.hand.find_contacts`][].
         forces: on the object [N]; zero where a link does not touch.
     """
-    check_instance("hand", hand, Hand)
-    check_instance("frames", frames, HandFrames)
     for name, array in (("points", points), ("forces", forces)):
         check_numbers(name, array, (len(hand.links), 3))
     moves = ancestry(hand).T.astype(float)

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.validation.checked import checked
 
 MISSING = "meshes need trimesh and scipy: pip install 'jaxgrasp[mesh]'"
 CHUNK = 4096

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, Spheres
+from jaxgrasp.validation.checked import checked
 
 COLUMNS = 6
 """Spheres across a pad; along it as many to the same length."""

@@ -6,9 +6,9 @@ import numpy as np
 from jaxgrasp.hand.detection import find_contacts
 from jaxgrasp.hand.kinematics import flatten_posture
 from jaxgrasp.hand.shapes import Shape
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.validation.checked import checked
 
 ROUNDING = 1e-6
 """How far an angle may pass its limit [rad], or a rotation its orthonormality, by rounding alone."""

@@ -14,13 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.model.arguments import check_instance, check_numbers
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.tiling import shared_or_spread
 from jaxgrasp.numerics.vec3 import Vec3
+from jaxgrasp.validation.checked import checked
 
 Size = Float[AnyArray, "*batch"] | float
 
@@ -204,8 +203,6 @@ def signed_distance(
         TypeError: for what is no shape, or no array of real numbers.
         ValueError: for points of other than three coordinates.
     """
-    check_instance("shape", shape, Shape)
-    check_numbers("points", points, (3,))
     return _signed_distance(shape, points)
 
 

@@ -5,10 +5,10 @@ from jax import Array
 
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.model.squeeze import Contributions, squeezing
+from jaxgrasp.validation.checked import checked
 
 THUMB, PALM = 2.0, 1.0
 """Contributions of each of the thumb's and the palm's links, which Table I does not name: ours."""

@@ -8,8 +8,8 @@ from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, Pose, Posture, padded
+from jaxgrasp.validation.checked import checked
 
 OCTANTS = tuple("".join("-+"[up] + axis for up, axis in zip(ups, "xyz", strict=True)) for ups in np.ndindex(2, 2, 2))
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
     import mujoco

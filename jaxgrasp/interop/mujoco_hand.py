@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, Link, padded
+from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
     import mujoco

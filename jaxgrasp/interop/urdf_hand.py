@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
-from jaxgrasp.model.checked import checked
+from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
     import mujoco

@@ -19,10 +19,10 @@ from jaxgrasp.hand.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, HandFrames, Pose
 from jaxgrasp.psychophysics.plan import StimulusPlan
+from jaxgrasp.validation.checked import checked
 
 TRAVEL = 0.04
 """Travel of the bar, upwards (section III-C) [m]."""

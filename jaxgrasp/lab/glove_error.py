@@ -6,8 +6,8 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.cable import Cable
 from jaxgrasp.lab.felt_objects import FeltObject, resistances
-from jaxgrasp.model.checked import checked
 from jaxgrasp.psychophysics.prediction.rendering_error import RenderingError
+from jaxgrasp.validation.checked import checked
 
 
 @checked

@@ -17,8 +17,8 @@ from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.tick import observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.validation.checked import checked
 
 
 class GloveHand(eqx.Module):

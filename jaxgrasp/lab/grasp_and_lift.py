@@ -17,9 +17,9 @@ from jaxgrasp.hand.human_hand import human_hand, open_angles
 from jaxgrasp.hand.shapes import Cylinder
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.model.task import GRAVITY
+from jaxgrasp.validation.checked import checked
 
 COMPUTE = 0.01
 """Time between two ticks of the computing side [s]."""

@@ -17,8 +17,8 @@ from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.lab.glove_hand import Felt, felt, felt_slipping, frames_of, glove_hand
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.validation.checked import checked
 
 LONGEST = 0.05
 """Time that a tick counts as at most [s], so that a pause does not throw the object."""

@@ -32,8 +32,8 @@ from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.positive_definite import Trade, descend, first_inside, own_axes
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.validation.checked import checked
 
 
 @checked

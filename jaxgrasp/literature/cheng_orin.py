@@ -20,9 +20,9 @@ from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import check_weights, forces_of, load_program
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
+from jaxgrasp.validation.checked import checked
 
 
 @checked

@@ -19,8 +19,8 @@ from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, facet_rows, normal_rows
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.validation.checked import checked
 
 HOLDS = 1e-9
 """What a face may be violated by, the load being one, where it does not depend on the unknowns."""

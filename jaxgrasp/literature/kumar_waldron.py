@@ -31,8 +31,8 @@ from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.scaled_batch import ScaledBatch
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.validation.checked import checked
 
 RANK_CUT = 1e-11
 """Moments of inertia below the square of this, the contacts' radius being one, are those of a line or a point."""

@@ -28,8 +28,8 @@ from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.multipliers import least_internal
 from jaxgrasp.literature.scaled_batch import ScaledBatch
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.validation.checked import checked
 
 
 @checked

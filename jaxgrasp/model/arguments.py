@@ -4,15 +4,10 @@ import warnings
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
-
-Tail = tuple[int | str, ...]
-"""Last axes of an array: sizes, or a letter for any size."""
-LONGEST = 50
-"""Characters of a wrong value that a message shows."""
+from jaxgrasp.validation.values import Tail, check_numbers, shown
 
 
 def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional: dict[str, tuple[Any, Tail]]) -> None:
@@ -44,30 +39,6 @@ def check_kind(grasp: Any) -> None:
             check_numbers(name, array)
 
 
-def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
-    """Raise TypeError for what is no array of real numbers, ValueError for wrong last axes."""
-    if isinstance(array, list | tuple | int | float):
-        try:
-            array = np.asarray(array)
-        except ValueError:
-            raise TypeError(f"{name} is of unequal lists: expected {_wanted(tail)}") from None
-    dtype = getattr(array, "dtype", None)
-    if dtype is None:
-        raise TypeError(f"{name} is {shown(array)}: expected {_wanted(tail)}")
-    # The kind of the usual ones tells at once; of JAX's own, such as bfloat16, it does not.
-    if dtype.kind not in "fiu" and not jnp.issubdtype(dtype, jnp.floating):
-        raise TypeError(f"{name} is an array of {dtype}: expected {_wanted(tail, 'real ')}")
-    shape = np.shape(array)
-    end = shape[len(shape) - len(tail) :]
-    if len(end) < len(tail) or any(isinstance(size, int) and size != own for size, own in zip(tail, end)):
-        raise ValueError(f"{name} has shape {shape}: expected (..., {', '.join(map(str, tail))})")
-
-
-def _wanted(tail: Tail, kind: str = "") -> str:
-    shape = f" of shape (..., {', '.join(map(str, tail))})" if tail else ""
-    return f"{'' if kind else 'an array of '}{kind}numbers{shape}"
-
-
 def check_sign(name: str, values: Any) -> None:
     """Raise ValueError for a concrete number below zero; NaN is let through."""
     if isinstance(values, jax.core.Tracer):
@@ -76,20 +47,6 @@ def check_sign(name: str, values: Any) -> None:
     for index in np.argwhere(numbers < 0):
         place = f"[{', '.join(map(str, index))}]" if index.size else ""
         raise ValueError(f"{name}{place} is {numbers[tuple(index)]}: expected zero or more")
-
-
-def check_instance(name: str, value: Any, kind: type) -> None:
-    """Raise TypeError unless ``value`` is of a type of this package's."""
-    if not isinstance(value, kind):
-        raise TypeError(f"{name} is {shown(value)}: expected a {kind.__name__}")
-
-
-def shown(value: Any) -> str:
-    """A value and its type, in a few words."""
-    if value is None:
-        return "None"
-    text = " ".join(repr(value).split())
-    return f"{text if len(text) <= LONGEST else text[:LONGEST] + ' ...'} of type {type(value).__name__}"
 
 
 def _warn_of_lost_precision(*arguments: Any) -> None:

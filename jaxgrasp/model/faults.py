@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxgrasp.model.arguments import check_instance
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
+from jaxgrasp.validation.values import check_instance
 
 UNIT_TOLERANCE = 1e-6
 

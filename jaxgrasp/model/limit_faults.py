@@ -5,10 +5,10 @@ from collections.abc import Iterator, Mapping
 import jax
 import numpy as np
 
-from jaxgrasp.model.arguments import check_instance
 from jaxgrasp.model.faults import Fault, GraspError, entries
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS, NORMALS, TORQUES, Limits
+from jaxgrasp.validation.values import check_instance
 
 
 def check_limits(limits: Limits, grasp: Grasp) -> Limits:

@@ -7,8 +7,8 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.paper.tables import CONTRIBUTIONS, FINGERS, PHALANGES
+from jaxgrasp.validation.checked import checked
 
 
 @checked

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.held import HeldObject
+from jaxgrasp.validation.checked import checked
 
 GRAVITY = (0.0, 0.0, -9.81)
 """[m/s^2]"""

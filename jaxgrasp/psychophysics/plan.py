@@ -1,6 +1,7 @@
 """The plan of an experiment: which stimulus, which references, which procedure; from a TOML file."""
 
 import json
+import os
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +14,7 @@ from jaxgrasp.psychophysics.procedures.matching import Matching
 from jaxgrasp.psychophysics.procedures.procedure import Settings, check_count, check_level
 from jaxgrasp.psychophysics.procedures.staircase import Staircase
 from jaxgrasp.psychophysics.trial import intensity
+from jaxgrasp.validation.checked import checked
 
 MOST_TRIALS = 100_000
 METHODS: dict[str, type[Settings]] = {
@@ -127,14 +129,15 @@ class Plan:
         return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure}
 
 
-def load_plan(path: Path) -> Plan:
+@checked
+def load_plan(path: str | os.PathLike) -> Plan:
     """The plan in a TOML file; what the file leaves out is the paper's.
 
     Raises:
         ValueError: for a file that is no TOML, keys that are unknown, and values that no experiment has.
         OSError: for a file that cannot be read.
     """
-    return plan_of(load_toml(path), str(path))
+    return plan_of(load_toml(Path(path)), str(path))
 
 
 def plan_of(given: dict[str, Any], where: str) -> Plan:

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import expit, logit, ndtr, ndtri
 
+from jaxgrasp.validation.checked import checked
+
 Values = Float[np.ndarray, "..."] | float
 
 
@@ -53,6 +55,7 @@ def quantile(shape: PsychometricShape, share: Values) -> Values:
             return ndtri((1 + np.asarray(share)) / 2)
 
 
+@checked
 def hit_probability(
     shape: PsychometricShape,
     levels: Values,

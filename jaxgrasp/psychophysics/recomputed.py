@@ -11,6 +11,7 @@ from jaxgrasp.paper.tables import DIFFERENCES, HIT_RATIOS, REFERENCE_WEIGHTS
 from jaxgrasp.psychophysics.analysis import lines
 from jaxgrasp.psychophysics.analysis.anova import one_way_of_summaries, rounding_interval
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
+from jaxgrasp.validation.checked import checked
 
 RATIO_STEP, WEBER_STEP, JND_STEP = 0.01, 0.001, 0.01
 """Steps of the last digit printed, of hit ratios, Weber fractions and JNDs [N]."""
@@ -37,6 +38,7 @@ class Row:
     note: str = ""
 
 
+@checked
 def recomputed() -> list[Row]:
     """All of them, in the paper's order."""
     return [*_design(), *_thresholds(), *_deviations(), _mean(), *_variance()]

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import GraspInput, read_grasps
 from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_discs import About, Length
 from jaxgrasp.quality.wrench_sets import WrenchSet
+from jaxgrasp.validation.checked import checked
 
 ROUNDS = 60
 """Times that wrenches are added to those in sight of a question; it is decided within ten, near its limit later."""

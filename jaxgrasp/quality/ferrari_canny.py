@@ -8,7 +8,6 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import decide
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
@@ -17,6 +16,7 @@ from jaxgrasp.quality.refine_facet import touch
 from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_discs import About, Length, discs, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
+from jaxgrasp.validation.checked import checked
 
 MAX_POINTS = 1000
 

@@ -9,7 +9,6 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.closure import forces_of, unscaled
@@ -17,6 +16,7 @@ from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasp
 from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_discs import discs, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
+from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
     from scipy.optimize import OptimizeResult

@@ -8,12 +8,12 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_discs import discs
 from jaxgrasp.quality.wrench_sets import check_sides, pyramid
+from jaxgrasp.validation.checked import checked
 
 FEASIBLE = 1e-10
 """What HiGHS is asked for, the least it takes."""

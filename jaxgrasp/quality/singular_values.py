@@ -6,11 +6,11 @@ from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.numerics.vec3 import safe_divide
 from jaxgrasp.quality.wrench_discs import About, Length, discs
+from jaxgrasp.validation.checked import checked
 
 
 @checked

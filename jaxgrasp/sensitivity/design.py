@@ -11,7 +11,6 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.task import Task
 from jaxgrasp.sensitivity.naming import (
     Entry,
@@ -25,6 +24,7 @@ from jaxgrasp.sensitivity.naming import (
     with_values,
 )
 from jaxgrasp.sensitivity.trajectory import OutputOf, outputs_of, read_times
+from jaxgrasp.validation.checked import checked
 
 SOFTNESS = (0.3, 0.1, 0.03, 0.01, 0.003)
 """Softness of the smallest margin, in stages, relative to the scale of the margins."""

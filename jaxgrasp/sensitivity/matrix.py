@@ -10,7 +10,6 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.sensitivity.naming import (
     Entry,
     Labels,
@@ -23,6 +22,7 @@ from jaxgrasp.sensitivity.naming import (
     values_at,
     with_values,
 )
+from jaxgrasp.validation.checked import checked
 
 Mode = Literal["forward", "reverse"]
 

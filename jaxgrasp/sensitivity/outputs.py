@@ -11,10 +11,10 @@ from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
+from jaxgrasp.validation.checked import checked
 
 QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
     "forces": lambda grasp, solution: solution.forces,

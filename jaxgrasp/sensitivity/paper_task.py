@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.held import HeldCylinder
 from jaxgrasp.model.paths import Turn
 from jaxgrasp.model.task import Task, carrying
+from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 RADIUS, WEIGHT, SPEED = 0.05, 10.0, float(np.pi)

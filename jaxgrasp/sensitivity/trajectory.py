@@ -12,7 +12,6 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.checked import checked
 from jaxgrasp.model.faults import entries as faults_in
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.task import Task
@@ -29,6 +28,7 @@ from jaxgrasp.sensitivity.naming import (
     values_at,
     with_values,
 )
+from jaxgrasp.validation.checked import checked
 
 OutputOf = Callable[[Grasp, Array], Any]
 

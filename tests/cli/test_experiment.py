@@ -99,7 +99,7 @@ def test_detection_needs_to_be_told(folder, capsys):
         (["power", "plan.toml", "--absolute", "0.15"], "wanted and between are needed in detection, in N"),
         (["power", "plan.toml"], "absolute is 0.0: expected the observer's threshold [N]"),
         (["run", "plan.toml", "--subject", "S1", "--simulate"], "absolute is 0.0"),
-        (["run", "plan.toml", "--subject", "S1", "--port", "nowhere"], "no glove answers at nowhere"),
+        (["run", "plan.toml", "--subject", "S1", "--port", "nowhere"], "port nowhere cannot be opened"),
     ):
         assert main(["experiment", *arguments]) == 1
         assert message in capsys.readouterr().err

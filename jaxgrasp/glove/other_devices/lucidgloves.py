@@ -18,6 +18,7 @@ from jaxtyping import Float
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 ACCEPTANCE = "I accept that the limits persist when the host dies"
@@ -41,6 +42,7 @@ _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]
 _log = logging.getLogger(__name__)
 
 
+@checked
 def lucidgloves() -> GloveModel:
     """Five fingers, each by the torque on its MP joint; 0.12 N.m count as the whole range. That number is ours."""
     return GloveModel("LucidGloves", tuple(f"{finger} MP" for finger in FINGERS), (0.12,) * 5, rate=1.2, quantum=1.2e-4)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.validation.checked import checked
 
 
 class Simulator:
@@ -67,7 +68,8 @@ class Simulator:
         self.close()
 
 
-def read_record(path: Path, channels: int = 14) -> dict[str, np.ndarray]:
+@checked
+def read_record(path: str | os.PathLike, channels: int = 14) -> dict[str, np.ndarray]:
     """What a simulator wrote: ``time`` [s], ``state``, ``counts``, ``angles`` [rad] and ``tensions`` [N]."""
     raw = np.fromfile(path, np.float64)
     width = 2 + 14 + 2 * channels

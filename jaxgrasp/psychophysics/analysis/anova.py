@@ -9,6 +9,8 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from scipy.special import fdtrc, stdtr
 
+from jaxgrasp.validation.checked import checked
+
 Numbers = Sequence[float] | Sequence[int] | np.ndarray
 
 
@@ -47,6 +49,7 @@ class Pair:
     """Cohen's d, by the pooled deviation; where subjects are the same d_z, by that of their differences."""
 
 
+@checked
 def one_way(groups: Sequence[np.ndarray]) -> Anova:
     """One-way analysis of variance of groups of different subjects.
 
@@ -58,6 +61,7 @@ def one_way(groups: Sequence[np.ndarray]) -> Anova:
     return one_way_of_summaries(means, deviations, [len(group) for group in values])
 
 
+@checked
 def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -> Anova:
     """One-way analysis from means, standard deviations (by n - 1) and sizes alone, as papers print them.
 
@@ -77,6 +81,7 @@ def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -
     return Anova(float(f), between, within, float(p_value), float(share), float(omega), float(share))
 
 
+@checked
 def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step: float) -> tuple[float, float]:
     """Smallest and largest F that printed means and deviations allow, each rounded to a step.
 
@@ -102,6 +107,7 @@ def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step
     return float(least), float(most)
 
 
+@checked
 def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova:
     """Analysis of variance by repeated measures, of the same subjects in every condition.
 

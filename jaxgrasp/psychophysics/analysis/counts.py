@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import betaincinv, ndtri
 
+from jaxgrasp.validation.checked import checked
+
 
 @dataclass(frozen=True, eq=False)
 class Counts:
@@ -47,6 +49,7 @@ class Counts:
         return self.hits / self.trials
 
 
+@checked
 def count(levels: Float[np.ndarray, "T"], correct: np.ndarray) -> Counts:
     """Count answers, one for each trial, by their levels."""
     found, place = np.unique(np.asarray(levels, float), return_inverse=True)
@@ -54,6 +57,7 @@ def count(levels: Float[np.ndarray, "T"], correct: np.ndarray) -> Counts:
     return Counts(found, np.bincount(place[correct], minlength=len(found)), np.bincount(place, minlength=len(found)))
 
 
+@checked
 def pooled(parts: "list[Counts]") -> Counts:
     """All answers together."""
     levels = np.unique(np.concatenate([part.levels for part in parts])) if parts else np.zeros(0)

@@ -1,5 +1,6 @@
 """A whole experiment analysed: each person, all together, and what differs between references."""
 
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_thr
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, read_experiment
 from jaxgrasp.psychophysics.running.records import RecordError, subjects
 from jaxgrasp.psychophysics.running.session import EVERYONE
+from jaxgrasp.validation.checked import checked
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ class Analysis:
     """What cannot be said, and why; and what the reader must know."""
 
 
-def load_experiment(folder: Path) -> Answers:
+@checked
+def load_experiment(folder: str | os.PathLike) -> Answers:
     """The records in a folder, each person's led through the plan again.
 
     Raises:
@@ -73,7 +76,7 @@ def load_experiment(folder: Path) -> Answers:
         RecordError: for records that cannot be read, or were made with several plans.
     """
     plan, trials, simulated = None, {}, []
-    for path in subjects(folder):
+    for path in subjects(Path(folder)):
         own, observer, trials[path.stem] = read_experiment(path)
         if plan is not None and own != plan:
             raise RecordError(f"{path} was made with another plan than the others in {folder}")
@@ -85,6 +88,7 @@ def load_experiment(folder: Path) -> Answers:
     return Answers(plan, trials, tuple(simulated))
 
 
+@checked
 def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analysis:
     """All that an experiment's answers say.
 

@@ -8,6 +8,7 @@ from scipy.special import xlogy
 from jaxgrasp.psychophysics.analysis.bootstrap import draw
 from jaxgrasp.psychophysics.analysis.counts import Counts
 from jaxgrasp.psychophysics.analysis.likelihood import FLOOR, Likelihood, Model
+from jaxgrasp.validation.checked import checked
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,7 @@ class Goodness:
     """Deviance residual of each level: the root of its part in the deviance, with the sign of ratio less function."""
 
 
+@checked
 def goodness(counts: Counts, model: Model | None = None, *, resamples: int = 1000, seed: int = 0) -> Goodness:
     """How well a model fits the answers at best.
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+from jaxgrasp.validation.checked import checked
+
 
 @dataclass(frozen=True)
 class DetectionSensitivity:
@@ -25,6 +27,7 @@ class DetectionSensitivity:
     """Whether half an answer was added to each count, since one of the shares was 0 or 1."""
 
 
+@checked
 def detection_sensitivity(
     first_hits: int, first_trials: int, second_hits: int, second_trials: int, coverage: float = 0.95
 ) -> DetectionSensitivity:

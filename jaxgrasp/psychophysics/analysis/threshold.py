@@ -12,6 +12,7 @@ from jaxgrasp.psychophysics.analysis.bootstrap import Estimator, bca_interval, d
 from jaxgrasp.psychophysics.analysis.counts import Counts
 from jaxgrasp.psychophysics.analysis.finding import Finding, place, trouble
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, Parameters, focused
+from jaxgrasp.validation.checked import checked
 
 Method = Literal["likelihood", "posterior", "interpolation", "line", "paper"]
 Interval = Literal["profile", "credible", "bootstrap", "bca", "none"]
@@ -47,6 +48,7 @@ class Threshold:
         return self.estimate if self.finding is Finding.FOUND else np.nan
 
 
+@checked
 def threshold(
     counts: Counts,
     method: Method = "likelihood",

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.psychophysics.analysis.threshold import Threshold
+from jaxgrasp.validation.checked import checked
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Weber:
     fraction_high: float
 
 
+@checked
 def weber(found: Threshold, reference: float, spread: float = 0.0) -> Weber:
     """Weber fraction from a threshold that is a difference by the reference.
 
@@ -61,6 +63,7 @@ class WeberLine:
     """Standard deviations, from the JNDs' own; NaN where those are not known and two points leave no residual."""
 
 
+@checked
 def weber_line(
     references: Float[np.ndarray, "R"],
     jnds: Float[np.ndarray, "R"],

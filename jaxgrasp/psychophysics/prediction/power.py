@@ -8,6 +8,7 @@ from jaxtyping import Float
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.prediction.simulated_answers import simulated_hits
+from jaxgrasp.validation.checked import checked
 
 SMALLEST = 1e-9
 
@@ -31,6 +32,7 @@ class Precision:
         return self.trials * self.subjects * levels
 
 
+@checked
 def precision(
     observer: Observer,
     reference: float,
@@ -66,6 +68,7 @@ def precision(
     return Precision(trials, subjects, within, float(np.sqrt((within**2 + between**2) / subjects)), float(outside))
 
 
+@checked
 def cheapest(
     wanted: float,
     observer: Observer,

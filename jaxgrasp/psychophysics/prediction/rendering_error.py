@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from jaxgrasp.psychophysics.observer import QUARTILE, Observer
+from jaxgrasp.validation.checked import checked
 
 Values = Float[np.ndarray, "..."] | float
 
@@ -67,6 +68,7 @@ def hit_probability_through(observer: Observer, error: RenderingError, reference
     return observer.lapse + (1 - 2 * observer.lapse) * both
 
 
+@checked
 def jnd_through(observer: Observer, error: RenderingError, reference: float, criterion: float = 0.75) -> float:
     """Difference that is noticed as often as the criterion says; infinite where the device renders none so large.
 

@@ -4,6 +4,7 @@ import contextlib
 import datetime
 import importlib.metadata
 import math
+import os
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -19,16 +20,18 @@ from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, read
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus, StimulusLostError
 from jaxgrasp.psychophysics.trial import Trial, intensity, level_of
+from jaxgrasp.validation.checked import checked
 
 EVERYONE = "all"
 """Stands for all persons' answers together, where these are analysed."""
 CODE = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 
+@checked
 def run_experiment(
     plan: Plan,
     subject: str,
-    folder: Path,
+    folder: str | os.PathLike,
     stimulus: Stimulus,
     person: Person,
     *,
@@ -55,6 +58,7 @@ def run_experiment(
         StimulusLostError: where a stimulus was not felt as it should have been; that trial is not on record.
         OSError: for records that cannot be written.
     """
+    folder = Path(folder)
     path = check_records(plan, subject, folder, resume=resume, observer=person.observer)
     there = path.exists()
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,15 +13,12 @@ from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.arguments import shown
+from jaxgrasp.validation.values import Tail, ends_in, is_real, numbers_of, shape_of, shown
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Tail = tuple[int | str, ...]
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
@@ -98,7 +95,7 @@ def _misfit(value: Any, hint: Any) -> tuple[type[Exception], str] | None:
         return None
     if hint is None or hint is type(None):
         return None if value is None else (TypeError, "None")
-    if hasattr(hint, "dim_str") or hint in _ARRAYS:
+    if hasattr(hint, "dim_str") or _is_array(hint):
         return _misfit_of_numbers(value, _tail(getattr(hint, "dim_str", "...")))
     if hint in _SCALARS:
         text, is_one = _SCALARS[hint]
@@ -144,8 +141,7 @@ def _tail(dimensions: str) -> Tail:
 
 
 def _misfit_of_numbers(value: Any, tail: Tail) -> tuple[type[Exception], str] | None:
-    shape = f" of shape (..., {', '.join(map(str, tail))})" if tail else ""
-    wanted = f"an array of numbers{shape}"
+    wanted = numbers_of(tail)
     if isinstance(value, list | tuple):
         try:
             value = np.asarray(value)
@@ -154,12 +150,9 @@ def _misfit_of_numbers(value: Any, tail: Tail) -> tuple[type[Exception], str] | 
     dtype = getattr(value, "dtype", None)
     if dtype is None:
         return None if not tail and _is_number(value) else (TypeError, wanted)
-    if np.dtype(dtype).kind not in "fiub" and not jnp.issubdtype(dtype, jnp.floating):
+    if not (is_real(dtype) or dtype.kind == "b"):
         return TypeError, wanted
-    own = np.shape(value)[len(np.shape(value)) - len(tail) :]
-    if len(own) < len(tail) or any(isinstance(size, int) and size != found for size, found in zip(tail, own)):
-        return ValueError, f"(..., {', '.join(map(str, tail))})"
-    return None
+    return None if ends_in(np.shape(value), tail) else (ValueError, shape_of(tail))
 
 
 def _is_number(value: Any) -> bool:
@@ -182,4 +175,9 @@ _SCALARS: dict[Any, tuple[str, Callable[[Any], bool]]] = {
     str: ("a text", lambda value: isinstance(value, str)),
     os.PathLike: ("a path", lambda value: isinstance(value, os.PathLike)),
 }
-_ARRAYS = (jax.Array, np.ndarray, typing.get_args(jax.typing.ArrayLike)[0])
+
+
+def _is_array(hint: Any) -> bool:
+    """Whether an annotation means any array: NumPy's, or JAX's, which need not be installed."""
+    from_jax = getattr(hint, "__module__", "").startswith("jax")
+    return hint is np.ndarray or (from_jax and getattr(hint, "__name__", "").endswith("Array"))

@@ -1,9 +1,6 @@
 """A person at a terminal, who answers by the keyboard."""
 
-import contextlib
-import sys
-
-from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
 from jaxgrasp.psychophysics.running.person import Move, Person
 from jaxgrasp.psychophysics.stimulus import Rendered
@@ -47,17 +44,3 @@ class TerminalPerson(Person):
 
     def rest(self, done: int, most: int) -> None:
         typed(f"\n{done} of at most {most} trials are done. Rest; Enter to go on ")
-
-
-def typed(prompt: str) -> str:
-    """A line from the keyboard; KeyboardInterrupt where there are no more."""
-    if sys.stdin.isatty():
-        with contextlib.suppress(ImportError):
-            import termios
-
-            # What was typed ahead answers nothing that was felt.
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
-    try:
-        return input(prompt)
-    except EOFError:
-        raise KeyboardInterrupt from None

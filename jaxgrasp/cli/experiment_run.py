@@ -6,10 +6,10 @@ from contextlib import ExitStack
 
 from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.experiment_arguments import RunExperiment
-from jaxgrasp.cli.experiment_person import TerminalPerson, typed
+from jaxgrasp.cli.experiment_person import TerminalPerson
 from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
-from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.line import check_port

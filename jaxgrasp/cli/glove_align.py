@@ -5,9 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxgrasp.cli.experiment_person import typed
 from jaxgrasp.cli.glove_arguments import Align
-from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.other_devices.alignment import aligned, save_alignment
 from jaxgrasp.glove.other_devices.polhemus import TrackerSample

@@ -1,5 +1,6 @@
 """What commands show: text from files cannot move the cursor, colour the screen or ring the bell."""
 
+import contextlib
 import sys
 
 from jaxgrasp.files.printable import printable_lines
@@ -18,3 +19,17 @@ def announce(text: object) -> None:
         bars.tqdm.write(line, file=sys.stderr)
     else:
         print(line, file=sys.stderr, flush=True)
+
+
+def typed(prompt: str) -> str:
+    """A line from the keyboard; KeyboardInterrupt where there are no more."""
+    if sys.stdin.isatty():
+        with contextlib.suppress(ImportError):
+            import termios
+
+            # What was typed ahead answers nothing that was felt.
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    try:
+        return input(prompt)
+    except EOFError:
+        raise KeyboardInterrupt from None

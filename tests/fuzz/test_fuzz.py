@@ -50,10 +50,14 @@ def cast(problem: Sample, dtype: str) -> Sample:
     return Sample(*(array.astype(dtype) for array in problem))
 
 
-def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution) -> None:
-    """Assert what every verdict claims."""
+def judge(kind: str, problem: Sample, weights: np.ndarray, found: Solution, exerted: np.ndarray | None = None) -> None:
+    """Assert what every verdict claims; of objects that a guide holds, forces are judged by the wrench they exert."""
     allowed = ALLOWED[problem.wrench.dtype.name]
-    value = worth(problem, weights, found.forces, found.multiplier, found.certificate)
+    asked = problem if exerted is None else problem._replace(wrench=exerted)
+    value = worth(asked, weights, found.forces, found.multiplier, found.certificate)
+    if exerted is not None:
+        proven = worth(problem, weights, found.forces, found.multiplier, found.certificate).proven
+        value = value._replace(proven=proven)
     # Points metres away are themselves known to a rounding of their distance only.
     apart = np.sqrt(np.mean(np.ptp(problem.points, axis=1) ** 2, -1))
     far = 1 + np.linalg.norm(problem.points.mean(1), axis=-1) / np.maximum(apart, 1e-3)
@@ -108,3 +112,35 @@ def test_single_precision_claims_no_more_than_it_knows(kind, n):
     total = np.sum(double.forces * wide.normals, (1, 2))
     both = (found.verdict == Verdict.INFEASIBLE) & (double.verdict <= Verdict.OPTIMAL)
     assert np.all(found.force_bound[both] <= 1.01 * total[both])
+
+
+@pytest.mark.slow
+@pytest.mark.repeats
+@pytest.mark.parametrize("k", [1, 3, 5])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_claimed_of_guided_objects_holds(kind, k):
+    """Along the free twists the forces do the wrench's work: in all else they are judged by the wrench they exert."""
+    problem = sample(kind, 4, LONG_COUNT // 4, seed=3)
+    linear, angular = np.random.default_rng(4).normal(size=(2, len(problem.points), k, 3))
+    middle = problem.points.mean(1)
+    radius = np.sqrt(np.mean(np.ptp(problem.points, axis=1) ** 2, -1))[:, None, None]
+    angular = angular / np.where(radius > 0, radius, 1)
+    free = np.concatenate([linear - np.cross(angular, middle[:, None]), angular], -1).swapaxes(1, 2)
+    grasp = Grasp(*problem[:4])
+    found = jax.device_get(jaxgrasp.constrained_optimum(grasp, problem.wrench, problem.squeeze, free=free))
+    points, forces = problem.points.astype(np.longdouble), found.forces.astype(np.longdouble)
+    exerted = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
+    # Work is measured by the largest velocity that a twist gives a contact.
+    fastest = np.linalg.norm(free[:, None, :3] + np.cross(free[:, None, 3:], points[..., None], axis=2), axis=2).max(1)
+    missed, load = (
+        np.max(np.abs(np.einsum("bik,bi->bk", free, one)) / fastest, -1)
+        for one in (problem.wrench - exerted, problem.wrench)
+    )
+    answered = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, Verdict.FEASIBLE])
+    size = np.linalg.norm(found.forces, axis=-1).sum(-1) + np.linalg.norm(problem.wrench[:, :3], axis=-1)
+    far = 1 + np.linalg.norm(middle, axis=-1) / np.maximum(radius[:, 0, 0], 1e-3)
+    allowed = ALLOWED["float64"]
+    granted = allowed.roundings * np.finfo(float).eps * far * size
+    assert not (answered & ~(missed <= allowed.missed * load + granted)).any()
+    judge(kind, problem, problem.squeeze, found, exerted.astype(float))
+    assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 2e-3

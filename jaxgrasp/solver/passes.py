@@ -50,7 +50,10 @@ from jaxgrasp.solver.result import Certificate, PassResult, ScaledResult, no_cer
 CAREFUL_TILE = 16
 STEPS = (5, 6, 8, 22)
 """Evaluations that each fast pass may spend; after each of them the unfinished are gathered again."""
-CAREFUL, UNSQUEEZED = len(STEPS), len(STEPS) + 1
+PATIENCE = 300
+"""Evaluations at each level of the last pass. Where torque rests on next to no friction, each step gets past one kink
+of a cone and there are hundreds; almost no other problem comes so far."""
+CAREFUL, UNSQUEEZED, PATIENT = range(len(STEPS), len(STEPS) + 3)
 """The passes after the fast ones."""
 
 
@@ -84,7 +87,7 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         result = result._replace(multiplier=jnp.where(given[:, None], problem.start, result.multiplier))
 
     def improve(index: Array, result: PassResult) -> PassResult:
-        steps = jnp.asarray((*STEPS, STEPS_PER_LEVEL, STEPS_PER_LEVEL), jnp.int32)[index]
+        steps = jnp.asarray((*STEPS, STEPS_PER_LEVEL, STEPS_PER_LEVEL, PATIENCE), jnp.int32)[index]
         # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.
         settings = PassSettings(index >= CAREFUL, steps, index > 0, index != UNSQUEEZED)
         # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
@@ -94,7 +97,7 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
     # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
-    passes = UNSQUEEZED + 1 if _is_double(bare) else UNSQUEEZED
+    passes = PATIENT + 1 if _is_double(bare) else UNSQUEEZED
     result = lax.fori_loop(0, passes, improve, varying_like(result, bare))
     return torque_passes.within_torques(problem, result)
 

@@ -144,3 +144,23 @@ def test_what_is_claimed_of_guided_objects_holds(kind, k):
     assert not (answered & ~(missed <= allowed.missed * load + granted)).any()
     judge(kind, problem, problem.squeeze, found, exerted.astype(float))
     assert np.mean(found.verdict == Verdict.NOT_CONVERGED) <= 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.repeats
+@pytest.mark.parametrize(("n", "open_"), [(3, 1e-3), (5, 0.04), (8, 0.015), (12, 1e-3)])
+def test_torques_that_rest_on_next_to_no_friction_are_decided(n, open_):
+    """Normals through the middle of a sphere, friction from 1e-8 to 1e-3: most answers are thousands of loads large."""
+    rng = np.random.default_rng(6)
+    points = rng.normal(size=(LONG_COUNT, n, 3))
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    friction, squeeze = 10 ** rng.uniform(-8, -3, points.shape[:2]), rng.uniform(0.5, 5, points.shape[:2])
+    wrench = rng.normal(size=(LONG_COUNT, 6)) * [1, 1, 1, 0.3, 0.3, 0.3]
+    problem = Sample(points, -points, friction, squeeze, wrench)
+    found = solved(problem, squeeze)
+    judge("friction near nothing", problem, squeeze, found)
+    undecided = found.verdict == Verdict.NOT_CONVERGED
+    assert undecided.mean() <= open_
+    # Friction of three contacts decides how large the forces must be.
+    enough = np.sort(friction, 1)[:, -3] >= 1e-5
+    assert undecided[enough].mean() <= 3e-3

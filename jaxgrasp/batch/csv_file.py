@@ -8,6 +8,7 @@ torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of t
 import csv
 import os
 from array import array
+from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -80,9 +81,9 @@ def _check_header(path: Path, header: list[str], fill: dict[str, float]) -> None
     missing = [column for column in needed if column not in header]
     if missing:
         raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}")
-    doubled = {column for column in header if header.count(column) > 1}
+    doubled = [column for column, times in Counter(header).items() if times > 1]
     if doubled:
-        raise GraspFileError(path, f"it has the column {min(doubled)} twice")
+        raise GraspFileError(path, f"it has the column {shortened(min(doubled))} twice")
 
 
 def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:

@@ -17,6 +17,7 @@ from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.quality.measures import measures_named
+from jaxgrasp.validation.checked import checked
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Evaluation:
         return summary_text(self.summary, self.times, self.times.compiling + sum(self.times.solving.values()))
 
 
+@checked
 def evaluate(
     grasps: ContactSets | Grasp,
     wrenches: AnyArray | None = None,

@@ -15,8 +15,10 @@ Other columns are left alone. Nothing is ever unpickled.
 """
 
 import os
+import sys
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
@@ -36,6 +38,10 @@ NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
 KNOWN = ("version", *NUMBERS, "offsets", *LABELS)
 LONGEST_LABEL = 1_000
 """Characters of a grasp's name, source, object or hand: every one of a column takes as much memory as its longest."""
+
+
+MOST_OF_A_GRASP = 100_000
+"""Contacts, or wrenches, of a single grasp."""
 
 
 class NpzGrasps:
@@ -134,6 +140,8 @@ class NpzGrasps:
 
     def _text(self, name: str, column: np.ndarray) -> np.ndarray:
         if column.dtype.kind == "U":
+            if np.any(np.ascontiguousarray(column).view(column.dtype.byteorder + "u4") > sys.maxunicode):
+                raise GraspFileError(self.path, f"{name} holds characters that are not Unicode")
             return column
         try:
             return np.char.decode(column, "utf-8")
@@ -144,7 +152,7 @@ class NpzGrasps:
         return Column(self.path, self._archive, name)
 
     def _check_names(self) -> None:
-        twice = sorted({name for name in self.names if self.names.count(name) > 1})
+        twice = sorted(name for name, times in Counter(self.names).items() if times > 1)
         if twice:
             raise GraspFileError(self.path, f"it has the column {twice[0]!r} twice")
         wanted = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
@@ -162,7 +170,7 @@ class NpzGrasps:
         if "version" not in self._headers:
             return
         column = self._headers["version"]
-        if column.shape or not np.issubdtype(column.dtype, np.integer):
+        if column.shape or column.dtype.kind not in "iu":
             raise GraspFileError(
                 self.path, f"version is {column.dtype} of shape {column.shape}: expected the integer {VERSION}"
             )
@@ -174,8 +182,8 @@ class NpzGrasps:
         dtypes = {name: column.dtype for name, column in self._headers.items()}
         for name in (*NUMBERS, "offsets"):
             dtype = dtypes.get(name)
-            if dtype is not None and not (np.issubdtype(dtype, np.floating) or np.issubdtype(dtype, np.integer)):
-                raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers")
+            if dtype is not None and (dtype.kind not in "fiu" or dtype.itemsize > 8):
+                raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers of at most 64 bits")
         for name in LABELS:
             if name not in dtypes:
                 continue
@@ -183,9 +191,9 @@ class NpzGrasps:
             if dtype.kind not in "US":
                 raise GraspFileError(self.path, f"{name} holds {dtype}: expected text")
             length = dtype.itemsize // np.dtype(f"{dtype.kind}1").itemsize
-            if length > LONGEST_LABEL:
+            if not 0 < length <= LONGEST_LABEL:
                 raise GraspFileError(
-                    self.path, f"{name} holds text of {length:,} characters: expected at most {LONGEST_LABEL:,}"
+                    self.path, f"{name} holds text of {length:,} characters: expected 1 to {LONGEST_LABEL:,}"
                 )
 
     def _read_offsets(self) -> np.ndarray:
@@ -201,7 +209,7 @@ class NpzGrasps:
         if not shape:
             raise GraspFileError(self.path, "points is a single number: expected (M, 3)")
         column = self._headers["offsets"]
-        if len(column.shape) != 1 or column.shape[0] == 0 or not np.issubdtype(column.dtype, np.integer):
+        if len(column.shape) != 1 or column.shape[0] == 0 or column.dtype.kind not in "iu":
             raise GraspFileError(
                 self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers"
             )
@@ -230,6 +238,12 @@ class NpzGrasps:
             raise GraspFileError(
                 self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)"
             )
+        for what, most in (("contacts", self.largest), ("wrenches", self.wrenches)):
+            if most > MOST_OF_A_GRASP:
+                raise GraspFileError(
+                    self.path,
+                    f"a grasp has {most:,} {what}: expected at most {MOST_OF_A_GRASP:,}, since one is read whole",
+                )
         for name in LABELS:
             if name in self._shapes and self._shapes[name] != (len(self),):
                 raise GraspFileError(self.path, f"{name} has shape {self._shapes[name]}: expected ({len(self)},)")

@@ -8,9 +8,9 @@ A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.re
 ``quality.MEASURE.COLUMN (N,)``.
 """
 
+import hashlib
 import json
 import re
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields
@@ -20,14 +20,13 @@ import numpy as np
 
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_column import DAMAGE, Column
 from jaxgrasp.batch.npz_file import save_arrays
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
-VERSION = 5
+VERSION = 6
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html")
@@ -92,13 +91,12 @@ class ResultFolder:
             found = json.loads((self.folder / MANIFEST).read_text())
             complete, entries = found["complete"], found["shards"]
             files = [entry["file"] for entry in entries]
-            spans = [(int(entry["start"]), int(entry["stop"])) for entry in entries]
-        except (ValueError, KeyError, TypeError, RecursionError, OSError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
             raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
-        if not all(OURS.fullmatch(name) for name in files):
+        if found.pop("sha256", None) != _sealed(found) and found.get("version") == VERSION:
+            raise GraspFileError(self.folder, f"its {MANIFEST} was changed since we wrote it")
+        if not all(OURS.fullmatch(str(name)) for name in files):
             raise GraspFileError(self.folder, f"its {MANIFEST} names files that are not ours")
-        if [start for start, _ in spans] != [0, *(stop for _, stop in spans)][: len(spans)]:
-            raise GraspFileError(self.folder, f"its {MANIFEST} has shards that do not follow one another")
         differing = [key for key in ("version", *identity) if found.get(key) != self.manifest[key]]
         if resume:
             if differing:
@@ -127,7 +125,8 @@ class ResultFolder:
 
     def replace(self, entry: dict, arrays: dict[str, np.ndarray]) -> None:
         """Write a damaged shard anew."""
-        replace_file(self.folder / entry["file"], lambda stream: save_arrays(stream, arrays))
+        entry["sha256"] = self._save(entry["file"], arrays)
+        self._write_manifest()
 
     def start_over(self) -> None:
         """Forget all shards, so that everything is computed again."""
@@ -160,8 +159,8 @@ class ResultFolder:
         ``summary`` is that of all chunks so far.
         """
         name = f"shard-{len(self.manifest['shards']):05d}.npz"
-        replace_file(self.folder / name, lambda stream: save_arrays(stream, arrays))
-        self.manifest["shards"].append({"file": name, "start": start, "stop": stop})
+        sha256 = self._save(name, arrays)
+        self.manifest["shards"].append({"file": name, "start": start, "stop": stop, "sha256": sha256})
         self.manifest["summary"] = summary
         self._write_manifest()
 
@@ -173,8 +172,8 @@ class ResultFolder:
         paths = [self.folder / entry["file"] for entry in entries]
         if sum(path.stat().st_size for path in paths) <= SMALL:
             joined = _joined(paths)
-            replace_file(self.folder / "results.npz", lambda stream: save_arrays(stream, joined))
-            self.manifest["shards"] = [{"file": "results.npz", "start": 0, "stop": self.done}]
+            sha256 = self._save("results.npz", joined)
+            self.manifest["shards"] = [{"file": "results.npz", "start": 0, "stop": self.done, "sha256": sha256}]
         else:
             paths = []
         self.manifest["complete"] = True
@@ -182,22 +181,31 @@ class ResultFolder:
         for path in paths:
             path.unlink()
 
+    def _save(self, name: str, arrays: dict[str, np.ndarray]) -> str:
+        """Write a shard, and return what it will be known by."""
+        replace_file(self.folder / name, lambda stream: save_arrays(stream, arrays))
+        return _hashed(self.folder / name)
+
     def _write_manifest(self) -> None:
-        text = json.dumps(self.manifest).encode()
+        text = json.dumps(self.manifest | {"sha256": _sealed(self.manifest)}).encode()
         replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
 
 
+def _sealed(manifest: dict) -> str:
+    """What a manifest is known by: whoever edits one means other results than those beside it."""
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
+
+
+def _hashed(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
 def _is_whole(path: Path, entry: dict) -> bool:
-    """Whether a shard can be read, to its last byte, and holds the grasps that the manifest says."""
+    """Whether a shard is the one that was written, to its last byte."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            if archive.testzip() is not None:
-                return False
-            columns = {name: Column(path, archive, name.removesuffix(".npy")) for name in archive.namelist()}
-            grasp, offsets = (columns[name].whole() for name in ("grasp.npy", "offsets.npy"))
-            inside = not len(grasp) or (entry["start"] <= grasp.min() and grasp.max() < entry["stop"])
-            return len(offsets) == len(grasp) + 1 and bool(inside)
-    except (*DAMAGE, IndexError):
+        return path.is_file() and _hashed(path) == entry.get("sha256")
+    except OSError:
         return False
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.evaluation import run, usable
-from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.qualities import Columns, measure_all, summarise_qualities
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
@@ -90,7 +89,7 @@ def evaluate_stream(
     engine = Engine(methods, announce=announce)
     damaged = _damaged(folder, plan, announce) if folder else []
     resumed = folder.done if folder else 0
-    summary = _summary_so_far(folder) if folder else None
+    summary = from_json(folder.summary) if folder and folder.summary else None
     checked = not plan.skip_bad and not resumed
     if checked:
         check_all(source, plan.adjustments, plan.chunk)
@@ -113,14 +112,6 @@ def evaluate_stream(
     if folder:
         folder.finish()
     return StreamResult(summary, engine.times, time.perf_counter() - begun, resumed)
-
-
-def _summary_so_far(folder: ResultFolder) -> Summary | None:
-    try:
-        return from_json(folder.summary) if folder.summary else None
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        reason = f"the summary in its manifest is not one of ours ({type(error).__name__})"
-        raise GraspFileError(folder.folder, reason) from error
 
 
 def _damaged(folder: ResultFolder, plan: StreamPlan, announce: Callable[[str], None]) -> list[dict]:

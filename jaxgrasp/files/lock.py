@@ -47,7 +47,8 @@ def locked(folder: Path, announce: Callable[[str], None] = lambda text: None) ->
 
 def _acquired(path: Path, announce: Callable[[str], None]) -> int:
     while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        # A link in its place might lead to anyone's file.
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
         try:
             if not _try_lock(descriptor):
                 raise FolderHeldError(f"{_owner(descriptor) or 'another process'} works in it")
@@ -70,7 +71,7 @@ def _owner(descriptor: int) -> str | None:
     try:
         said = json.loads(os.pread(descriptor, LARGEST, 0))
         return f"process {int(said['process'])}, at work since {printable(str(said['started'])[:30])},"
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
 
 

@@ -35,6 +35,7 @@ from jaxgrasp.solver.by_optimistix import to_result_within
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.result import PassResult, ScaledResult, no_certificate
 from jaxgrasp.solver.transforms import as_solution
+from jaxgrasp.validation.checked import checked
 
 TILE = 128
 """Problems that run together: each waits for the slowest of its tile."""
@@ -76,6 +77,7 @@ class PyramidResult(NamedTuple):
     steps: Array
 
 
+@checked
 def pyramid_optimum(
     grasp: Grasp,
     wrench: Float[AnyArray, "*#batch 6"],

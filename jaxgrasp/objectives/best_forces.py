@@ -31,6 +31,7 @@ from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten
 from jaxgrasp.solver import transforms
+from jaxgrasp.validation.checked import checked
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
@@ -69,6 +70,7 @@ class BestForces(NamedTuple):
     """Speeds of the joints that belong to the certificate; None where no torque is limited."""
 
 
+@checked
 def best_forces(
     grasp: Grasp,
     wrench: Float[AnyArray, "*#batch 6"],
@@ -122,8 +124,6 @@ def best_forces(
 
 
 def _check(objective: str, limits: Limits | None) -> None:
-    if objective not in OBJECTIVES:
-        raise ValueError(f"objective is {objective!r}: expected one of {', '.join(OBJECTIVES)}")
     if objective == "least_torque" and (limits is None or limits.torque_map is None):
         raise ValueError("torque_map is None: expected limits with a torque_map, since least_torque is about torques")
     if objective == "largest_margin" and (limits is None or limits.normal_max is None):

@@ -12,6 +12,7 @@ import numpy as np
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
+from jaxgrasp.validation.values import check_numbers
 
 Sharing = str | AnyArray
 
@@ -22,6 +23,7 @@ def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
         if sharing in ("squeeze", "uniform"):
             return sharing, None
     elif sharing is not None:
+        check_numbers("sharing", sharing)
         return "given", sharing
     raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
 

@@ -186,7 +186,11 @@ def _optimum_result(
     cost, least = _cost(problem, state.forces, own, prior)
     verdict = jnp.where(least, Verdict.OPTIMAL, Verdict.FEASIBLE)
     feasible = ~squeezed & (result.verdict == Verdict.OPTIMAL)
-    vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | (is_optimum(prior.verdict) & feasible))
+    # What rounding makes miss its load is known to be allowed then, and stays as it is.
+    hidden = is_optimum(prior.verdict) & feasible
+    vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | hidden)
+    kept = jnp.where(hidden, Verdict.FEASIBLE, prior.verdict)
+    prior = prior._replace(verdict=kept, undecided=prior.undecided & ~hidden)
     result = result._replace(
         verdict=jnp.where(feasible, verdict, result.verdict),
         objective=jnp.where(feasible, cost, result.objective),

@@ -178,6 +178,10 @@ _SCALARS: dict[Any, tuple[str, Callable[[Any], bool]]] = {
 
 
 def _is_array(hint: Any) -> bool:
-    """Whether an annotation means any array: NumPy's, or JAX's, which need not be installed."""
+    """Whether an annotation means any array: NumPy's, JAX's, which need not be installed, or what stands for both."""
     from_jax = getattr(hint, "__module__", "").startswith("jax")
-    return hint is np.ndarray or (from_jax and getattr(hint, "__name__", "").endswith("Array"))
+    return (
+        hint is np.ndarray
+        or hasattr(hint, "stands_for")
+        or (from_jax and getattr(hint, "__name__", "").endswith("Array"))
+    )

@@ -279,7 +279,19 @@ def of_another(path):
     path.write_bytes((path.parent / "shard-00001.npz").read_bytes())
 
 
-@pytest.mark.parametrize("harm", [cut_short, one_bit, of_another, lambda path: path.unlink()])
+def with_fewer_forces(path):
+    arrays = dict(np.load(path))
+    np.savez(path, **(arrays | {"B.forces": arrays["B.forces"][:5]}))
+
+
+def never_ending(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+@pytest.mark.parametrize(
+    "harm", [cut_short, one_bit, of_another, with_fewer_forces, never_ending, lambda path: path.unlink()]
+)
 def test_damaged_shards_are_computed_again_before_anything_else_and_said(sets, half, harm):
     harm(half / "shard-00000.npz")
     wanted, said = plan(methods=("B",)), []
@@ -306,9 +318,13 @@ def test_a_finished_evaluation_whose_file_is_damaged_is_done_again(sets, tmp_pat
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: m | {"summary": {"junk": 1}}, "summary in its manifest"),
-        (lambda m: m | {"summary": [3]}, "summary in its manifest"),
-        (lambda m: m | {"shards": m["shards"][1:]}, "do not follow one another"),
+        (lambda m: m | {"summary": {"junk": 1}}, "was changed since"),
+        (lambda m: m | {"summary": None}, "was changed since"),
+        (lambda m: m | {"shards": []}, "was changed since"),
+        (lambda m: m | {"shards": {}}, "was changed since"),
+        (lambda m: m | {"complete": True}, "was changed since"),
+        (lambda m: m | {"shards": [m["shards"][0] | {"stop": 1e999}]}, "was changed since"),
+        (lambda m: m | {"version": 1}, "its results have version = 1"),
         (lambda m: [m], "is not one of ours"),
     ],
 )

@@ -48,7 +48,8 @@ HOSTILE = {
     "negative": ({"friction": column("(-8,)")}, r"'friction' has shape \(-8,\): expected sizes of 0 or more"),
     "two negative": ({"friction": column("(-2, -4)", data=bytes(64))}, r"'friction' has shape \(-2, -4\)"),
     "large text": ({"name": column("(2,)", "<U300000000")}, r"'name' of shape \(2,\) .* takes 2,400,000,000 bytes"),
-    "long text": ({"name": np.array(["a", "b" * 1_001])}, r"name holds text of 1,001 characters: expected at most"),
+    "long text": ({"name": np.array(["a", "b" * 1_001])}, r"name holds text of 1,001 characters: expected 1 to"),
+    "empty text": ({"name": column("(2,)", "<U0", data=b"")}, r"name holds text of 0 characters: expected 1 to"),
     "no text": ({"name": np.array([1, 2])}, r"name holds int64: expected text"),
     "structured text": (
         {"name": np.zeros(2, [("a", "U3"), ("b", "f8")])},
@@ -59,6 +60,18 @@ HOSTILE = {
     "true": ({"friction": np.ones(8, bool)}, r"friction holds bool: expected numbers"),
     "other bytes": ({"name": np.array([b"a", b"\xff"])}, r"name holds bytes that are not UTF-8"),
     "version of terabytes": ({"version": column("(1000000000000,)", "<i8")}, r"'version' of shape .* takes 8,000,000"),
+    "no Unicode": ({"name": column("(2,)", "<U1", data=b"\xff" * 8)}, r"name holds characters that are not Unicode"),
+    "durations": ({"friction": np.ones(8, "m8[s]")}, r"friction holds timedelta64\[s\]: expected numbers"),
+    "wide numbers": (
+        {"friction": np.ones(8, np.longdouble)},
+        r"friction holds float128: expected numbers of at most 64",
+    ),
+    "offsets of durations": ({"offsets": np.array([0, 4, 8], "m8[s]")}, r"offsets holds timedelta64\[s\]"),
+    "version of durations": ({"version": np.array(1, "m8[s]")}, r"version is timedelta64\[s\] of shape"),
+    "wrenches without end": (
+        {"wrench": np.zeros((2, 100_001, 6), "f2")},
+        r"a grasp has 100,001 wrenches: expected at most 100,000",
+    ),
     "version of text": ({"version": np.array("1")}, r"version is <U1 of shape \(\): expected the integer 1"),
     "junk header": ({"friction": b"\x93NUMPY\x01\x00\x04\x00{{{{"}, r"'friction' cannot be read"),
     "header of gigabytes": ({"friction": b"\x93NUMPY\x02\x00" + struct.pack("<I", 1 << 31)}, r"'friction' cannot"),

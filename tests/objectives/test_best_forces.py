@@ -487,7 +487,7 @@ def test_second_derivatives_are_refused():
 def test_bad_options_are_named():
     grasp = Grasp([[0.03, 0, 0], [-0.03, 0, 0]], [[-1.0, 0, 0], [1, 0, 0]], [0.5, 0.5], [9.0, 9.0])
     load = np.zeros(6)
-    with pytest.raises(ValueError, match="objective is 'smallest': expected one of least_norm"):
+    with pytest.raises(ValueError, match="objective is 'smallest': expected 'least_norm'"):
         best_forces(grasp, load, "smallest")
     with pytest.raises(ValueError, match="torque_map is None"):
         best_forces(grasp, load, "least_torque")

@@ -49,8 +49,8 @@ class Verdict(IntEnum):
     )
     INVALID_DATA = (
         6,
-        "The data hold NaN, infinite or negative entries, zero normals, sharing weights below the smallest normal "
-        "number, or limits that contradict each other: "
+        "The data hold NaN, infinite or negative entries, zero normals, sharing weights of next to nothing, also "
+        "beside the others (below the smallest normal number), or limits that contradict each other: "
         "run check_grasp on the grasp and check_limits on its limits, and look at the wrench.",
     )
     FEASIBLE = (

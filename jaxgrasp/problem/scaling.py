@@ -51,6 +51,8 @@ class Placement(NamedTuple):
     reach: Array
     """As of a Scaling."""
     weight: Array
+    vanishing: Array
+    """Contacts that can move, but whose share of the weights is no normal number: arithmetic takes some for 0."""
 
     @property
     def centre(self) -> Vec3:
@@ -69,8 +71,11 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     size2, size = vec3.dot(points, points), vec3.taxicab(points)
     if data.spin_radius is not None:
         size2, size = size2 + data.spin_radius**2, size + data.spin_radius
-    movable = (data.weights > 0).astype(k.dtype)
-    square, mean_distance, plain_square, count = vec3.totals(k * size2, k * size, movable * size2, movable)
+    can_move = data.weights > 0
+    movable, lost = can_move.astype(k.dtype), (can_move & (k < jnp.finfo(k.dtype).tiny)).astype(k.dtype)
+    square, mean_distance, plain_square, count, vanishing = vec3.totals(
+        k * size2, k * size, movable * size2, movable, lost
+    )
     length = vec3.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
     blur = tolerances(length.dtype).rank * jnp.sqrt(vec3.dot(centre, centre))
@@ -79,7 +84,7 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     placed = data._replace(points=vec3.scale(1 / length, points), weights=k, spin_radius=spin_radius)
     reach2 = plain_square / (jnp.maximum(count, 1) * length**2)
     reach = jnp.sqrt(jnp.maximum(reach2, 1))
-    return placed, Placement(first, correction, length, blur, mean_distance, reach, weight)
+    return placed, Placement(first, correction, length, blur, mean_distance, reach, weight, vanishing)
 
 
 def torque_about(place: Placement, data: ContactData, carefully: bool) -> Vec3:
@@ -104,6 +109,7 @@ def scale_by_load(
     smallest = tolerances(load.dtype).smallest
     sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight, load)))
     sound = sound & ((place.mean_distance <= place.blur) | (place.mean_distance >= smallest))
+    sound = sound & (place.vanishing == 0)
     load = jnp.where(load > 0, load, 1)
     scaling = Scaling(place.centre, place.length, place.weight, load, sound, place.reach, axes)
     return _divide_by_load(data, scaling), scaling

@@ -190,3 +190,16 @@ def test_what_is_allowed_answers_every_question_whether_or_not_it_is_the_optimum
     assert np.all(np.asarray(closest.distance)[open_] == 0)
     np.testing.assert_array_equal(np.asarray(closest.forces)[open_], np.asarray(found.forces)[open_])
     assert "largest force" in str(found[int(np.flatnonzero(open_)[0])])
+
+
+@pytest.mark.parametrize("small", [1e-300, 1e-306, 1e-307, 2.3e-308, 2e-310])
+def test_a_squeeze_of_next_to_nothing_proves_nothing_false(small):
+    """Beside other squeezes the smallest normal numbers vanish too: data that cannot be used, or an answer."""
+    grasp, wrench = sampled(3, seed=7)
+    there = exists(grasp, wrench)
+    squeeze = np.asarray(grasp.squeeze).copy()
+    squeeze[:, 0] = small
+    found = jax.device_get(solve(Grasp(grasp.points, grasp.normals, grasp.friction, squeeze), wrench, squeeze))
+    assert there.any() and not (found.verdict[there] == Verdict.INFEASIBLE).any()
+    invalid = found.verdict == Verdict.INVALID_DATA
+    assert invalid.all() if small < 2.3e-308 else not invalid.any() if small >= 1e-306 else True

@@ -22,6 +22,7 @@ from jaxgrasp.grip.motion import Body
 from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Scene
+from jaxgrasp.hand.balanced_contributions import balanced_contributions
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.hand.human_hand import human_hand, open_angles
@@ -30,6 +31,8 @@ from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.report.grip_over_time import History, history
 
+UNBALANCED = 0.2
+"""Part of the squeezing forces that may be unbalanced before it is worth a word."""
 TABLE = -0.5
 """Height of the table's top below the wrist's start [m]."""
 
@@ -48,6 +51,9 @@ def grip_command(arguments: Grip) -> int:
     closed, placed, contacts = _closed(arguments, hand, shape)
     kind = GripType(int(grip_type(hand, closed, contacts)))
     show(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
+    contributions = contributions_of(hand, kind)
+    if arguments.contributions == "balanced":
+        contributions = balanced_contributions(contacts, contributions, placed.origin)
     postures = lift_and_turn(
         closed,
         times,
@@ -62,12 +68,12 @@ def grip_command(arguments: Grip) -> int:
         table=Pose(jnp.array([0.0, 0.0, TABLE]), jnp.eye(3)),
         friction=arguments.friction,
         stiffness=arguments.stiffness,
-        contributions=contributions_of(hand, kind),
+        contributions=contributions,
         gravity=jnp.array(GRAVITY),
     )
     record = stacked(carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law))
     arguments.out.mkdir(parents=True, exist_ok=True)
-    summary = {"grip": _words(kind)} | _summary(hand, times, record)
+    summary = {"grip": _words(kind)} | _summary(hand, times, record) | _unbalanced(record)
     _write(arguments.out, hand, times, postures, record, summary)
     show(_said(summary))
     show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
@@ -180,14 +186,31 @@ def _summary(hand: Hand, times: np.ndarray, record: Instant) -> dict:
     }
 
 
+def _unbalanced(record: Instant) -> dict:
+    """How much of the squeezing forces nothing balances, at first."""
+    grasp = jax.tree.map(lambda x: x[0], record.tick.grasp)
+    pressed = np.asarray(grasp.squeeze) * np.asarray(grasp.present)
+    rest = np.linalg.norm(pressed @ np.asarray(grasp.normals))
+    return {"squeezing_N": float(pressed.sum()), "unbalanced_squeezing_N": float(rest)}
+
+
 def _said(found: dict) -> str:
     holds = ", ".join(f"{count} {name.lower()}" for name, count in found["hold"].items())
     lines = [
         f"{found['instants']} instants: {holds}; {found['contacts']['least']} to {found['contacts']['most']} contacts",
         f"closed form slips where the optimum holds: {found['laws_disagree']} instants",
+        _said_of_squeezing(found),
         f"largest torque against flexion: {found['largest_resisting_torque_Nm']:.3f} N.m, "
         f"{found['its_joint']} at {found['its_time_s']:.2f} s",
     ]
     if found["first_not_stable_s"] is not None:
         lines.insert(1, f"not stable for the first time at {found['first_not_stable_s']:.2f} s")
     return "\n".join(lines)
+
+
+def _said_of_squeezing(found: dict) -> str:
+    squeezing, rest = found["squeezing_N"], found["unbalanced_squeezing_N"]
+    hint = ", which takes the closed form out of the cones: see --contributions balanced"
+    return f"squeezing forces: {squeezing:.1f} N, {rest:.1f} N unbalanced" + (
+        hint if rest > UNBALANCED * squeezing else ""
+    )

@@ -28,6 +28,9 @@ class Grip:
     """Coulomb's coefficient at every contact."""
     stiffness: float = 1000.0
     """K [N/m] of the paper's eq. 6: a contact's squeeze is K times its depth times its link's contribution."""
+    contributions: Literal["table", "balanced"] = "table"
+    """Contributions of the links: the paper's Table I, where it has them; or the nearest to it by which the squeezing
+    forces balance, so that the closed form stays inside the friction cones."""
     depth: float = 2e-3
     """How far the links press into the object [m]."""
     hand_length: float = 0.19

@@ -7,6 +7,7 @@ from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Obstacle, Scene
 from jaxgrasp.grip.tick import Tick, observe
+from jaxgrasp.hand.balanced_contributions import balanced_contributions
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.model.held import Held, HeldCylinder
 from jaxgrasp.model.paths import Lift, Shake, Turn
@@ -31,6 +32,7 @@ __all__ = [
     "Tick",
     "Touch",
     "Turn",
+    "balanced_contributions",
     "carry",
     "carrying",
     "contributions_of",

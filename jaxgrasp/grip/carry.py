@@ -3,7 +3,8 @@
 - STABLE: the object goes where its contacts go.
 - SLIPPING: what the contacts cannot exert of the wrench that would take it along lags behind, or slides down. By the
   closed form each contact exerts its force as far as its friction goes, whether or not other forces would hold. By the
-  optimum, which slips only where none hold, they exert what comes closest, by how it would move the object.
+  optimum, which slips only where none hold, they exert what comes closest, by how it would move the object. An object
+  that stands on the table, and can stay there at rest, does so.
 - LOST: it keeps the motion that it had, and falls.
 
 The wrench holds the object's weight, gives it the acceleration of its contacts, and resists the obstacles that it is
@@ -55,7 +56,7 @@ class Instant(NamedTuple):
     exerted: Float[Array, "L 3"]
     """What the contacts exert on the object [N]."""
     missed: Float[Array, "6"]
-    """What of the wrench that leaves [N, N.m]."""
+    """What of the wrench that and the table leave [N, N.m]."""
 
 
 def stacked(record: list[Instant]) -> Instant:
@@ -140,7 +141,7 @@ def advance(
     hold = Hold(int(tick.assessment.hold))
     exerted, missed = _exerted(scene, tick, carried.placed, hold, law)
     instant = Instant(carried.placed, tick, hold, bool(carried.stands), exerted, missed)
-    return instant, _go_on(scene, dt, carried, led, missed, tick.assessment.hold)
+    return instant, _go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
 
 
 @partial(jax.jit, static_argnames="law")
@@ -177,12 +178,13 @@ def _followed(
 
 def _exerted(scene: Scene, tick: Tick, placed: Pose, hold: Hold, law: Law) -> tuple[Array, Array]:
     """What the contacts exert, and what that leaves of the wrench."""
-    if hold == Hold.STABLE:
+    if hold == Hold.STABLE or bool(tick.rests):
         return tick.exerted, jnp.zeros_like(tick.wrench)
+    left = tick.wrench - tick.support
     if hold == Hold.LOST or law == "closed-form":
-        return tick.exerted, tick.wrench - resultant(tick.grasp, tick.exerted)
-    closest = closest_forces(scene, tick.grasp, tick.wrench, placed)
-    return closest.forces, tick.wrench - closest.wrench
+        return tick.exerted, left - resultant(tick.grasp.points, tick.exerted)
+    closest = closest_forces(scene, tick.grasp, left, placed)
+    return closest.forces, left - closest.wrench
 
 
 def closest_forces(scene: Scene, grasp: Grasp, wrench: Array, placed: Pose) -> Reachable:
@@ -194,12 +196,12 @@ def closest_forces(scene: Scene, grasp: Grasp, wrench: Array, placed: Pose) -> R
 
 @jax.jit
 def _go_on(
-    scene: Scene, dt: float | AnyArray, state: CarryState, led: Motion, missed: Array, hold: Array
+    scene: Scene, dt: float | AnyArray, state: CarryState, led: Motion, missed: Array, hold: Array, rests: Array
 ) -> CarryState:
-    """The object's next pose and motion: as it was led, less what was missed; or as it falls."""
+    """The object's next pose and motion: as it was led, less what was missed; none, where it rests; or as it falls."""
     placed, lost = state.placed, hold == Hold.LOST
     lag = mobility(scene.body, placed, scene.guide) @ missed * dt
-    slid = Motion(led.linear - lag[:3], led.angular - lag[3:])
+    slid = Motion(*(jnp.where(rests, 0, part) for part in (led.linear - lag[:3], led.angular - lag[3:])))
     going = gone_on(scene, dt, state.before, state.motion, placed)
     motion, blocked = _either(lost, fallen(scene, dt, placed, going), slid), jnp.asarray(False)
     if scene.obstacles:

@@ -46,6 +46,8 @@ class Scene(eqx.Module):
     outline: Hand | None = None
     """The object's parts that meet obstacles: ``rigid_body(sphere_tree(shape))``; needed where there are any. Its balls
     lie inside the object, so that it sinks in by what they leave out."""
+    table_friction: float | AnyArray = 0.5
+    """Coulomb's coefficient between the object and the table."""
 
 
 def check_scene(scene: Scene) -> None:

@@ -21,7 +21,7 @@ def cut_to_cones(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[A
     return pressed[..., None] * normals + share[..., None] * across
 
 
-def resultant(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 6"]:
-    """The wrench of contact forces about the grasp's origin."""
-    torque = jnp.cross(jnp.asarray(grasp.points), forces)
+def resultant(points: Float[AnyArray, "*batch n 3"], forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 6"]:
+    """The wrench of forces at points, about the points' origin."""
+    torque = jnp.cross(jnp.asarray(points), forces)
     return jnp.concatenate([jnp.sum(forces, -2), jnp.sum(torque, -2)], -1)

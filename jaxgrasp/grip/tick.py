@@ -9,10 +9,11 @@ from jaxgrasp.grip.motion import guide_at
 from jaxgrasp.grip.obstacles import world_wrench
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.grip.slipping import cut_to_cones
+from jaxgrasp.grip.table_support import STANDING, table_support
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
-from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.model.wrench import weight_wrench
@@ -26,13 +27,19 @@ class Tick(eqx.Module):
     grasp: Grasp
     """In a frame at the object's centre, along the world's axes."""
     wrench: Float[Array, "*batch 6"]
-    """What the contacts must exert about that centre [N, N.m]."""
+    """What hand and table must exert about that centre [N, N.m]."""
     inertial: Float[Array, "*batch 6"]
     """What of it accelerates the object."""
     assessment: Assessment
+    """Of the hand alone, as if the object were clear of the table."""
+    support: Float[Array, "*batch 6"]
+    """What of the wrench the table exerts [N, N.m]; zero where the object is clear of it."""
+    rests: Bool[Array, "*batch"]
+    """Whether the object stands on the table and stays there, though the hand alone does not hold it."""
     exerted: Float[Array, "*batch L 3"]
-    """What the contacts exert on the object [N]: the applied law's forces where it holds; where it slips, each of them
-    cut to its friction. Where no allowed forces hold, [`jaxgrasp.reachable_wrench`][] has those that come closest."""
+    """What the hand exerts on the object [N]: beside the support, the applied law's forces where it holds or the object
+    rests; where it slips, each of them cut to its friction. Where no allowed forces hold,
+    [`jaxgrasp.reachable_wrench`][] has those that come closest."""
     torques: Float[Array, "*batch J"]
     """On the joints, by what the contacts exert [N.m]: negative where they resist a positive angle."""
 
@@ -92,7 +99,17 @@ def assessed(
         wrench = wrench - world_wrench(scene, placed)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     assessment = monitor(grasp, wrench, free=free, law=law)
-    slips = (assessment.hold == Hold.SLIPPING)[..., None, None]
-    exerted = jnp.where(slips, cut_to_cones(grasp, assessment.forces), assessment.forces)
+    slips = assessment.hold == Hold.SLIPPING
+    alone = jnp.where(slips[..., None, None], cut_to_cones(grasp, assessment.forces), assessment.forces)
+    # What the hand does not hold does not go with it: the table is asked whether it can stay where it is, unless the
+    # hand pulls it up by more than its weight, if askew.
+    borne = jnp.where((assessment.hold == Hold.STABLE)[..., None], wrench, wrench - inertial)
+    table = table_support(scene, placed, grasp, borne, free, law)
+    up = jnp.asarray(scene.table.rotation)[:, 2]
+    lifts = slips & (jnp.sum(alone, -2) @ up > borne[..., :3] @ up)
+    share = jnp.where(lifts, 0, table.share)
+    exerted = alone + share[..., None, None] * (table.forces - alone)
     torques = joint_torques(scene.hand, frames, contacts.points, exerted)
-    return Tick(contacts, grasp, wrench, inertial, assessment, exerted, torques)
+    rests = slips & (share > STANDING)
+    support = share[..., None] * table.wrench
+    return Tick(contacts, grasp, wrench, inertial, assessment, support, rests, exerted, torques)

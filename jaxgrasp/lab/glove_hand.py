@@ -12,7 +12,7 @@ from jax import Array
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.carry import closest_forces
-from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.tick import observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
@@ -64,8 +64,8 @@ class Felt(NamedTuple):
     """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
     slope: Float[Array, "channels channels"]
     """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
-    hold: Array
-    """Code of a [`jaxgrasp.grip.Hold`][]."""
+    slips: Array
+    """Whether the object slips through the hand, and does not rest on the table."""
 
 
 @partial(jax.jit, static_argnames="law")
@@ -110,10 +110,10 @@ def felt(
     def both(angles: Array) -> tuple[Array, tuple[Array, Array]]:
         tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law)
         torques = -tick.torques[np.array(worn.places)]
-        return torques, (torques, tick.assessment.hold)
+        return torques, (torques, (tick.assessment.hold == Hold.SLIPPING) & ~tick.rests)
 
-    slope, (torques, hold) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
-    return Felt(torques, slope, hold)
+    slope, (torques, slips) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
+    return Felt(torques, slope, slips)
 
 
 @jax.jit
@@ -127,13 +127,13 @@ def felt_slipping(
 ) -> Felt:
     """What is felt of an object that no allowed forces hold: those that come closest; the slope is by fixed forces."""
     tick = observe(scene, worn.posture(flexions, wrist), placed, inertial, law="optimum")
-    forces = closest_forces(scene, tick.grasp, tick.wrench, placed).forces
+    forces = closest_forces(scene, tick.grasp, tick.wrench - tick.support, placed).forces
 
     def torques_at(angles: Array) -> Array:
         frames = pose_hand(scene.hand, worn.posture(angles, wrist))
         return -joint_torques(scene.hand, frames, tick.contacts.points, forces)[np.array(worn.places)]
 
-    return Felt(*with_slope(torques_at, jnp.asarray(flexions)), tick.assessment.hold)
+    return Felt(*with_slope(torques_at, jnp.asarray(flexions)), jnp.asarray(True))
 
 
 def with_slope(

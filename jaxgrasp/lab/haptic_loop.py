@@ -84,7 +84,7 @@ class Haptics:
     def _felt(self, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
         asked = self.scene, self._worn, angles, wrist, self.placed, self._inertial
         found = felt(*asked, law=self.law)
-        if self.law == "optimum" and int(found.hold) == Hold.SLIPPING:
+        if self.law == "optimum" and bool(found.slips):
             return felt_slipping(*asked)
         return found
 

@@ -1,0 +1,117 @@
+"""What the table carries of an object that stands on it: its contacts and the hand's are one problem.
+
+The table pushes and rubs as the hand does, only that it means to exert nothing, and gives whatever the object asks for:
+the hand is left with its squeezing. As the object leaves the table, that support fades.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxgrasp.force.distribution import closed_form, constrained_optimum
+from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.hand import Pose
+from jaxgrasp.model.solution import is_held
+from jaxgrasp.numerics.vec3 import Vec3
+
+FADE = 1e-3
+"""Height at which nothing is left of the support [m]: skin and felt give by about as much, and what is felt does not
+jump."""
+TILT = 5e-3
+"""By how much the four directions lean away from straight down, in which the object reaches furthest: on a flat face
+they find its corners, on a round one four places half a hundredth of its radius off the lowest."""
+QUARTERS = 0.4 + np.pi / 2 * np.arange(4)
+"""Where they lean; along no edge of an object whose edges lie along the table's axes."""
+READINESS = 1e4
+"""Weight of each of the table's contacts, in units of what the hand's have together."""
+SLACK = 0.02
+"""Part of the load that friction at the table takes up beside, where closed-form forces are cut to their own."""
+STANDING = 0.95
+"""Share of the support at which an object counts as standing: its lowest place is known to a twentieth of ``FADE``."""
+
+
+class TableSupport(NamedTuple):
+    """What a table does to an object."""
+
+    wrench: Float[Array, "*batch 6"]
+    """About the object's centre [N, N.m], of an object that stands."""
+    forces: Float[Array, "*batch L 3"]
+    """What the hand exerts beside that [N], by the law that is asked for."""
+    share: Float[Array, "*batch"]
+    """How much of the support there is: 1 for an object that stands, 0 for one clear of the table or not to be held."""
+
+
+def support_points(scene: Scene, placed: Pose) -> tuple[Float[Array, "*batch 4 3"], Float[Array, "*batch 4"]]:
+    """Where an object meets the table first, from its centre along the world's axes, and how high that is [m]."""
+    east, north, up = jnp.asarray(scene.table.rotation).T
+    leaning = TILT * (np.cos(QUARTERS)[:, None] * east + np.sin(QUARTERS)[:, None] * north) - up
+    turn = jnp.asarray(placed.rotation)
+    ahead = jnp.einsum("...ji,kj->...ki", turn, leaning)
+    directions = Vec3(*(ahead[..., i] for i in range(3)))
+    # The place that reaches furthest in a direction is the derivative of how far that is.
+    own = jax.grad(lambda directions: jnp.sum(scene.body.shape._support(directions)))(directions)
+    points = jnp.einsum("...ij,...kj->...ki", turn, jnp.stack(own, -1))
+    above = jnp.asarray(placed.origin) - scene.table.origin
+    return points, (above[..., None, :] + points) @ up
+
+
+def table_support(
+    scene: Scene, placed: Pose, grasp: Grasp, wrench: Float[AnyArray, "*batch 6"], free: Array | None, law: Law
+) -> TableSupport:
+    """What the table carries, and what is left to the hand.
+
+    Args:
+        scene: whose table and friction count.
+        placed: where the object stands.
+        grasp: of the hand, about the object's centre, along the world's axes.
+        wrench: that hand and table are to exert together about that centre [N, N.m].
+        free: of a guide, as for [`jaxgrasp.closed_form`][].
+        law: which forces the hand applies beside the table's.
+    """
+    batch, links = grasp.points.shape[:-2], grasp.points.shape[-2]
+    points, heights = support_points(scene, placed)
+    points = jnp.broadcast_to(points, (*batch, 4, 3))
+    shares = jnp.broadcast_to(jnp.clip(1 - heights / FADE, 0, 1), (*batch, 4))
+    none = TableSupport(jnp.zeros_like(wrench), jnp.zeros_like(grasp.points), jnp.zeros_like(wrench[..., 0]))
+
+    def solve() -> TableSupport:
+        both, weights = _with_table(scene, grasp, points, shares, wrench)
+        found = constrained_optimum(both, wrench, weights, free=free)
+        forces, pushes = found.forces[..., :links, :], found.forces[..., links:, :]
+        reaction = resultant(points, pushes)
+        rests = is_held(found.verdict)
+        if law == "closed-form":
+            left = wrench - reaction
+            forces = cut_to_cones(grasp, closed_form(grasp, left, free=free).forces)
+            slipping = jnp.linalg.norm((left - resultant(grasp.points, forces))[..., :3], axis=-1)
+            rests = rests & (slipping <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
+        return TableSupport(reaction, forces, jnp.where(rests, jnp.max(shares, -1), 0))
+
+    return lax.cond(jnp.any(shares > 0), solve, lambda: none)
+
+
+def _with_table(scene: Scene, grasp: Grasp, points: Array, shares: Array, wrench: AnyArray) -> tuple[Grasp, Array]:
+    """Contacts of hand and table together, and their weights."""
+    up = jnp.asarray(scene.table.rotation)[:, 2]
+    assert grasp.present is not None
+    squeeze = jnp.sum(jnp.asarray(grasp.squeeze) * grasp.present, -1)
+    pressing = squeeze + jnp.linalg.norm(wrench[..., :3], axis=-1)
+    ready = jnp.broadcast_to(READINESS * pressing[..., None], shares.shape)
+
+    of_table = Grasp(
+        points,
+        jnp.broadcast_to(up, points.shape),
+        jnp.full(shares.shape, scene.table_friction, shares.dtype),
+        jnp.zeros_like(shares),
+        (shares > 0).astype(shares.dtype),
+    )
+    axis = shares.ndim - 1
+    both = jax.tree.map(lambda own, table: jnp.concatenate([own, table], axis), grasp, of_table)
+    return both, jnp.concatenate([jnp.asarray(grasp.squeeze), ready], axis)

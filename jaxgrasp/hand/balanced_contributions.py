@@ -1,0 +1,51 @@
+"""Contributions by which a grip's squeezing forces balance: Table I is of a hand whose palm and thumb it leaves out."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
+from jaxgrasp.validation.checked import checked
+
+FAITHFUL = 0.1
+"""What it costs to leave a contribution, in units of the unbalanced force that this saves."""
+
+
+@checked
+def balanced_contributions(
+    contacts: Contacts, contributions: Float[AnyArray, "L"], centre: Float[AnyArray, "3"]
+) -> Float[Array, "L"]:
+    """The contributions nearest to others by which squeezing forces (eq. 6) balance one another.
+
+    Squeezing forces that leave much of themselves unbalanced are what takes method B out of the friction cones: it
+    spreads what balances them over all contacts, by their weights. Links that do not touch keep their contribution,
+    and those that do share the same total of squeezing as before.
+
+    Args:
+        contacts: of the closed hand, one posture's.
+        contributions: of each link, such as [`jaxgrasp.grip.contributions_of`][] gives.
+        centre: of the object, in the world [m].
+
+    Returns:
+        ``(L,)``, none negative. The squeezing forces by them balance as far as forces along the normals can.
+    """
+    depths = jnp.maximum(contacts.depths, 0) * contacts.present
+    return _balanced(depths, contacts.points, contacts.normals, jnp.asarray(contributions, depths.dtype), centre)
+
+
+@jax.jit
+def _balanced(depths: Array, points: Array, normals: Array, contributions: Array, centre: Array) -> Array:
+    there = depths > 0
+    arms = jnp.where(there[:, None], points - centre, 0)
+    reach = jnp.sqrt(jnp.sum(arms**2) / jnp.maximum(jnp.sum(there), 1))
+    reach = jnp.where(reach > 0, reach, 1)
+    # Each contact's wrench for a unit of its contribution, lengths in those of the grip, depths in their mean.
+    each = depths / jnp.where(jnp.any(there), jnp.sum(depths) / jnp.maximum(jnp.sum(there), 1), 1)
+    wrenches = jnp.concatenate([normals, jnp.cross(arms, normals) / reach], -1) * each[:, None]
+    near = jnp.diag((FAITHFUL * each) ** 2)
+    found = minimise_nonnegative(wrenches @ wrenches.T + near, -near @ contributions)
+    before, after = depths @ contributions, depths @ found
+    kept = jnp.where(after > 0, before / jnp.where(after > 0, after, 1), 1)
+    return jnp.where(there, kept * found, contributions)

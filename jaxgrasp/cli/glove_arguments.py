@@ -51,13 +51,15 @@ class Monitor(GloveFiles):
 
 @dataclass(frozen=True)
 class Run(GloveFiles):
-    """Let a hand in a glove feel a cylinder that it grasps and lifts.
+    """Let a hand in a glove feel an object that it grasps and lifts.
 
     Without a port, all of it happens in virtual time, on a simulated glove whose cable is cut: glove.csv and glove.png
     show it. With one, it happens now; orders are typed: `arm` (at 5 % of the torque), `full` (all of it), `disarm`,
     `quit`.
     """
 
+    scene: tyro.conf.Positional[str] = "cylinder"
+    """TOML file of the scene, or the name of a ready one (`jaxgrasp scene list`)."""
     port: str | None = None
     """Serial port of the glove."""
     seconds: float | None = None
@@ -68,8 +70,9 @@ class Run(GloveFiles):
     """Control torques by the measured tensions."""
     projection: Literal["clip", "scale"] = "clip"
     """Clip each torque at its limit, or scale all together and keep their direction."""
-    law: Literal["closed-form", "optimum"] = "optimum"
-    """Which forces the hand applies: they are what is felt, and decide whether the object slips."""
+    law: Literal["closed-form", "optimum"] | None = None
+    """Which forces the hand applies: they are what is felt, and decide whether the object slips. The scene's where not
+    given."""
     tracker: str | None = None
     """Port of a Polhemus tracker that moves the wrist."""
     alignment: Path | None = None

@@ -24,7 +24,8 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.lab.grasp_and_lift import Story, cylinder_scene, grasp_and_lift
+from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, scene_path
+from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
@@ -44,14 +45,15 @@ def run_command(arguments: Run) -> int:
         raise ValueError("listen needs the port of the glove")
     if arguments.connect and arguments.port is not None:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
+    file = load_scene(scene_path(arguments.scene))
     alignment = _check_ends(arguments)
     if arguments.listen:
         return _serve(arguments, model, options)
     set_up_jax("float64")
     say_compiling(COMPILED)
     if arguments.port is None and arguments.connect is None:
-        return _play(arguments, model)
-    return _render(arguments, model, options, alignment)
+        return _play(arguments, model, file)
+    return _render(arguments, model, options, alignment, file)
 
 
 def _check_ends(arguments: Run) -> Alignment | None:
@@ -71,9 +73,9 @@ def _check_ends(arguments: Run) -> Alignment | None:
     return alignment
 
 
-def _play(arguments: Run, model: GloveModel) -> int:
+def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     show("compiling, and playing the whole story: a minute or two")
-    story = grasp_and_lift(model, arguments.law)
+    story = grasp_and_lift(model, arguments.law, gripped_scene(file))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
@@ -130,10 +132,10 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     return 0
 
 
-def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None) -> int:
+def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
-    scene, closed, placed = cylinder_scene()
-    haptics = Haptics(scene, model, np.asarray(closed.angles), placed, arguments.law)
+    made = gripped_scene(file)
+    haptics = Haptics(made.scene, model, np.asarray(made.closed.angles), made.placed, arguments.law or made.law)
     show("compiling")
     warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)

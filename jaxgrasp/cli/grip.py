@@ -3,14 +3,14 @@
 import json
 import math
 from collections import Counter
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive, sampled_times
+from jaxgrasp.cli.checks import check_finite, check_positive, sampled_times
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
@@ -18,42 +18,40 @@ from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked
 from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
-from jaxgrasp.grip.motion import Body
-from jaxgrasp.grip.power_grip import power_grip
-from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.hand.balanced_contributions import balanced_contributions
-from jaxgrasp.hand.detection import Contacts
-from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.hand.human_hand import human_hand, open_angles
-from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
-from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.model.task import GRAVITY
+from jaxgrasp.grip.scene_file import (
+    TABLES,
+    GripEntry,
+    HandEntry,
+    ObjectEntry,
+    SceneFile,
+    TableEntry,
+    gripped_scene,
+    load_scene,
+    scene_path,
+)
+from jaxgrasp.hand.grip_type import GripType, grip_type
+from jaxgrasp.hand.human_hand import open_angles
+from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.grip_over_time import History, history
 
 UNBALANCED = 0.2
 """Part of the squeezing forces that may be unbalanced before it is worth a word."""
-TABLE = -0.5
-"""Height of the table's top below the wrist's start [m]."""
+BELOW = 0.4
+"""How far the table is below the object [m]."""
 
 
 def grip_command(arguments: Grip) -> int:
     """Close, lift, turn; write what happened, and say it."""
-    check_positive(arguments, "mass", "stiffness", "depth", "seconds", "step")
-    check_not_negative(arguments, "friction")
+    check_positive(arguments, "seconds", "step")
     check_finite(arguments, "lift", "turn")
     times = sampled_times(arguments.seconds, arguments.step)
-    shape = _shape(arguments)
-    check_shape(shape)
+    file = _scene_of(arguments) if arguments.scene is None else load_scene(scene_path(arguments.scene))
     set_up_jax("float64")
     say_compiling("the hand, its contacts and both laws", "minutes")
-    hand = human_hand(arguments.hand_length, side=arguments.side)
-    closed, placed, contacts = _closed(arguments, hand, shape)
-    kind = GripType(int(grip_type(hand, closed, contacts)))
-    show(f"closed on the {arguments.object}: {int(contacts.present.sum())} contacts, {_words(kind)}")
-    contributions = contributions_of(hand, kind)
-    if arguments.contributions == "balanced":
-        contributions = balanced_contributions(contacts, contributions, placed.origin)
+    made = gripped_scene(file)
+    hand, closed = made.scene.hand, made.closed
+    show(f"closed on the {file.object.shape}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
     postures = lift_and_turn(
         closed,
         times,
@@ -62,46 +60,34 @@ def grip_command(arguments: Grip) -> int:
         axis=np.array([1.0, 0.0, 0.0]),
         release=Posture(closed.wrist, jnp.asarray(open_angles(hand))) if arguments.release else None,
     )
-    scene = Scene(
-        hand=hand,
-        body=Body(shape, arguments.mass),
-        table=Pose(jnp.array([0.0, 0.0, TABLE]), jnp.eye(3)),
-        friction=arguments.friction,
-        stiffness=arguments.stiffness,
-        contributions=contributions,
-        gravity=jnp.array(GRAVITY),
-    )
-    record = stacked(carry(scene, postures, placed, float(times[1] - times[0]), law=arguments.law))
+    record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
     arguments.out.mkdir(parents=True, exist_ok=True)
-    summary = {"grip": _words(kind)} | _summary(hand, times, record) | _unbalanced(record)
+    summary = {"grip": _words(made.kind)} | _summary(hand, times, record) | _unbalanced(record)
     _write(arguments.out, hand, times, postures, record, summary)
     show(_said(summary))
     show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     if arguments.report:
-        _write_report(arguments, scene, history(scene, postures, times, record))
+        _write_report(arguments, file, made.scene, history(made.scene, postures, times, record))
     return 0
 
 
-def _closed(arguments: Grip, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:
-    """The hand, the object in it, and their contacts."""
-    if arguments.grip == "power":
-        return power_grip(hand, shape, arguments.depth)
-    return precision_grip(hand, shape, int(arguments.grip.removeprefix("precision-")), arguments.depth)
+def _scene_of(arguments: Grip) -> SceneFile:
+    """What the arguments say, as a file would."""
+    asked = {
+        kind: {one.name: getattr(arguments, one.name) for one in fields(kind) if hasattr(arguments, one.name)}
+        for kind in (ObjectEntry, GripEntry)
+    }
+    return SceneFile(
+        name=f"a {arguments.object}",
+        hand=HandEntry(arguments.hand_length, side=arguments.side),
+        object=ObjectEntry(**asked[ObjectEntry] | {"shape": arguments.object}),
+        grip=GripEntry(**asked[GripEntry] | {"kind": arguments.grip}),
+        table=TableEntry(below=BELOW),
+    )
 
 
 def _words(kind: GripType) -> str:
     return kind.name.lower().replace("_", " ")
-
-
-def _shape(arguments: Grip) -> Shape:
-    radius, height = arguments.radius, arguments.height
-    shapes: dict[str, Shape] = {
-        "sphere": Sphere(radius),
-        "cylinder": Cylinder(radius, height),
-        "capsule": Capsule(radius, height),
-        "box": Box(2 * radius, 2 * radius, height),
-    }
-    return shapes[arguments.object]
 
 
 def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: Instant, summary: dict) -> None:
@@ -139,7 +125,7 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
     replace_file(out / "grip.json", lambda stream: stream.write(text.encode()))
 
 
-def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
+def _write_report(arguments: Grip, file: SceneFile, scene: Scene, happened: History) -> None:
     """Page and pictures; of what is not installed one line says how to get it."""
     from jaxgrasp.report.grip_page import write_grip_page
     from jaxgrasp.report.grip_pictures import write_grip_pictures
@@ -147,7 +133,7 @@ def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
     out, whole = arguments.out, float(happened.times[-1])
     instants = {"closed": 0.0, "lifted": whole / 2, "turned": 3 * whole / 4, "end": whole}
     try:
-        write_grip_page(out / "grip.html", scene, happened, title=_title(arguments), details=_details(arguments))
+        write_grip_page(out / "grip.html", scene, happened, title=_title(file), details=_details(arguments, file))
         show(f"report:  {out / 'grip.html'}")
     except ImportError as error:
         show(f"no report: {error}")
@@ -157,15 +143,17 @@ def _write_report(arguments: Grip, scene: Scene, happened: History) -> None:
         show(f"no pictures: {error}")
 
 
-def _title(arguments: Grip) -> str:
-    hand = f"a {arguments.side} hand of {1000 * arguments.hand_length:g} mm"
-    return f"A {arguments.grip} grip of a {arguments.object} of {1000 * arguments.mass:g} g in {hand}"
+def _title(file: SceneFile) -> str:
+    hand, held = file.hand, file.object
+    hand_words = f"a {hand.side} hand of {1000 * hand.length:g} mm"
+    return f"A {file.grip.kind} grip of a {held.shape} of {1000 * held.mass:g} g in {hand_words}"
 
 
-def _details(arguments: Grip) -> dict[str, str]:
+def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
     """What was asked for, and by which versions it was answered."""
-    asked = {name: value for name, value in asdict(arguments).items() if name not in ("out", "report")}
-    return {name.replace("_", " "): str(value) for name, value in asked.items()} | provenance()
+    moves = {name: str(getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
+    entries = {f"{table} {key}": str(value) for table in TABLES for key, value in asdict(getattr(file, table)).items()}
+    return {"scene": file.name} | entries | moves | provenance()
 
 
 def _summary(hand: Hand, times: np.ndarray, record: Instant) -> dict:

@@ -14,6 +14,9 @@ class Grip:
     about the object's centre. Codes are those of jaxgrasp.grip.Hold, Touch, GripType and Verdict.
     """
 
+    scene: str | None = None
+    """TOML file of a scene, or the name of a ready one (`jaxgrasp scene list`): it has the hand, the object, the
+    grip and its law, and what is said of these here does not count."""
     object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
     """What is gripped; in a power grip it lies across the palm."""
     grip: Literal["power", "precision-3", "precision-5"] = "power"

@@ -14,6 +14,7 @@ from jaxgrasp.cli.evaluate_arguments import Evaluate
 from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
 from jaxgrasp.cli.glove_arguments import Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
+from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.printable import message_line
@@ -25,6 +26,7 @@ Command = (
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
     | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
 )
@@ -35,6 +37,8 @@ FUNCTIONS: dict[type, str] = {
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
+    Check: "scene.check_command",
+    ReadyScenes: "scene.list_command",
     PlanCommand: "experiment_plan.plan_command",
     RunExperiment: "experiment_run.run_command",
     Analyse: "experiment_analyse.analyse_command",
@@ -51,8 +55,8 @@ FUNCTIONS: dict[type, str] = {
 
 
 def run(command: Any) -> int:
-    """Run a command with its arguments, or the one that an ``Experiment`` or ``Glove`` holds; returns the exit code."""
-    chosen = command.command if isinstance(command, Experiment | Glove) else command
+    """Run a command with its arguments, or the one that a group holds; returns the exit code."""
+    chosen = command.command if isinstance(command, Experiment | Glove | SceneCommand) else command
     module, function = FUNCTIONS[type(chosen)].split(".")
     return getattr(import_module(f"jaxgrasp.cli.{module}"), function)(chosen)
 

@@ -9,16 +9,12 @@ from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.motion import Body
-from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.hand.human_hand import human_hand, open_angles
-from jaxgrasp.hand.shapes import Cylinder
+from jaxgrasp.grip.scene_file import GrippedScene, ObjectEntry, SceneFile, gripped_scene
+from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture
-from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.validation.checked import checked
 
 COMPUTE = 0.01
@@ -60,36 +56,26 @@ def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
     Args:
         radius: of the cylinder [m].
     """
-    hand = human_hand()
-    shape = Cylinder(radius, 0.12)
-    closed, placed, contacts = power_grip(hand, shape, 1e-3)
-    origin = jnp.asarray(placed.origin)
-    scene = Scene(
-        hand=hand,
-        body=Body(shape, 0.15),
-        table=pose_at(origin - jnp.array([0.0, 0.0, radius])),
-        friction=0.6,
-        stiffness=400.0,
-        contributions=contributions_of(hand, GripType(int(grip_type(hand, closed, contacts)))),
-        gravity=jnp.array(GRAVITY),
-    )
-    return scene, closed, Pose(origin, jnp.asarray(placed.rotation))
+    made = gripped_scene(SceneFile(object=ObjectEntry(radius=radius)))
+    return made.scene, made.closed, made.placed
 
 
 @checked
-def grasp_and_lift(model: GloveModel | None = None, law: Law = "optimum") -> Story:
+def grasp_and_lift(model: GloveModel | None = None, law: Law | None = None, scene: GrippedScene | None = None) -> Story:
     """Play it: close, lift, cut, arm again; a minute or two, most of it compiling.
 
     Args:
         model: of the glove; the paper's where not given.
-        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][]. By the closed form this grip slips.
+        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][]; the scene's where not given.
+        scene: hand and object; where not given a cylinder on a table, which slips by the closed form.
     """
     model = lrp_hand_master() if model is None else model
-    scene, closed, placed = cylinder_scene()
-    haptics = Haptics(scene, model, np.asarray(closed.angles), placed, law)
+    made = gripped_scene(SceneFile()) if scene is None else scene
+    closed, placed, hand = made.closed, made.placed, made.scene.hand
+    haptics = Haptics(made.scene, model, np.asarray(closed.angles), placed, law or made.law)
     glove = VirtualGlove(model, nominal_sensors(model))
-    places = list(model.places(scene.hand.joints))
-    glove.order(bend=np.asarray(open_angles(scene.hand))[places].tolist(), lasts=0.0)
+    places = list(model.places(hand.joints))
+    glove.order(bend=np.asarray(open_angles(hand))[places].tolist(), lasts=0.0)
     script = [
         (CLOSE, lambda: glove.order(bend=(np.asarray(closed.angles)[places] + PRESS).tolist(), lasts=CLOSING)),
         (CLOSE, lambda: glove.rendering.arm(glove.now)),

@@ -16,6 +16,7 @@ from jaxgrasp.files.printable import LONGEST_MESSAGE
 from jaxgrasp.glove.calibrate import nominal_sensors, save_sensors
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.other_devices.alignment import Alignment, save_alignment
+from jaxgrasp.grip.scene_file import ready_scenes
 
 MISSING = object()
 VALUES = (
@@ -143,6 +144,12 @@ def refused_or_used(folder, capsys):
 def test_plans(refused_or_used, part):
     many = list(files(PLAN.encode(), lambda good: tomllib.loads(good.decode()), toml_file))[part::5]
     assert len(many) > refused_or_used("plan.toml", iter(many), "experiment", "plan", "plan.toml") > len(many) / 2
+
+
+def test_scenes(refused_or_used):
+    good = ready_scenes()["cylinder"].read_bytes()
+    many = list(files(good, lambda good: tomllib.loads(good.decode()), toml_file))
+    assert len(many) > refused_or_used("scene.toml", iter(many), "scene", "check", "scene.toml") > len(many) / 2
 
 
 def test_models_of_gloves(refused_or_used):

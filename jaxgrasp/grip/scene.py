@@ -60,6 +60,10 @@ def check_scene(scene: Scene) -> None:
             raise ValueError(str(fault))
         if not guide.any():
             raise ValueError("guide is all zeros: expected a twist in one of its columns at least")
+    if not isinstance(scene.table_friction, jax.core.Tracer):
+        friction = np.asarray(scene.table_friction)
+        for fault in entries("table_friction", friction, ~(np.isfinite(friction) & (friction >= 0)), "0 or more"):
+            raise ValueError(str(fault))
     if not isinstance(scene.obstacles, tuple):
         raise ValueError(f"obstacles is a {type(scene.obstacles).__name__}: expected a tuple of Obstacles")
     for k, obstacle in enumerate(scene.obstacles):

@@ -7,6 +7,7 @@
    and a proof where no forces exist.
 4. For what that leaves, the careful pass without squeezing and with equal sharing: it asks only whether there are
    allowed forces, which loads and weights of any size leave as easy as it is.
+5. For the few that are open still, the careful pass again, with many more steps.
 
 Whatever has converged, but misses its load by more than rounding, is refined at once.
 """

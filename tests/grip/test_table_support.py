@@ -64,6 +64,13 @@ def test_the_table_is_met_where_the_object_is_lowest(scene, shape, corners):
     np.testing.assert_allclose(heights, 0.05 + own[:, 2], atol=1e-12)
 
 
+@pytest.mark.parametrize("friction", [-0.1, np.nan])
+def test_a_friction_that_no_table_has_is_refused(scene, friction):
+    made, closed, placed = scene
+    with pytest.raises(ValueError, match=f"table_friction is {friction}: expected 0 or more"):
+        observe(eqx.tree_at(lambda s: s.table_friction, made, friction), closed, placed)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["closed-form", "optimum"])
 def test_hand_and_table_balance_what_stands(scene, law):

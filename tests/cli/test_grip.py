@@ -13,6 +13,7 @@ from jaxgrasp.cli.main import main
 from jaxgrasp.grip import Body, GripType, Hold, Instant, Scene, contributions_of, observe
 from jaxgrasp.grip.carry import stacked
 from jaxgrasp.grip.power_grip import lay_on
+from jaxgrasp.grip.scene_file import SceneFile
 from jaxgrasp.hand import Pose, Sphere, human_hand
 from jaxgrasp.report import bundle
 from jaxgrasp.report.grip_over_time import history
@@ -80,7 +81,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
     tick = observe(scene, posture, placed)
     record = [Instant(placed, tick, Hold(int(tick.assessment.hold)), False, tick.exerted, np.zeros(6))]
     postures = jax.tree.map(lambda x: x[None], posture)
-    _write_report(Grip(out=folder), scene, history(scene, postures, np.zeros(1), stacked(record)))
+    _write_report(Grip(out=folder), SceneFile(), scene, history(scene, postures, np.zeros(1), stacked(record)))
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(":")[0] for line in lines] == ["no report", "no pictures"]
     assert all(line.endswith("pip install 'jaxgrasp[report]'") for line in lines) and not list(folder.iterdir())
@@ -90,10 +91,10 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
     "arguments, said",
     [
         (["--mass", "0"], "mass is 0.0: expected a positive number"),
-        (["--friction", "-1"], "friction is -1.0: expected a finite number, 0 or more"),
+        (["--friction", "-1"], "friction is -1.0: expected a number, zero or more"),
         (["--turn", "nan"], "turn is nan: expected a finite number"),
         (["--step", "9"], "step is 9.0: expected at most seconds, 4.0"),
-        (["--radius", "-0.1"], "Cylinder.radius is -0.1: expected a positive number of metres"),
+        (["--radius", "-0.1"], "radius is -0.1: expected a positive number"),
     ],
 )
 def test_bad_arguments_are_named_before_any_work(folder, capsys, arguments, said):

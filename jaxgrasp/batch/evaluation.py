@@ -106,6 +106,7 @@ def run(engine: Engine, sets: ContactSets, chunk: int = 1) -> dict[str, MethodRe
 
 
 BY_CONTACT = ("forces", "moments", "normal_multiplier")
+MOSTLY_ZERO = ("certificate", "force_bound")
 
 
 ALWAYS = tuple(field.name for field in fields(MethodResult) if field.default is MISSING)
@@ -124,6 +125,9 @@ def _empty(name: str, sets: ContactSets) -> np.ndarray:
     if name in ("torque_multiplier", "certificate_rates"):
         assert sets.torque_max is not None
         tail = sets.torque_max.shape[1:]
+    if name in MOSTLY_ZERO:
+        # What nobody writes to takes no memory, though it is there.
+        return np.zeros((len(sets), sets.wrenches, *tail), sets.points.dtype)
     whole = {"verdict": np.int8, "steps": np.int32, "route": np.int8}
     return np.empty((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
 
@@ -136,7 +140,8 @@ def _place(shaped: dict[str, np.ndarray], part: MethodResult, rows: np.ndarray, 
         values = getattr(part, name)[:used]
         values = values.reshape(len(rows), sets.wrenches, *values.shape[1:])
         if name not in BY_CONTACT:
-            target[rows] = values
+            if name not in MOSTLY_ZERO or values.any():
+                target[rows] = values
             continue
         width = values.shape[2]
         by_contact = np.swapaxes(values, 1, 2)

@@ -170,7 +170,7 @@ def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> 
     already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
     with np.errstate(divide="ignore", invalid="ignore"):
         price = np.where(already, 0, (optimum.objective - closed.objective) / optimum.objective)
-        apart = _length_by_problem(sets, closed.forces - optimum.forces)
+        apart = _length_by_problem(sets, closed.forces, optimum.forces)
         distance = np.where(already, 0, apart / _length_by_problem(sets, optimum.forces))
     comparison = MethodComparison(
         compared=int(solved.sum()),
@@ -182,7 +182,11 @@ def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> 
     return comparison, np.where(solved, price, -np.inf)
 
 
-def _length_by_problem(sets: ContactSets, forces: np.ndarray) -> np.ndarray:
-    """Norm of all forces of each problem, ``(N, W)``."""
-    square = np.einsum("cwi,cwi->cw", forces, forces)
+def _length_by_problem(sets: ContactSets, forces: np.ndarray, others: np.ndarray | None = None) -> np.ndarray:
+    """Norm of all forces of each problem, or of what they differ from others by, ``(N, W)``."""
+    square = np.zeros(forces.shape[:-1], forces.dtype)
+    # A component at a time: of millions of grasps all of the forces once more are gigabytes.
+    for i in range(3):
+        apart = forces[..., i] if others is None else forces[..., i] - others[..., i]
+        square += apart * apart
     return np.sqrt(np.add.reduceat(square, sets.offsets[:-1], axis=0))

@@ -79,7 +79,9 @@ def test_a_weight_that_processors_take_for_zero_is_refused(dtype, sharing):
     """One of zero is a contact that cannot move: no answer to a problem in which it can."""
     problem = P.problems("ordinary", N, COUNT, seed=2).cast(np.dtype(dtype).type)
     least = np.finfo(dtype).tiny
-    for squeeze, refused in ((least / 4, sharing == "squeeze"), (least, False), (0.0, False)):
+    # Beside the other weights, of some newtons, one of the least normal size vanishes too.
+    vanishes = sharing == "squeeze"
+    for squeeze, refused in ((least / 4, vanishes), (least, vanishes), (1e6 * least, False), (0.0, False)):
         squeezes = problem.squeeze.copy()
         squeezes[: COUNT // 2, 1] = squeeze
         given = Grasp(problem.points, problem.normals, problem.friction, squeezes)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import LABELS, LONGEST_LABEL
-from jaxgrasp.files.decimal_number import decimal_number
+from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 

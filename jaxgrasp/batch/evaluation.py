@@ -125,11 +125,10 @@ def _empty(name: str, sets: ContactSets) -> np.ndarray:
     if name in ("torque_multiplier", "certificate_rates"):
         assert sets.torque_max is not None
         tail = sets.torque_max.shape[1:]
-    if name in MOSTLY_ZERO:
-        # What nobody writes to takes no memory, though it is there.
-        return np.zeros((len(sets), sets.wrenches, *tail), sets.points.dtype)
     whole = {"verdict": np.int8, "steps": np.int32, "route": np.int8}
-    return np.empty((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
+    # Zeros that nobody writes to take no memory, though they are there.
+    make = np.zeros if name in MOSTLY_ZERO else np.empty
+    return make((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
 
 
 def _place(shaped: dict[str, np.ndarray], part: MethodResult, rows: np.ndarray, sets: ContactSets) -> None:

@@ -91,7 +91,7 @@ class ResultFolder:
             found = json.loads((self.folder / MANIFEST).read_text())
             complete, entries = found["complete"], found["shards"]
             files = [entry["file"] for entry in entries]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError, OSError) as error:
             raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
         if found.pop("sha256", None) != _sealed(found) and found.get("version") == VERSION:
             raise GraspFileError(self.folder, f"its {MANIFEST} was changed since we wrote it")

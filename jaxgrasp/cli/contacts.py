@@ -10,7 +10,6 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.grasp_poses import GraspPoses, read_poses
 from jaxgrasp.batch.sources import save_grasps
-from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
@@ -26,6 +25,7 @@ from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.wrench import weight_wrench
+from jaxgrasp.validation.fields import check_not_negative, check_positive
 
 CHUNK = 512
 """Grasps at a time."""

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.cli.checks import check_not_negative, check_positive
 from jaxgrasp.cli.experiment_arguments import ObserverArguments, PlanCommand, Power
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
@@ -15,6 +14,7 @@ from jaxgrasp.psychophysics.plan import Plan, load_plan, plan_toml
 from jaxgrasp.psychophysics.prediction.power import cheapest
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
+from jaxgrasp.validation.fields import check_not_negative, check_positive
 
 SHOWN = 6
 POSTURES = {

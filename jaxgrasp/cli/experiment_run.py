@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson
 from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
@@ -18,6 +17,7 @@ from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import check_records, run_experiment
 from jaxgrasp.psychophysics.stimulus import NotFeltError, Stimulus, StimulusLostError
+from jaxgrasp.validation.fields import check_positive
 
 FIRST, FULL = 0.05, 1.0
 PATIENCE = 5.0

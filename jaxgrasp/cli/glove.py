@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.cli.checks import check_finite, check_not_negative, check_positive
 from jaxgrasp.cli.glove_arguments import GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.calibrate import load_model
@@ -19,6 +18,7 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.other_devices.lucidgloves import FINGERS, LucidHost, lucidgloves
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
+from jaxgrasp.validation.fields import check_finite, check_not_negative, check_positive
 
 SHOWN_EVERY = 0.1
 """Time between two lines of the monitor [s]."""

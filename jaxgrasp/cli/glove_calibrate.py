@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove_arguments import Calibrate
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.decimal_number import decimal_number
+from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.glove.calibrate import CalibrationLine, fit_encoders, fit_gauges, load_model, save_sensors
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors

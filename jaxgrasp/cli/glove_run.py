@@ -9,7 +9,6 @@ import time
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.cli.checks import check_positive
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
@@ -29,6 +28,7 @@ from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
+from jaxgrasp.validation.fields import check_positive
 
 FULL = 1.0
 FIRST = 0.05

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.cli.checks import check_finite, check_positive, sampled_times
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
+from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked
@@ -34,6 +34,7 @@ from jaxgrasp.hand.grip_type import GripType, grip_type
 from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.grip_over_time import History, history
+from jaxgrasp.validation.fields import check_finite, check_positive
 
 UNBALANCED = 0.2
 """Part of the squeezing forces that may be unbalanced before it is worth a word."""

@@ -37,8 +37,8 @@ FUNCTIONS: dict[type, str] = {
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
-    Check: "scene.check_command",
-    ReadyScenes: "scene.list_command",
+    Check: "scene_check.check_command",
+    ReadyScenes: "scene_check.list_command",
     PlanCommand: "experiment_plan.plan_command",
     RunExperiment: "experiment_run.run_command",
     Analyse: "experiment_analyse.analyse_command",
@@ -56,7 +56,7 @@ FUNCTIONS: dict[type, str] = {
 
 def run(command: Any) -> int:
     """Run a command with its arguments, or the one that a group holds; returns the exit code."""
-    chosen = command.command if isinstance(command, Experiment | Glove | SceneCommand) else command
+    chosen = getattr(command, "command", command)
     module, function = FUNCTIONS[type(chosen)].split(".")
     return getattr(import_module(f"jaxgrasp.cli.{module}"), function)(chosen)
 

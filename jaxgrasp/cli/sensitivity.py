@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.cli.checks import check_positive, sampled_times
 from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
@@ -18,6 +18,7 @@ from jaxgrasp.sensitivity.matrix import SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task
 from jaxgrasp.sensitivity.study import Study, ranking, spells, study
+from jaxgrasp.validation.fields import check_positive
 
 LABELS: Labels = dict.fromkeys(
     ("azimuths", "contributions", "depths", "friction", "heights", "stiffness", "slip_angle"), FINGERS

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from jaxgrasp.files.file_numbers import HUGE
+
 Made = TypeVar("Made")
-HUGE = 1e300
-"""No quantity is this large, and whole numbers beyond are too large to be a float."""
 
 
 def load_toml(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxgrasp.files.file_numbers import is_number
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
@@ -175,7 +176,7 @@ def _read(content: Any, part: str, key: str, channels: int, path: Path) -> np.nd
         given = content[part][key]
     except (KeyError, TypeError):
         raise ValueError(f"{path} has no list of numbers {part}.{key}") from None
-    if not isinstance(given, list) or not all(map(_is_number, given)):
+    if not isinstance(given, list) or not all(is_number(one, HUGE) for one in given):
         raise ValueError(f"{path} has no list of numbers {part}.{key}")
     if len(given) != channels:
         raise ValueError(f"{path}: {part}.{key} has {len(given)} numbers: expected {channels}")
@@ -184,14 +185,9 @@ def _read(content: Any, part: str, key: str, channels: int, path: Path) -> np.nd
 
 def _full(content: Any, path: Path) -> float:
     full = content["gauges"].get("full")
-    if not (_is_number(full) and full > 1e-6):
+    if not (is_number(full, HUGE) and full > 1e-6):
         raise ValueError(f"{path}: gauges.full is {str(full)[:40]}: expected a positive tension [N]")
     return float(full)
-
-
-def _is_number(value: Any) -> bool:
-    """Whether a value of a file is one that any sensor could have."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < HUGE
 
 
 def _check_slope(line: CalibrationLine) -> None:

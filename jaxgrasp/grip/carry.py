@@ -56,7 +56,7 @@ class Instant(NamedTuple):
     exerted: Float[Array, "L 3"]
     """What the contacts exert on the object [N]."""
     missed: Float[Array, "6"]
-    """What of the wrench that and the table leave [N, N.m]."""
+    """What they and the table leave of the wrench [N, N.m]."""
 
 
 def stacked(record: list[Instant]) -> Instant:

@@ -152,17 +152,17 @@ def rest_on(
     One that a guide holds cannot be lifted: where it would go deeper than ``before``, it stays there.
     """
     up = jnp.asarray(table.rotation)[:, 2]
-    height = _height(table, shape, placed)
+    height = height_above(table, shape, placed)
     if before is None:
         stands = height <= 0
         there = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
     else:
-        stands = (height <= 0) & (height < _height(table, shape, before))
+        stands = (height <= 0) & (height < height_above(table, shape, before))
         there = jax.tree.map(lambda was, now: jnp.where(stands, was, now), before, placed)
     return there, Motion(*(jnp.where(stands, 0, part) for part in motion)), stands
 
 
-def _height(table: Pose, shape: Shape, placed: Pose) -> Array:
+def height_above(table: Pose, shape: Shape, placed: Pose) -> Array:
     """Height of an object's lowest point above a table [m]."""
     up = jnp.asarray(table.rotation)[:, 2]
     return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec3(*(-up @ placed.rotation)))

@@ -60,18 +60,19 @@ def check_scene(scene: Scene) -> None:
             raise ValueError(str(fault))
         if not guide.any():
             raise ValueError("guide is all zeros: expected a twist in one of its columns at least")
-    if not isinstance(scene.table_friction, jax.core.Tracer):
-        friction = np.asarray(scene.table_friction)
-        for fault in entries("table_friction", friction, ~(np.isfinite(friction) & (friction >= 0)), "0 or more"):
-            raise ValueError(str(fault))
+    _check_not_negative("table_friction", scene.table_friction, "0 or more")
     if not isinstance(scene.obstacles, tuple):
         raise ValueError(f"obstacles is a {type(scene.obstacles).__name__}: expected a tuple of Obstacles")
     for k, obstacle in enumerate(scene.obstacles):
-        if isinstance(obstacle.stiffness, jax.core.Tracer):
-            continue
-        stiffness = np.asarray(obstacle.stiffness)
-        for fault in entries("stiffness", stiffness, ~(np.isfinite(stiffness) & (stiffness >= 0)), "0 or more [N/m]"):
-            raise ValueError(f"obstacles[{k}].{fault}")
+        _check_not_negative(f"obstacles[{k}].stiffness", obstacle.stiffness, "0 or more [N/m]")
     if scene.obstacles and not isinstance(scene.outline, Hand):
         given = None if scene.outline is None else f"a {type(scene.outline).__name__}"
         raise ValueError(f"outline is {given}: with obstacles expected rigid_body(sphere_tree(shape)) of the object")
+
+
+def _check_not_negative(name: str, value: AnyArray | float, expected: str) -> None:
+    if isinstance(value, jax.core.Tracer):
+        return
+    numbers = np.asarray(value)
+    for fault in entries(name, numbers, ~(np.isfinite(numbers) & (numbers >= 0)), expected):
+        raise ValueError(str(fault))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxgrasp.files.toml_fields import load_toml, made_from, nearest
 from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.motion import Body
+from jaxgrasp.grip.motion import Body, height_above
 from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Scene
@@ -22,20 +22,8 @@ from jaxgrasp.hand.human_hand import LENGTH, human_hand
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.model.task import GRAVITY
-from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.validation.checked import checked
-
-
-def _positive(**values: float | None) -> None:
-    for name, value in values.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value}: expected a positive number")
-
-
-def _not_negative(**values: float) -> None:
-    for name, value in values.items():
-        if not (math.isfinite(value) and value >= 0):
-            raise ValueError(f"{name} is {value}: expected a number, zero or more")
+from jaxgrasp.validation.fields import check_not_negative, check_positive
 
 
 @dataclass(frozen=True)
@@ -49,7 +37,7 @@ class HandEntry:
     side: Literal["right", "left"] = "right"
 
     def __post_init__(self) -> None:
-        _positive(length=self.length, breadth=self.breadth)
+        check_positive(self, "length", "breadth")
 
 
 @dataclass(frozen=True)
@@ -69,8 +57,8 @@ class ObjectEntry:
     """K of eq. 6 [N/m]."""
 
     def __post_init__(self) -> None:
-        _positive(radius=self.radius, height=self.height, mass=self.mass)
-        _not_negative(friction=self.friction, stiffness=self.stiffness)
+        check_positive(self, "radius", "height", "mass")
+        check_not_negative(self, "friction", "stiffness")
 
     def solid(self) -> Shape:
         """The object's shape."""
@@ -95,7 +83,7 @@ class GripEntry:
     """Which forces the hand applies."""
 
     def __post_init__(self) -> None:
-        _positive(depth=self.depth)
+        check_positive(self, "depth")
 
 
 @dataclass(frozen=True)
@@ -108,7 +96,7 @@ class TableEntry:
     """Coulomb's coefficient between object and table."""
 
     def __post_init__(self) -> None:
-        _not_negative(below=self.below, friction=self.friction)
+        check_not_negative(self, "below", "friction")
 
 
 @dataclass(frozen=True)
@@ -203,19 +191,21 @@ def gripped_scene(file: SceneFile) -> GrippedScene:
     contributions = contributions_of(hand, kind)
     if file.grip.contributions == "balanced":
         contributions = balanced_contributions(contacts, contributions, placed.origin)
-    origin, turn = jnp.asarray(placed.origin), jnp.asarray(placed.rotation)
-    lowest = float(shape._support(Vec3(*(-turn[2])))) + file.table.below
+    origin = jnp.asarray(placed.origin)
+    placed = Pose(origin, jnp.asarray(placed.rotation))
+    ground = Pose(jnp.zeros(3), jnp.eye(3))
+    top = height_above(ground, shape, placed) - file.table.below
     scene = Scene(
         hand=hand,
         body=Body(shape, file.object.mass),
-        table=Pose(origin - jnp.array([0.0, 0.0, lowest]), jnp.eye(3)),
+        table=Pose(origin.at[2].set(top), jnp.eye(3)),
         friction=file.object.friction,
         stiffness=file.object.stiffness,
         contributions=contributions,
         gravity=jnp.array(file.world.gravity),
         table_friction=file.table.friction,
     )
-    return GrippedScene(scene, closed, Pose(origin, turn), contacts, kind, file.grip.law)
+    return GrippedScene(scene, closed, placed, contacts, kind, file.grip.law)
 
 
 def _closed(grip: GripEntry, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:

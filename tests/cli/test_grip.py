@@ -91,7 +91,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
     "arguments, said",
     [
         (["--mass", "0"], "mass is 0.0: expected a positive number"),
-        (["--friction", "-1"], "friction is -1.0: expected a number, zero or more"),
+        (["--friction", "-1"], "friction is -1.0: expected a finite number, 0 or more"),
         (["--turn", "nan"], "turn is nan: expected a finite number"),
         (["--step", "9"], "step is 9.0: expected at most seconds, 4.0"),
         (["--radius", "-0.1"], "radius is -0.1: expected a positive number"),

@@ -72,12 +72,16 @@ def solve(grasp: Grasp, wrench: np.ndarray, weights: np.ndarray) -> Solution:
 
 
 def missed(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """What forces leave of a wrench, in extended precision, less what their own rounding may leave of it."""
+    """What forces leave of a wrench, less what their own rounding may leave of it."""
+    granted = ROUNDINGS * np.finfo(float).eps * np.linalg.norm(forces, axis=-1).sum(-1)
+    return np.maximum(left_of(grasp, wrench, forces) - granted, 0)
+
+
+def left_of(grasp: Grasp, wrench: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """What forces leave of a wrench, in extended precision."""
     forces, points = np.asarray(forces, R.Wide), np.asarray(grasp.points, R.Wide)
     made = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
-    left = np.linalg.norm(np.asarray(made - wrench, float), axis=-1)
-    granted = ROUNDINGS * np.finfo(float).eps * np.linalg.norm(np.asarray(forces, float), axis=-1).sum(-1)
-    return np.maximum(left - granted, 0)
+    return np.linalg.norm(np.asarray(made - wrench, float), axis=-1)
 
 
 def beyond_cones(grasp: Grasp, forces: np.ndarray) -> np.ndarray:
@@ -100,14 +104,7 @@ def test_what_holds_a_load_holds_a_lighter_one(judged, sharing, light):
     assert np.all(beyond_cones(grasp, found.forces)[held] <= 1e-13)
     # An optimum balances its load to 1e-8 of it; below that of the squeeze rounding hides what is best.
     best = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL])
-    made = np.concatenate(
-        [
-            np.sum(found.forces.astype(R.Wide), 1),
-            np.cross(np.asarray(grasp.points, R.Wide), found.forces.astype(R.Wide)).sum(1),
-        ],
-        -1,
-    )
-    left, load = (np.linalg.norm(np.asarray(x, float), axis=-1) for x in (made - light * wrench, light * wrench))
+    left, load = left_of(grasp, light * wrench, found.forces), np.linalg.norm(light * wrench, axis=-1)
     # In lengths of one metre; in those of the grasp it is less.
     assert np.all(left[best] <= 6e-8 * load[best])
     assert np.array_equal(best, feasible) if light >= 1e-6 else np.any(found.verdict == Verdict.FEASIBLE)
@@ -118,11 +115,9 @@ def test_the_residual_is_what_is_missed_of_the_load(judged, light):
     grasp, wrench, feasible = judged
     found = jax.device_get(solve(grasp, light * wrench, grasp.squeeze))
     assert np.all(found.residual[feasible] < 8e-9)
-    forces, points = np.asarray(found.forces, R.Wide), np.asarray(grasp.points, R.Wide)
-    made = np.concatenate([forces.sum(1), np.cross(points, forces).sum(1)], -1)
-    left = np.linalg.norm(np.asarray(made - light * wrench, float), axis=-1)
+    left = left_of(grasp, light * wrench, found.forces)
     # In the grasp's own frame lengths are other units: a factor of a few.
-    size = np.maximum(light, 4.8e-7 * np.linalg.norm(np.asarray(forces, float), axis=-1).sum(-1))
+    size = np.maximum(light, 4.8e-7 * np.linalg.norm(found.forces, axis=-1).sum(-1))
     floor = 1e-9
     assert np.all(left[feasible] / size[feasible] <= 4 * found.residual[feasible] + floor)
 

@@ -5,8 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from jaxgrasp.files.file_numbers import is_number
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.files.toml_fields import HUGE
 from jaxgrasp.psychophysics.plan import Plan, plan_of
 from jaxgrasp.psychophysics.running.records import FORMAT, RecordError, read_records
 from jaxgrasp.psychophysics.schedule import Schedule
@@ -95,7 +95,7 @@ def _observer(first: dict[str, Any], path: Path) -> dict[str, float] | None:
     """The parameters of the observer who was simulated, if any; the first record is one that ``_plan`` took."""
     given = first["observer"]
     for name, value in (given or {}).items():
-        if not _is_number(value):
+        if not is_number(value):
             raise RecordError(f"{path}: observer.{name} is {shortened(value)}: expected a number")
     return None if given is None else {name: float(value) for name, value in given.items()}
 
@@ -110,7 +110,7 @@ def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
             raise RecordError(f"{where}: {name} is {record.get(name)!r}: expected two numbers")
     if trial.task == "setting":
         setting = record.get("setting")
-        if setting is None or not _is_number(setting) or setting < 0:
+        if setting is None or not is_number(setting) or setting < 0:
             raise RecordError(f"{where}: setting is {setting!r}: expected a number, 0 or more")
         return level_of(trial.reference, setting)
     answer, right = record.get("answer"), record.get("right")
@@ -125,11 +125,7 @@ def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
 
 def _is_pair(value: Any) -> bool:
     """Two numbers, of which either may not be known."""
-    return isinstance(value, list) and len(value) == 2 and all(one is None or _is_number(one) for one in value)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < HUGE
+    return isinstance(value, list) and len(value) == 2 and all(one is None or is_number(one) for one in value)
 
 
 def felt_levels(trials: Iterable[TrialRecord]) -> list[float]:

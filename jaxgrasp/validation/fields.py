@@ -1,8 +1,6 @@
-"""What the numbers among a command's arguments must be; None is an argument that was not given."""
+"""Checks of several numbers of one object by their names; None is one that was not given."""
 
 import math
-
-import numpy as np
 
 
 def check_positive(arguments: object, *names: str) -> None:
@@ -28,10 +26,3 @@ def check_not_negative(arguments: object, *names: str) -> None:
 
 def _given(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float | int]]:
     return [(name, value) for name in names if (value := getattr(arguments, name)) is not None]
-
-
-def sampled_times(seconds: float, step: float) -> np.ndarray:
-    """Times from zero on, a step apart [s]; ValueError where the step is longer than all of it."""
-    if step > seconds:
-        raise ValueError(f"step is {step}: expected at most seconds, {seconds}")
-    return np.linspace(0, seconds, max(2, round(seconds / step) + 1))

@@ -13,6 +13,7 @@ from jaxgrasp.force.margin import bound_along
 from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.zero_tangent import zero_tangent
@@ -52,8 +53,8 @@ def least_friction(
             to exert.
 
     Returns:
-        ``(...)``, a factor of every contact's coefficient. Zero where a ten-thousandth is enough, +inf where ten
-        thousand times as much is not; their derivatives are zero.
+        ``(...)``, a factor of every contact's coefficient. Zero, as are its derivatives, where a ten-thousandth is
+        enough; +inf, without a derivative (NaN), where ten thousand times as much is not.
 
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
@@ -97,8 +98,9 @@ def _share_tangent(primals, tangents):
     rise = rise - total_moved / jnp.where(falls, total, 1)
     by_total = -rise / jnp.where(falls, seen.slope, 1)
     by_boundary, met = _boundary_tangent(scaled, scaled_moved)
-    tangent = jnp.where(falls, by_total, jnp.where(~spent & met, by_boundary, jnp.nan))
-    return share, jnp.where(inside, finite * tangent, 0)
+    tangent = jnp.where(falls, by_total, jnp.where(met, by_boundary, 0))
+    undefined = jnp.isinf(share) | (inside & ~(falls | (~spent & met)))
+    return share, without_derivative(undefined, jnp.where(inside, finite * tangent, 0), tangents)
 
 
 def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array, Array]:

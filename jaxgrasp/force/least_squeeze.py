@@ -8,6 +8,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import is_held
+from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
@@ -35,7 +36,7 @@ def least_squeeze(
         sharing: as for [`jaxgrasp.closed_form`][].
 
     Returns:
-        ``(...)`` [N]; +inf, of derivative zero, where no forces exist or none were found.
+        ``(...)`` [N]; +inf, without a derivative (NaN), where no forces exist or none were found.
 
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
@@ -56,7 +57,8 @@ def _least_total_tangent(primals, tangents):
     """The envelope theorem: the total - normal.(G f - wrench) is stationary at the least."""
     (problem,), (moved,) = primals, tangents
     total, boundary = bounded_total(problem)
-    return total, total_tangent(problem, moved, total, boundary)
+    tangent = total_tangent(problem, moved, total, boundary)
+    return total, without_derivative(jnp.isinf(total), tangent, moved)
 
 
 def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boundary: BoundaryPoint) -> Array:

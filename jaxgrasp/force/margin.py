@@ -10,6 +10,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
@@ -57,7 +58,8 @@ def wrench_margin(
     Returns:
         ``(...)``, in units of the direction. Negative where the wrench lies out of reach itself, but can be
         led back. +inf where no theta is too large, as on a force-closed grasp; -inf where no theta, positive
-        or negative, is in reach, or the data are invalid. The derivative of an infinite margin is zero.
+        or negative, is in reach, or the data are invalid. The derivative of an endless margin is
+        zero, since its inverse stays zero; where there is no margin, there is none (NaN).
 
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
@@ -83,7 +85,7 @@ def _margin_tangent(primals, tangents):
         return work_along(problem, problem.wrench + far * direction, boundary)
 
     _, moved = jax.jvp(work, primals, tangents)
-    return theta, jnp.where(finite, moved, 0)
+    return theta, without_derivative(jnp.isneginf(theta), jnp.where(finite, moved, 0), tangents)
 
 
 @jax.custom_jvp

@@ -106,7 +106,9 @@ class Solution(Batched):
     ``len(solutions)`` counts along the first batch axis; ``solutions[3]``, a slice or a mask take some.
 
     Differentiate its fields (``forces``, ``moments``, ``multiplier``, ``objective``), not the whole: ``verdict``,
-    ``steps``, ``route`` and ``rank`` are integers. The derivatives of ``residual`` and ``certificate`` are zero.
+    ``steps``, ``route`` and ``rank`` are integers. What is zero for every answer (``residual``, ``certificate``,
+    ``force_bound``) has a derivative of zero. Where there is no answer, as for INFEASIBLE, there is no derivative: it
+    is NaN in whatever asks for it. A loss that leaves such problems out by ``jnp.where`` stays finite.
     """
 
     last_axes: ClassVar[dict[str, int]] = {

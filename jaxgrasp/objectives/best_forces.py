@@ -6,6 +6,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
@@ -13,6 +14,7 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.numerics.no_derivative import underivable, without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
 from jaxgrasp.numerics.zero_tangent import zero_tangent
@@ -98,8 +100,9 @@ def best_forces(
     returned where that is less.
 
     The ``value`` is differentiable once, by everything: it moves as the Lagrangian does at the forces and multipliers
-    found. Where there are several of these, the derivative is that of one pair; where no torque has to be spent it is
-    zero. Derivatives of the other fields are zero, but for the least norm, whose forces are those of
+    found. Where there are several of these, the derivative is that of one pair; where nothing has to be spent the value
+    is at its least, and zero is the derivative chosen. There is none (NaN) where there are no forces, nor, of the
+    largest margin, by a friction of zero, nor of the other fields but for the least norm, whose forces are those of
     [`jaxgrasp.constrained_optimum`][].
 
     Args:
@@ -157,7 +160,7 @@ def _least_norm(solution: Solution) -> BestForces:
     # Half the sum of squares, of derivative zero where it is zero.
     some = solved & (solution.objective > 0)
     size = jnp.where(some, jnp.sqrt(2 * jnp.where(some, solution.objective, 1)), 0)
-    value = jnp.where(solved, size, jnp.inf)
+    value = underivable(~solved, jnp.where(solved, size, jnp.inf), solution.objective)
     return _answer(solution, solved, solution.forces, solution.moments, value, value)
 
 
@@ -166,8 +169,8 @@ def _answer(
 ) -> BestForces:
     verdict = jnp.where(solution.verdict == Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, solution.verdict)
     return BestForces(
-        forces=jnp.where(solved[:, None, None], forces, 0),
-        moments=None if moments is None else jnp.where(solved[:, None], moments, 0),
+        forces=underivable(~solved, jnp.where(solved[:, None, None], forces, 0), forces),
+        moments=None if moments is None else underivable(~solved, jnp.where(solved[:, None], moments, 0), moments),
         value=value,
         bound=bound,
         verdict=verdict,
@@ -185,8 +188,22 @@ def _best(problem: ProblemBatch, solution: Solution, objective: Objective) -> Be
 def _best_moves(objective, primals, tangents):
     """The envelope theorem: the Lagrangian is stationary in forces and multipliers at the optimum."""
     best, found = _search(*primals, objective)
-    unmoved = jax.tree.map(zero_tangent, best)
-    return best, unmoved._replace(value=_moved(primals[0], tangents[0], found, jnp.isfinite(best.value), objective))
+    problem, moved = primals[0], tangents[0]
+    solved = jnp.isfinite(best.value)
+
+    def none(field: Array) -> Array | np.ndarray:
+        still: Any = zero_tangent(field)
+        integer = not jnp.issubdtype(field.dtype, jnp.floating)
+        return still if integer else without_derivative(jnp.ones_like(solved), still, moved)
+
+    value = without_derivative(~solved, _moved(problem, moved, found, solved, objective), moved)
+    if objective == "largest_margin":
+        # A contact has a margin to lose as soon as it has friction.
+        slick = solved[:, None] & (problem.friction == 0)
+        if problem.present is not None:
+            slick = slick & (problem.present > 0.5)
+        value = without_derivative(jnp.any(slick, 1), value, jnp.where(slick, moved.friction, 0))
+    return best, jax.tree.map(none, best)._replace(value=value)
 
 
 @partial(jax.jit, static_argnames=("objective",))
@@ -196,7 +213,6 @@ def _moved(
     """How the value moves with the problem."""
     units = units_of(_only(problem, solved))
     if objective != "largest_margin":
-        # That has no derivative there: a contact has a margin to lose as soon as it has friction.
         found = found._replace(y=_leaning(_only(problem, solved), units, found))
 
     def lagrangian(problem: ProblemBatch) -> Array:

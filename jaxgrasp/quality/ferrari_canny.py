@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -14,7 +15,7 @@ from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.largest_ball import largest_ball
 from jaxgrasp.quality.refine_facet import touch
 from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_discs import About, Length, discs, work
+from jaxgrasp.quality.wrench_discs import About, Length, discs, known_where, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
@@ -115,8 +116,8 @@ def ferrari_canny_at(
     ``jax.grad`` of this, at the grasp measured, is the radius's derivative; its value there is ``found.upper`` but for
     rounding. (On a few grasps in a hundred the search ends without the point of touch to all digits; value and
     derivative are then as good as the bounds, and the value tells, by differing from ``found.upper``.) Where several
-    directions are equally hard the derivative is that of one of them. First derivatives only. Zero where the grasp is
-    not closed.
+    directions are equally hard the derivative is that of one of them. First derivatives only. Where the grasp
+    is not closed the radius is zero, and stays so; where that is not decided there is no derivative (NaN).
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
@@ -133,7 +134,10 @@ def ferrari_canny_at(
 @jax.jit
 def _worked(grasp: Grasp, found: Epsilon, length: Length, about: About) -> Array:
     shapes = discs(grasp, length, about)
-    return work(shapes, *(array.astype(shapes.centres.dtype) for array in (found.press, found.lean, found.direction)))
+    press, lean, direction = (
+        jnp.asarray(array, shapes.centres.dtype) for array in (found.press, found.lean, found.direction)
+    )
+    return known_where(jnp.any(direction != 0, -1), work(shapes, press, lean, direction), shapes)
 
 
 def _of_body(body: WrenchSet, tol: float, max_points: int) -> tuple[tuple[float, float], tuple[np.ndarray, ...]]:

@@ -11,7 +11,7 @@ from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.summary_line import range_of
-from jaxgrasp.quality.wrench_discs import discs
+from jaxgrasp.quality.wrench_discs import discs, known_where
 from jaxgrasp.quality.wrench_sets import check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
@@ -80,7 +80,7 @@ def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
     """The value near a grasp that ``min_weight`` has measured, for derivatives by points, normals and friction.
 
     By the envelope theorem of linear programs it moves as the multipliers' work on the weighted edges does. First
-    derivatives only; its value at the grasp measured is ``found.value``.
+    derivatives only, and none (NaN) where no weights balance; its value at the grasp measured is ``found.value``.
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
@@ -95,7 +95,8 @@ def _worked(grasp: Grasp, found: MinWeight) -> Array:
     shapes = discs(grasp)
     leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
     edges = shapes.centres[..., None, :] + leans
-    return value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
+    moved = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
+    return known_where(jnp.isfinite(value), moved, shapes)
 
 
 def _evenest(edges: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:

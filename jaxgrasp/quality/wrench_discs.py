@@ -17,6 +17,7 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.centring import centred, tangents
+from jaxgrasp.numerics.no_derivative import underivable
 
 Length = Float[AnyArray, "..."] | float | None
 About = Float[AnyArray, "... 3"] | None
@@ -78,3 +79,9 @@ def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArr
     along = jnp.einsum("...nj,...j->...n", shapes.centres, direction)
     across = jnp.einsum("...njk,...j->...nk", shapes.spans, direction)
     return jnp.sum(press * along + jnp.sum(lean * across, -1), -1)
+
+
+def known_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:
+    """A value ``(...)`` of discs, which has a derivative by them only where it is ``defined``."""
+    undefined = jnp.broadcast_to(~defined, value.shape)
+    return underivable(undefined, value, (shapes.centres, shapes.spans))

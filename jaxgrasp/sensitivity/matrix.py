@@ -71,6 +71,9 @@ class SensitivityMatrix(eqx.Module):
     def ranking(self, spreads: Mapping[str, float] | None = None, *, together: bool = False) -> list[Influence]:
         """The parameters by their influence, the largest first.
 
+        What has no derivative (NaN), as forces where none hold the load, is left out; where nothing is left the
+        influence is NaN.
+
         Args:
             spreads: how far a parameter is thought to vary, in its own unit, by its own name or its array's; where
                 none is given, by its own size, so that what is zero has no influence.
@@ -93,9 +96,11 @@ class SensitivityMatrix(eqx.Module):
         moves = np.asarray(self.derivatives).reshape(-1, *self.derivatives.shape[-2:]) * spreads
         names = np.array([entry.name for entry in self.outputs])
         groups = [names == name for name in dict.fromkeys(names)]
+        known = ~np.isnan(moves).any(-1)
         # What has no size, as the slip angle where there is no force, does not move either.
-        sizes = [_root_mean_square(np.where(np.isfinite(nominal), nominal, 0)[:, group]) for group in groups]
-        rows = [_root_mean_square(moves[:, group], axis=(0, 1)) / (size or 1) for group, size in zip(groups, sizes)]
+        finite = np.where(np.isfinite(nominal), nominal, 0)
+        sizes = [_root_mean_square(finite[:, group][known[:, group]]) for group in groups]
+        rows = [_root_mean_square(moves[:, group][known[:, group]]) / (size or 1) for group, size in zip(groups, sizes)]
         return np.array(rows) / np.sqrt(len(groups))
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -177,8 +182,9 @@ def named_outputs(f: Callable, outputs: Any) -> Any:
     return outputs
 
 
-def _root_mean_square(values: np.ndarray, axis: tuple[int, ...] | None = None) -> np.ndarray | float:
-    return np.sqrt(np.mean(values**2, axis))
+def _root_mean_square(values: np.ndarray) -> np.ndarray | np.float64:
+    """Of each column; NaN of no rows at all."""
+    return np.sqrt(np.sum(values**2, 0) / (len(values) or np.nan))
 
 
 def _spreads(matrix: SensitivityMatrix, given: Mapping[str, float]) -> np.ndarray:

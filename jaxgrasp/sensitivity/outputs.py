@@ -14,6 +14,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
+from jaxgrasp.numerics.no_derivative import underivable
 from jaxgrasp.validation.checked import checked
 
 QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
@@ -38,11 +39,12 @@ def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> Frict
 
     What ranks an optimum, whose active contacts have no margin left however much they have in reserve: the inverse of
     [`jaxgrasp.least_friction`][]. Below 1 the friction does not do; +inf where hardly any is needed, and 0 where no
-    friction would do, both with derivatives of zero.
+    friction would do. Neither moves with the data; that of 0 has no derivative (NaN).
     """
     share = least_friction(grasp, wrench)
     bounded = (share > 0) & jnp.isfinite(share)
-    return FrictionReserve(jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf)))
+    reserve = jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf))
+    return FrictionReserve(underivable(jnp.isinf(share), reserve, share))
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.model.solution import Solution, Verdict, is_balanced
 from jaxgrasp.numerics import ldl, pivoted_ldl, vec3
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
@@ -85,6 +85,8 @@ class Tangent(NamedTuple):
     moments: Array | None
     normal_multiplier: Array | None
     torque_multiplier: Array | None
+    undefined: Array
+    """``(B,)``: where there is none; the others are zero there."""
 
 
 class _Outputs(NamedTuple):
@@ -101,13 +103,14 @@ class _Outputs(NamedTuple):
 def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, constrained: bool) -> Tangent:
     """How forces, multipliers and objective move when the problem moves by ``moved``.
 
-    Zero where there is no solution to differentiate; on rank-deficient grasps, within the range.
+    On rank-deficient grasps, within the range. Where no contact can carry a force nothing moves; there is no derivative
+    where there is no answer, nor of allowed forces that are not those of their multiplier, and so not the optimum's.
     """
     fixed = _constants(problem, constrained)
     scaling = fixed.scaling
     moving, moving_tangent = jax.jvp(lambda p: _in_scaling(p, fixed), (problem,), (moved,))
-    answered = (solution.verdict <= Verdict.OUTSIDE_CONES)[None, :]
-    at = jnp.where(answered, _multipliers(solution, scaling, fixed.problem(moving)), 0)
+    balanced = is_balanced(solution.verdict)[None, :]
+    at = jnp.where(balanced, _multipliers(solution, scaling, fixed.problem(moving)), 0)
     unit = scaling.weight / scaling.load
 
     def residual(moving: _Moving) -> Array:
@@ -130,8 +133,18 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
             torque_multipliers=None if moving.constraints is None else moving.constraints.scale * at[6:],
         )
 
-    _, tangents = jax.jvp(outputs, (moving, at), (moving_tangent, turned))
-    return _to_solution(scaling, answered, tangents)
+    found, tangents = jax.jvp(outputs, (moving, at), (moving_tangent, turned))
+    by_multiplier = forces_from_scaled(lax.stop_gradient(found.forces.linear), scaling)
+    optimal = (solution.verdict != Verdict.FEASIBLE) | _agree(by_multiplier, solution.forces)
+    answered = balanced & optimal[None]
+    return _to_solution(scaling, answered, answered[0] | (solution.verdict == Verdict.NO_CONTACTS), tangents)
+
+
+def _agree(forces: Vec3, given: Array) -> Array:
+    """Whether forces ``(n, B)`` are those given ``(B, n, 3)``, but for what rounding does to large multipliers."""
+    given = lax.stop_gradient(given).transpose(2, 1, 0)
+    apart = jnp.abs(jnp.stack(forces) - given)
+    return jnp.max(apart, (0, 1)) <= float(jnp.finfo(given.dtype).eps) ** 0.4 * jnp.max(jnp.abs(given), (0, 1))
 
 
 def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) -> Array:
@@ -235,7 +248,7 @@ def _solve(curvature: Array, right: Array) -> Array:
     return x + pivoted_ldl.solve(factors, right - jnp.sum(curvature * x[None], 1))
 
 
-def _to_solution(scaling: Scaling, answered: Array, found: _Outputs) -> Tangent:
+def _to_solution(scaling: Scaling, answered: Array, defined: Array, found: _Outputs) -> Tangent:
     unit = vec3.safe_divide(scaling.load, scaling.weight)
     linear, angular = multiplier_from_scaled(*found.twist, scaling)
 
@@ -250,4 +263,5 @@ def _to_solution(scaling: Scaling, answered: Array, found: _Outputs) -> Tangent:
         moments=batch_first(found.moments),
         normal_multiplier=batch_first(found.normal_multipliers, unit),
         torque_multiplier=batch_first(found.torque_multipliers, unit),
+        undefined=~defined,
     )

@@ -16,6 +16,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.model.solution import Solution
+from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import by_optimistix, derivative, passes
@@ -43,7 +44,7 @@ def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> C
         solutions = outer(problem)
 
         def tangent(constrained: bool, solution: Solution) -> Solution:
-            return _tangent_solution(solution, derivative.tangent(problem, moved, solution, constrained))
+            return _tangent_solution(solution, derivative.tangent(problem, moved, solution, constrained), moved)
 
         return solutions, jax.tree.map(tangent, constrained, solutions)
 
@@ -88,11 +89,21 @@ def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tupl
     return merged, size
 
 
-def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution:
-    """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers."""
-    unmoved = jax.tree.map(zero_tangent, solution)
-    leaves = [getattr(parts, name) if hasattr(parts, name) else getattr(unmoved, name) for name in SOLUTION]
-    return jax.tree.unflatten(jax.tree.structure(solution), [leaf for leaf in leaves if leaf is not None])
+def _tangent_solution(solution: Solution, parts: derivative.Tangent, moved: ProblemBatch) -> Solution:
+    """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers.
+
+    What is zero for every answer, as a certificate is, has a derivative of zero with it, and none without.
+    """
+
+    def of(name: str, field: Array) -> Any:
+        moving = getattr(parts, name, None)
+        tangent: Any = zero_tangent(field) if moving is None else moving
+        integer = not jnp.issubdtype(field.dtype, jnp.floating)
+        return tangent if integer else without_derivative(parts.undefined, tangent, moved)
+
+    there = [(name, getattr(solution, name)) for name in SOLUTION]
+    leaves = [of(name, field) for name, field in there if field is not None]
+    return jax.tree.unflatten(jax.tree.structure(solution), leaves)
 
 
 closed_form = _differentiable(passes.solve_closed, False)

@@ -157,11 +157,31 @@ def test_ranking_is_by_relative_influence():
 
 
 def test_a_contact_without_force_moves_nothing():
-    values = VALUES | {"depths": np.array([2e-3, 0.0, 2.5e-3])}
+    depths = np.array([2e-3, 0.0, 2.5e-3])
+    pushed = squeezing(VALUES["contributions"], VALUES["stiffness"], depths)[:, None] * VALUES["normals"]
+    wrench = np.asarray(jaxgrasp.grasp_matrix(VALUES["points"])) @ np.asarray(pushed).ravel()
+    values = VALUES | {"depths": depths, "wrench": wrench}
     found = sensitivity_matrix(slips, values, ["friction", "wrench", "contributions"])
     assert np.isfinite(found.derivatives).all() and np.isneginf(found.nominal[-2])
     assert not np.any(found.derivatives[-2]) and not np.isnan(found.relative()).any()
     assert all(np.isfinite(one.size) for one in found.ranking())
+
+
+def test_what_has_no_derivative_is_left_out_of_the_ranking():
+    """Contacts of limited force do not hold every wrench; forces that do not exist influence nothing."""
+    several = jnp.stack([VALUES["wrench"], jnp.array([0, 0, 100.0, 0, 0, 0])])
+    limits = jaxgrasp.Limits(normal_max=jnp.full(3, 10.0))
+
+    def held(p):
+        grasp = Grasp(p["points"], p["normals"], p["friction"], p["squeeze"])
+        return {"forces": jaxgrasp.constrained_optimum(grasp, p["wrench"], limits=limits).forces}
+
+    own = {name: VALUES[name] for name in ("points", "normals", "friction")} | {"squeeze": np.array([3.0, 4.0, 3.5])}
+    both = sensitivity_matrix(held, own | {"wrench": several}, ["friction", "squeeze"])
+    alone = sensitivity_matrix(held, own | {"wrench": several[:1]}, ["friction", "squeeze"])
+    lost = np.isnan(both.derivatives).any(-1)
+    assert lost.any() and not lost.all() and np.isfinite(alone.derivatives).all()
+    assert both.ranking() == alone.ranking()
 
 
 def test_columns_hold_every_pair():

@@ -1,0 +1,136 @@
+"""Where a value does not exist, neither does its derivative: NaN for whatever asks for it, zero for what does not."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Grasp, Limits, Verdict
+from jaxgrasp.quality import ferrari_canny, ferrari_canny_at, min_weight, min_weight_at
+from jaxgrasp.sensitivity import friction_reserve
+
+PINCH = Grasp(
+    points=jnp.array([[1.0, 0, 0], [-1, 0, 0]]),
+    normals=jnp.array([[-1.0, 0, 0], [1, 0, 0]]),
+    friction=jnp.array([0.5, 0.4]),
+    squeeze=jnp.array([4.0, 5.0]),
+)
+WRENCHES = jnp.array([[0.2, 0.3, 2, 0, 0.1, 0], [0.2, 0.3, 2, 1, 0, 0.0]])
+"""Held, and a torque about the line through both contacts, which they do not reach."""
+TRIPOD = Grasp(
+    points=jnp.array([[1.0, 0, 0], [-0.6, 0.8, 0], [-0.6, -0.8, 0]]),
+    normals=jnp.array([[-1.0, 0, 0], [0.6, -0.8, 0], [0.6, 0.8, 0]]),
+    friction=jnp.array([0.5, 0.4, 0.6]),
+    squeeze=jnp.array([4.0, 5.0, 3.0]),
+)
+LIMITS = Limits(
+    normal_max=jnp.full(2, 20.0),
+    torque_map=jnp.linspace(0.1, 1, 12).reshape(2, 3, 2),
+    torque_max=jnp.full(2, 90.0),
+)
+SIDE = jnp.array([0.0, 0, 1, 0, 0, 0])
+
+
+def of_solution(name: str):
+    return lambda grasp, wrench: getattr(jaxgrasp.constrained_optimum(grasp, wrench), name).reshape(2, -1)[:, -1]
+
+
+def of_best_forces(objective: str, name: str = "value"):
+    return lambda grasp, wrench: getattr(jaxgrasp.best_forces(grasp, wrench, objective, limits=LIMITS), name).reshape(
+        2, -1
+    )[:, -1]
+
+
+VALUES = {
+    **{name: of_solution(name) for name in ("forces", "multiplier", "objective", "residual", "force_bound")},
+    "least_squeeze": jaxgrasp.least_squeeze,
+    "least_friction": jaxgrasp.least_friction,
+    "friction_reserve": lambda grasp, wrench: friction_reserve(grasp, wrench).reserve,
+    "wrench_margin": lambda grasp, wrench: jaxgrasp.wrench_margin(grasp, wrench, SIDE),
+    **{objective: of_best_forces(objective) for objective in jaxgrasp.OBJECTIVES},
+}
+"""(grasp, wrenches) -> one number of each of both problems."""
+
+
+def derivatives(value, grasp: Grasp, wrenches, pull):
+    """Tangents ``(2,)`` along a move of everything, and gradients by the wrenches ``(2, 6)``."""
+
+    def forward(wrenches, moved):
+        return jax.jvp(lambda wrenches: value(grasp, wrenches), (wrenches,), (moved,))[1]
+
+    def backward(wrenches, pull):
+        return jax.vjp(lambda wrenches: value(grasp, wrenches), wrenches)[1](pull)[0]
+
+    moved = jnp.array([[0.1, 0.2, -0.3, 0, 0.1, 0.1]] * 2)
+    return jax.jit(forward)(wrenches, moved), jax.jit(backward)(wrenches, pull)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(n for n in VALUES if n not in jaxgrasp.OBJECTIVES),
+        "least_norm",
+        "largest_margin",
+        pytest.param("least_maximal_force", marks=pytest.mark.slow),
+        pytest.param("least_torque", marks=pytest.mark.slow),
+    ],
+)
+def test_what_does_not_exist_has_no_derivative(name):
+    assert jaxgrasp.constrained_optimum(PINCH, WRENCHES).verdict[1] == Verdict.INFEASIBLE
+    tangent, pulled = derivatives(VALUES[name], PINCH, WRENCHES, jnp.ones(2))
+    assert np.isfinite(tangent[0]) and np.isfinite(pulled[0]).all()
+    assert np.isnan(tangent[1]) and np.isnan(pulled[1]).all()
+    # What pulls at the first alone, as a loss that leaves the second out, gets no NaN of the second.
+    _, alone = derivatives(VALUES[name], PINCH, WRENCHES, jnp.array([1.0, 0.0]))
+    np.testing.assert_array_equal(alone[0], pulled[0])
+    assert (np.asarray(alone[1]) == 0).all()
+
+
+def test_shared_parameters_keep_the_derivative_of_what_is_held():
+    """The same squeeze serves both wrenches: a masked loss moves as though the held one stood alone."""
+
+    def loss(squeeze, wrenches, kept):
+        grasp = Grasp(PINCH.points, PINCH.normals, PINCH.friction, squeeze)
+        solution = jaxgrasp.constrained_optimum(grasp, wrenches)
+        return jnp.sum(jnp.where(kept[:, None, None], solution.forces**2, 0))
+
+    both = jax.grad(loss)(PINCH.squeeze, WRENCHES, jnp.array([True, False]))
+    alone = jax.grad(loss)(PINCH.squeeze, WRENCHES[:1], jnp.array([True]))
+    np.testing.assert_allclose(both, alone, rtol=1e-12)
+    assert np.any(both != 0)
+    assert np.isnan(jax.grad(loss)(PINCH.squeeze, WRENCHES, jnp.array([True, True]))).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("objective", ["least_maximal_force", "least_torque", "largest_margin"])
+def test_the_forces_of_a_search_have_no_derivative(objective):
+    for name in ("forces", "bound"):
+        tangent, pulled = derivatives(of_best_forces(objective, name), PINCH, WRENCHES, jnp.ones(2))
+        assert np.isnan(tangent).all() and np.isnan(pulled).all()
+
+
+def test_a_margin_has_no_derivative_by_a_friction_of_zero():
+    """A contact has a margin to lose as soon as it has friction; by the friction of the others there is one."""
+    grasp = Grasp(TRIPOD.points, TRIPOD.normals, jnp.array([0.5, 0.5, 0.0]), TRIPOD.squeeze)
+    wrench = jnp.array([1.0, 0.2, 0, 0, 0, 0])
+
+    def margin(friction):
+        own = Grasp(grasp.points, grasp.normals, friction, grasp.squeeze)
+        return jaxgrasp.best_forces(own, wrench, "largest_margin", limits=Limits(normal_max=jnp.full(3, 9.0))).value
+
+    gradient = np.asarray(jax.grad(margin)(grasp.friction))
+    assert np.isfinite(gradient[:2]).all() and np.isnan(gradient[2])
+
+
+def test_quality_that_was_not_found_has_no_derivative():
+    """No edges balance on a pinch without friction, and a ball that was not sought has no direction."""
+    slick = Grasp(TRIPOD.points, jnp.array([[-1.0, 0, 0]] * 3), TRIPOD.friction, TRIPOD.squeeze)
+    weighed = min_weight(slick)
+    assert weighed.value == -np.inf
+    assert np.isnan(jax.grad(lambda g: min_weight_at(g, weighed))(slick).points).all()
+    held = ferrari_canny(TRIPOD)
+    undecided = held._replace(press=0 * held.press, lean=0 * held.lean, direction=0 * held.direction)
+    for found, known in ((held, True), (undecided, False), (ferrari_canny(slick), True)):
+        gradient = jax.grad(lambda g, found=found: ferrari_canny_at(g, found))(TRIPOD).points
+        assert np.isfinite(gradient).all() if known else np.isnan(gradient).all()

@@ -15,6 +15,7 @@ from jax import Array
 
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.slip import spin_force
+from jaxgrasp.grip.slipping import applied_forces
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_held
@@ -56,7 +57,8 @@ class Assessment(eqx.Module):
     touches: Int[Array, "*batch n"]
     """Codes of a [`jaxgrasp.grip.Touch`][], by the applied law."""
     forces: Float[Array, "*batch n 3"]
-    """Contact forces by the applied law, on the object [N]; zero where the object is lost."""
+    """Contact forces by the applied law, on the object [N]; zero where the object is lost. Where they balance nothing
+    their derivative is that of forces that stay as they are."""
     disagrees: Array
     """``(...)`` Whether the closed form slips while the optimum shows forces that hold."""
 
@@ -107,7 +109,7 @@ def _assessed(
         optimum=optimum,
         hold=state.astype(jnp.int32),
         touches=_touches(grasp, applied, there, holds),
-        forces=applied.forces,
+        forces=applied_forces(applied),
         disagrees=is_held(optimum.verdict) & ~is_held(closed.verdict),
     )
 

@@ -1,10 +1,21 @@
-"""What contacts exert that slip: each at most what its friction allows."""
+"""What contacts exert that may slip: each at most what its friction allows."""
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import Solution, Verdict
+
+
+def applied_forces(solution: Solution) -> Float[Array, "*batch n 3"]:
+    """A solution's forces as a hand applies them.
+
+    Where they answer nothing, as of a grasp that slips, they have no derivative. A hand applies something even then:
+    they count as those that stay as they are while it moves.
+    """
+    answers = solution.verdict <= Verdict.OUTSIDE_CONES
+    return jnp.where(answers[..., None, None], solution.forces, lax.stop_gradient(solution.forces))
 
 
 def cut_to_cones(grasp: Grasp, forces: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch n 3"]:

@@ -14,7 +14,7 @@ from jax import Array, lax
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.grip.slipping import applied_forces, cut_to_cones, resultant
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
@@ -84,12 +84,13 @@ def table_support(
     def solve() -> TableSupport:
         both, weights = _with_table(scene, grasp, points, shares, wrench)
         found = constrained_optimum(both, wrench, weights, free=free)
-        forces, pushes = found.forces[..., :links, :], found.forces[..., links:, :]
+        applied = applied_forces(found)
+        forces, pushes = applied[..., :links, :], applied[..., links:, :]
         reaction = resultant(points, pushes)
         rests = is_held(found.verdict)
         if law == "closed-form":
             left = wrench - reaction
-            forces = cut_to_cones(grasp, closed_form(grasp, left, free=free).forces)
+            forces = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
             slipping = jnp.linalg.norm((left - resultant(grasp.points, forces))[..., :3], axis=-1)
             rests = rests & (slipping <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
         return TableSupport(reaction, forces, jnp.where(rests, jnp.max(shares, -1), 0))

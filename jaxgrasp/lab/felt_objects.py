@@ -15,6 +15,7 @@ from jaxtyping import Bool
 
 from jaxgrasp.force.distribution import closed_form
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.grip.slipping import applied_forces
 from jaxgrasp.hand.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
@@ -241,7 +242,7 @@ def _resisting(
     free: Float[AnyArray, "6 1"],
 ) -> Float[Array, "channels"]:
     """Torques at the glove's joints from method B's forces on a guided object, whose first contacts are the links'."""
-    forces = closed_form(grasp, wrench, free=free).forces
+    forces = applied_forces(closed_form(grasp, wrench, free=free))
     index, count = np.array(links), len(links)
     points = jnp.zeros((len(hand.links), 3)).at[index].set(grasp.points[:count])
     on_links = jnp.zeros((len(hand.links), 3)).at[index].set(forces[:count])

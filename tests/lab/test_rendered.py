@@ -188,6 +188,24 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
     raise AssertionError("no wrench was found on which the laws disagree")
 
 
+@pytest.mark.parametrize("law", ["closed-form", "optimum"])
+@pytest.mark.parametrize("friction, table", [(0.6, 0.5), (0.0, 0.5), (0.0, 0.0)])
+def test_the_law_is_valid_whatever_the_hand_holds(scene, law, friction, table):
+    """One finger or all, on a table or above it: forces that balance nothing are felt, and have no derivative."""
+    made, closed, placed = scene
+    made = eqx.tree_at(lambda s: (s.friction, s.table_friction), made, (friction, table))
+    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    found = set()
+    for bent in (angles * (np.arange(len(angles)) < count) for count in range(0, len(angles) + 1, 2)):
+        for up in (0.0, 0.05):
+            haptics = Haptics(made, MODEL, np.asarray(closed.angles) * 0.5, placed, law, 0.0)
+            for k in range(3):
+                now = haptics.tick(k * DT, bent, pose_at(jnp.array([0.0, 0.0, up * k])))
+                assert now.is_valid
+            found.add(int(haptics.instant.hold))
+    assert Hold.SLIPPING in found
+
+
 def test_a_lost_object_is_not_felt(scene):
     made, closed, placed = scene
     haptics = Haptics(made, MODEL, np.zeros(len(made.hand.joints)), placed)

@@ -26,6 +26,8 @@ WIDEST = 1e4
 """Factors beyond this, or below its inverse, are not looked for."""
 STEPS = 60
 TILE = 32
+NEAR = 100
+"""Bounds of a share that halving has found, within which the boundary must be: what is farther was not what bounds."""
 
 
 def least_friction(
@@ -43,7 +45,8 @@ def least_friction(
     It is the inverse of [`jaxgrasp.least_squeeze`][], to about 1e-9 of itself, and differentiable once, by the total
     too. Where less friction would not leave too little, but nothing that balances the wrench at all, it is found by
     halving, to 1e-6, and moves with the boundary of what the grasp can exert; NaN is the derivative where neither the
-    total nor a boundary can be told to hold it.
+    total nor a boundary can be told to hold it. That is so, too, where friction is scaled to so little (below 1e-4 or
+    so) that no forces are found though some exist: the share is then larger than the least.
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -122,7 +125,10 @@ def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array
     growing = eqx.tree_at(lambda p: p.friction, jax.tree.map(zero_tangent, problem), problem.friction)
     _, by_friction = jax.jvp(work, (problem,), (growing,))
     _, by_problem = jax.jvp(work, (problem,), (moved,))
-    met = jnp.isfinite(theta) & (by_friction > 0)
+    # The wrench lies at the boundary as far as halving has found the share; else nothing was found below for want of
+    # digits, and the share moves with nothing that is known.
+    distance = jnp.where(jnp.isfinite(theta), jnp.abs(theta), jnp.inf)
+    met = (by_friction > 0) & (distance <= NEAR * _narrow(theta) * by_friction)
     return -by_problem / jnp.where(met, by_friction, 1), met
 
 

@@ -8,6 +8,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.no_derivative import underivable
 from jaxgrasp.numerics.vec3 import Vec3
 
 NOISE = 64
@@ -26,7 +27,8 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
 
     Returns:
         ``(...)``, 0 or more; below 1 the hand squeezes harder than it needs. +inf where no factor will do:
-        where method B's forces balance nothing (out of range, no squeeze, bad data), too.
+        where method B's forces balance nothing (out of range, no squeeze, bad data), too; there is no derivative there
+        (NaN).
 
     Raises:
         ValueError: for soft fingers, or shapes that do not fit.
@@ -44,7 +46,8 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
     outer, inner = _parts(split.external, inward, noise), _parts(split.internal, inward, noise)
     low, high = _interval(*outer, *inner, friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
-    return jnp.where(balances & (least <= most), least, jnp.inf)
+    some = balances & (least <= most)
+    return underivable(~some, jnp.where(some, least, jnp.inf), (split.external, split.internal, friction))
 
 
 def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:

@@ -77,6 +77,25 @@ def test_a_pinch_by_hand():
 
 
 @pytest.mark.slow
+def test_a_share_that_is_not_the_least_has_no_derivative():
+    """Halving ends early where friction becomes too small to decide; what is differentiable moves as differences do."""
+    problem = P.problems("low_friction", 5, 200, seed=3)
+    rows = [jnp.asarray(x) for x in (problem.points, problem.normals, problem.friction, problem.squeeze)]
+    wrench = jnp.asarray(problem.wrench)
+    share = jax.jit(lambda friction, squeeze: least_friction(Grasp(rows[0], rows[1], friction, squeeze), wrench))
+    rng = np.random.default_rng(6)
+    moved = [rng.normal(size=x.shape) * np.asarray(x) for x in rows[2:]]
+    value, slope = jax.jit(lambda at, by: jax.jvp(share, tuple(at), tuple(by)))(rows[2:], moved)
+    apart = []
+    for step in (1e-4, 1e-5, 1e-6):
+        ends = [share(*(x + sign * step * by for x, by in zip(rows[2:], moved, strict=True))) for sign in (-1, 1)]
+        apart.append(np.abs((ends[1] - ends[0]) / (2 * step) - slope) / (np.abs(slope) + value))
+    best, known = np.min(apart, 0), ~np.isnan(np.asarray(slope))
+    assert known.mean() > 0.95
+    assert best[known].max() < 0.01
+
+
+@pytest.mark.slow
 def test_what_asks_for_none_or_too_much():
     tripod = Grasp([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]], [[0.0, 0, 1]] * 3, [0.5] * 3, [1.0] * 3)
     weight = jnp.array([0.0, 0, 3, 0, 0, 0])

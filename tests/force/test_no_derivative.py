@@ -45,6 +45,7 @@ def of_best_forces(objective: str, name: str = "value"):
 VALUES = {
     **{name: of_solution(name) for name in ("forces", "multiplier", "objective", "residual", "force_bound")},
     "least_squeeze": jaxgrasp.least_squeeze,
+    "least_squeeze_factor": jaxgrasp.least_squeeze_factor,
     "least_friction": jaxgrasp.least_friction,
     "friction_reserve": lambda grasp, wrench: friction_reserve(grasp, wrench).reserve,
     "wrench_margin": lambda grasp, wrench: jaxgrasp.wrench_margin(grasp, wrench, SIDE),

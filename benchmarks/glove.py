@@ -329,7 +329,7 @@ def ticks(plan: Plan) -> dict:
     at_rest = np.zeros(6)
     calls = {
         "torques": resistance,
-        "with_derivative": lambda *asked: felt(*asked, at_rest, law="closed-form")[:2],
+        "with_derivative": lambda *asked: felt(*asked, at_rest, law="closed-form")[0][:2],
     }
     spent: dict[str, list[float]] = {name: [] for name in calls}
     for k in range(plan.ticks + 1):

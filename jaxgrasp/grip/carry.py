@@ -37,6 +37,7 @@ from jaxgrasp.grip.obstacles import stop
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.grip.slipping import resultant
 from jaxgrasp.grip.tick import Tick, assessed, touched
+from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -139,9 +140,11 @@ def advance(
     """
     tick, led = _tick(scene, dt, carried, posture, now, later, law=law)
     hold = Hold(int(tick.assessment.hold))
-    exerted, missed = _exerted(scene, tick, carried.placed, hold, law)
+    exerted, missed = tick.exerted, missed_by(tick)
+    if law == "optimum" and hold == Hold.SLIPPING and not bool(tick.rests):
+        exerted, missed = closest_to(scene, tick, carried.placed)
     instant = Instant(carried.placed, tick, hold, bool(carried.stands), exerted, missed)
-    return instant, _go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
+    return instant, go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
 
 
 @partial(jax.jit, static_argnames="law")
@@ -156,7 +159,20 @@ def _tick(
     law: Law,
 ) -> tuple[Tick, Motion]:
     """An instant, and the motion that the object's contacts ask of it: its own, where nothing touches."""
-    contacts, grasp = touched(scene, posture, state.placed)
+    return led_tick(scene, dt, state, *touched(scene, posture, state.placed), now, later, law)
+
+
+def led_tick(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: CarryState,
+    contacts: Contacts,
+    grasp: Grasp,
+    now: HandFrames,
+    later: HandFrames,
+    law: Law,
+) -> tuple[Tick, Motion]:
+    """As above, for contacts that are known."""
     lost = ~jnp.any(contacts.present > 0)
     weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
     followed = _followed(scene, dt, now, later, contacts.points, weights, state.placed)
@@ -176,13 +192,15 @@ def _followed(
     return follow_along(scene.guide, now, later, points, weights, placed, dt)
 
 
-def _exerted(scene: Scene, tick: Tick, placed: Pose, hold: Hold, law: Law) -> tuple[Array, Array]:
-    """What the contacts exert, and what that leaves of the wrench."""
-    if hold == Hold.STABLE or bool(tick.rests):
-        return tick.exerted, jnp.zeros_like(tick.wrench)
+def missed_by(tick: Tick) -> Array:
+    """What the contacts leave of a wrench: nothing where they hold it, or the table does."""
+    left = tick.wrench - tick.support - resultant(tick.grasp.points, tick.exerted)
+    return jnp.where((tick.assessment.hold == Hold.STABLE) | tick.rests, 0, left)
+
+
+def closest_to(scene: Scene, tick: Tick, placed: Pose) -> tuple[Array, Array]:
+    """The forces that come closest to a tick's wrench, which no allowed ones exert, and what they leave of it."""
     left = tick.wrench - tick.support
-    if hold == Hold.LOST or law == "closed-form":
-        return tick.exerted, left - resultant(tick.grasp.points, tick.exerted)
     closest = closest_forces(scene, tick.grasp, left, placed)
     return closest.forces, left - closest.wrench
 
@@ -195,7 +213,7 @@ def closest_forces(scene: Scene, grasp: Grasp, wrench: Array, placed: Pose) -> R
 
 
 @jax.jit
-def _go_on(
+def go_on(
     scene: Scene, dt: float | AnyArray, state: CarryState, led: Motion, missed: Array, hold: Array, rests: Array
 ) -> CarryState:
     """The object's next pose and motion: as it was led, less what was missed; none, where it rests; or as it falls."""

@@ -97,6 +97,11 @@ def _assessed(
     grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, free: AnyArray | None, *, sharing: str, law: Law
 ) -> Assessment:
     closed, optimum = closed_form_and_optimum(grasp, wrench, sharing if weights is None else weights, free=free)
+    return judged(grasp, closed, optimum, law)
+
+
+def judged(grasp: Grasp, closed: Solution, optimum: Solution, law: Law) -> Assessment:
+    """What both answers say of a grasp."""
     applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
     there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5

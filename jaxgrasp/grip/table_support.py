@@ -1,24 +1,27 @@
-"""What the table carries of an object that stands on it: its contacts and the hand's are one problem.
+"""Whether a hand holds an object, alone and with the table that it may stand on.
 
-The table pushes and rubs as the hand does, only that it means to exert nothing, and gives whatever the object asks for:
-the hand is left with its squeezing. As the object leaves the table, that support fades.
+The table's contacts and the hand's are one problem. The table pushes and rubs as the hand does, only that it means to
+exert nothing, and gives whatever the object asks for: the hand is left with its squeezing. As the object leaves the
+table, that support fades.
 """
 
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import Array
 
-from jaxgrasp.force.distribution import closed_form, constrained_optimum
-from jaxgrasp.grip.monitor import Law
+from jaxgrasp.force.distribution import closed_form, closed_form_and_optimum
+from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.slipping import applied_forces, cut_to_cones, resultant
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.model.solution import is_held
+from jaxgrasp.model.solution import Solution, is_held
 from jaxgrasp.numerics.vec3 import Vec3
 
 FADE = 1e-3
@@ -62,44 +65,82 @@ def support_points(scene: Scene, placed: Pose) -> tuple[Float[Array, "*batch 4 3
     return points, (above[..., None, :] + points) @ up
 
 
-def table_support(
-    scene: Scene, placed: Pose, grasp: Grasp, wrench: Float[AnyArray, "*batch 6"], free: Array | None, law: Law
-) -> TableSupport:
-    """What the table carries, and what is left to the hand.
+@partial(jax.jit, static_argnames="law")
+def held_beside_table(
+    scene: Scene,
+    placed: Pose,
+    grasp: Grasp,
+    wrench: Float[AnyArray, "*batch 6"],
+    inertial: Float[AnyArray, "*batch 6"],
+    free: Float[AnyArray, "*#batch 6 k"] | None,
+    law: Law,
+) -> tuple[Assessment, TableSupport]:
+    """Whether the hand alone holds an object, what the table carries, and what that leaves to the hand.
+
+    What the hand alone does not hold does not go with it: then the table is asked whether the object can stay where it
+    is. The three questions, the hand alone and the table's two, are one batch: one solver is compiled for them. Where
+    the object is clear of the table its two have no contacts, which costs next to nothing.
 
     Args:
         scene: whose table and friction count.
         placed: where the object stands.
         grasp: of the hand, about the object's centre, along the world's axes.
         wrench: that hand and table are to exert together about that centre [N, N.m].
+        inertial: what of it accelerates the object.
         free: of a guide, as for [`jaxgrasp.closed_form`][].
-        law: which forces the hand applies beside the table's.
+        law: which forces the hand applies.
     """
     batch, links = grasp.points.shape[:-2], grasp.points.shape[-2]
     points, heights = support_points(scene, placed)
     points = jnp.broadcast_to(points, (*batch, 4, 3))
     shares = jnp.broadcast_to(jnp.clip(1 - heights / FADE, 0, 1), (*batch, 4))
-    none = TableSupport(jnp.zeros_like(wrench), jnp.zeros_like(grasp.points), jnp.zeros_like(wrench[..., 0]))
-
-    def solve() -> TableSupport:
-        both, weights = _with_table(scene, grasp, points, shares, wrench)
-        found = constrained_optimum(both, wrench, weights, free=free)
-        applied = applied_forces(found)
-        forces, pushes = applied[..., :links, :], applied[..., links:, :]
-        reaction = resultant(points, pushes)
-        rests = is_held(found.verdict)
-        if law == "closed-form":
-            left = wrench - reaction
-            forces = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
-            slipping = jnp.linalg.norm((left - resultant(grasp.points, forces))[..., :3], axis=-1)
-            rests = rests & (slipping <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
-        return TableSupport(reaction, forces, jnp.where(rests, jnp.max(shares, -1), 0))
-
-    return lax.cond(jnp.any(shares > 0), solve, lambda: none)
+    still = wrench - inertial
+    near = jnp.any(shares > 0, -1, keepdims=True)
+    moves = jnp.any(inertial != 0, -1, keepdims=True)
+    alone, own = _with_table(scene, grasp, points, jnp.zeros_like(shares), wrench, jnp.ones_like(near))
+    going, ready = _with_table(scene, grasp, points, shares, wrench, near)
+    staying, steady = _with_table(scene, grasp, points, shares, still, near & moves)
+    all_three = jax.tree.map(lambda *parts: jnp.stack(parts), alone, going, staying)
+    wrenches, weights = jnp.stack([wrench, wrench, still]), jnp.stack([own, ready, steady])
+    closed, optimum = closed_form_and_optimum(all_three, wrenches, weights, free=free)
+    assessment = judged(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
+    stays = (assessment.hold != Hold.STABLE)[..., None] & moves
+    with_table = jax.tree.map(lambda parts: jnp.where(_wide(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
+    borne = jnp.where(stays, still, wrench)
+    return assessment, _supported(grasp, points, shares, borne, with_table, free, law)
 
 
-def _with_table(scene: Scene, grasp: Grasp, points: Array, shares: Array, wrench: AnyArray) -> tuple[Grasp, Array]:
-    """Contacts of hand and table together, and their weights."""
+def _of_hand(three: Solution, links: int) -> Solution:
+    """The hand's own answer among the three."""
+    first = jax.tree.map(lambda x: x[0], three)
+    return replace(first, forces=first.forces[..., :links, :])
+
+
+def _wide(condition: Array, like: Array) -> Array:
+    return condition.reshape(*condition.shape, *[1] * (like.ndim - condition.ndim))
+
+
+def _supported(
+    grasp: Grasp, points: Array, shares: Array, wrench: Array, found: Solution, free: AnyArray | None, law: Law
+) -> TableSupport:
+    """What the table carries by a solution of hand and table together, as far as it does."""
+    links = grasp.points.shape[-2]
+    applied = applied_forces(found)
+    forces, pushes = applied[..., :links, :], applied[..., links:, :]
+    reaction = resultant(points, pushes)
+    rests = is_held(found.verdict)
+    if law == "closed-form":
+        left = wrench - reaction
+        forces = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
+        slipping = jnp.linalg.norm((left - resultant(grasp.points, forces))[..., :3], axis=-1)
+        rests = rests & (slipping <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
+    return TableSupport(reaction, forces, jnp.where(rests, jnp.max(shares, -1), 0))
+
+
+def _with_table(
+    scene: Scene, grasp: Grasp, points: Array, shares: Array, wrench: AnyArray, asked: Array
+) -> tuple[Grasp, Array]:
+    """Contacts of hand and table together, none where nothing is ``asked``, and their weights."""
     up = jnp.asarray(scene.table.rotation)[:, 2]
     assert grasp.present is not None
     squeeze = jnp.sum(jnp.asarray(grasp.squeeze) * grasp.present, -1)
@@ -115,4 +156,5 @@ def _with_table(scene: Scene, grasp: Grasp, points: Array, shares: Array, wrench
     )
     axis = shares.ndim - 1
     both = jax.tree.map(lambda own, table: jnp.concatenate([own, table], axis), grasp, of_table)
+    both = replace(both, present=jnp.where(asked, both.present, 0))
     return both, jnp.concatenate([jnp.asarray(grasp.squeeze), ready], axis)

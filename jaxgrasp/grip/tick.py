@@ -4,12 +4,12 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.grip.monitor import Assessment, Hold, Law, monitor
+from jaxgrasp.grip.monitor import Assessment, Hold, Law
 from jaxgrasp.grip.motion import guide_at
 from jaxgrasp.grip.obstacles import world_wrench
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.grip.slipping import cut_to_cones
-from jaxgrasp.grip.table_support import STANDING, table_support
+from jaxgrasp.grip.table_support import STANDING, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.to_grasp import grasp_from_contacts
@@ -98,15 +98,12 @@ def assessed(
     if scene.obstacles:
         wrench = wrench - world_wrench(scene, placed)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    assessment = monitor(grasp, wrench, free=free, law=law)
+    assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law)
     slips = assessment.hold == Hold.SLIPPING
     alone = jnp.where(slips[..., None, None], cut_to_cones(grasp, assessment.forces), assessment.forces)
-    # What the hand does not hold does not go with it: the table is asked whether it can stay where it is, unless the
-    # hand pulls it up by more than its weight, if askew.
-    borne = jnp.where((assessment.hold == Hold.STABLE)[..., None], wrench, wrench - inertial)
-    table = table_support(scene, placed, grasp, borne, free, law)
+    # It stays on the table, unless the hand that does not hold it pulls it up by more than its weight, if askew.
     up = jnp.asarray(scene.table.rotation)[:, 2]
-    lifts = slips & (jnp.sum(alone, -2) @ up > borne[..., :3] @ up)
+    lifts = slips & (jnp.sum(alone, -2) @ up > (wrench - inertial)[..., :3] @ up)
     share = jnp.where(lifts, 0, table.share)
     exerted = alone + share[..., None, None] * (table.forces - alone)
     torques = joint_torques(scene.hand, frames, contacts.points, exerted)

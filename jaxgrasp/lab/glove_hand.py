@@ -8,16 +8,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.carry import closest_forces
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.tick import observe
+from jaxgrasp.grip.tick import Tick, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
-from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.model.arrays import AnyArray, Bool, Float
+from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
 
@@ -51,12 +51,6 @@ def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> G
     return GloveHand(model.places(hand.joints), others)
 
 
-@jax.jit
-def frames_of(hand: Hand, posture: Posture) -> HandFrames:
-    """The hand's frames, compiled once for all ticks."""
-    return pose_hand(hand, posture)
-
-
 class Felt(NamedTuple):
     """What a hand feels of an object at one instant."""
 
@@ -64,8 +58,10 @@ class Felt(NamedTuple):
     """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
     slope: Float[Array, "channels channels"]
     """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
-    slips: Array
+    slips: Bool[Array, ""]
     """Whether the object slips through the hand, and does not rest on the table."""
+    exerted: Float[Array, "L 3"]
+    """What the contacts exert on the object [N], of which the torques are."""
 
 
 @partial(jax.jit, static_argnames="law")
@@ -104,36 +100,41 @@ def felt(
     inertial: Float[AnyArray, "6"],
     *,
     law: Law,
-) -> Felt:
-    """Torques as by ``resistance``, with their exact derivative."""
+) -> tuple[Felt, Tick]:
+    """Torques as by ``resistance`` with their exact derivative, and the instant that they are of.
 
-    def both(angles: Array) -> tuple[Array, tuple[Array, Array]]:
+    By the optimum, an object that no allowed forces hold is felt by those that come closest; their slope is that of
+    fixed forces.
+    """
+
+    def both(angles: Array) -> tuple[Array, tuple[Array, Tick]]:
         tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law)
         torques = -tick.torques[np.array(worn.places)]
-        return torques, (torques, (tick.assessment.hold == Hold.SLIPPING) & ~tick.rests)
+        return torques, (torques, tick)
 
-    slope, (torques, slips) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
-    return Felt(torques, slope, slips)
+    slope, (torques, tick) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
+    slips = (tick.assessment.hold == Hold.SLIPPING) & ~tick.rests
+    exerted = tick.exerted
+    if law == "optimum":
+        torques, slope, exerted = lax.cond(
+            slips,
+            lambda: _by_closest_forces(scene, worn, flexions, wrist, placed, tick),
+            lambda: (torques, slope, exerted),
+        )
+    return Felt(torques, slope, slips, exerted), tick
 
 
-@jax.jit
-def felt_slipping(
-    scene: Scene,
-    worn: GloveHand,
-    flexions: Float[AnyArray, "channels"],
-    wrist: Pose,
-    placed: Pose,
-    inertial: Float[AnyArray, "6"],
-) -> Felt:
-    """What is felt of an object that no allowed forces hold: those that come closest; the slope is by fixed forces."""
-    tick = observe(scene, worn.posture(flexions, wrist), placed, inertial, law="optimum")
+def _by_closest_forces(
+    scene: Scene, worn: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: Tick
+) -> tuple[Array, Array, Array]:
+    """Torques, their slope, and the forces."""
     forces = closest_forces(scene, tick.grasp, tick.wrench - tick.support, placed).forces
 
     def torques_at(angles: Array) -> Array:
         frames = pose_hand(scene.hand, worn.posture(angles, wrist))
         return -joint_torques(scene.hand, frames, tick.contacts.points, forces)[np.array(worn.places)]
 
-    return Felt(*with_slope(torques_at, jnp.asarray(flexions)), jnp.asarray(True))
+    return *with_slope(torques_at, jnp.asarray(flexions)), forces
 
 
 def with_slope(

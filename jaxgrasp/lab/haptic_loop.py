@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +12,13 @@ from jax import Array
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.carry import Instant, advance, closest_forces, set_down
+from jaxgrasp.grip.carry import Instant, set_down
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
-from jaxgrasp.lab.glove_hand import Felt, felt, felt_slipping, frames_of, glove_hand
+from jaxgrasp.lab.glove_hand import glove_hand
+from jaxgrasp.lab.haptic_tick import HapticTick, Passed
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
 
 LONGEST = 0.05
@@ -26,7 +27,7 @@ LONGEST = 0.05
 
 @dataclass
 class Haptics:
-    """A hand in a glove and an object, driven by ``tick``; a tick compiles at its first call, some 40 s."""
+    """A hand in a glove and an object, driven by ``tick``; a tick compiles at its first call, some 30 s."""
 
     scene: Scene
     model: GloveModel
@@ -39,15 +40,22 @@ class Haptics:
     smoothing: float = 0.02
     """Time constant of the accelerations that are felt [s]: between two ticks they are differences of what the glove
     reads, whose last digits are noise. 0 for as they are."""
-    instant: Instant | None = field(default=None, init=False)
-    """Record of the last tick but one: contacts, forces, hold."""
 
     def __post_init__(self) -> None:
         check_scene(self.scene)
         self._worn = glove_hand(self.scene.hand, self.model, self.others)
-        self._carried = set_down(self.scene, self.placed)
-        self._before: tuple[float, Posture, HandFrames] | None = None
-        self._inertial = np.zeros(6)
+        self._program = HapticTick(self.scene, self._worn, self.law)
+        self._state = self._program.start(set_down(self.scene, self.placed))
+        self._passed: Passed | None = None
+        self._before: float | None = None
+
+    @property
+    def instant(self) -> Instant | None:
+        """Record of the last tick but one: contacts, forces, hold."""
+        if self._passed is None:
+            return None
+        placed, tick, stands, exerted, missed = self._passed
+        return Instant(placed, tick, Hold(int(tick.assessment.hold)), bool(stands), exerted, missed)
 
     def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         """What the glove is to do, from what it reads.
@@ -58,35 +66,17 @@ class Haptics:
             wrist: of the hand, in the world.
 
         Returns:
-            A law that is valid if all its numbers are finite.
+            A law that is valid if all its numbers are finite. After one that is not, the next goes on from before it.
         """
-        posture = self._worn.posture(angles, wrist)
-        frames = frames_of(self.scene.hand, posture)
-        if self._before is not None and now > self._before[0]:
-            passed = min(now - self._before[0], LONGEST)
-            self.instant, self._carried = advance(
-                self.scene, passed, self._carried, self._before[1], self._before[2], frames, law=self.law
-            )
-            self.placed = self._carried.placed
-            self._accelerate(self.instant, passed)
-        self._before = now, posture, frames
-        found = self._felt(angles, wrist)
-        return law_of(now, angles, (found.torques, found.slope))
-
-    def _accelerate(self, instant: Instant, passed: float) -> None:
-        """What accelerates the object, as it is felt."""
-        if instant.hold == Hold.LOST:
-            self._inertial = np.zeros(6)
-            return
-        kept = np.exp(-passed / self.smoothing) if self.smoothing > 0 else 0.0
-        self._inertial = kept * self._inertial + (1 - kept) * np.asarray(instant.tick.inertial)
-
-    def _felt(self, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
-        asked = self.scene, self._worn, angles, wrist, self.placed, self._inertial
-        found = felt(*asked, law=self.law)
-        if self.law == "optimum" and bool(found.slips):
-            return felt_slipping(*asked)
-        return found
+        passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
+        kept = float(np.exp(-passed / self.smoothing)) if self.smoothing > 0 else 0.0
+        state, become, found = self._program(self._state, np.asarray(angles, float), wrist, passed, kept)
+        law = law_of(now, angles, (found.torques, found.slope))
+        if law.is_valid:
+            if passed > 0:
+                self._passed = become
+            self._state, self._before, self.placed = state, now, state.carried.placed
+        return law
 
 
 def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array, Array]) -> TorqueLaw:
@@ -102,11 +92,6 @@ def warm_up(haptics: Haptics, wrist: Pose) -> None:
     angles = np.asarray(haptics.others, float)[list(spare._worn.places)]
     for k in range(2):
         spare.tick(0.01 * k, angles, wrist)
-    if spare.law == "optimum":
-        # What only an object needs that slips: twice, for where it goes and for what is felt.
-        felt_slipping(spare.scene, spare._worn, angles, wrist, spare.placed, np.zeros(6))
-        assert spare.instant is not None
-        closest_forces(spare.scene, spare.instant.tick.grasp, spare.instant.tick.wrench, spare.placed)
 
 
 @checked

@@ -1,0 +1,136 @@
+"""One tick of the haptic loop as one compiled program: where the object went since the last, and what is felt now.
+
+A tick is short, and calling a program costs as much as it computes. So there is one call, all that stays the same from
+tick to tick is flattened once, and nothing is looked at in between: what only a slipping object needs is a branch.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxgrasp.grip.carry import CarryState, go_on, led_tick, missed_by
+from jaxgrasp.grip.monitor import Hold, Law
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.slipping import resultant
+from jaxgrasp.grip.tick import Tick, touched
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.lab.glove_hand import Felt, GloveHand, felt
+from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.hand import HandFrames, Pose
+from jaxgrasp.numerics.compiled_code import compile_options
+
+
+class HapticState(NamedTuple):
+    """What a tick leaves to the next."""
+
+    carried: CarryState
+    frames: HandFrames
+    """Of the hand, as the glove read it."""
+    contacts: Contacts
+    """Of the hand in those frames with the object, where it now is."""
+    grasp: Grasp
+    inertial: Float[Array, "6"]
+    """Wrench that accelerates the object, as it is felt [N, N.m]."""
+    exerted: Float[Array, "L 3"]
+    """What is felt: forces on the object [N]."""
+
+
+class Passed(NamedTuple):
+    """What became of the object between two ticks."""
+
+    placed: Pose
+    """Where it was."""
+    tick: Tick
+    stands: Array
+    exerted: Float[Array, "L 3"]
+    missed: Float[Array, "6"]
+
+
+class HapticTick:
+    """The program for one scene and one hand in a glove, compiled at its first call."""
+
+    def __init__(self, scene: Scene, worn: GloveHand, law: Law):
+        leaves, self._structure = jax.tree.flatten((scene, worn))
+        self._leaves = tuple(map(jnp.asarray, leaves))
+        self._law = law
+
+    def start(self, carried: CarryState) -> HapticState:
+        """Before the first tick, of which no earlier one is known: nothing touches yet."""
+        scene, worn = jax.tree.unflatten(self._structure, self._leaves)
+
+        def at_first() -> tuple[HandFrames, Contacts, Grasp]:
+            posture = worn.posture(jnp.zeros(len(worn.places)), carried.placed)
+            return pose_hand(scene.hand, posture), *touched(scene, posture, carried.placed)
+
+        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
+        frames, contacts, grasp = nothing
+        return HapticState(carried, frames, contacts, grasp, jnp.zeros(6), jnp.zeros(contacts.points.shape))
+
+    def __call__(
+        self, state: HapticState, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
+    ) -> tuple[HapticState, Passed, Felt]:
+        """The next state, what became of the object, and what is felt.
+
+        Args:
+            state: what the last tick left.
+            angles: of the glove's joints [rad].
+            wrist: where it is.
+            passed: time since the last tick [s]; 0 for the first, at which the object stays where it is.
+            kept: share of what was felt of accelerations that is kept.
+        """
+        given = jnp.asarray(wrist.origin), jnp.asarray(wrist.rotation)
+        tick = _compiled()
+        return tick(self._leaves, state, angles, given, passed, kept, structure=self._structure, law=self._law)
+
+
+@cache
+def _compiled() -> Any:
+    """The program, made as fast as it can be: a person waits for it."""
+    return jax.jit(_tick, static_argnames=("structure", "law"), compiler_options=compile_options())
+
+
+def _tick(
+    leaves: tuple[Array, ...],
+    state: HapticState,
+    angles: Array,
+    wrist: tuple[Array, Array],
+    passed: Array,
+    kept: Array,
+    *,
+    structure: Any,
+    law: Law,
+) -> tuple[HapticState, Passed, Felt]:
+    scene, worn = jax.tree.unflatten(structure, leaves)
+    pose = Pose(*wrist)
+    frames = pose_hand(scene.hand, worn.posture(angles, pose))
+    first = passed <= 0
+    become, carried, inertial = _since(scene, state, frames, jnp.where(first, 1.0, passed), kept, law)
+    carried, inertial = jax.tree.map(
+        lambda was, now: jnp.where(first, was, now), (state.carried, state.inertial), (carried, inertial)
+    )
+    found, now = felt(scene, worn, angles, pose, carried.placed, inertial, law=law)
+    return HapticState(carried, frames, now.contacts, now.grasp, inertial, found.exerted), become, found
+
+
+def _since(
+    scene: Scene, state: HapticState, frames: HandFrames, passed: Array, kept: Array, law: Law
+) -> tuple[Passed, CarryState, Array]:
+    """What became of the object since the last tick, where it is, and what accelerates it, as it is felt.
+
+    By the optimum, where no allowed forces took the object along, the contacts exerted what was felt of them.
+    """
+    carried = state.carried
+    tick, led = led_tick(scene, passed, carried, state.contacts, state.grasp, state.frames, frames, law)
+    hold, exerted, missed = tick.assessment.hold, tick.exerted, missed_by(tick)
+    if law == "optimum":
+        slips = (hold == Hold.SLIPPING) & ~tick.rests
+        left = tick.wrench - tick.support - resultant(tick.grasp.points, state.exerted)
+        exerted, missed = jnp.where(slips, state.exerted, exerted), jnp.where(slips, left, missed)
+    become = Passed(carried.placed, tick, carried.stands, exerted, missed)
+    inertial = jnp.where(hold == Hold.LOST, 0, kept * state.inertial + (1 - kept) * tick.inertial)
+    return become, go_on(scene, passed, carried, led, missed, hold, tick.rests), inertial

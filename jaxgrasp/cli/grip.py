@@ -3,7 +3,7 @@
 import json
 import math
 from collections import Counter
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 
 import jax
@@ -19,17 +19,8 @@ from jaxgrasp.grip.carry import Instant, carry, stacked
 from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.scene_file import (
-    TABLES,
-    GripEntry,
-    HandEntry,
-    ObjectEntry,
-    SceneFile,
-    TableEntry,
-    gripped_scene,
-    load_scene,
-    scene_path,
-)
+from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry, TableEntry
+from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, scene_path
 from jaxgrasp.hand.grip_type import GripType, grip_type
 from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.model.hand import Hand, Posture
@@ -52,7 +43,7 @@ def grip_command(arguments: Grip) -> int:
     say_compiling("the hand, its contacts and both laws", "minutes")
     made = gripped_scene(file)
     hand, closed = made.scene.hand, made.closed
-    show(f"closed on the {file.object.shape}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
+    show(f"closed on the {_solid(file)}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
     postures = lift_and_turn(
         closed,
         times,
@@ -144,16 +135,21 @@ def _write_report(arguments: Grip, file: SceneFile, scene: Scene, happened: Hist
         show(f"no pictures: {error}")
 
 
+def _solid(file: SceneFile) -> str:
+    return file.object.shape if file.object.mesh is None else Path(file.object.mesh).stem
+
+
 def _title(file: SceneFile) -> str:
     hand, held = file.hand, file.object
     hand_words = f"a {hand.side} hand of {1000 * hand.length:g} mm"
-    return f"A {file.grip.kind} grip of a {held.shape} of {1000 * held.mass:g} g in {hand_words}"
+    return f"A {file.grip.kind} grip of a {_solid(file)} of {1000 * held.mass:g} g in {hand_words}"
 
 
 def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
     """What was asked for, and by which versions it was answered."""
     moves = {name: str(getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
-    entries = {f"{table} {key}": str(value) for table in TABLES for key, value in asdict(getattr(file, table)).items()}
+    tables = file.tables().items()
+    entries = {f"{table} {key}": str(value) for table, said in tables for key, value in said.items()}
     return {"scene": file.name} | entries | moves | provenance()
 
 

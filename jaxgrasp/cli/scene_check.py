@@ -2,21 +2,20 @@
 
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.grip.scene_file import TABLES, load_scene, ready_scenes, scene_path
+from jaxgrasp.grip.scene_file import load_scene, ready_scenes, scene_path
 
 
 def check_command(arguments: Check) -> int:
     """Say what a scene holds; whatever is wrong with it is raised."""
     scene = load_scene(scene_path(arguments.scene))
     show(scene.name)
-    for table in TABLES:
-        entries = vars(getattr(scene, table))
-        show(f"  {table}: " + ", ".join(f"{key} {value}" for key, value in entries.items() if value is not None))
+    for table, entries in scene.tables().items():
+        show(f"  {table}: " + ", ".join(f"{key} {value}" for key, value in entries.items()))
     return 0
 
 
 def list_command(arguments: ReadyScenes) -> int:
     """A line each: name, and what it is."""
     for name, path in ready_scenes().items():
-        show(f"{name:10s} {load_scene(path).name}")
+        show(f"{name:12s} {load_scene(path).name}")
     return 0

@@ -1,114 +1,42 @@
-"""A scene in a TOML file: a hand, what it grips and how, the table that this stands on, and the world."""
+"""A scene in a TOML file: a hand, what it grips and how, what that stands on, meets and is guided by, and the world."""
 
-import math
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxgrasp.files.toml_fields import load_toml, made_from, nearest
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Body, height_above
 from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.precision_grip import precision_grip
-from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.scene import Obstacle, Scene
+from jaxgrasp.grip.scene_entries import (
+    GripEntry,
+    GuideEntry,
+    HandEntry,
+    ObjectEntry,
+    ObstacleEntry,
+    TableEntry,
+    WorldEntry,
+)
 from jaxgrasp.hand.balanced_contributions import balanced_contributions
 from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.filling import sphere_tree
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.hand.human_hand import LENGTH, human_hand
-from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere, check_shape
+from jaxgrasp.hand.human_hand import human_hand
+from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.hand.world import rigid_body, world_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.fields import check_not_negative, check_positive
 
-
-@dataclass(frozen=True)
-class HandEntry:
-    """The table ``[hand]``: a human hand by its sizes."""
-
-    length: float = LENGTH
-    """From the wrist to the middle finger's tip [m]."""
-    breadth: float | None = None
-    """Across the knuckles [m]; in proportion where not given."""
-    side: Literal["right", "left"] = "right"
-
-    def __post_init__(self) -> None:
-        check_positive(self, "length", "breadth")
-
-
-@dataclass(frozen=True)
-class ObjectEntry:
-    """The table ``[object]``: a solid of uniform density."""
-
-    shape: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
-    radius: float = 0.03
-    """[m]; of a box half the edge."""
-    height: float = 0.12
-    """Of a cylinder, of a capsule's straight part, or of a box [m]."""
-    mass: float = 0.15
-    """[kg]"""
-    friction: float = 0.6
-    """Coulomb's coefficient between hand and object."""
-    stiffness: float = 400.0
-    """K of eq. 6 [N/m]."""
-
-    def __post_init__(self) -> None:
-        check_positive(self, "radius", "height", "mass")
-        check_not_negative(self, "friction", "stiffness")
-
-    def solid(self) -> Shape:
-        """The object's shape."""
-        if self.shape == "sphere":
-            return Sphere(self.radius)
-        if self.shape == "box":
-            return Box(2 * self.radius, 2 * self.radius, self.height)
-        return (Cylinder if self.shape == "cylinder" else Capsule)(self.radius, self.height)
-
-
-@dataclass(frozen=True)
-class GripEntry:
-    """The table ``[grip]``: how the hand is closed at first."""
-
-    kind: Literal["power", "precision-3", "precision-4", "precision-5"] = "power"
-    """All of the hand, or as many fingertips."""
-    depth: float = 1e-3
-    """How far the links press into the object [m]."""
-    contributions: Literal["table", "balanced"] = "table"
-    """Of the links: the paper's Table I, or the nearest to it by which the squeezing forces balance."""
-    law: Law = "optimum"
-    """Which forces the hand applies."""
-
-    def __post_init__(self) -> None:
-        check_positive(self, "depth")
-
-
-@dataclass(frozen=True)
-class TableEntry:
-    """The table ``[table]``: what the object stands on at first."""
-
-    below: float = 0.0
-    """How far below the object's lowest place it is [m]."""
-    friction: float = 0.5
-    """Coulomb's coefficient between object and table."""
-
-    def __post_init__(self) -> None:
-        check_not_negative(self, "below", "friction")
-
-
-@dataclass(frozen=True)
-class WorldEntry:
-    """The table ``[world]``."""
-
-    gravity: tuple[float, ...] = tuple(GRAVITY)
-    """[m/s^2]"""
-
-    def __post_init__(self) -> None:
-        if len(self.gravity) != 3 or not all(map(math.isfinite, self.gravity)):
-            raise ValueError(f"gravity is {list(self.gravity)}: expected three finite numbers [m/s^2]")
+APART = 1e-5
+"""How deep an obstacle may be in the object at first [m]: rounding."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +49,15 @@ class SceneFile:
     grip: GripEntry = field(default_factory=GripEntry)
     table: TableEntry = field(default_factory=TableEntry)
     world: WorldEntry = field(default_factory=WorldEntry)
+    guide: GuideEntry | None = None
+    obstacle: tuple[ObstacleEntry, ...] = ()
+
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """What each table says, by its name; what is not given is left out."""
+        named = {name: getattr(self, name) for name in (*TABLES, "guide")}
+        named |= {f"obstacle[{k}]": entry for k, entry in enumerate(self.obstacle)}
+        said = {name: vars(entry).items() for name, entry in named.items() if entry is not None}
+        return {name: {key: value for key, value in entry if value is not None} for name, entry in said.items()}
 
 
 class GrippedScene(NamedTuple):
@@ -173,9 +110,29 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     name = given.get("name", SceneFile.name)
     if not isinstance(name, str):
         raise ValueError(f"name is {name!r}: expected text")
-    found = SceneFile(name, **{key: made_from(kind, given.get(key, {}), key) for key, kind in TABLES.items()})
-    check_shape(found.object.solid())
-    return found
+    found = SceneFile(
+        name,
+        **{key: made_from(kind, given.get(key, {}), key) for key, kind in TABLES.items()},
+        guide=made_from(GuideEntry, given["guide"], "guide") if "guide" in given else None,
+        obstacle=_obstacles(given.get("obstacle", [])),
+    )
+    return replace(found, object=_with_mesh(found.object, Path(path).parent))
+
+
+def _obstacles(given: object) -> tuple[ObstacleEntry, ...]:
+    if not isinstance(given, list):
+        raise ValueError(f"obstacle is {given!r}: expected tables [[obstacle]]")
+    return tuple(made_from(ObstacleEntry, one, f"obstacle[{k}]") for k, one in enumerate(given))
+
+
+def _with_mesh(entry: ObjectEntry, folder: Path) -> ObjectEntry:
+    """The entry whose mesh, if it has one, is a file that is there."""
+    if entry.mesh is None:
+        return entry
+    mesh = folder / entry.mesh
+    if not mesh.is_file():
+        raise ValueError(f"object.mesh is {entry.mesh!r}: there is no such file")
+    return replace(entry, mesh=str(mesh))
 
 
 @checked
@@ -183,7 +140,9 @@ def gripped_scene(file: SceneFile) -> GrippedScene:
     """The hand closed on the object, which stands on the table.
 
     Raises:
-        ValueError: for an object that the hand cannot grip so.
+        ValueError: for a mesh that is no closed surface, an object that the hand cannot grip so, and an obstacle that
+            begins inside the object.
+        ImportError: for a mesh without the extra `mesh`.
     """
     hand, shape = human_hand(file.hand.length, file.hand.breadth, file.hand.side), file.object.solid()
     closed, placed, contacts = _closed(file.grip, hand, shape)
@@ -193,6 +152,7 @@ def gripped_scene(file: SceneFile) -> GrippedScene:
         contributions = balanced_contributions(contacts, contributions, placed.origin)
     origin = jnp.asarray(placed.origin)
     placed = Pose(origin, jnp.asarray(placed.rotation))
+    obstacles, outline = _in_the_way(file, shape, placed)
     ground = Pose(jnp.zeros(3), jnp.eye(3))
     top = height_above(ground, shape, placed) - file.table.below
     scene = Scene(
@@ -203,9 +163,28 @@ def gripped_scene(file: SceneFile) -> GrippedScene:
         stiffness=file.object.stiffness,
         contributions=contributions,
         gravity=jnp.array(file.world.gravity),
+        guide=None if file.guide is None else jnp.asarray(file.guide.twists(np.asarray(origin))),
+        obstacles=obstacles,
+        outline=outline,
         table_friction=file.table.friction,
     )
     return GrippedScene(scene, closed, placed, contacts, kind, file.grip.law)
+
+
+def _in_the_way(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obstacle, ...], Hand | None]:
+    """The obstacles in the world, and the object's outline that meets them; none where there are none."""
+    if not file.obstacle:
+        return (), None
+    outline = rigid_body(shape if isinstance(shape, SphereTree) else sphere_tree(shape))
+    found = []
+    for k, entry in enumerate(file.obstacle):
+        at = Pose(placed.origin + jnp.array(entry.at), entry.rotation())
+        solid = entry.solid()
+        inside = float(jnp.max(world_contacts(outline, placed, solid, at).depths))
+        if inside > APART:
+            raise ValueError(f"obstacle[{k}] begins {1000 * inside:.3g} mm deep in the object: expected it outside")
+        found.append(Obstacle(solid, at, entry.stiffness))
+    return tuple(found), outline
 
 
 def _closed(grip: GripEntry, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:

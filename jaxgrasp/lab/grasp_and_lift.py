@@ -10,7 +10,8 @@ from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.scene_file import GrippedScene, ObjectEntry, SceneFile, gripped_scene
+from jaxgrasp.grip.scene_entries import ObjectEntry
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
 from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float

@@ -4,6 +4,10 @@ import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
+from jaxgrasp.grip import carry
+from jaxgrasp.grip.carry import stacked
+from jaxgrasp.grip.lifting import lift_and_turn
+from jaxgrasp.grip.scene_entries import GuideEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, ready_scenes
 from jaxgrasp.grip.table_support import support_points
 
@@ -30,6 +34,17 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ("[world]\ngravity = [0, 0]", "world: gravity is [0.0, 0.0]: expected three finite numbers"),
         ("hand = 3", "hand is 3: expected a table"),
         ("name = 3", "name is 3: expected text"),
+        ("[object]\nsize = [1, 1, 1]", "object: size is [1.0, 1.0, 1.0]: expected radius and height"),
+        ('[object]\nshape = "box"\nsize = [1, 0, 1]', "object: size is [1.0, 0.0, 1.0]: expected three positive"),
+        ('[object]\nmesh = "cup.stl"', "object.mesh is 'cup.stl': there is no such file"),
+        ("[obstacle]\nat = [0, 0, 1]", "obstacle is {'at': [0, 0, 1]}: expected tables [[obstacle]]"),
+        ("[[obstacle]]\nradius = 0.1", "obstacle[0] has no 'at'"),
+        ("[[obstacle]]\nat = [0, 0]", "obstacle[0]: at is [0.0, 0.0]: expected three finite numbers"),
+        ("[[obstacle]]\nat = [0, 0, 1]\nstiffness = -1", "obstacle[0]: stiffness is -1.0"),
+        ('[guide]\nkind = "hinge"', "guide has no 'axis'"),
+        ('[guide]\nkind = "hinge"\naxis = [0, 0, 0]', "guide: axis is [0.0, 0.0, 0.0]: expected a direction"),
+        ('[guide]\nkind = "slide"\naxis = [0, 0, 1]\npitch = 1', "guide: pitch is 1.0: expected none of a slide"),
+        ('[guide]\nkind = "rail"\naxis = [0, 0, 1]', "guide.kind is 'rail'"),
         ("[object", "is no TOML"),
     ],
 )
@@ -51,11 +66,67 @@ def test_ready_scenes_are_listed_and_checked(folder, capsys):
     for name in ready_scenes():
         assert name in said and main(["scene", "check", name]) == 0
     assert main(["scene", "check", "nowhere"]) == 1
-    assert "scene is 'nowhere': expected a TOML file, or one of ball, box, cylinder" in capsys.readouterr().err
+    assert (
+        "scene is 'nowhere': expected a TOML file, or one of ball, box, cylinder, door_handle, peg"
+        in capsys.readouterr().err
+    )
+
+
+def test_what_begins_inside_the_object_is_refused(folder, capsys):
+    (folder / "scene.toml").write_text("[[obstacle]]\nat = [0, 0, 1]\n[[obstacle]]\nat = [0.0, 0.0, 0.04]")
+    assert main(["grip", "--scene", "scene.toml"]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert "obstacle[1] begins" in said and "mm deep in the object: expected it outside" in said
+
+
+def test_a_guide_leaves_its_axis_where_it_is():
+    """Points of a hinge's axis stay, those of a screw's go along it by the pitch, all of a slide alike."""
+    rng = np.random.default_rng(5)
+    axis, through, centre, along = rng.normal(size=3), rng.normal(size=3), rng.normal(size=3), rng.normal()
+    given = {"axis": tuple(axis), "through": tuple(through)}
+    on_axis, elsewhere = centre + through + along * axis, rng.normal(size=3)
+    unit = axis / np.linalg.norm(axis)
+
+    def velocity(entry: GuideEntry, point: np.ndarray) -> np.ndarray:
+        twist = entry.twists(centre)[:, 0]
+        return twist[:3] + np.cross(twist[3:], point)
+
+    hinge, screw = GuideEntry(kind="hinge", **given), GuideEntry(kind="screw", pitch=0.3, **given)
+    np.testing.assert_allclose(velocity(hinge, on_axis), 0, atol=1e-14)
+    np.testing.assert_allclose(velocity(screw, on_axis), 0.3 * unit, atol=1e-14)
+    np.testing.assert_allclose(velocity(hinge, elsewhere), np.cross(unit, elsewhere - on_axis), atol=1e-14)
+    np.testing.assert_allclose(velocity(GuideEntry(kind="slide", **given), elsewhere), unit, atol=1e-14)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cylinder", "ball", "box"])
+def test_a_handle_turns_about_its_hinge_and_goes_nowhere_else(folder):
+    """Where the hand takes it, its end stays where the file has it."""
+    file = load_scene(ready_scenes()["door_handle"])
+    made = gripped_scene(file)
+    times = np.linspace(0, 1, 21)
+    postures = lift_and_turn(made.closed, times, lift=0.02, turn=0.1, axis=np.array([1.0, 0.0, 0.0]))
+    record = stacked(carry(made.scene, postures, made.placed, 0.05, law="optimum"))
+    end = np.einsum("ji,j->i", np.asarray(made.placed.rotation), np.array(file.guide.through))
+    there = record.placed.origin + np.einsum("tij,j->ti", record.placed.rotation, end)
+    np.testing.assert_allclose(there, np.broadcast_to(there[0], there.shape), atol=1e-9)
+    assert np.abs(record.placed.origin[-1] - record.placed.origin[0]).max() > 5e-3
+
+
+@pytest.mark.slow
+def test_a_mesh_is_held_as_the_shape_that_it_is_of(folder):
+    """A box of triangles, written by hand: as many contacts, no deeper than the exact shape's."""
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((0.05, 0.05, 0.12)).export(folder / "block.stl")
+    (folder / "mesh.toml").write_text('[object]\nmesh = "block.stl"\n[grip]\ndepth = 0.002')
+    (folder / "exact.toml").write_text('[object]\nshape = "box"\nsize = [0.05, 0.05, 0.12]\n[grip]\ndepth = 0.002')
+    by_mesh, exact = (gripped_scene(load_scene(folder / name)) for name in ("mesh.toml", "exact.toml"))
+    assert abs(int(by_mesh.contacts.present.sum()) - int(exact.contacts.present.sum())) <= 2
+    for moments in zip(by_mesh.scene.body.shape._moments(), sorted(map(float, exact.scene.body.shape._moments()))):
+        np.testing.assert_allclose(*moments, rtol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cylinder", "ball", "box", "door_handle", "peg"])
 def test_the_object_stands_as_far_above_the_table_as_the_file_says(name):
     file = load_scene(ready_scenes()[name])
     made = gripped_scene(file)

@@ -121,6 +121,18 @@ class Align:
 
 
 @dataclass(frozen=True)
+class Ablate:
+    """Say which of the glove's joints matter for a scene: what is lost where one is neither read nor resisted."""
+
+    scene: tyro.conf.Positional[str] = "cylinder"
+    """TOML file of the scene, or the name of a ready one (`jaxgrasp scene list`)."""
+    model: Path | None = None
+    """A TOML file of the glove; the paper's LRP Hand Master where not given."""
+    out: Path | None = None
+    """CSV file for the same."""
+
+
+@dataclass(frozen=True)
 class Ports:
     """List the serial ports of this machine."""
 
@@ -136,6 +148,7 @@ class Glove:
             | Annotated[Run, tyro.conf.subcommand("run")]
             | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
             | Annotated[Align, tyro.conf.subcommand("align")]
+            | Annotated[Ablate, tyro.conf.subcommand("ablate")]
             | Annotated[Ports, tyro.conf.subcommand("ports")]
         ]
     ]

@@ -12,7 +12,7 @@ from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.data_arguments import Info, Validate
 from jaxgrasp.cli.evaluate_arguments import Evaluate
 from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
-from jaxgrasp.cli.glove_arguments import Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
+from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
@@ -49,6 +49,7 @@ FUNCTIONS: dict[type, str] = {
     Run: "glove_run.run_command",
     Calibrate: "glove_calibrate.calibrate_command",
     Align: "glove_align.align_command",
+    Ablate: "glove_ablate.ablate_command",
     Ports: "glove.ports_command",
 }
 """What runs each command, by module and name: imported when it is asked for, so that help comes without JAX."""

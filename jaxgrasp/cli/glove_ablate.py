@@ -1,0 +1,39 @@
+"""``jaxgrasp glove ablate``: which of a glove's joints matter for a scene."""
+
+import csv
+import io
+
+from jaxgrasp.cli.glove_arguments import Ablate
+from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.glove.model import load_glove, lrp_hand_master
+from jaxgrasp.grip.scene_file import gripped_scene, load_scene, scene_path
+from jaxgrasp.lab.ablation import JointLoss, joint_losses
+
+
+def ablate_command(arguments: Ablate) -> int:
+    """A line a joint, and the same as CSV where it is asked for."""
+    file = load_scene(scene_path(arguments.scene))
+    model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
+    set_up_jax("float64")
+    say_compiling("the hand and its contacts")
+    made = gripped_scene(file)
+    losses = joint_losses(made, model)
+    show(f"{file.name}: without one of the glove's joints")
+    show(f"{'joint':18s} {'mN m not felt':>14s} {'of what is felt':>16s} {'contacts':>9s} {'squeeze':>8s}  holds")
+    for one in losses:
+        numbers = f"{1e3 * one.torque:14.1f} {one.felt:16.1%} {-one.contacts:+9d} {-one.squeeze:+8.1%}"
+        show(f"{one.joint:18s} {numbers}  {'yes' if one.holds else 'no'}")
+    if arguments.out is not None:
+        replace_file(arguments.out, lambda stream: stream.write(_csv(losses).encode()))
+        show(f"written: {arguments.out}")
+    return 0
+
+
+def _csv(losses: list[JointLoss]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["joint", "torque [N.m]", "share felt", "contacts lost", "squeeze lost", "holds"])
+    writer.writerows([(one.joint, *(f"{x:.6g}" for x in one[1:5]), int(one.holds)) for one in losses])
+    return text.getvalue()

@@ -1,0 +1,58 @@
+"""What a glove loses of a grip without one of its joints, against the same posture looked at alone."""
+
+import csv
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+from jaxgrasp.cli.main import main
+from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.grip import observe
+from jaxgrasp.grip.scene_file import gripped_scene, load_scene, ready_scenes
+from jaxgrasp.hand import Posture, find_contacts
+from jaxgrasp.lab.ablation import joint_losses
+
+pytestmark = pytest.mark.slow
+MODEL = lrp_hand_master()
+
+
+@pytest.fixture(scope="module")
+def made():
+    return gripped_scene(load_scene(ready_scenes()["cylinder"]))
+
+
+def test_losses_are_those_of_the_posture_without_the_joint(made):
+    losses = joint_losses(made, MODEL)
+    assert {one.joint for one in losses} == set(MODEL.joints)
+    np.testing.assert_allclose(sum(one.felt for one in losses), 1.0)
+    assert [one.felt for one in losses] == sorted((one.felt for one in losses), reverse=True)
+    joints = list(made.scene.hand.joints)
+    squeeze = made.scene.stiffness * np.asarray(made.scene.contributions)
+    whole = float(np.asarray(made.contacts.depths) @ squeeze)
+    for one in losses[:4]:
+        angles = np.asarray(made.closed.angles).copy()
+        angles[joints.index(one.joint)] = 0.0
+        left = find_contacts(made.scene.hand, Posture(made.closed.wrist, angles), made.scene.body.shape, made.placed)
+        assert one.contacts == int(made.contacts.present.sum() - left.present.sum())
+        np.testing.assert_allclose(one.squeeze, 1 - float(np.asarray(left.depths) @ squeeze) / whole, atol=1e-9)
+
+
+def test_what_is_felt_is_that_of_the_whole_hand_clear_of_the_table(made):
+    losses = joint_losses(made, MODEL)
+    lifted = eqx.tree_at(lambda s: s.table.origin, made.scene, made.scene.table.origin - np.array([0, 0, 0.5]))
+    torques = -np.asarray(observe(lifted, made.closed, made.placed, law=made.law).torques)
+    by_joint = dict(zip(made.scene.hand.joints, torques, strict=True))
+    np.testing.assert_allclose([one.torque for one in losses], [by_joint[one.joint] for one in losses], atol=1e-9)
+
+
+def test_a_joint_is_a_line_and_a_row(folder, capsys):
+    assert main(["glove", "ablate", "cylinder", "--out", "lost.csv"]) == 0
+    said = capsys.readouterr().out
+    with open(folder / "lost.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["joint"] for row in rows] and {row["joint"] for row in rows} == set(MODEL.joints)
+    assert all(joint in said for joint in MODEL.joints)
+    np.testing.assert_allclose(sum(float(row["share felt"]) for row in rows), 1.0, atol=1e-5)
+    assert main(["glove", "ablate", "nowhere"]) == 1
+    assert "expected a TOML file, or one of" in capsys.readouterr().err

@@ -147,11 +147,11 @@ def device(_: Effort) -> list[dict]:
     from jaxgrasp.glove.simulated.cable import Cable
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.glove_error import glove_error
-    from jaxgrasp.psychophysics.plan import StimulusPlan
+    from jaxgrasp.psychophysics.plan import FIG_8, StimulusPlan
 
     jax.config.update("jax_enable_x64", True)
     model = lrp_hand_master()
-    felt, observer, rows = felt_object(StimulusPlan(), model), Observer(REAL), []
+    felt, observer, rows = felt_object(StimulusPlan(fingers=FIG_8), model), Observer(REAL), []
     for sliding in (0.0, 0.05, 0.08):
         for pretension in (0.0, 1.0, 2.0) if sliding else (0.0,):
             error = glove_error(felt, model, cable=Cable(14, sliding=sliding), pretension=pretension)

@@ -1,5 +1,6 @@
 """``jaxgrasp experiment plan`` and ``power``: what a plan asks, and what it will tell."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
 from jaxgrasp.psychophysics.observer import Observer
-from jaxgrasp.psychophysics.plan import Plan, load_plan, plan_toml
+from jaxgrasp.psychophysics.plan import FIG_8, Plan, load_plan, plan_toml
 from jaxgrasp.psychophysics.prediction.power import cheapest
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus
@@ -18,7 +19,7 @@ from jaxgrasp.validation.fields import check_not_negative, check_positive
 
 SHOWN = 6
 POSTURES = {
-    "weight": "lifted by the knuckles to its 4 cm",
+    "weight": "lifted by the knuckles, to 4 cm at most",
     "stiffness": "squeezed by the knuckles to 1 cm",
     "torque": "whatever the posture",
 }
@@ -39,7 +40,21 @@ def plan_command(arguments: PlanCommand) -> int:
     show("\n".join(summary(plan)))
     show(f"rendered by {model.name}, {POSTURES[plan.stimulus.kind]}:")
     show("\n".join(predicted(plan, predicted_stimulus(plan, model))))
+    show("\n".join(beside_the_paper(plan, model)))
     return 0
+
+
+def beside_the_paper(plan: Plan, model: GloveModel) -> list[str]:
+    """How a weight lies otherwise than in Fig. 8, and why; nothing where it does not."""
+    where = replace(plan.stimulus, fingers=FIG_8, phalanx="distal")
+    if plan.stimulus.kind != "weight" or plan.stimulus == where:
+        return []
+    one = predicted_stimulus(replace(plan, stimulus=where), model).predict(1.0)
+    most = min(model.limits) / one.torque
+    return [
+        f"In the paper's Fig. 8 it lies on the distal phalanges of {' and '.join(FIG_8)}, on which {model.name} bears "
+        f"{most:.2f} N"
+    ]
 
 
 def power_command(arguments: Power) -> int:
@@ -121,6 +136,8 @@ def summary(plan: Plan) -> list[str]:
     """What a plan asks of a person."""
     unit = plan.stimulus.unit
     where = plan.stimulus.joint if plan.stimulus.kind == "torque" else " and ".join(plan.stimulus.fingers)
+    if plan.stimulus.kind == "weight":
+        where = f"the {plan.stimulus.phalanx} phalanges of {where}"
     references = ", ".join(f"{one:g}" for one in plan.session.references)
     task = "detection" if plan.is_detection else f"references {references} {unit}"
     return [

@@ -73,6 +73,8 @@ class Run(GloveFiles):
     law: Literal["closed-form", "optimum"] | None = None
     """Which forces the hand applies: they are what is felt, and decide whether the object slips. The scene's where not
     given."""
+    follow_grip: bool = False
+    """Recognise the grip while it is made, and let the links contribute what it asks for."""
     tracker: str | None = None
     """Port of a Polhemus tracker that moves the wrist."""
     alignment: Path | None = None

@@ -135,7 +135,9 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
     made = gripped_scene(file)
-    haptics = Haptics(made.scene, model, np.asarray(made.closed.angles), made.placed, arguments.law or made.law)
+    law = arguments.law or made.law
+    angles = np.asarray(made.closed.angles)
+    haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
     show("compiling")
     warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)

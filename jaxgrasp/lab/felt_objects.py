@@ -1,7 +1,7 @@
 """What the psychophysics lets a hand in a glove feel: a weight that it lifts, a stiffness that it squeezes, a torque.
 
 Each is a law of resistance: torques at the glove's joints from their angles and an intensity. The weight is that of
-Fig. 8: a bar on the fingers' pads, held to the vertical, in a hand whose palm looks up.
+Fig. 8: a bar on the fingers, held to the vertical, in a hand whose palm looks up.
 """
 
 from abc import abstractmethod
@@ -65,7 +65,7 @@ class FeltObject(eqx.Module):
 
 
 class Lifted(FeltObject):
-    """A weight [N] on the pads of some fingers."""
+    """A weight [N] on the same phalanx of some fingers."""
 
     hand: Hand
     worn: GloveHand
@@ -195,7 +195,7 @@ def felt_object(plan: StimulusPlan, model: GloveModel, hand: Hand | None = None)
         if finger != "thumb":
             start[k] = bent.get(kind, start[k])
     names = [link.name for link in hand.links]
-    links = tuple(names.index(f"{finger} distal") for finger in plan.fingers)
+    links = tuple(names.index(f"{finger} {plan.phalanx}") for finger in plan.fingers)
     worn = glove_hand(hand, model, start)
     made = Lifted if plan.kind == "weight" else Squeezed
     return made(hand, worn, links, jnp.asarray(start[list(worn.places)]))

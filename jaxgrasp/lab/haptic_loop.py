@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.carry import Instant, set_down
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.glove_hand import glove_hand
 from jaxgrasp.lab.haptic_tick import HapticTick, Passed
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -40,11 +41,14 @@ class Haptics:
     smoothing: float = 0.02
     """Time constant of the accelerations that are felt [s]: between two ticks they are differences of what the glove
     reads, whose last digits are noise. 0 for as they are."""
+    follows: bool = False
+    """Whether the links contribute what the grip asks for that the hand makes, which is recognised as it goes; else the
+    scene's own contributions count throughout."""
 
     def __post_init__(self) -> None:
         check_scene(self.scene)
         self._worn = glove_hand(self.scene.hand, self.model, self.others)
-        self._program = HapticTick(self.scene, self._worn, self.law)
+        self._program = HapticTick(self.scene, self._worn, self.law, self.follows)
         self._state = self._program.start(set_down(self.scene, self.placed))
         self._passed: Passed | None = None
         self._before: float | None = None
@@ -56,6 +60,11 @@ class Haptics:
             return None
         placed, tick, stands, exerted, missed = self._passed
         return Instant(placed, tick, Hold(int(tick.assessment.hold)), bool(stands), exerted, missed)
+
+    @property
+    def grip(self) -> GripType | None:
+        """The grip whose contributions count; None where they do not follow it."""
+        return None if self._state.grip is None else GripType(int(self._state.grip.kind))
 
     def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         """What the glove is to do, from what it reads.
@@ -88,7 +97,7 @@ def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array
 
 def warm_up(haptics: Haptics, wrist: Pose) -> None:
     """Compile what ticks need, before anything is armed; the object stays where it is."""
-    spare = Haptics(haptics.scene, haptics.model, haptics.others, haptics.placed, haptics.law, haptics.smoothing)
+    spare = replace(haptics)
     angles = np.asarray(haptics.others, float)[list(spare._worn.places)]
     for k in range(2):
         spare.tick(0.01 * k, angles, wrist)

@@ -7,6 +7,7 @@ tick to tick is flattened once, and nothing is looked at in between: what only a
 from functools import cache
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -18,6 +19,7 @@ from jaxgrasp.grip.slipping import resultant
 from jaxgrasp.grip.tick import Tick, touched
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
 from jaxgrasp.lab.glove_hand import Felt, GloveHand, felt
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
@@ -38,6 +40,8 @@ class HapticState(NamedTuple):
     """Wrench that accelerates the object, as it is felt [N, N.m]."""
     exerted: Float[Array, "L 3"]
     """What is felt: forces on the object [N]."""
+    grip: FollowedGrip | None
+    """Where contributions follow the grip."""
 
 
 class Passed(NamedTuple):
@@ -54,14 +58,17 @@ class Passed(NamedTuple):
 class HapticTick:
     """The program for one scene and one hand in a glove, compiled at its first call."""
 
-    def __init__(self, scene: Scene, worn: GloveHand, law: Law):
-        leaves, self._structure = jax.tree.flatten((scene, worn))
+    def __init__(self, scene: Scene, worn: GloveHand, law: Law, follows: bool = False):
+        """``follows``: whether the links contribute what the grip asks for that the hand makes."""
+        tables = grip_tables(scene.hand) if follows else None
+        leaves, self._structure = jax.tree.flatten((scene, worn, tables))
         self._leaves = tuple(map(jnp.asarray, leaves))
         self._law = law
 
     def start(self, carried: CarryState) -> HapticState:
         """Before the first tick, of which no earlier one is known: nothing touches yet."""
-        scene, worn = jax.tree.unflatten(self._structure, self._leaves)
+        scene, worn, tables = jax.tree.unflatten(self._structure, self._leaves)
+        grip = None if tables is None else first_grip(scene.contributions)
 
         def at_first() -> tuple[HandFrames, Contacts, Grasp]:
             posture = worn.posture(jnp.zeros(len(worn.places)), carried.placed)
@@ -69,7 +76,7 @@ class HapticTick:
 
         nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
         frames, contacts, grasp = nothing
-        return HapticState(carried, frames, contacts, grasp, jnp.zeros(6), jnp.zeros(contacts.points.shape))
+        return HapticState(carried, frames, contacts, grasp, jnp.zeros(6), jnp.zeros(contacts.points.shape), grip)
 
     def __call__(
         self, state: HapticState, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
@@ -105,16 +112,21 @@ def _tick(
     structure: Any,
     law: Law,
 ) -> tuple[HapticState, Passed, Felt]:
-    scene, worn = jax.tree.unflatten(structure, leaves)
+    scene, worn, tables = jax.tree.unflatten(structure, leaves)
     pose = Pose(*wrist)
-    frames = pose_hand(scene.hand, worn.posture(angles, pose))
+    posture = worn.posture(angles, pose)
+    frames = pose_hand(scene.hand, posture)
     first = passed <= 0
     become, carried, inertial = _since(scene, state, frames, jnp.where(first, 1.0, passed), kept, law)
     carried, inertial = jax.tree.map(
         lambda was, now: jnp.where(first, was, now), (state.carried, state.inertial), (carried, inertial)
     )
+    grip = state.grip
+    if grip is not None:
+        grip = next_grip(grip, tables, scene.hand, posture, state.contacts, passed)
+        scene = eqx.tree_at(lambda s: s.contributions, scene, grip.contributions)
     found, now = felt(scene, worn, angles, pose, carried.placed, inertial, law=law)
-    return HapticState(carried, frames, now.contacts, now.grasp, inertial, found.exerted), become, found
+    return HapticState(carried, frames, now.contacts, now.grasp, inertial, found.exerted, grip), become, found
 
 
 def _since(

@@ -12,7 +12,7 @@ from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.lab.felt_objects import ENGAGED, SQUEEZED, TRAVEL, felt_object, resistance_and_slope, resistances
 from jaxgrasp.lab.stimuli import GloveStimulus, PredictedGloveStimulus
-from jaxgrasp.psychophysics.plan import Plan, StimulusPlan
+from jaxgrasp.psychophysics.plan import FIG_8, Plan, StimulusPlan
 from jaxgrasp.psychophysics.stimulus import NotFeltError, Rendered, StimulusLostError
 
 MODEL = lrp_hand_master()
@@ -48,7 +48,7 @@ def test_a_stiffness_is_felt_by_its_energy(fingers):
 
 
 def test_nothing_is_felt_before_it_is_touched_and_the_end_stops():
-    felt = felt_object(StimulusPlan("weight"), MODEL)
+    felt = felt_object(StimulusPlan("weight", FIG_8), MODEL)
     start = np.asarray(felt.start)
     np.testing.assert_allclose(felt.resistance(start, 3.0), 0, atol=1e-15)
     past = start + np.array([1.2 if name in ("index MP", "middle MP") else 0.0 for name in MODEL.joints])
@@ -70,8 +70,9 @@ def test_slope(kind):
 
 
 def test_saturation_is_predicted():
-    """Of the paper's plan, all of 3 N: 0.12 N.m at 8.9 cm are 2.7 N on two fingers."""
-    stimulus = PredictedGloveStimulus(felt_object(Plan().stimulus, MODEL), MODEL)
+    """On the paper's two fingers, all of 3 N: 0.12 N.m at 8.9 cm are 2.7 N on them."""
+    paper = StimulusPlan("weight", FIG_8)
+    stimulus = PredictedGloveStimulus(felt_object(paper, MODEL), MODEL)
     found = [stimulus.predict(intensity) for intensity in Plan().intensities()]
     assert [one.intensity for one in found if one.saturated] == pytest.approx([3.0, 3.15, 3.3, 3.6, 3.9])
     for one in found:
@@ -79,7 +80,21 @@ def test_saturation_is_predicted():
         assert (one.felt < one.intensity) == one.saturated
     assert np.all(np.diff([one.felt for one in found]) > 0)
     twice = GloveModel("strong", MODEL.joints, (0.24,) * 14)
-    assert not PredictedGloveStimulus(felt_object(Plan().stimulus, twice), twice).predict(3.9).saturated
+    assert not PredictedGloveStimulus(felt_object(paper, twice), twice).predict(3.9).saturated
+
+
+def test_the_default_plan_is_rendered_whole():
+    stimulus = PredictedGloveStimulus(felt_object(Plan().stimulus, MODEL), MODEL)
+    assert not any(stimulus.predict(one).saturated for one in Plan().intensities())
+
+
+@pytest.mark.parametrize("phalanx, most", [("distal", 2.71), ("middle", 3.56), ("proximal", 8.71)])
+def test_nearer_to_the_knuckles_the_same_torque_bears_more(phalanx, most):
+    """By virtual work: the torque of a joint is the weight times how fast the bar rises with it."""
+    felt = felt_object(StimulusPlan("weight", FIG_8, phalanx=phalanx), MODEL)
+    rates = np.asarray(jax.vmap(jax.grad(felt.height))(felt.postures()))
+    assert PredictedGloveStimulus(felt, MODEL).predict(1.0).torque == pytest.approx(rates.max(), rel=1e-6)
+    assert 0.12 / rates.max() == pytest.approx(most, rel=0.01)
 
 
 def test_a_torque_is_one_joints():
@@ -134,7 +149,7 @@ def test_felt_in_a_glove():
 @pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
 def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
     """At whatever angles its person bends to, the glove holds the torques of the work that lifts it; at rest, none."""
-    felt = felt_object(StimulusPlan("weight"), MODEL)
+    felt = felt_object(StimulusPlan("weight", FIG_8), MODEL)
     lifted = felt.postures()[30]
     with Simulator() as simulator, GloveProcess(simulator.port, 14, scale=1.0, ramp=0.05, oldest=0.05) as glove:
         stimulus = GloveStimulus(felt, MODEL, glove)

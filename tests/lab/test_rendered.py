@@ -14,6 +14,8 @@ from jaxgrasp.grip import Hold, monitor, observe
 from jaxgrasp.grip.slipping import cut_to_cones, resultant
 from jaxgrasp.grip.tick import touched
 from jaxgrasp.hand import Posture, pose_hand
+from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
+from jaxgrasp.lab.followed_grip import BLEND, STEADY, first_grip, grip_tables, next_grip
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.grasp import Grasp
@@ -213,3 +215,45 @@ def test_a_lost_object_is_not_felt(scene):
     for k in range(3):
         law = haptics.tick(k * DT, np.zeros(len(MODEL.joints)), far)
     assert law.is_valid and not law.torques.any()
+
+
+def test_contributions_follow_the_grip_without_a_jump(scene):
+    """Held still, they go over to the paper's table; what is rendered is that of the contributions of the instant."""
+    made, closed, placed = scene
+    plain = eqx.tree_at(lambda s: s.contributions, made, jnp.ones(len(made.hand.links)))
+    table = np.asarray(contributions_of(made.hand, GripType.CYLINDRICAL_POWER))
+    haptics = Haptics(plain, MODEL, np.asarray(closed.angles), placed, "optimum", 0.0, follows=True)
+    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+    torques, given = [], []
+    for k in range(120):
+        torques.append(haptics.tick(k * DT, angles, pose_at(jnp.zeros(3))).torques)
+        given.append(np.asarray(haptics._state.grip.contributions))
+    assert haptics.grip == GripType.CYLINDRICAL_POWER
+    apart = np.abs(np.array(given) - table).max(1)
+    assert apart[0] == apart[int(STEADY / DT) - 2] > 0.5 and apart[-1] < 1e-3 and (np.diff(apart) <= 1e-12).all()
+    # No tick changes more than its share of what is between the two.
+    most = 1 - np.exp(-DT / BLEND)
+    steps = np.abs(np.diff(np.array(torques)[1:], axis=0)).max(1)
+    assert steps.max() <= 1.5 * most * np.abs(torques[-1] - torques[2]).max()
+    for k in (1, 30, 119):
+        own = eqx.tree_at(lambda s, k=k: s.contributions, made, given[k])
+        expected = observe(own, Posture(pose_at(jnp.zeros(3)), closed.angles), haptics.placed, law="optimum").torques
+        np.testing.assert_allclose(-torques[k], np.asarray(expected)[list(MODEL.places(made.hand.joints))], atol=1e-6)
+
+
+def test_a_grip_that_comes_and_goes_is_no_new_one(scene):
+    made, closed, _ = scene
+    tables = jnp.asarray(grip_tables(made.hand))
+    held, opened = made_contacts(scene, 1.0), made_contacts(scene, 0.0)
+    kinds = {int(grip_type(made.hand, closed, contacts)) for contacts in (held, opened)}
+    assert len(kinds) == 2
+    grip = first_grip(jnp.ones(len(made.hand.links)))
+    for k in range(200):
+        grip = next_grip(grip, tables, made.hand, closed, held if k % 2 else opened, jnp.asarray(DT))
+    np.testing.assert_array_equal(grip.contributions, 1.0)
+
+
+def made_contacts(scene, share: float):
+    """Of the hand closed by a share of its angles."""
+    made, closed, placed = scene
+    return touched(made, Posture(closed.wrist, share * jnp.asarray(closed.angles)), placed)[0]

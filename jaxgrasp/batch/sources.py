@@ -153,7 +153,10 @@ def save_grasps(
 
     Raises:
         GraspError: for the first entry that is not usable.
+        ValueError: for a name of another ending, and labels that cannot be used.
     """
+    if Path(path).suffix.lower() not in (".npz", ".csv"):
+        raise ValueError(f"path is {str(path)!r}: expected a name that ends in .npz or .csv")
     sets = as_sets(grasps, wrenches, limits)
     for name, values in labels.items():
         if name not in LABELS:

@@ -70,7 +70,7 @@ def contacts_command(arguments: FindContacts) -> int:
             found = kept.contacts
         parts.append(_sets(found, object_, arguments))
     names = np.array([f"{poses.path.stem} {i}" for i in range(len(poses))])
-    found_sets = _joined(parts, names)
+    found_sets = joined_sets(parts, names)
     out = {
         "whose hand starts inside the object": np.concatenate(inside),
         "that touch nothing": found_sets.sizes == 0,
@@ -78,10 +78,10 @@ def contacts_command(arguments: FindContacts) -> int:
     sets = found_sets.rows(np.flatnonzero(~np.any(list(out.values()), axis=0)))
     if not len(sets):
         raise ValueError(
-            f"none of the {len(poses)} grasps can be used: {'; '.join(_left_out(out))}; is the scale right?"
+            f"none of the {len(poses)} grasps can be used: {'; '.join(left_out_words(out))}; is the scale right?"
         )
     save_grasps(arguments.out, sets)
-    show(_said(sets, out, dropped))
+    show(found_words(sets, out, dropped))
     show(f"written: {arguments.out}")
     return 0
 
@@ -155,7 +155,8 @@ def _sets(found: Found, object_: _Object, arguments: FindContacts) -> ContactSet
     return ContactSets.from_grasp(jax.device_get(grasp), object_.wrench)
 
 
-def _joined(parts: list[ContactSets], names: np.ndarray) -> ContactSets:
+def joined_sets(parts: list[ContactSets], names: np.ndarray, **labels: np.ndarray) -> ContactSets:
+    """Sets of contacts one after the other, and the name and other labels of each."""
     sizes = np.concatenate([part.sizes for part in parts])
     columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in ("points", "normals", "friction")}
     return ContactSets(
@@ -163,11 +164,11 @@ def _joined(parts: list[ContactSets], names: np.ndarray) -> ContactSets:
         squeeze=np.concatenate([part.squeeze for part in parts]),
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
         wrench=np.concatenate([part.wrench for part in parts]),
-        labels={"name": names},
+        labels={"name": names, **labels},
     )
 
 
-def _left_out(out: dict[str, np.ndarray]) -> list[str]:
+def left_out_words(out: dict[str, np.ndarray]) -> list[str]:
     """How many grasps were left out for each reason, and which came first."""
     return [
         f"left out: {chosen.sum()} {reason} (the first: {', '.join(map(str, np.flatnonzero(chosen)[:5]))})"
@@ -176,10 +177,11 @@ def _left_out(out: dict[str, np.ndarray]) -> list[str]:
     ]
 
 
-def _said(sets: ContactSets, out: dict[str, np.ndarray], dropped: int) -> str:
+def found_words(sets: ContactSets, out: dict[str, np.ndarray], dropped: int) -> str:
+    """What was found, for the screen."""
     sizes = Counter(sets.sizes.tolist())
     shares = ", ".join(f"{count} with {size}" for size, count in sorted(sizes.items()))
-    lines = [f"{len(sets)} grasps by their number of contacts: {shares}", *_left_out(out)]
+    lines = [f"{len(sets)} grasps by their number of contacts: {shares}", *left_out_words(out)]
     if dropped:
         lines.append(f"dropped: {dropped} contacts beyond the deepest of each grasp")
     return "\n".join(lines)

@@ -14,6 +14,7 @@ from jaxgrasp.cli.evaluate_arguments import Evaluate
 from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
+from jaxgrasp.cli.import_arguments import ImportGrasps
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import announce, show
@@ -25,6 +26,7 @@ Command = (
     | Annotated[Experiment, tyro.conf.subcommand("experiment")]
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
+    | Annotated[ImportGrasps, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
@@ -33,6 +35,7 @@ Command = (
 FUNCTIONS: dict[type, str] = {
     FindContacts: "contacts.contacts_command",
     Evaluate: "evaluate.evaluate_command",
+    ImportGrasps: "import_grasps.import_command",
     Info: "inspect.info_command",
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",

@@ -24,6 +24,12 @@ class SphereTree(Shape):
     descends: bool = eqx.field(static=True)
     """Whether contacts are found by descent, or by trying all balls."""
 
+    def scaled(self, factor: float) -> "SphereTree":
+        """The tree of the same solid, this many times as large."""
+        balls, bounds = (jax.tree.map(lambda x: factor * x, part) for part in (self.balls, self.nodes.bounds))
+        nodes = eqx.tree_at(lambda nodes: nodes.bounds, self.nodes, bounds)
+        return SphereTree(balls, nodes, factor**2 * self.moments, self.descends)
+
     @property
     def _sizes(self) -> dict[str, Size]:
         return {}

@@ -1,15 +1,20 @@
-"""Grasps out of other people's simulators and hand models (extra ``hands``)."""
+"""Grasps out of other people's simulators, hand models and data sets (extra ``hands``)."""
 
+from jaxgrasp.interop.dexgraspnet import HandPoses, read_dexgraspnet
+from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
 from jaxgrasp.interop.urdf_hand import hand_from_urdf
 
 __all__ = [
+    "HandPoses",
     "MujocoGrasp",
     "MujocoHand",
     "from_mujoco",
     "hand_from_mujoco",
     "hand_from_urdf",
+    "load_mjcf",
+    "read_dexgraspnet",
 ]
 
 

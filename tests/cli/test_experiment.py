@@ -52,10 +52,18 @@ def test_plan(folder, capsys):
     assert main(["experiment", "plan", "--write", "paper.toml"]) == 0
     said = capsys.readouterr().out
     assert "trials of a person: 124, 4 of them practice" in said
-    assert "WARNING: 5 of 15 stimuli need more torque than the glove has, from 3 N on" in said
+    assert "WARNING" not in said
+    assert (
+        "In the paper's Fig. 8 it lies on the distal phalanges of index and middle" in said and "bears 2.71 N" in said
+    )
     assert main(["experiment", "plan", "paper.toml", "--write", "paper.toml"]) == 1
     assert "expected a file that is not there yet" in capsys.readouterr().err
     assert main(["experiment", "plan", "paper.toml"]) == 0
+    capsys.readouterr()
+    (folder / "two.toml").write_text('[stimulus]\nfingers = ["index", "middle"]')
+    assert main(["experiment", "plan", "two.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "WARNING: 5 of 15 stimuli need more torque than the glove has, from 3 N on" in said and "Fig. 8" not in said
 
 
 def test_an_observer_is_run_and_analysed(folder, plan, capsys):

@@ -15,11 +15,12 @@ def test_a_file_and_back(folder, method, kind):
     assert load_plan(folder / "plan.toml") == plan
 
 
-def test_what_is_left_out_is_the_papers():
+def test_what_is_left_out_is_the_papers_but_for_the_fingers():
     plan = plan_of({}, "plan")
     assert plan == Plan() and plan.session.references == (1.0, 2.0, 3.0) and plan.most_trials() == 4 + 120
     assert plan.intensities()[0] == 1.0 and plan.intensities()[-1] == pytest.approx(3.9)
-    assert plan.session.feedback and plan.stimulus.fingers == ("index", "middle") and plan.stimulus.unit == "N"
+    assert plan.session.feedback and plan.stimulus.unit == "N"
+    assert plan.stimulus.fingers == ("index", "middle", "ring", "little") and plan.stimulus.phalanx == "distal"
 
 
 @pytest.mark.parametrize(

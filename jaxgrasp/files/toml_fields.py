@@ -25,7 +25,10 @@ def load_toml(path: Path) -> dict[str, Any]:
     try:
         with open(path, "rb") as stream:
             return tomllib.load(stream)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except RecursionError:
+        raise ValueError(f"{path} is no TOML of ours: its tables or lists are nested too deeply") from None
+    except ValueError as error:
+        # Of the grammar, of the encoding, or of a number with thousands of digits.
         raise ValueError(f"{path} is no TOML: {error}") from None
 
 

@@ -1,7 +1,7 @@
 """How much harder or softer a hand may squeeze for method B alone to hold the load."""
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.force.distribution import closed_form, split_forces
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -46,7 +46,8 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
     outer, inner = _parts(split.external, inward, noise), _parts(split.internal, inward, noise)
     low, high = _interval(*outer, *inner, friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
-    some = balances & (least <= most)
+    some = balances & (least <= most) & jnp.isfinite(least)
+    friction = jnp.broadcast_to(friction, (*some.shape, friction.shape[-1]))
     return underivable(~some, jnp.where(some, least, jnp.inf), (split.external, split.internal, friction))
 
 
@@ -55,7 +56,8 @@ def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:
     force = vec3.from_axis(forces, -1)
     along = vec3.dot(force, normals)
     across = vec3.sub(force, vec3.scale(along, normals))
-    *kept, pressed = (jnp.where(jnp.abs(part) > noise, part, 0) for part in (*across, along))
+    # What rounds to nothing may move: only its value is taken off.
+    *kept, pressed = (part - lax.stop_gradient(jnp.where(jnp.abs(part) > noise, 0, part)) for part in (*across, along))
     return Vec3(*kept), pressed
 
 

@@ -133,7 +133,8 @@ class GuideEntry:
 
     def twists(self, centre: np.ndarray) -> np.ndarray:
         """``(6, 1)``: the twist about the world's origin, for an object whose centre is there at first."""
-        axis = np.array(self.axis) / np.linalg.norm(self.axis)
+        axis = np.array(self.axis) / np.abs(self.axis).max()
+        axis = axis / np.linalg.norm(axis)
         if self.kind == "slide":
             return np.append(axis, np.zeros(3))[:, None]
         point = np.asarray(centre) + self.through

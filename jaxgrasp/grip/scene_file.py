@@ -35,6 +35,7 @@ from jaxgrasp.hand.world import rigid_body, world_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
+LONGEST_NAME = 200
 APART = 1e-5
 """How deep an obstacle may be in the object at first [m]: rounding."""
 
@@ -110,6 +111,8 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     name = given.get("name", SceneFile.name)
     if not isinstance(name, str):
         raise ValueError(f"name is {name!r}: expected text")
+    if len(name) > LONGEST_NAME:
+        raise ValueError(f"name has {len(name)} characters: expected {LONGEST_NAME} at most")
     found = SceneFile(
         name,
         **{key: made_from(kind, given.get(key, {}), key) for key, kind in TABLES.items()},
@@ -130,8 +133,12 @@ def _with_mesh(entry: ObjectEntry, folder: Path) -> ObjectEntry:
     if entry.mesh is None:
         return entry
     mesh = folder / entry.mesh
-    if not mesh.is_file():
-        raise ValueError(f"object.mesh is {entry.mesh!r}: there is no such file")
+    try:
+        there = mesh.is_file()
+    except OSError:
+        there = False
+    if not there:
+        raise ValueError(f"object.mesh is {entry.mesh[:80]!r}: there is no such file")
     return replace(entry, mesh=str(mesh))
 
 

@@ -24,6 +24,8 @@ from jaxgrasp.validation.checked import checked
 
 LONGEST = 0.05
 """Time that a tick counts as at most [s], so that a pause does not throw the object."""
+SHORTEST = 2e-4
+"""Time between two ticks below which the later one only looks: where the object is stays as the earlier left it [s]."""
 
 
 @dataclass
@@ -77,13 +79,16 @@ class Haptics:
         Returns:
             A law that is valid if all its numbers are finite. After one that is not, the next goes on from before it.
         """
+        if not np.isfinite(now):
+            return refused_law(now, angles)
         passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
+        # What has hardly passed, or not at all, says nothing of how fast anything moves.
+        passed = passed if passed >= SHORTEST else 0.0
         kept = float(np.exp(-passed / self.smoothing)) if self.smoothing > 0 else 0.0
         state, become, found = self._program(self._state, np.asarray(angles, float), wrist, passed, kept)
         law = law_of(now, angles, (found.torques, found.slope))
-        if law.is_valid:
-            if passed > 0:
-                self._passed = become
+        if law.is_valid and (passed > 0 or self._before is None):
+            self._passed = become if passed > 0 else None
             self._state, self._before, self.placed = state, now, state.carried.placed
         return law
 
@@ -93,6 +98,12 @@ def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array
     torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
     valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
     return TorqueLaw(now, valid, np.asarray(angles, float), torques, slope)
+
+
+def refused_law(now: float, angles: Float[np.ndarray, "channels"]) -> TorqueLaw:
+    """A law that nobody may follow."""
+    channels = len(angles)
+    return TorqueLaw(now, False, np.asarray(angles, float), np.zeros(channels), np.zeros((channels, channels)))
 
 
 def warm_up(haptics: Haptics, wrist: Pose) -> None:

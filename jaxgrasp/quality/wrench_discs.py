@@ -84,4 +84,6 @@ def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArr
 def known_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:
     """A value ``(...)`` of discs, which has a derivative by them only where it is ``defined``."""
     undefined = jnp.broadcast_to(~defined, value.shape)
-    return underivable(undefined, value, (shapes.centres, shapes.spans))
+    centres = jnp.broadcast_to(shapes.centres, value.shape + shapes.centres.shape[-2:])
+    spans = jnp.broadcast_to(shapes.spans, value.shape + shapes.spans.shape[-3:])
+    return underivable(undefined, value, (centres, spans))

@@ -88,6 +88,36 @@ def test_what_does_not_exist_has_no_derivative(name):
     assert (np.asarray(alone[1]) == 0).all()
 
 
+def test_a_factor_moves_with_what_is_nothing_here():
+    """Points in one plane: forces have no part across it, but get one as points and normals tilt."""
+    rng = np.random.default_rng(3)
+    wrench = jnp.array([0.3, -0.5, 1.5, 0.002, -0.003, 0.01])
+
+    def factor(points, normals):
+        return jaxgrasp.least_squeeze_factor(Grasp(points, normals, TRIPOD.friction, TRIPOD.squeeze), wrench)
+
+    at = TRIPOD.points, TRIPOD.normals
+    moved = tuple(jnp.asarray(0.02 * rng.normal(size=(3, 3))) for _ in at)
+    value, slope = jax.jvp(factor, at, moved)
+    ends = [factor(*(x + sign * 1e-5 * d for x, d in zip(at, moved, strict=True))) for sign in (-1, 1)]
+    assert np.isfinite(value) and abs(slope) > 1e-4
+    np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_one_grasp_serves_many_wrenches(count):
+    wrenches = jnp.tile(jnp.array([0.3, -0.5, 1.5, 0.02, -0.03, 0.1]), (count, 1))
+    gradient = jax.grad(lambda w: jnp.sum(jaxgrasp.least_squeeze_factor(TRIPOD, w)))(wrenches)
+    assert gradient.shape == (count, 6) and np.isfinite(gradient).all()
+
+
+def test_a_tray_pulled_down_has_no_factor_and_no_derivative():
+    tray = Grasp(TRIPOD.points, jnp.tile(jnp.array([0.0, 0, 1]), (3, 1)), TRIPOD.friction, TRIPOD.squeeze)
+    pull = jnp.array([0.0, 0, -3, 0, 0, 0])
+    value, gradient = jax.value_and_grad(lambda w: jaxgrasp.least_squeeze_factor(tray, w))(pull)
+    assert value == np.inf and np.isnan(gradient).all()
+
+
 def test_shared_parameters_keep_the_derivative_of_what_is_held():
     """The same squeeze serves both wrenches: a masked loss moves as though the held one stood alone."""
 

@@ -46,6 +46,10 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ('[guide]\nkind = "slide"\naxis = [0, 0, 1]\npitch = 1', "guide: pitch is 1.0: expected none of a slide"),
         ('[guide]\nkind = "rail"\naxis = [0, 0, 1]', "guide.kind is 'rail'"),
         ("[object", "is no TOML"),
+        ("hand = " + 900 * "[" + 900 * "]", "nested too deeply"),
+        ("[object]\nmass = " + 5000 * "1", "is no TOML"),
+        ('[object]\nmesh = "' + 5000 * "x" + '"', "there is no such file"),
+        ('name = "' + 1000 * "x" + '"', "name has 1000 characters: expected 200 at most"),
     ],
 )
 def test_what_is_wrong_is_said_by_table_and_key_before_anything_compiles(folder, capsys, text, words):
@@ -96,6 +100,9 @@ def test_a_guide_leaves_its_axis_where_it_is():
     np.testing.assert_allclose(velocity(screw, on_axis), 0.3 * unit, atol=1e-14)
     np.testing.assert_allclose(velocity(hinge, elsewhere), np.cross(unit, elsewhere - on_axis), atol=1e-14)
     np.testing.assert_allclose(velocity(GuideEntry(kind="slide", **given), elsewhere), unit, atol=1e-14)
+    for size in (1e-320, 1e300):
+        slide = GuideEntry(kind="slide", axis=(size, size, 0.0))
+        np.testing.assert_allclose(slide.twists(centre)[:3, 0], [np.sqrt(0.5), np.sqrt(0.5), 0], rtol=1e-3)
 
 
 @pytest.mark.slow

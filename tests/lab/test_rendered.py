@@ -217,6 +217,31 @@ def test_a_lost_object_is_not_felt(scene):
     assert law.is_valid and not law.torques.any()
 
 
+@pytest.mark.parametrize("follows", [False, True])
+def test_odd_times_and_readings_spoil_nothing(scene, follows):
+    """Times that are none, repeat, run backward or hardly pass: refused, or answered as though nothing had passed."""
+    made, closed, placed = scene
+    angles = np.asarray(closed.angles)[list(MODEL.places(made.hand.joints))]
+
+    def played(*odd: tuple) -> np.ndarray:
+        haptics = Haptics(made, MODEL, np.asarray(closed.angles), placed, "optimum", 0.02, follows)
+        for k in range(8):
+            law = haptics.tick(k * DT, angles, pose_at(jnp.zeros(3)))
+            assert law.is_valid
+            for now, there, rise in odd if k == 3 else ():
+                law = haptics.tick(now, there, pose_at(jnp.array([0.0, 0.0, rise])))
+                assert not law.is_valid or np.abs(law.torques).max() < 1.0
+        return law.torques
+
+    plain = played()
+    bad = np.where(np.arange(len(angles)) == 3, np.nan, angles)
+    for now in (np.nan, np.inf, -np.inf):
+        np.testing.assert_array_equal(played((now, angles, 0.0)), plain)
+    for now in (3 * DT, -1.0, -100.0, 3 * DT + 1e-9, np.nextafter(3 * DT, 1)):
+        np.testing.assert_array_equal(played((now, angles, 1e-3)), plain)
+    np.testing.assert_array_equal(played((3.5 * DT, bad, 0.0)), plain)
+
+
 def test_contributions_follow_the_grip_without_a_jump(scene):
     """Held still, they go over to the paper's table; what is rendered is that of the contributions of the instant."""
     made, closed, placed = scene

@@ -35,7 +35,6 @@ from jaxgrasp.grip.motion import (
 )
 from jaxgrasp.grip.obstacles import stop
 from jaxgrasp.grip.scene import Scene, check_scene
-from jaxgrasp.grip.slipping import resultant
 from jaxgrasp.grip.tick import Tick, assessed, touched
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
@@ -127,7 +126,7 @@ def set_down(scene: Scene, placed: Pose) -> CarryState:
 def advance(
     scene: Scene, dt: float, carried: CarryState, posture: Posture, now: HandFrames, later: HandFrames, *, law: Law
 ) -> tuple[Instant, CarryState]:
-    """An instant of ``carry``, and where the object is at the next; for hands whose future nobody knows.
+    """An instant of ``carry``, and where the object is at the next.
 
     Args:
         scene: as for ``carry``; it is not checked again.
@@ -141,7 +140,7 @@ def advance(
     tick, led = _tick(scene, dt, carried, posture, now, later, law=law)
     hold = Hold(int(tick.assessment.hold))
     exerted, missed = tick.exerted, missed_by(tick)
-    if law == "optimum" and hold == Hold.SLIPPING and not bool(tick.rests):
+    if law == "optimum" and bool(tick.slips):
         exerted, missed = closest_to(scene, tick, carried.placed)
     instant = Instant(carried.placed, tick, hold, bool(carried.stands), exerted, missed)
     return instant, go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
@@ -172,7 +171,7 @@ def led_tick(
     later: HandFrames,
     law: Law,
 ) -> tuple[Tick, Motion]:
-    """As above, for contacts that are known."""
+    """An instant, and the motion that its contacts ask of the object, for contacts that are known."""
     lost = ~jnp.any(contacts.present > 0)
     weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
     followed = _followed(scene, dt, now, later, contacts.points, weights, state.placed)
@@ -194,8 +193,7 @@ def _followed(
 
 def missed_by(tick: Tick) -> Array:
     """What the contacts leave of a wrench: nothing where they hold it, or the table does."""
-    left = tick.wrench - tick.support - resultant(tick.grasp.points, tick.exerted)
-    return jnp.where((tick.assessment.hold == Hold.STABLE) | tick.rests, 0, left)
+    return jnp.where((tick.assessment.hold == Hold.STABLE) | tick.rests, 0, tick.left_by(tick.exerted))
 
 
 def closest_to(scene: Scene, tick: Tick, placed: Pose) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from jaxgrasp.grip.monitor import Assessment, Hold, Law
 from jaxgrasp.grip.motion import guide_at
 from jaxgrasp.grip.obstacles import world_wrench
 from jaxgrasp.grip.scene import Scene, check_scene
-from jaxgrasp.grip.slipping import cut_to_cones
+from jaxgrasp.grip.slipping import cut_to_cones, resultant
 from jaxgrasp.grip.table_support import STANDING, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
@@ -42,6 +42,15 @@ class Tick(eqx.Module):
     [`jaxgrasp.reachable_wrench`][] has those that come closest."""
     torques: Float[Array, "*batch J"]
     """On the joints, by what the contacts exert [N.m]: negative where they resist a positive angle."""
+
+    @property
+    def slips(self) -> Bool[Array, "*batch"]:
+        """Whether the object slips through the hand, and does not rest on the table."""
+        return (self.assessment.hold == Hold.SLIPPING) & ~self.rests
+
+    def left_by(self, exerted: Float[AnyArray, "*batch L 3"]) -> Float[Array, "*batch 6"]:
+        """What forces of the hand and the table's support leave of the wrench [N, N.m]."""
+        return self.wrench - self.support - resultant(self.grasp.points, exerted)
 
 
 @checked

@@ -12,11 +12,11 @@ from jax import Array, lax
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.carry import closest_forces
-from jaxgrasp.grip.monitor import Hold, Law
+from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.tick import Tick, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
-from jaxgrasp.model.arrays import AnyArray, Bool, Float
+from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
@@ -58,8 +58,6 @@ class Felt(NamedTuple):
     """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
     slope: Float[Array, "channels channels"]
     """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
-    slips: Bool[Array, ""]
-    """Whether the object slips through the hand, and does not rest on the table."""
     exerted: Float[Array, "L 3"]
     """What the contacts exert on the object [N], of which the torques are."""
 
@@ -113,15 +111,14 @@ def felt(
         return torques, (torques, tick)
 
     slope, (torques, tick) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
-    slips = (tick.assessment.hold == Hold.SLIPPING) & ~tick.rests
     exerted = tick.exerted
     if law == "optimum":
         torques, slope, exerted = lax.cond(
-            slips,
+            tick.slips,
             lambda: _by_closest_forces(scene, worn, flexions, wrist, placed, tick),
             lambda: (torques, slope, exerted),
         )
-    return Felt(torques, slope, slips, exerted), tick
+    return Felt(torques, slope, exerted), tick
 
 
 def _by_closest_forces(

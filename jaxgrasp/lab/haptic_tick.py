@@ -15,7 +15,6 @@ from jax import Array
 from jaxgrasp.grip.carry import CarryState, go_on, led_tick, missed_by
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.slipping import resultant
 from jaxgrasp.grip.tick import Tick, touched
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
@@ -140,9 +139,8 @@ def _since(
     tick, led = led_tick(scene, passed, carried, state.contacts, state.grasp, state.frames, frames, law)
     hold, exerted, missed = tick.assessment.hold, tick.exerted, missed_by(tick)
     if law == "optimum":
-        slips = (hold == Hold.SLIPPING) & ~tick.rests
-        left = tick.wrench - tick.support - resultant(tick.grasp.points, state.exerted)
-        exerted, missed = jnp.where(slips, state.exerted, exerted), jnp.where(slips, left, missed)
+        missed = jnp.where(tick.slips, tick.left_by(state.exerted), missed)
+        exerted = jnp.where(tick.slips, state.exerted, exerted)
     become = Passed(carried.placed, tick, carried.stands, exerted, missed)
     inertial = jnp.where(hold == Hold.LOST, 0, kept * state.inertial + (1 - kept) * tick.inertial)
     return become, go_on(scene, passed, carried, led, missed, hold, tick.rests), inertial

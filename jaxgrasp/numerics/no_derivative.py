@@ -26,12 +26,14 @@ batching.defvectorized(_asked)
 ad.deflinear(_asked, lambda pulled: [_asked.bind(pulled)])
 
 
-def without_derivative(undefined: Array, tangent: Array, moved: Any) -> Array:
+def without_derivative(undefined: Array, tangent: Any, moved: Any) -> Any:
     """A tangent ``(*batch, ...)``, made NaN for those ``undefined`` ``(*batch)`` that depend on what has moved.
 
     ``moved`` are the tangents of all that they depend on, whose leading axes broadcast against the batch's. Integers
-    among them do not move.
+    among them do not move; nor does a tangent of integers, which stays as it is.
     """
+    if tangent.dtype == jax.dtypes.float0:
+        return tangent
     floats = [leaf for leaf in jax.tree.leaves(moved) if jnp.issubdtype(leaf.dtype, jnp.floating)]
     own = [jnp.sum(_asked.bind(leaf), tuple(range(undefined.ndim, leaf.ndim))) for leaf in floats]
     asked = sum(own, jnp.zeros(undefined.shape, tangent.dtype)).astype(tangent.dtype)

@@ -192,9 +192,7 @@ def _best_moves(objective, primals, tangents):
     solved = jnp.isfinite(best.value)
 
     def none(field: Array) -> Array | np.ndarray:
-        still: Any = zero_tangent(field)
-        integer = not jnp.issubdtype(field.dtype, jnp.floating)
-        return still if integer else without_derivative(jnp.ones_like(solved), still, moved)
+        return without_derivative(jnp.ones_like(solved), zero_tangent(field), moved)
 
     value = without_derivative(~solved, _moved(problem, moved, found, solved, objective), moved)
     if objective == "largest_margin":

@@ -183,7 +183,7 @@ def named_outputs(f: Callable, outputs: Any) -> Any:
 
 
 def _root_mean_square(values: np.ndarray) -> np.ndarray | np.float64:
-    """Of each column; NaN of no rows at all."""
+    """Root mean square of each column; NaN where there are no rows at all."""
     return np.sqrt(np.sum(values**2, 0) / (len(values) or np.nan))
 
 

@@ -97,9 +97,8 @@ def _tangent_solution(solution: Solution, parts: derivative.Tangent, moved: Prob
 
     def of(name: str, field: Array) -> Any:
         moving = getattr(parts, name, None)
-        tangent: Any = zero_tangent(field) if moving is None else moving
-        integer = not jnp.issubdtype(field.dtype, jnp.floating)
-        return tangent if integer else without_derivative(parts.undefined, tangent, moved)
+        tangent = zero_tangent(field) if moving is None else moving
+        return without_derivative(parts.undefined, tangent, moved)
 
     there = [(name, getattr(solution, name)) for name in SOLUTION]
     leaves = [of(name, field) for name, field in there if field is not None]

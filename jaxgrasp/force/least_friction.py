@@ -103,7 +103,7 @@ def _share_tangent(primals, tangents):
     by_boundary, met = _boundary_tangent(scaled, scaled_moved)
     tangent = jnp.where(falls, by_total, jnp.where(met, by_boundary, 0))
     undefined = jnp.isinf(share) | (inside & ~(falls | (~spent & met)))
-    return share, without_derivative(undefined, jnp.where(inside, finite * tangent, 0), tangents)
+    return share, without_derivative(undefined, jnp.where(inside, finite * tangent, 0), primals, tangents)
 
 
 def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array, Array]:

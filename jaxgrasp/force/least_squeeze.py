@@ -58,7 +58,7 @@ def _least_total_tangent(primals, tangents):
     (problem,), (moved,) = primals, tangents
     total, boundary = bounded_total(problem)
     tangent = total_tangent(problem, moved, total, boundary)
-    return total, without_derivative(jnp.isinf(total), tangent, moved)
+    return total, without_derivative(jnp.isinf(total), tangent, problem, moved)
 
 
 def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boundary: BoundaryPoint) -> Array:

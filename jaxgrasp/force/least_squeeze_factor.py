@@ -41,9 +41,11 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         friction, normals = jnp.where(there, friction, 0), jnp.where(there[..., None], normals, 0)
     inward = vec3.unit(vec3.from_axis(normals, -1))
     # What is the rounding of larger forces is nothing: its sign would say something, and without friction its size too.
-    size = jnp.max(jnp.abs(jnp.stack([split.external, split.internal])), (0, -2, -1))[..., None]
+    # Forces that balance nothing have no derivative; not even zero times it may come in.
+    external, internal = (jnp.where(balances[..., None, None], of, 0) for of in (split.external, split.internal))
+    size = jnp.max(jnp.abs(jnp.stack([external, internal])), (0, -2, -1))[..., None]
     noise = NOISE * jnp.finfo(size.dtype).eps * size
-    outer, inner = _parts(split.external, inward, noise), _parts(split.internal, inward, noise)
+    outer, inner = _parts(external, inward, noise), _parts(internal, inward, noise)
     low, high = _interval(*outer, *inner, friction)
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
     some = balances & (least <= most) & jnp.isfinite(least)

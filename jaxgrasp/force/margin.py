@@ -85,7 +85,7 @@ def _margin_tangent(primals, tangents):
         return work_along(problem, problem.wrench + far * direction, boundary)
 
     _, moved = jax.jvp(work, primals, tangents)
-    return theta, without_derivative(jnp.isneginf(theta), jnp.where(finite, moved, 0), tangents)
+    return theta, without_derivative(jnp.isneginf(theta), jnp.where(finite, moved, 0), primals, tangents)
 
 
 @jax.custom_jvp

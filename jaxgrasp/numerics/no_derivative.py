@@ -14,35 +14,77 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 
-def _nan_for_any(array: Array) -> Array:
-    return jnp.where(array == 0, array, jnp.nan)
+def _nan_where_all_move(source: Array, *moves: Array) -> Array:
+    """NaN where every one of the moves asks, and zero elsewhere, as without any.
+
+    One move asks for a first derivative, two for a second, and so on: each derivative by the ``source`` is one more.
+    """
+    if not moves:
+        return jnp.zeros_like(source)
+    asked = moves[0] != 0
+    for move in moves[1:]:
+        asked = asked & (move != 0)
+    return jnp.where(asked, jnp.asarray(jnp.nan, source.dtype), jnp.zeros_like(source))
+
+
+def _tangent(primals, tangents):
+    source, *moves = primals
+    moved, *moves_moved = tangents
+    out = [_asked.bind(source, *moves, moved)] if not isinstance(moved, ad.Zero) else []
+    for at, move in enumerate(moves_moved):
+        if not isinstance(move, ad.Zero):
+            out.append(_asked.bind(source, *moves[:at], move, *moves[at + 1 :]))
+    return _asked.bind(*primals), sum(out[1:], out[0])
+
+
+def _transposed(pulled, source, *moves):
+    out = [None] * (1 + len(moves))
+    if not isinstance(pulled, ad.Zero):
+        (at,) = [at for at, move in enumerate(moves) if ad.is_undefined_primal(move)]
+        out[1 + at] = _asked.bind(source, *moves[:at], pulled, *moves[at + 1 :])
+    return out
 
 
 _asked = Primitive("no_derivative")
-_asked.def_impl(jax.jit(_nan_for_any))
-_asked.def_abstract_eval(lambda aval: aval)
-mlir.register_lowering(_asked, mlir.lower_fun(_nan_for_any, multiple_results=False))
-batching.defvectorized(_asked)
-ad.deflinear(_asked, lambda pulled: [_asked.bind(pulled)])
+_asked.def_impl(jax.jit(_nan_where_all_move))
+_asked.def_abstract_eval(lambda source, *moves: source)
+mlir.register_lowering(_asked, mlir.lower_fun(_nan_where_all_move, multiple_results=False))
+batching.defbroadcasting(_asked)
+ad.primitive_jvps[_asked] = _tangent
+ad.primitive_transposes[_asked] = _transposed
 
 
-def without_derivative(undefined: Array, tangent: Any, moved: Any) -> Any:
-    """A tangent ``(*batch, ...)``, made NaN for those ``undefined`` ``(*batch)`` that depend on what has moved.
+def without_derivative(undefined: Array, tangents: Any, sources: Any, moved: Any) -> Any:
+    """Tangents ``(*batch, ...)``, made NaN for those ``undefined`` ``(*batch)`` that depend on what has moved.
 
-    ``moved`` are the tangents of all that they depend on, whose leading axes broadcast against the batch's. Integers
-    among them do not move; nor does a tangent of integers, which stays as it is.
+    ``sources`` are all that they depend on and ``moved`` their tangents, whose leading axes broadcast against the
+    batch's. Integers among them do not move; nor do tangents of integers, which stay as they are.
     """
-    if tangent.dtype == jax.dtypes.float0:
-        return tangent
-    floats = [leaf for leaf in jax.tree.leaves(moved) if jnp.issubdtype(leaf.dtype, jnp.floating)]
-    own = [jnp.sum(_asked.bind(leaf), tuple(range(undefined.ndim, leaf.ndim))) for leaf in floats]
-    asked = sum(own, jnp.zeros(undefined.shape, tangent.dtype)).astype(tangent.dtype)
 
-    def spread(array: Array) -> Array:
-        return jnp.broadcast_to(array.reshape(*array.shape, *[1] * (tangent.ndim - array.ndim)), tangent.shape)
+    def per_problem(leaves: list[Array]) -> Array:
+        sums = (jnp.sum(leaf, tuple(range(undefined.ndim, leaf.ndim))) for leaf in leaves)
+        return sum(sums, jnp.zeros(undefined.shape, leaves[0].dtype))
 
-    # Asked by each of its elements, so that pulls that cancel each other are seen.
-    return tangent + jnp.where(spread(undefined), _asked.bind(spread(asked)), 0)
+    # Zero, but what a tangent's own derivative by a source goes through.
+    source = per_problem([_asked.bind(leaf) for leaf in _floats(sources)])
+    asked = per_problem([_asked.bind(jnp.zeros_like(leaf), leaf) for leaf in _floats(moved)])
+
+    def without(tangent: Any) -> Any:
+        if tangent.dtype == jax.dtypes.float0:
+            return tangent
+
+        def spread(array: Array) -> Array:
+            return jnp.broadcast_to(array.reshape(*array.shape, *[1] * (tangent.ndim - array.ndim)), tangent.shape)
+
+        # Asked by each of its elements, so that pulls that cancel each other are seen.
+        own = _asked.bind(*(spread(array.astype(tangent.dtype)) for array in (source, asked)))
+        return tangent + jnp.where(spread(undefined), own, 0)
+
+    return jax.tree.map(without, tangents)
+
+
+def _floats(tree: Any) -> list[Array]:
+    return [leaf for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
 @jax.custom_jvp
@@ -53,6 +95,6 @@ def underivable(undefined: Array, value: Array, sources: Any) -> Array:
 
 @underivable.defjvp
 def _underivable_tangent(primals, tangents):
-    undefined, value, _ = primals
+    undefined, value, sources = primals
     _, moved, sources_moved = tangents
-    return value, without_derivative(undefined, moved, sources_moved)
+    return value, without_derivative(undefined, moved, sources, sources_moved)

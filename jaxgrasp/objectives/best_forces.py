@@ -6,7 +6,6 @@ from typing import Any, Literal, NamedTuple, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 from jaxgrasp.model.arguments import check_arguments
@@ -190,18 +189,16 @@ def _best_moves(objective, primals, tangents):
     best, found = _search(*primals, objective)
     problem, moved = primals[0], tangents[0]
     solved = jnp.isfinite(best.value)
-
-    def none(field: Array) -> Array | np.ndarray:
-        return without_derivative(jnp.ones_like(solved), zero_tangent(field), moved)
-
-    value = without_derivative(~solved, _moved(problem, moved, found, solved, objective), moved)
+    value = without_derivative(~solved, _moved(problem, moved, found, solved, objective), problem, moved)
     if objective == "largest_margin":
         # A contact has a margin to lose as soon as it has friction.
         slick = solved[:, None] & (problem.friction == 0)
         if problem.present is not None:
             slick = slick & (problem.present > 0.5)
-        value = without_derivative(jnp.any(slick, 1), value, jnp.where(slick, moved.friction, 0))
-    return best, jax.tree.map(none, best)._replace(value=value)
+        slick_friction, slick_moved = (jnp.where(slick, of.friction, 0) for of in (problem, moved))
+        value = without_derivative(jnp.any(slick, 1), value, slick_friction, slick_moved)
+    none = without_derivative(jnp.ones_like(solved), jax.tree.map(zero_tangent, best), problem, moved)
+    return best, none._replace(value=value)
 
 
 @partial(jax.jit, static_argnames=("objective",))

@@ -44,7 +44,8 @@ def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> C
         solutions = outer(problem)
 
         def tangent(constrained: bool, solution: Solution) -> Solution:
-            return _tangent_solution(solution, derivative.tangent(problem, moved, solution, constrained), moved)
+            parts = derivative.tangent(problem, moved, solution, constrained)
+            return without_derivative(parts.undefined, _tangent_solution(solution, parts), problem, moved)
 
         return solutions, jax.tree.map(tangent, constrained, solutions)
 
@@ -89,16 +90,15 @@ def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tupl
     return merged, size
 
 
-def _tangent_solution(solution: Solution, parts: derivative.Tangent, moved: ProblemBatch) -> Solution:
+def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution:
     """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers.
 
-    What is zero for every answer, as a certificate is, has a derivative of zero with it, and none without.
+    What is zero for every answer, as a certificate is, has a derivative of zero with it.
     """
 
     def of(name: str, field: Array) -> Any:
         moving = getattr(parts, name, None)
-        tangent = zero_tangent(field) if moving is None else moving
-        return without_derivative(parts.undefined, tangent, moved)
+        return zero_tangent(field) if moving is None else moving
 
     there = [(name, getattr(solution, name)) for name in SOLUTION]
     leaves = [of(name, field) for name, field in there if field is not None]

@@ -88,6 +88,29 @@ def test_what_does_not_exist_has_no_derivative(name):
     assert (np.asarray(alone[1]) == 0).all()
 
 
+@pytest.mark.parametrize("name", ["objective", "least_norm", "least_squeeze_factor"])
+def test_nor_a_second_derivative(name):
+    """Of both problems along one move of both, and of the first alone, in the two orders that users take."""
+
+    def twice(wrenches, moved, kept):
+        def total(wrenches):
+            return jnp.sum(jnp.where(kept, VALUES[name](PINCH, wrenches), 0))
+
+        reverse = jax.jvp(jax.grad(total), (wrenches,), (moved,))[1]
+        forward = jax.jvp(lambda w: jax.jvp(total, (w,), (moved,))[1], (wrenches,), (moved,))[1]
+        return reverse, forward
+
+    twice = jax.jit(twice)
+    moved = jnp.array([[0.1, 0.2, -0.3, 0, 0.1, 0.1]] * 2)
+    of_both, total = twice(WRENCHES, moved, jnp.array([True, True]))
+    assert np.isfinite(of_both[0]).all() and np.isnan(of_both[1]).all() and np.isnan(total)
+    first, total = twice(WRENCHES, moved, jnp.array([True, False]))
+    np.testing.assert_array_equal(first[0], of_both[0])
+    assert (np.asarray(first[1]) == 0).all() and np.isfinite(total)
+    still = twice(WRENCHES, moved.at[1].set(0), jnp.array([True, True]))[0]
+    assert (np.asarray(still[1]) == 0).all()
+
+
 def test_a_factor_moves_with_what_is_nothing_here():
     """Points in one plane: forces have no part across it, but get one as points and normals tilt."""
     rng = np.random.default_rng(3)

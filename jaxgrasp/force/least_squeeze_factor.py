@@ -6,7 +6,7 @@ from jax import Array, lax
 from jaxgrasp.force.distribution import closed_form, split_forces
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Verdict
+from jaxgrasp.model.solution import is_balanced
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.no_derivative import underivable
 from jaxgrasp.numerics.vec3 import Vec3
@@ -34,7 +34,7 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
         ValueError: for soft fingers, or shapes that do not fit.
     """
     split, verdict = split_forces(grasp, wrench), closed_form(grasp, wrench).verdict
-    balances = (verdict == Verdict.CLOSED_FORM_OPTIMAL) | (verdict == Verdict.OUTSIDE_CONES)
+    balances = is_balanced(verdict)
     friction, normals = jnp.asarray(grasp.friction), jnp.asarray(grasp.normals)
     if grasp.present is not None:
         there = jnp.asarray(grasp.present) > 0.5

@@ -78,9 +78,10 @@ def solve_both(problem: ProblemBatch) -> tuple[PassResult, PassResult]:
 def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     """The constrained optimum everywhere, from the closed form."""
     bare = torque_passes.without_torques(problem)
-    outside = closed.verdict == Verdict.OUTSIDE_CONES
+    outside, inside = closed.verdict == Verdict.OUTSIDE_CONES, closed.verdict == Verdict.FEASIBLE
     # What the fast passes do not suit is not converged from the outset.
     verdict = jnp.where(closed.undecided & outside, Verdict.NOT_CONVERGED, closed.verdict)
+    verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
     result = closed._replace(verdict=verdict, undecided=closed.undecided | outside)
     if problem.start is not None:
         # One that is no number, as of a problem that had none, is none to begin from.
@@ -100,7 +101,13 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
     passes = PATIENT + 1 if _is_double(bare) else UNSQUEEZED
     result = lax.fori_loop(0, passes, improve, varying_like(result, bare))
-    return torque_passes.within_torques(problem, result)
+    return torque_passes.within_torques(problem, _as_far_as_rounding_lets_see(result))
+
+
+def _as_far_as_rounding_lets_see(result: PassResult) -> PassResult:
+    """Where rounding hides the load, forces that are allowed are not known to be the optimum."""
+    hidden = result.undecided & is_optimum(result.verdict)
+    return result._replace(verdict=jnp.where(hidden, Verdict.FEASIBLE, result.verdict))
 
 
 def _is_double(problem: ProblemBatch) -> bool:
@@ -135,7 +142,8 @@ def _closed_result(problem: ScaledProblem, certificate: Certificate) -> PassResu
     verdict = jnp.where(certificate.force > 0, Verdict.INFEASIBLE, verdict)
     undecided = ill_conditioned & (verdict == Verdict.OUTSIDE_CONES)
     found = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), certificate, undecided)
-    return to_result(problem, found, jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM))
+    result = to_result(problem, found, jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM))
+    return _as_far_as_rounding_lets_see(result)
 
 
 def _out_of_range(problem: ScaledProblem, suspects: Array) -> Certificate:

@@ -122,6 +122,25 @@ def test_the_residual_is_what_is_missed_of_the_load(judged, light):
     assert np.all(left[feasible] / size[feasible] <= 4 * found.residual[feasible] + floor)
 
 
+@pytest.mark.parametrize(("dtype", "light"), [(np.float64, 1e-11), (np.float32, 1e-4)])
+def test_no_closed_form_is_called_the_optimum_of_a_load_that_rounding_hides(dtype, light):
+    """Of method B alone and beside the optimum, in both precisions; what is called so balances its load."""
+    grasp, wrench = jax.tree.map(lambda x: x.astype(dtype), sampled(10, seed=3))
+    wrench = dtype(light) * wrench
+    alone = jax.device_get(jaxgrasp.closed_form(grasp, wrench))
+    closed, best = jax.device_get(jaxgrasp.closed_form_and_optimum(grasp, wrench))
+    allowed = 2 * float(np.finfo(dtype).eps) ** 0.5
+    for found in (alone, closed, best):
+        missed_of_load = left_of(grasp, wrench, found.forces) / np.linalg.norm(wrench, axis=-1)
+        optimum = np.isin(found.verdict, [Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL])
+        assert np.all(missed_of_load[optimum] <= allowed)
+        hidden = found.verdict == Verdict.FEASIBLE
+        assert hidden.sum() > 20 and np.any(missed_of_load[hidden] > allowed)
+        assert np.all(beyond_cones(grasp, found.forces)[hidden] <= 100 * np.finfo(dtype).eps)
+    np.testing.assert_array_equal(alone.verdict, closed.verdict)
+    np.testing.assert_array_equal(best.verdict[alone.verdict == Verdict.FEASIBLE], Verdict.FEASIBLE)
+
+
 @pytest.mark.parametrize("n", [3, 5, pytest.param(8, marks=pytest.mark.slow)])
 def test_squeezing_forces_of_every_size_leave_no_verdict_open(n):
     grasp, wrench = sampled(n, seed=1)

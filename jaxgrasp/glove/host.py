@@ -3,11 +3,11 @@
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
+from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
@@ -46,37 +46,6 @@ SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
 """What only a device says: a line that echoes brings the host's own frames back."""
 
 
-class LinkState(IntEnum):
-    """How far a host has come with its device."""
-
-    CLOSED = 0
-    """No port."""
-    GREETING = 1
-    """A port, and no answer that fits."""
-    LINKED = 2
-    """A device that answers."""
-    ARMING = 3
-    """A person asked for torque: a new session begins, and the device has not yet said yes."""
-    ARMED = 4
-    """Torque may flow."""
-
-
-@dataclass
-class Reading:
-    """What a glove's sensors said last; arrays ``(channels,)``, NaN before they spoke."""
-
-    angles: np.ndarray
-    """Joints [rad]."""
-    torques: np.ndarray
-    """Torques that the cables exert [N.m]."""
-    saturated: np.ndarray
-    """Whether a channel's gauge is at its end."""
-    angles_at: float = -np.inf
-    """When the angles were read, on the host's clock [s]."""
-    torques_at: float = -np.inf
-    """When the tensions were [s]."""
-
-
 @dataclass
 class HostCounts:
     """What a host has seen and done since it began."""
@@ -95,11 +64,10 @@ class HostCounts:
     """The device's own numbers of this session, from its last STATUS."""
 
 
-class GloveHost:
-    """One glove on one line, driven by calls to ``poll`` and ``send`` at the caller's rate; neither waits.
+class GloveHost(GloveDevice):
+    """A glove that speaks the native protocol."""
 
-    Nothing is armed but by ``arm``. A line that goes away is opened and greeted again, and stays without torque.
-    """
+    capability = Capability("torque", measures_torque=True, outlives_host=False)
 
     def __init__(
         self,
@@ -124,12 +92,10 @@ class GloveHost:
         self.model, self.guard = model, guard
         self.state = LinkState.CLOSED
         self.trouble = "not opened yet"
-        """Why there is no link."""
         self.counts = HostCounts()
         self.reader = FrameReader()
         self.order = Sequence()
-        nothing = np.full(len(model.joints), np.nan)
-        self.reading = Reading(nothing, nothing.copy(), np.zeros(len(model.joints), bool))
+        self.reading = Reading.of_nothing(len(model.joints))
         self._sensors, self._open = sensors, open_line
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
         self._pace = Pace(baud, LINE_SIZE)
@@ -145,12 +111,7 @@ class GloveHost:
         self._flags = NO_FLAGS
         self._was_cut = False
 
-    def arm(self, now: float) -> None:
-        """Ask the device for torque; ``state`` is ARMED once it agrees. What latched before is forgotten.
-
-        Raises:
-            ValueError: without a link, or without fresh angles.
-        """
+    def arm(self, now: float, accepted: str = "") -> None:
         if self.state < LinkState.LINKED:
             raise ValueError(f"the glove cannot be armed: {self.trouble}")
         if not now - self.reading.angles_at <= ARMING:
@@ -163,12 +124,10 @@ class GloveHost:
         self._watch.forget()
 
     def disarm(self) -> None:
-        """No torque from the next command on."""
         self.guard.disarm()
         self.state = min(self.state, LinkState.LINKED)
 
     def poll(self, now: float) -> Reading:
-        """Take what came; open and greet where that is due."""
         try:
             self._connect(now)
             if self._line is not None:
@@ -181,14 +140,7 @@ class GloveHost:
         self._lose_patience(now)
         return self.reading
 
-    def send(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
-        """Send a command; what the guard made of it.
-
-        Args:
-            now: as for ``poll``.
-            wanted: torques by which to resist flexion [N.m].
-            measured_at: when the angles were read that these torques answer [s].
-        """
+    def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
         output = self.guard.step(now, wanted, measured_at)
         if self.guard.state != GuardState.ARMED and self.state == LinkState.ARMED:
             self.state = LinkState.LINKED
@@ -199,7 +151,6 @@ class GloveHost:
         return output
 
     def close(self, now: float) -> None:
-        """A command of zero, if the line takes it, and no line."""
         self.disarm()
         if self._line is None:
             return
@@ -211,6 +162,12 @@ class GloveHost:
             self.trouble = str(error)
         self._line.close()
         self._line, self.state = None, LinkState.CLOSED
+
+    def report(self) -> dict[str, Any]:
+        refused = {why.name: count for why, count in self.reader.refused.items()}
+        counts = {"commands": self.counts.commands, "held_back": self.counts.held_back, "cut": self.counts.cut}
+        heard = {"heard": self.reader.accepted, "missing": self.counts.missing + self.order.missing, "refused": refused}
+        return counts | heard | {"links": self.counts.links, "device": self.counts.status}
 
     def _ask(self, now: float) -> None:
         """Ask for torque, in a new session: however many frames were lost before, the device counts anew."""

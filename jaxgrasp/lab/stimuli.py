@@ -6,8 +6,8 @@ import time
 import numpy as np
 from jaxtyping import Float
 
+from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel

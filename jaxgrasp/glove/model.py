@@ -58,6 +58,10 @@ class GloveModel:
     """Joints that bend with the channels'."""
     spans: tuple[float, ...] | None = None
     """Angle of each channel's joint where its finger is curled all the way [rad], of gloves that read curls."""
+    continuous: tuple[float, ...] | None = None
+    """Torque that each channel's motor can hold for ever [N.m], of gloves whose limits are for moments."""
+    heating: float = 30.0
+    """Time constant by which a motor warms and cools [s]; that of small DC motors' windings is tens of seconds."""
     most_counts: tuple[int, ...] = field(init=False)
     """Largest count of each channel whose torque does not exceed its limit."""
 
@@ -69,7 +73,7 @@ class GloveModel:
                 raise ValueError(f"joints[{k}] is {joint!r} again: expected each joint once")
         if len(self.limits) != len(self.joints):
             raise ValueError(f"limits are {len(self.limits)}: expected one for each of {len(self.joints)} joints")
-        for name in ("rate", "quantum"):
+        for name in ("rate", "quantum", "heating"):
             _check_positive(name, getattr(self, name))
         if not (1 <= round(self.quantum * 1e7) <= MOST_COUNTS and abs(self.quantum * 1e7 % 1 - 0.5) > 0.5 - 1e-6):
             raise ValueError(
@@ -81,11 +85,11 @@ class GloveModel:
                 raise ValueError(
                     f"limits[{k}] is {limit:g}: expected 1 to {MOST_COUNTS} times quantum, {self.quantum:g}"
                 )
-        if self.spans is not None:
-            if len(self.spans) != len(self.joints):
-                raise ValueError(f"spans are {len(self.spans)}: expected one for each of {len(self.joints)} joints")
-            for k, span in enumerate(self.spans):
-                _check_positive(f"spans[{k}]", span)
+        for name in ("spans", "continuous"):
+            self._check_each(name, getattr(self, name))
+        for k, torque in enumerate(self.continuous or ()):
+            if torque > self.limits[k]:
+                raise ValueError(f"continuous[{k}] is {torque:g}: expected its limit, {self.limits[k]:g}, at most")
         self._check_coupled()
         object.__setattr__(self, "most_counts", tuple(_most_counts(limit, self.quantum) for limit in self.limits))
 
@@ -133,6 +137,14 @@ class GloveModel:
                 raise ValueError(f"the hand has no joint {joint!r}, which {self.name} pulls on{nearest(joint, joints)}")
         return tuple(list(joints).index(joint) for joint in self.joints)
 
+    def _check_each(self, name: str, values: tuple[float, ...] | None) -> None:
+        if values is None:
+            return
+        if len(values) != len(self.joints):
+            raise ValueError(f"{name} are {len(values)}: expected one for each of {len(self.joints)} joints")
+        for k, value in enumerate(values):
+            _check_positive(f"{name}[{k}]", value)
+
     def _check_coupled(self) -> None:
         named = set(self.joints)
         for joint, follows, ratio in self.coupled:
@@ -178,7 +190,7 @@ def lucidgloves() -> GloveModel:
 def load_glove(path: str | os.PathLike) -> GloveModel:
     """A glove from a TOML file of ``name``, ``joints``, ``limits`` (a number or one for each), ``rate``, ``quantum``.
 
-    ``spans`` is given like ``limits``; in the table ``[coupled]``, a line such as
+    ``spans`` and ``continuous`` are given like ``limits``, and ``heating``; in the table ``[coupled]``, a line such as
     ``"index PIP" = {follows = "index MP", ratio = 1.2}`` couples a joint.
 
     Raises:
@@ -208,7 +220,7 @@ def _read(key: str, value: Any, given: dict[str, Any]) -> Any:
         return tuple(value)
     if key == "coupled":
         return _read_coupled(value)
-    each = key in ("limits", "spans")
+    each = key in ("limits", "spans", "continuous")
     if each and isinstance(value, list):
         return tuple(number(f"{key}[{k}]", one) for k, one in enumerate(value))
     one = number(key, value)

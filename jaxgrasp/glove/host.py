@@ -25,7 +25,7 @@ from jaxgrasp.glove.protocol.frames import (
     Sequence,
     encode,
 )
-from jaxgrasp.glove.protocol.peer_clock import PeerClock
+from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.tension import TensionWatch
 
@@ -39,6 +39,8 @@ OLDEST_TENSION = 0.15
 """Age of the tensions beyond which nobody knows what the cables do [s]."""
 LONGEST_WATCHDOG = 50
 """Longest watchdog time of a device that may be armed [ms]."""
+LONGEST_WAIT = 0.015
+"""How long a frame and its answer may wait on their way, beside the time that they take [s]."""
 SILENCE = 0.25
 """How long a device may say nothing before it is greeted again [s]."""
 SESSIONS = 2**15
@@ -78,6 +80,7 @@ class GloveHost(GloveDevice):
         *,
         baud: int = 115_200,
         watch: TensionWatch | None = None,
+        longest_wait: float = LONGEST_WAIT,
     ):
         """A host that has not opened its line yet.
 
@@ -88,6 +91,8 @@ class GloveHost(GloveDevice):
             guard: bounds what is sent; its state is the host's.
             baud: of the line, by which frames are spaced.
             watch: compares measured with commanded torques; the usual tolerances if None.
+            longest_wait: how long a command and its answer may wait on their way, beside the time that two frames take
+                [s]; beyond that no torque flows.
         """
         self.model, self.guard = model, guard
         self.state = LinkState.CLOSED
@@ -104,8 +109,12 @@ class GloveHost(GloveDevice):
         self._patience = max(ARMING, 4 * self._repeat)
         self._line: Line | None = None
         self._number, self._ticks = random.randrange(SEQUENCES), 0
-        self._session = 0
+        self._session = self._nonce = 0
         self._clock = PeerClock(self._pace.frame_time)
+        self.round_trip = RoundTrip()
+        """Time until a frame of the device answers ours."""
+        self._longest_trip = 2 * self._pace.frame_time + longest_wait
+        self._heard_clock = 0
         self._next = self._asked_at = self._heard_at = -np.inf
         self._is_greeted = False
         self._flags = NO_FLAGS
@@ -135,8 +144,8 @@ class GloveHost(GloveDevice):
                     self._take(now, frame)
         except LineError as error:
             self._lose(now, str(error))
-        if self.state == LinkState.ARMED and now - self.reading.torques_at > OLDEST_TENSION:
-            self.guard.trip("the strain gauges fell silent")
+        if self.state == LinkState.ARMED:
+            self._check_link(now)
         self._lose_patience(now)
         return self.reading
 
@@ -175,7 +184,7 @@ class GloveHost(GloveDevice):
             return
         self._next = now + self._repeat
         if self._is_greeted:
-            self._send(now, Kind.ARM, (self._session,))
+            self._send(now, Kind.ARM, (self._session, self._nonce))
         else:
             self._greet(now)
 
@@ -243,7 +252,7 @@ class GloveHost(GloveDevice):
         # Two frames of one instant would be one and the same to a device.
         self._ticks = max(int(now * 1e6), self._ticks + 1)
         padded = values + (0,) * (CHANNELS - len(values))
-        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags))
+        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags, self._heard_clock))
 
     def _take(self, now: float, frame: Frame) -> None:
         if frame.kind == Kind.CAPABILITY:
@@ -253,7 +262,7 @@ class GloveHost(GloveDevice):
 
     def _greeted(self, now: float, frame: Frame) -> None:
         """A device that answers, if it is the one that the model describes."""
-        session, channels, watchdog, quantum, most, slew = frame.values[:6]
+        session, channels, watchdog, quantum, most, slew, nonce = frame.values[:7]
         if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
             return
         expected = round(self.model.quantum * 1e7)
@@ -277,10 +286,14 @@ class GloveHost(GloveDevice):
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
             self._clock = PeerClock(self._pace.frame_time)
+            self.round_trip = RoundTrip()
+            self._nonce, self._heard_clock = nonce, frame.clock
 
     def _hear(self, now: float, frame: Frame) -> None:
-        sent_at = self._clock.sent_at(frame.clock, now)
-        self._heard_at = now
+        trip = (int(now * 1e6) - frame.echo) % TICKS * 1e-6
+        self.round_trip.add(now, trip)
+        sent_at = self._clock.sent_at(frame.clock, now, trip)
+        self._heard_at, self._heard_clock = now, frame.clock
         self._flags = frame.flags
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
@@ -303,6 +316,16 @@ class GloveHost(GloveDevice):
         elif self.state == LinkState.ARMED and not enabled:
             self.guard.trip("the device latched" if Flag.LATCHED in self._flags else "the device is not armed")
             self.state = LinkState.LINKED
+
+    def _check_link(self, now: float) -> None:
+        """Trip where the device's words are there, but late, or lack something."""
+        if now - self.reading.torques_at > OLDEST_TENSION:
+            self.guard.trip("the strain gauges fell silent")
+        trip = self.round_trip.least(now)
+        if trip > self._longest_trip:
+            self.guard.trip(
+                f"the line takes {1e3 * trip:.0f} ms there and back: {1e3 * self._longest_trip:.0f} at most"
+            )
 
     def _check_tension(self, at: float) -> None:
         fault = self._watch.fault(at, self.reading.torques, self.reading.saturated)

@@ -1,5 +1,6 @@
 """A glove on a hand that are not there: a device of the native protocol, its cables, and fingers that bend."""
 
+import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -49,6 +50,7 @@ class SimulatedGlove:
             most=max(model.most_counts),
             slew=round(model.rate / model.quantum / 1000),
             quantum=round(model.quantum * 1e7),
+            seed=random.randrange(2**32),
         )
         count = len(model.joints)
         self.angles, self.speeds = np.zeros(count), np.zeros(count)

@@ -7,7 +7,7 @@ it is: options, sizes, textures, materials, and geoms whose mesh is not there.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
@@ -21,8 +21,12 @@ NEEDLESS = ("option", "size", "visual", "statistic", "sensor", "actuator", "tend
 
 
 @checked
-def load_mjcf(path: str | Path) -> mujoco.MjModel:
+def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
     """The model in an MJCF file, without what this MuJoCo does not know or find, where there is such.
+
+    Args:
+        path: of the file.
+        capsules: make capsules of meshes, as MuJoCo fits them, so that a Hand of the model touches there too.
 
     Raises:
         ImportError: without MuJoCo.
@@ -32,7 +36,7 @@ def load_mjcf(path: str | Path) -> mujoco.MjModel:
     mujoco = import_mujoco("load_mjcf")
     text = Path(path).read_bytes()
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        return _compiled(mujoco, mujoco.MjSpec.from_file(str(path)), capsules)
     except ValueError:
         pass
     try:
@@ -41,9 +45,17 @@ def load_mjcf(path: str | Path) -> mujoco.MjModel:
         raise ValueError(f"{path} is no MJCF: {error}") from None
     _strip(root, Path(path).parent)
     try:
-        return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+        return _compiled(mujoco, spec, capsules)
     except ValueError as error:
         raise ValueError(f"{path} is no model that MuJoCo takes: {error}") from None
+
+
+def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjModel:
+    for geom in spec.geoms if capsules else ():
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
+            geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    return spec.compile()
 
 
 def _strip(root: ElementTree.Element, folder: Path) -> None:

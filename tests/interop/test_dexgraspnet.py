@@ -73,9 +73,11 @@ def files(folder) -> Path:
 def test_joints_go_by_name_and_turns_about_fixed_axes(files):
     found = read_dexgraspnet("grasps.npy", JOINTS)
     np.testing.assert_array_equal(found.angles[:3], [[0.02, -0.02]] * 3)
-    np.testing.assert_allclose(found.rotations[2], Rotation.from_euler("xyz", (0.3, -0.5, 0.7)).as_matrix(), atol=1e-15)
-    np.testing.assert_allclose(found.positions[0], [0, 0, -0.06])
-    assert found.scales.tolist() == [0.07] * 4 and found.numbers.tolist() == [0, 1, 2, 3]
+    np.testing.assert_allclose(
+        found.transforms[2, :3, :3], Rotation.from_euler("xyz", (0.3, -0.5, 0.7)).as_matrix(), atol=1e-15
+    )
+    np.testing.assert_allclose(found.transforms[0, :3, 3], [0, 0, -0.06])
+    assert found.scales.tolist() == [0.07] * 4 and found.names == ("0", "1", "2", "3")
     turned = read_dexgraspnet("grasps.npy", JOINTS[::-1])
     np.testing.assert_array_equal(turned.angles, found.angles[:, ::-1])
 
@@ -106,7 +108,7 @@ def test_a_pinch_is_imported_with_contacts_that_face_each_other(files, capsys):
         (record(0.0, np.zeros(3)), "record 1: right is [0. 0. 0.]: expected a finite number"),
         (
             {"qpos": record(0, 0)["qpos"] | {"rihgt": 0.0}, "scale": 1},
-            "qpos has the joint 'rihgt', which the hand has not: did",
+            "qpos has 'rihgt', which the hand has not: did",
         ),
         ({"qpos": {"left": 0.0}, "scale": 1}, "record 1: qpos has no 'right', which the hand has"),
     ],
@@ -117,7 +119,7 @@ def test_a_bad_record_is_named_and_the_rest_go_on(folder, bad, said):
         read_dexgraspnet("some.npy", JOINTS)
     assert str(caught.value).startswith("some.npy: ") and said in str(caught.value)
     found = read_dexgraspnet("some.npy", JOINTS, keep_going=True)
-    assert found.numbers.tolist() == [0, 2] and len(found.left_out) == 1 and said in found.left_out[0]
+    assert found.names == ("0", "2") and len(found.left_out) == 1 and said in found.left_out[0]
 
 
 def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):

@@ -10,7 +10,7 @@ from jaxgrasp.cli.import_arguments import ImportGrasps
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.interop.contact_records import ContactRecords
 from jaxgrasp.interop.grasp_poses import GraspPoses
-from jaxgrasp.validation.fields import check_not_negative, check_positive
+from jaxgrasp.validation.fields import check_not_negative
 
 FRICTION, MASS = 0.5, 0.1
 """Where neither the user nor the file says them."""
@@ -21,8 +21,7 @@ Read = TypeVar("Read", GraspPoses, ContactRecords)
 
 def check_import(arguments: ImportGrasps, *needed: Path) -> None:
     """Raise ValueError for arguments that every format refuses, and for files that are not there."""
-    check_positive(arguments, "mass")
-    check_not_negative(arguments, "friction")
+    check_not_negative(arguments, "friction", "mass")
     if not np.all(np.isfinite(arguments.gravity)):
         raise ValueError(f"gravity is {arguments.gravity}: expected finite numbers [m/s^2]")
     if not arguments.files:

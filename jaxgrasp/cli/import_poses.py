@@ -23,7 +23,7 @@ from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.posed_contacts import PlacedGrasps, Touched, Touching, joined_grasps, joined_sets, touch, weights
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.hand.filling import sphere_tree
-from jaxgrasp.hand.mesh import load_mesh, mass_properties
+from jaxgrasp.hand.mesh import Mesh, load_mesh, mass_properties
 from jaxgrasp.interop.acronym import read_acronym
 from jaxgrasp.interop.dexgraspbench import read_dexgraspbench
 from jaxgrasp.interop.dexgraspnet import read_dexgraspnet
@@ -136,8 +136,9 @@ def _mesh(arguments: ImportPoses, poses: GraspPoses) -> Path:
 def _import(
     arguments: ImportPoses, hand: Hand, by_mesh: dict[Path, list[GraspPoses]], how: Touching, hand_name: str
 ) -> int:
+    meshes = {path: load_mesh(path) for path in by_mesh}
     say_compiling("the hand and its contacts")
-    touched = [_touched(arguments, hand, path, several, how) for path, several in by_mesh.items()]
+    touched = [_touched(arguments, hand, meshes[path], several, how) for path, several in by_mesh.items()]
     in_order = [(path, poses) for path, several in by_mesh.items() for poses in several]
     names = [f"{poses.path.stem} {name}" for _, poses in in_order for name in poses.names]
     objects = [_object_name(path) for path, poses in in_order for _ in poses.names]
@@ -162,9 +163,8 @@ def _object_name(path: Path) -> str:
     return path.parent.parent.name if path.parent.name == "mesh" else path.stem
 
 
-def _touched(arguments: ImportPoses, hand: Hand, path: Path, several: list[GraspPoses], how: Touching) -> Touched:
+def _touched(arguments: ImportPoses, hand: Hand, mesh: Mesh, several: list[GraspPoses], how: Touching) -> Touched:
     """The contacts of all grasps of one mesh."""
-    mesh = load_mesh(path)
     middle = mass_properties(mesh).center
     parts = [_placed(arguments, poses, middle) for poses in several]
     return touch(hand, sphere_tree(mesh, arguments.levels), joined_grasps(parts), how)

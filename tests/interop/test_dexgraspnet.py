@@ -9,33 +9,11 @@ from scipy.spatial.transform import Rotation
 from jaxgrasp.batch.sources import load_grasps
 from jaxgrasp.cli.main import main
 from jaxgrasp.interop import hand_from_mujoco, load_mjcf, read_dexgraspnet
+from tests.interop.two_fingers import JOINTS, model, written
+from tests.interop.two_fingers import SAMPLES as EVERY_SAMPLE
 
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "dexgraspnet"
-JOINTS = ("left", "right")
-HAND = """
-<mujoco>
-  <option apirate="200"/>
-  <asset>
-    <texture name="skin" type="2d" file="skin.png"/>
-    <material name="skin" texture="skin"/>
-    <mesh name="shell" file="shell.obj"/>
-  </asset>
-  <worldbody>
-    <body name="palm">
-      <geom type="box" size="0.05 0.02 0.01" material="skin"/>
-      <geom type="mesh" mesh="shell"/>
-      <body name="left finger" pos="-0.045 0 0">
-        <joint name="left" axis="0 1 0" range="-1 1"/>
-        <geom type="capsule" fromto="0 0 0 0 0 0.08" size="0.01"/>
-      </body>
-      <body name="right finger" pos="0.045 0 0">
-        <joint name="right" axis="0 1 0" range="-1 1"/>
-        <geom type="capsule" fromto="0 0 0 0 0 0.08" size="0.01"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+SAMPLES = EVERY_SAMPLE / "dexgraspnet"
+HAND = model()
 
 
 def record(left: float, right: float, place=(0.0, 0.0, 0.0), turns=(0.0, 0.0, 0.0), scale: float = 0.07) -> dict:
@@ -43,12 +21,6 @@ def record(left: float, right: float, place=(0.0, 0.0, 0.0), turns=(0.0, 0.0, 0.
     qpos |= {f"WRJT{axis}": value for axis, value in zip("xyz", place, strict=True)}
     qpos |= {f"WRJR{axis}": value for axis, value in zip("xyz", turns, strict=True)}
     return {"qpos": qpos, "scale": np.array(scale)}
-
-
-def written(path: Path, *records: object) -> None:
-    several = np.empty(len(records), object)
-    several[:] = records
-    np.save(path, several, allow_pickle=True)
 
 
 @pytest.fixture

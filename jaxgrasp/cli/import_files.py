@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxgrasp.cli.import_arguments import ImportGrasps
 from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.printable import message_line
 from jaxgrasp.interop.contact_records import ContactRecords
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.fields import check_not_negative
@@ -48,7 +49,7 @@ def read_files(arguments: ImportGrasps, read: Callable[[Path], Read]) -> list[Re
     if not found:
         raise ValueError(f"{wrong[0]}, and none of the {len(arguments.files)} files is better")
     for line in wrong:
-        show(f"left out: {line}")
+        show(message_line(f"left out: {line}"))
     if wrong:
         show(f"left out: {len(wrong)} bad records or files in all")
     return found

@@ -6,6 +6,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+LONGEST_PATH = 4096
+"""Characters of a path; no file has a longer one."""
+
 
 @dataclass(frozen=True)
 class GraspPoses:
@@ -57,6 +60,8 @@ def find_named(name: str, least: int, beside: Path, folder: Path | None = None) 
     Paths that only the machine had that wrote the file are tried from each of their parts on, as long as ``least``
     parts are left.
     """
+    if len(name) > LONGEST_PATH:
+        return None
     folders = beside.resolve().parents if folder is None else (folder,)
     parts = Path(name).parts
     for place in folders:

@@ -44,7 +44,8 @@ def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: s
         robot: which of several robots is the hand, by the name of its model's file without its ending.
 
     Returns:
-        One pose in the world, where the body stands too; the scale is that of meshes in millimetres.
+        One pose in the world, where the body stands too; the scale is that of meshes in millimetres. The mesh is None:
+        the body's model is none, but names one.
 
     Raises:
         ValueError: for a file that is no such world, naming the element that is wrong.
@@ -60,7 +61,6 @@ def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: s
             _angles(chosen, hand, order)[None],
             np.array([MILLIMETRE]),
             _place(body, "graspableBody")[None],
-            _text(body, "filename"),
         )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

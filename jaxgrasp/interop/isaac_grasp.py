@@ -73,6 +73,9 @@ def _yaml(path: str | Path) -> Any:
         raise ImportError(MISSING) from None
     text = read_text(path)
     try:
+        # What refers to itself, or to the same a billion times, is small as a text alone.
+        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
+            raise ValueError("it refers to parts of itself")
         return yaml.safe_load(text)
     except RecursionError:
         raise ValueError(f"{path} is no YAML of ours: it is nested too deeply") from None

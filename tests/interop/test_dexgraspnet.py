@@ -70,6 +70,18 @@ def test_a_pinch_is_imported_with_contacts_that_face_each_other(files, capsys):
         assert (np.sum(grasp.points * grasp.normals, -1) < 0).all()
 
 
+@pytest.mark.slow
+def test_sizes_of_the_object_keep_the_order_of_the_file(files):
+    below = (0.0, 0.0, -0.06)
+    sizes = [0.07, 0.06, 0.07]
+    written(files / "sizes.npy", *(record(a, -a, below, scale=s) for a, s in zip((0.02, 0.09, 0.02), sizes)))
+    assert main(["import", "dexgraspnet", "sizes.npy", "--hand", "hand.xml", "--object", "cube.stl"]) == 0
+    sets = load_grasps("grasps.npz")
+    assert sets.labels["name"].tolist() == ["sizes 0", "sizes 1", "sizes 2"]
+    for i, size in enumerate(sizes):
+        np.testing.assert_allclose(np.abs(sets[i].points[:, 0]), size / 2, atol=2e-3)
+
+
 @pytest.mark.parametrize(
     "bad, said",
     [

@@ -1,4 +1,4 @@
-"""Dexonomy's files: contacts and wrenches that balance, in the layout of its own code, and where it is there its own."""
+"""Dexonomy's files: contacts and wrenches that balance, in the layout of its own code, and a template of its own."""
 
 import numpy as np
 import pytest

@@ -120,6 +120,8 @@ class ImportContacts(ImportGrasps):
     """Newtons for one unit of the file's forces."""
     squeeze: float = 1.0
     """Squeezing force of contacts of which the file has no forces [N]."""
+    torsion: float | None = None
+    """Torque about the normal for one newton that presses [m], of soft fingers; hard ones where not given."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from jaxgrasp.validation.fields import check_not_negative, check_positive
 def import_contacts(arguments: ImportContacts) -> int:
     """Read, write, and say what was found."""
     check_positive(arguments, "force")
-    check_not_negative(arguments, "squeeze")
+    check_not_negative(arguments, "squeeze", "torsion")
     if arguments.center is not None and not np.all(np.isfinite(arguments.center)):
         raise ValueError(f"center is {arguments.center}: expected finite numbers [m]")
     object_ = arguments.object if isinstance(arguments, BODex) else None
@@ -55,6 +55,7 @@ def _sets(arguments: ImportContacts, records: ContactRecords, object_: Path | No
         pressures,
         records.offsets,
         (weight - arguments.force * records.loads)[:, None],
+        torsion=None if arguments.torsion is None else np.full(len(records.points), arguments.torsion),
     )
 
 

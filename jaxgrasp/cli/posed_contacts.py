@@ -140,7 +140,9 @@ def _pose(transforms: np.ndarray) -> Pose:
 
 def joined_sets(parts: Sequence[ContactSets]) -> ContactSets:
     """Sets of contacts one after the other, without labels."""
-    names = ("points", "normals", "friction", "squeeze", "wrench")
-    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    columns: dict[str, Any] = {
+        name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns
+    }
+    columns["wrench"] = np.concatenate([part.wrench for part in parts])
     sizes = np.concatenate([part.sizes for part in parts])
     return ContactSets(**columns, offsets=np.concatenate([[0], np.cumsum(sizes)]))

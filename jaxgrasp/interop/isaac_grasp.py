@@ -25,6 +25,9 @@ from jaxgrasp.validation.checked import checked
 
 MISSING = "isaac_grasp files need PyYAML: pip install 'jaxgrasp[mesh]'"
 
+DEEPEST = 20
+"""Levels of a file; this format has five."""
+
 
 class _Grasp(NamedTuple):
     transform: np.ndarray
@@ -73,14 +76,17 @@ def _yaml(path: str | Path) -> Any:
         raise ImportError(MISSING) from None
     text = read_text(path)
     try:
-        # What refers to itself, or to the same a billion times, is small as a text alone.
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
-            raise ValueError("it refers to parts of itself")
+        depth = 0
+        for event in yaml.parse(text, yaml.SafeLoader):
+            depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEEPEST:
+                raise ValueError("it is nested too deeply")
+            # What refers to itself, or to the same a billion times, is small as a text alone.
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError("it refers to parts of itself")
         return yaml.safe_load(text)
-    except RecursionError:
-        raise ValueError(f"{path} is no YAML of ours: it is nested too deeply") from None
     except (yaml.YAMLError, ValueError) as error:
-        raise ValueError(f"{path} is no YAML: {' '.join(str(error).split())}") from None
+        raise ValueError(f"{path} is no YAML of ours: {' '.join(str(error).split())}") from None
 
 
 def _grasp(record: Any, joints: Sequence[str] | None) -> _Grasp:

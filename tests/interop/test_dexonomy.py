@@ -56,7 +56,7 @@ def test_forces_and_loads_balance_about_the_worlds_origin(folder):
 def test_contacts_are_imported_as_they_are(folder):
     pickled("one.npy", record := balanced())
     pickled("two.npy", aimed := balanced() | {"ho_c": None})
-    words = ["--force", "2", "--squeeze", "3", "--friction", "0.6", "--mass", "0"]
+    words = ["--force", "2", "--squeeze", "3", "--friction", "0.6", "--torsion", "0.02", "--mass", "0"]
     assert main(["import", "dexonomy", "one.npy", "two.npy", *words]) == 0
     sets, found = load_grasps("grasps.npz"), read_dexonomy("one.npy")
     np.testing.assert_allclose(sets[0].points, record["ho_c"]["pos"])
@@ -65,7 +65,8 @@ def test_contacts_are_imported_as_they_are(folder):
     np.testing.assert_allclose(sets.wrench[0, 0], -2 * found.loads[0])
     np.testing.assert_allclose(sets[1].points, aimed["hand_cpn_w"][:, :3])
     np.testing.assert_allclose(sets[1].squeeze, 3)
-    assert set(sets.friction) == {0.6} and sets.labels["name"].tolist() == ["one 0", "two 0"]
+    assert set(sets.friction) == {0.6} and set(sets.torsion) == {0.02}
+    assert sets.labels["name"].tolist() == ["one 0", "two 0"]
 
 
 def test_older_names_are_known(folder):

@@ -145,10 +145,13 @@ def test_joints_of_isaac_grasp_go_by_name(folder):
     [
         ("format: other", "some.yaml has the format 'other': expected 'isaac_grasp'"),
         ("format: isaac_grasp", "has no grasps: expected them by their names"),
-        ("a: [", "some.yaml is no YAML: "),
-        ("!!python/object/apply:os.system ['touch ran']", "some.yaml is no YAML: could not determine a constructor"),
-        ("[" * 20_000, "is no YAML"),
-        ("a: &a [1]\nb: [*a, *a]", "some.yaml is no YAML: it refers to parts of itself"),
+        ("a: [", "some.yaml is no YAML of ours: "),
+        (
+            "!!python/object/apply:os.system ['touch ran']",
+            "is no YAML of ours: could not determine a constructor",
+        ),
+        ("[" * 20_000, "some.yaml is no YAML of ours: it is nested too deeply"),
+        ("a: &a [1]\nb: [*a, *a]", "some.yaml is no YAML of ours: it refers to parts of itself"),
         (
             "format: isaac_grasp\ngrasps: {a: {position: [0, 0, 0], orientation: {w: 2, xyz: [0, 0, 0]}}}",
             "the length 2",

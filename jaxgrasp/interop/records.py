@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from jaxgrasp.files.printable import shortened
+from jaxgrasp.files.printable import printable, shortened
 from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.numerics.rotation import is_rotation
@@ -19,6 +19,8 @@ UNIT_ROUNDING = 1e-2
 """How far the length of a unit vector or a quaternion in a file may be from 1: some are written with three digits."""
 BEYOND_LIMITS = 0.05
 """How far a joint may stand beyond its limits [rad, m]: simulators let them give way."""
+LARGEST = 1e100
+"""No quantity is this large, and what is can be squared."""
 MOST_BYTES = 2**28
 """Larger texts are refused: they are no lists of grasps."""
 
@@ -80,7 +82,7 @@ def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
     if array.ndim != len(shape) or any(wanted not in (None, own) for wanted, own in zip(shape, array.shape)):
         raise ValueError(f"{name} has the shape {array.shape}: expected {_shape_words(shape)}")
     array = array.astype(float)
-    bad = np.argwhere(~np.isfinite(array))
+    bad = np.argwhere(~(np.abs(array) < LARGEST))
     if len(bad):
         place = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
         raise ValueError(f"{name}{place} is {array[tuple(bad[0])]}: expected a finite number")
@@ -92,7 +94,7 @@ def number(name: str, value: Any) -> float:
     try:
         return float(numbers(name, value, ()))
     except ValueError:
-        raise ValueError(f"{name} is {str(value)[:40]}: expected a finite number") from None
+        raise ValueError(f"{name} is {printable(str(value)[:40])}: expected a finite number") from None
 
 
 def positive(name: str, value: Any) -> float:
@@ -108,7 +110,7 @@ def field(record: Any, name: str) -> Any:
     if not isinstance(record, dict):
         raise ValueError(f"it is {shortened(record)}: expected fields by their names")
     if name not in record:
-        raise ValueError(f"it has no {name!r}{nearest(name, [str(one)[:40] for one in list(record)[:40]])}")
+        raise ValueError(f"it has no {name!r}{nearest(name, [printable(str(one)[:40]) for one in list(record)[:40]])}")
     return record[name]
 
 
@@ -178,7 +180,7 @@ def by_name(given: dict, wanted: Sequence[str], what: str) -> np.ndarray:
     missing = [name for name in wanted if name not in given]
     lines = [f"{what} has {name!r}, which the hand has not{nearest(name, wanted)}" for name in unknown[:5]]
     if missing:
-        known = [str(name)[:40] for name in given]
+        known = [printable(str(name)[:40]) for name in given]
         lines += [f"{what} has no {name!r}, which the hand has{nearest(name, known)}" for name in missing[:5]]
     if lines:
         raise ValueError("; ".join(lines))

@@ -1,6 +1,7 @@
 """Grasps that say where a hand or gripper stands, not where it touches: what every reader of such files returns."""
 
 from dataclasses import dataclass, replace
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,7 @@ def find_named(name: str, least: int, beside: Path, folder: Path | None = None) 
     for place in folders:
         for first in range(max(1, len(parts) - least + 1)):
             found = place / Path(*parts[first:])
-            if found.is_file():
+            # Where Path.is_file raises, for a name that is too long, there is none either.
+            if isfile(found):
                 return found
     return None

@@ -26,7 +26,8 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
 
     Args:
         path: of the file.
-        capsules: make capsules of meshes, as MuJoCo fits them, so that a Hand of the model touches there too.
+        capsules: make capsules of meshes, as long and as wide as these are, so that a Hand of the model touches there
+            too.
 
     Raises:
         ImportError: without MuJoCo.
@@ -52,6 +53,8 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
 
 
 def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjModel:
+    # By their extents: a capsule of the same inertia is thinner than a finger by a seventh, and so misses what it touches.
+    spec.compiler.fitaabb = capsules or spec.compiler.fitaabb
     for geom in spec.geoms if capsules else ():
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
             geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE

@@ -5,8 +5,11 @@ import pytest
 
 from jaxgrasp.batch.sources import load_grasps
 from jaxgrasp.cli.main import main
-from jaxgrasp.interop import read_dexonomy
-from tests.interop.two_fingers import SAMPLES, pickled
+from jaxgrasp.files.plain_pickle import load_plain
+from jaxgrasp.hand import pose_hand
+from jaxgrasp.interop import hand_from_mujoco, load_mjcf, read_dexonomy
+from jaxgrasp.model.hand import Pose, Posture
+from tests.interop.two_fingers import PALM, SAMPLES, pickled
 
 CENTER = np.array([0.2, -0.1, 0.3])
 
@@ -130,3 +133,30 @@ def test_a_template_is_read_and_asks_for_the_centre_of_mass(folder, capsys):
     assert np.mean(np.sum((middle - found.points) * found.normals, -1) > 0) > 0.9
     assert main(["import", "dexonomy", str(file)]) == 1
     assert "does not say the object's centre of mass: give it by --center" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason=f"{SAMPLES.name} is not beside the project: ../shared/samples")
+def test_forward_kinematics_puts_the_named_links_at_a_templates_contacts():
+    """By DexGraspNet's Shadow hand, whose thumb turns the other way at its last two joints, and which has no palm above
+    the world: so the root, the quaternion, the order of the joints, and which contact is whose are understood."""
+    (file,) = (SAMPLES / "dexonomy").glob("*.npy")
+    record, found = load_plain(file), read_dexonomy(file)
+    model = load_mjcf(SAMPLES / "dexgraspnet" / "mjcf" / "shadow_hand_wrist_free.xml")
+    hand = hand_from_mujoco(model, "robot0:palm").hand
+    links = [
+        hand.links.index(next(link for link in hand.links if link.name == name.replace("rh_", "robot0:")))
+        for name in record["hand_contact_body_names"]
+    ]
+
+    def gaps(angles: np.ndarray) -> np.ndarray:
+        """From each contact to the skin of the link that the file names."""
+        frames = pose_hand(hand, Posture(Pose(np.array([0, 0, PALM]), np.eye(3)), angles)).links
+        origins, axes = np.asarray(frames.origin)[links], np.asarray(frames.rotation)[links]
+        local = np.einsum("cji,cj->ci", axes, found.points - origins)
+        centers, radii = np.asarray(hand.skin.centers)[links], np.asarray(hand.skin.radii)[links]
+        return np.where(radii > 0, np.linalg.norm(local[:, None] - centers, axis=-1) - radii, np.inf).min(1)
+
+    angles = record["grasp_qpos"].astype(float)
+    angles[-2:] *= -1
+    assert np.abs(gaps(angles)).max() < 2.5e-3
+    assert np.abs(gaps(np.roll(angles, 5))).max() > 0.02

@@ -53,7 +53,7 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
 
 
 def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjModel:
-    # By their extents: a capsule of the same inertia is thinner than a finger by a seventh, and so misses what it touches.
+    # By their extents: a capsule of the same inertia is a seventh thinner than a finger, and misses what that touches.
     spec.compiler.fitaabb = capsules or spec.compiler.fitaabb
     for geom in spec.geoms if capsules else ():
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH:

@@ -45,7 +45,7 @@ def read_dexgraspbench(
     Args:
         path: a ``.npy`` file.
         hand: of the MJCF that the file was made with, from its world on
-            (``hand_from_mujoco(load_mjcf(path), "world").hand``).
+            (``hand_from_mujoco(load_mjcf(path, capsules=True), "world").hand``: some of its links are meshes).
         posture: which of the file's postures; the limits of the joints are looked at in the grasp's.
         keep_going: leave bad postures out and say what is wrong with them, instead of stopping at the first.
 

@@ -71,9 +71,11 @@ def matrix(place: np.ndarray, turn: Rotation) -> np.ndarray:
 
 
 def on_opposite_faces(points: np.ndarray, normals: np.ndarray, object_: np.ndarray, half: float = SIZE / 2) -> None:
-    """Assert that contacts in the world lie on the cube's faces at both ends of its x axis, and press into it."""
+    """Assert that contacts in the world lie in the middle of the cube's faces at both ends of its x axis, and press."""
     local = (points - object_[:3, 3]) @ object_[:3, :3]
     # The balls that the cube is made of leave out a little.
     np.testing.assert_allclose(np.abs(local[:, 0]), half, atol=1.5e-3)
     assert {-1.0, 1.0} == set(np.sign(local[:, 0]))
+    # The fingers lie along the whole height: a palm that stood as much lower as PALM would show here.
+    np.testing.assert_allclose(local[:, 2], 0, atol=5e-3)
     assert (np.sum(local * (normals @ object_[:3, :3]), -1) < 0).all()

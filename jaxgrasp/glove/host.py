@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxgrasp.glove.encoder_watch import EncoderWatch
 from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
@@ -103,6 +104,7 @@ class GloveHost(GloveDevice):
         self.reading = Reading.of_nothing(len(model.joints))
         self._sensors, self._open = sensors, open_line
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
+        self._encoder_watch = EncoderWatch(model.joints)
         self._pace = Pace(baud, LINE_SIZE)
         # There and back, each after a frame that is already on its way.
         self._repeat = max(REPEAT, 5 * self._pace.frame_time)
@@ -131,6 +133,7 @@ class GloveHost(GloveDevice):
         self._session = random.randrange(SESSIONS)
         self.guard.disarm()
         self._watch.forget()
+        self._encoder_watch.forget()
 
     def disarm(self) -> None:
         self.guard.disarm()
@@ -298,6 +301,8 @@ class GloveHost(GloveDevice):
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
             self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
+            if self.state == LinkState.ARMED and (fault := self._encoder_watch.fault(sent_at, self.reading.angles)):
+                self.guard.trip(fault)
         elif frame.kind == Kind.TENSIONS:
             self.reading.torques, self.reading.saturated = self._sensors.gauges.torques(counts)
             self.reading.torques_at = sent_at
@@ -328,7 +333,8 @@ class GloveHost(GloveDevice):
             )
 
     def _check_tension(self, at: float) -> None:
-        fault = self._watch.fault(at, self.reading.torques, self.reading.saturated)
+        torques = self.reading.torques
+        fault = self._watch.fault(at, torques, self.reading.saturated) or self._encoder_watch.stands_still(at, torques)
         if fault:
             self.guard.trip(fault)
 

@@ -14,7 +14,7 @@ from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import device_kind, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard
-from jaxgrasp.glove.line import SerialLine
+from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
@@ -25,6 +25,7 @@ SHOWN_EVERY = 0.1
 TROUBLE_EVERY = 2.0
 """Time between two complaints [s]."""
 TURN = 0.005
+WHERE = "`jaxgrasp glove ports` lists the ports, `jaxgrasp glove simulate` makes one, in the folder where it runs"
 HALF_PERIOD = 2.0
 """Half the period of a simulated person's movement to and fro [s]."""
 
@@ -48,7 +49,12 @@ def simulate_command(arguments: Simulate) -> int:
     check_not_negative(arguments, "spoil")
     check_positive(arguments, "seconds")
     options, model, _ = which_glove(arguments)
-    if arguments.port.exists() or arguments.port.is_symlink():
+    if not arguments.port.absolute().parent.is_dir():
+        raise ValueError(f"port is {arguments.port}: there is no folder {arguments.port.absolute().parent}")
+    if arguments.port.is_symlink() and not arguments.port.exists():
+        # What a simulated glove that was killed left behind leads nowhere.
+        arguments.port.unlink()
+    if arguments.port.exists():
         raise ValueError(
             f"port is {arguments.port}: expected a name that is not there yet; remove it if no simulated glove uses it"
         )
@@ -72,6 +78,10 @@ def monitor_command(arguments: Monitor) -> int:
     """Show what the sensors say and how old it is, one line each time."""
     check_positive(arguments, "seconds")
     options, model, sensors = which_glove(arguments)
+    try:
+        check_port(arguments.port, arguments.baud)
+    except OSError as error:
+        raise OSError(f"{error}; {WHERE}") from None
     host = make_device(options, model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model))
     show("channels: " + ", ".join(model.joints))
     linked = False
@@ -87,10 +97,7 @@ def monitor_command(arguments: Monitor) -> int:
     finally:
         host.close(time.perf_counter())
     if not linked:
-        raise OSError(
-            f"no glove answered: {host.trouble}; `jaxgrasp glove ports` lists the ports, `jaxgrasp glove simulate` "
-            "makes one, in the folder where it runs"
-        )
+        raise OSError(f"no glove answered: {host.trouble}; {WHERE}")
     return 0
 
 

@@ -2,8 +2,6 @@
 
 import csv
 import io
-import sys
-import threading
 import time
 
 import jax.numpy as jnp
@@ -11,6 +9,7 @@ import numpy as np
 
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
+from jaxgrasp.cli.glove_orders import FIRST, Orders
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
@@ -31,8 +30,6 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
 from jaxgrasp.validation.fields import check_positive
 
-FULL = 1.0
-FIRST = 0.05
 COMPILED = "the hand, its contacts and its torques"
 OLDEST_POSE = 0.1
 """Age beyond which a tracker's pose is not acted on [s]."""
@@ -132,6 +129,7 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
             time.sleep(0.05)
         if not glove.is_alive():
             raise OSError("the process that owned the glove's line has ended")
+    show(orders.summary())
     return 0
 
 
@@ -158,6 +156,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
                 times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
                 raise OSError("the process that owned the glove's line has ended")
+            show(orders.summary())
             show(f"the line: {TickTimes.text(glove.summary)}")
     finally:
         if tracker is not None:
@@ -182,52 +181,6 @@ def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | No
         )
     finally:
         engine.close()
-
-
-class Orders:
-    """What a person types, told to the glove as it comes: nothing waits for it."""
-
-    def __init__(self, glove: GloveProcess, acceptance: str = "") -> None:
-        """``acceptance``: what has to be typed, letter by letter, before the glove may be armed."""
-        self.is_over = False
-        self._glove, self._scale = glove, 0.0
-        self._acceptance, self._accepted = acceptance, ""
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def _listen(self) -> None:
-        for line in sys.stdin:
-            if self._acceptance and line.strip() == self._acceptance:
-                self._accepted = self._acceptance
-                show(self._obey("arm"))
-                continue
-            order = line.strip().lower()
-            if order == "quit":
-                break
-            if order:
-                show(self._obey(order))
-        self.is_over = True
-
-    def _obey(self, order: str) -> str:
-        try:
-            if order == "disarm":
-                self._glove.disarm()
-                return "no torque"
-            if order in ("arm", "full"):
-                return self._arm(FIRST if order == "arm" else FULL)
-        except (ValueError, OSError) as error:
-            return str(error)
-        return f"{order!r} is no order: expected arm, full, disarm or quit"
-
-    def _arm(self, scale: float) -> str:
-        if self._accepted != self._acceptance:
-            return f"this glove goes on with what it was told last when its line is cut; type: {self._acceptance}"
-        if scale == FULL and self._scale == 0.0:
-            return "the first time power is on, it is a twentieth: arm, feel it, and then say full"
-        self._glove.disarm()
-        self._glove.rescale(scale)
-        self._glove.arm(self._accepted)
-        self._scale = scale
-        return f"armed, {scale:.0%} of the torque"
 
 
 class Wrist:

@@ -63,7 +63,9 @@ def test_bad_arguments(folder, capsys):
     (folder / "there").write_text("")
     for arguments, message in (
         (["simulate", "--port", "there"], "port is there: expected a name that is not there yet"),
+        (["simulate", "--port", "nowhere/glove"], "port is nowhere/glove: there is no folder"),
         (["simulate", "--baud", "0"], "baud is 0"),
+        (["monitor", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
         (["monitor", "--model", "no.toml"], "no.toml"),
         (["run", "--listen", "x:1"], "listen needs the port"),
         (["run", "--port", "p", "--listen", "x"], "listen is 'x': expected HOST:PORT"),
@@ -169,6 +171,38 @@ def test_run_now(bending):
     assert bench.answer("disarm") == "no torque\n"
     rest = bench.leave()
     assert "the line: " in rest and "the engine: " in rest and "overruns" in rest
+
+
+@POSIX
+@pytest.mark.slow
+@pytest.mark.always
+def test_a_glove_that_dies_is_told_at_once_and_armed_anew_from_a_twentieth(folder):
+    """As a person at the bench meets it, who types nothing while it happens."""
+    glove = [*COMMAND, "simulate", "--bend", "60"]
+    with subprocess.Popen(glove, stdout=subprocess.PIPE) as first:
+        assert b"waits" in first.stdout.readline()
+        bench = Bench("--port", "jaxgrasp-glove")
+        assert bench.line() == "compiling\n" and "ready" in bench.line()
+        bench.insist("arm")
+        bench.insist("full")
+        first.kill()
+        killed = time.perf_counter()
+    said = bench.line()
+    assert "torque is zero" in said and time.perf_counter() - killed < 1.0, "on a busy machine"
+    assert "type arm" in said
+    while "gone" not in said and "reconnect" not in said:
+        said = bench.line()
+    with subprocess.Popen(glove, stdout=subprocess.PIPE) as second:
+        assert b"waits" in second.stdout.readline(), "what the first left behind is no obstacle"
+        while "answers again" not in said:
+            said = bench.line()
+        assert "the first time power is on, it is a twentieth" in bench.answer("full")
+        bench.insist("arm")
+        assert bench.answer("disarm") == "no torque\n"
+        assert "the first time power is on, it is a twentieth" in bench.answer("full")
+        rest = bench.leave()
+        second.terminate()
+    assert "the glove let go by itself: 1 times" in rest
 
 
 @POSIX

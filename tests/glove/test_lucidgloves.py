@@ -49,6 +49,10 @@ def test_what_it_says():
     assert found.joints == {"index 1": 10 / 4095, "little 4": 1.0}
     assert found.joystick == (2047 / 4095, 2048 / 4095) and found.trigger == 0
     assert found.buttons == {"trigger", "grab"}
+    for full_scale in (1023, 4095):
+        said = f"A0B{full_scale}C0D0E0P{full_scale + 1}".encode()
+        assert read_line(said, full_scale).trigger == 1
+        assert read_line(f"A0B{full_scale + 1}C0D0E0P0".encode(), full_scale) is None
     plain = read_line(b"A0B0C0D0E1023", 1023)
     assert plain.curls[4] == 1 and np.all(np.isnan(plain.splays)) and not plain.buttons
 

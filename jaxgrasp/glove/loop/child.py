@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -18,8 +19,12 @@ KEPT = 1000
 
 def tell(what: dict[str, Any]) -> None:
     """What such a program tells whoever started it."""
-    sys.stdout.write(json.dumps(what) + "\n")
-    sys.stdout.flush()
+    try:
+        sys.stdout.write(json.dumps(what) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever started it is dead; neither this nor the end of the program is to complain over a person's prompt.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Child:

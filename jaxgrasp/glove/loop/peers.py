@@ -1,7 +1,9 @@
 """Where the torques' law comes from and the glove's state goes: a process beside, or a computer elsewhere."""
 
 import math
+import time
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +47,11 @@ class SlotPeer(Peer):
 
     def law(self, now: float) -> TorqueLaw | None:
         vector = self._law.read()
-        return None if vector is None else TorqueLaw.of(vector, self._channels)
+        if vector is None:
+            return None
+        law = TorqueLaw.of(vector, self._channels)
+        # It may have come while this turn was held up after it had read its clock: then it is as fresh as can be.
+        return replace(law, computed_at=now) if now < law.computed_at <= time.perf_counter() else law
 
     def publish(self, now: float, state: GloveState) -> None:
         self._state.write(state.vector())

@@ -86,7 +86,12 @@ class Rendering:
         if not law.is_valid:
             return "who computes the torques says that they are not valid"
         age = now - law.computed_at
-        return "" if -AHEAD <= age <= self._oldest else f"the torques' law is {age:.3f} s old"
+        if -AHEAD <= age <= self._oldest:
+            return ""
+        return (
+            f"forces come too late ({1e3 * age:.0f} ms old, {1e3 * self._oldest:.0f} at most): "
+            "the computer is busy, or too slow for its rate"
+        )
 
     def _may_control(self, now: float, reading: Reading) -> bool:
         is_armed = self.host.guard.state == GuardState.ARMED and self.host.state == LinkState.ARMED

@@ -82,6 +82,9 @@ def read_line(line: bytes, full_scale: int) -> LucidReading | None:
             buttons.add(BUTTONS[button.decode()])
             continue
         share = int(number or angle or value) / full_scale
+        if name == b"P":
+            # Its trigger goes one count beyond the scale.
+            share = min(share, 1.0)
         if share > 1:
             return None
         if splay:

@@ -7,6 +7,7 @@ It reads orders as lines of JSON from its standard input, and says what happens 
 import json
 import os
 import select
+import signal
 import sys
 import time
 from pathlib import Path
@@ -22,6 +23,8 @@ PERIOD = 0.001
 
 def main() -> None:
     """Run until the standard input ends."""
+    # An interrupt at the terminal is for whoever started it, and ends its input.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     options = json.loads(sys.argv[1])
     terminal = PseudoTerminal(Path(options["port"]), options.get("baud", 115_200))
     simulation = Simulation(options, terminal, time.perf_counter(), tell, *load_model(options))

@@ -1,0 +1,126 @@
+"""What a person at a glove's bench types, and is told: orders as they come, and what happens to the glove at once."""
+
+import sys
+import threading
+import time
+from collections import Counter
+
+from jaxgrasp.cli.terminal import show
+from jaxgrasp.glove.glove_device import LinkState
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+
+FULL = 1.0
+FIRST = 0.05
+LOOKS_EVERY = 0.05
+"""Time between two looks at what happened to the glove [s]."""
+AGREES = 1.0
+"""How long a glove may take to say that it is armed [s]."""
+FRESH = 0.5
+"""How long an order to arm waits for forces that are fresh [s]: the first ones, or after a pause of the machine."""
+
+
+class Orders:
+    """What a person types, told to the glove as it comes, and what the glove tells; nothing waits for either."""
+
+    def __init__(self, glove: GloveProcess, acceptance: str = "") -> None:
+        """``acceptance``: what has to be typed, letter by letter, before the glove may be armed."""
+        self.is_over = False
+        self.losses: Counter[str] = Counter()
+        """How often torque ended by itself, by cause."""
+        self._glove = glove
+        self._acceptance, self._accepted = acceptance, ""
+        self._felt_first = False
+        """Whether a person feels a twentieth of the torque, since it was armed: only then may it be all."""
+        self._asked = threading.Lock()
+        self._told_at = -1.0
+        self._link, self._guard = LinkState.CLOSED.name, GuardState.DISARMED.name
+        for job in (self._listen, self._look):
+            threading.Thread(target=job, daemon=True).start()
+
+    def summary(self) -> str:
+        """How often torque ended by itself, and why."""
+        if not self.losses:
+            return "the glove let go by itself: never"
+        causes = ", ".join(f"{cause} ({count})" for cause, count in self.losses.most_common())
+        return f"the glove let go by itself: {self.losses.total()} times: {causes}"
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            if self._acceptance and line.strip() == self._acceptance:
+                self._accepted = self._acceptance
+                show(self._obey("arm"))
+                continue
+            order = line.strip().lower()
+            if order == "quit":
+                break
+            if order:
+                show(self._obey(order))
+        self.is_over = True
+
+    def _obey(self, order: str) -> str:
+        try:
+            if order == "disarm":
+                with self._asked:
+                    self._felt_first = False
+                    self._glove.disarm()
+                return "no torque"
+            if order in ("arm", "full"):
+                return self._arm(FIRST if order == "arm" else FULL)
+        except (ValueError, OSError) as error:
+            return str(error)
+        return f"{order!r} is no order: expected arm, full, disarm or quit"
+
+    def _arm(self, scale: float) -> str:
+        if self._accepted != self._acceptance:
+            return f"this glove goes on with what it was told last when its line is cut; type: {self._acceptance}"
+        if scale == FULL and not self._felt_first:
+            return "the first time power is on, it is a twentieth: arm, feel it, and then say full"
+        with self._asked:
+            self._felt_first = False
+            self._glove.disarm()
+            self._glove.rescale(scale)
+            self._arm_soon()
+            self._felt_first = True
+        return f"armed, {scale:.0%} of the torque"
+
+    def _arm_soon(self) -> None:
+        begun = time.perf_counter()
+        while True:
+            try:
+                self._glove.arm(self._accepted)
+                break
+            except ValueError:
+                if time.perf_counter() > begun + FRESH:
+                    raise
+                time.sleep(LOOKS_EVERY)
+        end = time.perf_counter() + AGREES
+        while not any(
+            event["at"] >= begun and event["guard"] == GuardState.ARMED.name for event in self._glove.events()
+        ):
+            if time.perf_counter() > end:
+                raise ValueError("the glove did not say that it is armed")
+            time.sleep(LOOKS_EVERY / 5)
+
+    def _look(self) -> None:
+        while not self.is_over:
+            for event in self._glove.events():
+                if event["at"] > self._told_at:
+                    self._told_at = event["at"]
+                    self._tell(event)
+            time.sleep(LOOKS_EVERY)
+
+    def _tell(self, event: dict[str, str]) -> None:
+        """What a person has to know of a change: that torque ended, and that the glove went or came."""
+        was_there, is_there = (LinkState[name] >= LinkState.LINKED for name in (self._link, event["link"]))
+        let_go = self._guard == GuardState.ARMED.name and event["guard"] == GuardState.LATCHED.name
+        self._link, self._guard = event["link"], event["guard"]
+        if let_go:
+            self._felt_first = False
+            self.losses[event["cause"]] += 1
+            then = "type arm to go on" if is_there else "reconnect it, then type arm"
+            show(f"torque is zero: {event['cause']}; {then}")
+        elif was_there and not is_there:
+            show(f"the glove is gone: {event['trouble']}")
+        elif is_there and not was_there and self.losses:
+            show("the glove answers again; type arm")

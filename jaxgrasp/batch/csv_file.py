@@ -1,22 +1,25 @@
 """Sets as CSV: one line a contact, the wrench repeated on each line of its grasp.
 
-Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp),
-px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
-torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of torques need an ``.npz`` file.
+Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp, and the grasp's name where
+there is no column name), px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
+torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of torques need a file of another kind.
+Lines above that of the columns' names that begin with # are comments.
 """
 
 import csv
+import io
 import os
 from array import array
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
+from jaxgrasp.batch.columnar import LABELS, LONGEST_LABEL
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import LABELS, LONGEST_LABEL
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
@@ -24,6 +27,8 @@ from jaxgrasp.files.replace import replace_file
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
 TOGETHER = {"points": POINT, "normals": NORMAL, "wrench": WRENCH}
+GRASPS_AT_A_TIME = 1_000
+"""Grasps whose lines are made at a time: as text they take ten times the memory."""
 NUMBERS = (*POINT, *NORMAL, *WRENCH, "friction", "squeeze", *OPTIONAL_NUMBERS)
 
 
@@ -33,7 +38,7 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
-            header = next(reader, [])
+            header = next((row for row in reader if not (row and row[0].startswith("#"))), [])
             _check_header(path, header, fill)
             table = _read_rows(path, header, reader)
     except (UnicodeDecodeError, csv.Error) as error:
@@ -53,6 +58,8 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
         for name in ("friction", "squeeze", *(name for name in OPTIONAL_NUMBERS if name in column))
     }
     labels = {name: np.array(values) for name, values in table.labels.items()}
+    if "name" not in labels and table.grasps != list(map(str, range(len(table.grasps)))):
+        labels["name"] = np.array(table.grasps)
     return ContactSets(
         together["points"], together["normals"], **contacts, offsets=offsets, wrench=wrench[:, None], labels=labels
     )
@@ -69,6 +76,8 @@ class _Table(NamedTuple):
     """Number of each row's (last) line."""
     starts: list[int]
     """The first row of each grasp."""
+    grasps: list[str]
+    """What the column ``grasp`` calls each."""
     labels: dict[str, list[str]]
     """Of each grasp."""
 
@@ -91,7 +100,7 @@ def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
     places = [k for k, name in enumerate(header) if name in NUMBERS]
     labels = {name: (header.index(name), list[str]()) for name in LABELS if name in header}
     numbers, lines, starts, of_grasp = array("d"), array("q"), [], header.index("grasp")
-    seen: set[str] = set()
+    seen: dict[str, None] = {}
     last = None
     for row in reader:
         if not row:
@@ -107,7 +116,7 @@ def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
                 raise GraspFileError(
                     path, f"line {line} returns to grasp {shortened(last)}: expected its lines together"
                 )
-            seen.add(last)
+            seen[_label(path, line, "grasp", last)] = None
             starts.append(len(lines))
             for name, (place, values) in labels.items():
                 values.append(_label(path, line, name, row[place]))
@@ -116,7 +125,7 @@ def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
         lines.append(line)
     columns = [header[place] for place in places]
     shaped = np.frombuffer(numbers).reshape(len(lines), len(columns)) if lines else np.zeros((0, len(columns)))
-    return _Table(columns, shaped, lines, starts, {name: values for name, (_, values) in labels.items()})
+    return _Table(columns, shaped, lines, starts, list(seen), {name: values for name, (_, values) in labels.items()})
 
 
 def _label(path: Path, line: int, name: str, text: str) -> str:
@@ -135,22 +144,27 @@ def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
         raise ValueError("torque_map is given: a CSV file holds no limits of torques; write an .npz file")
     single = {name: array for name, array in sets.columns.items() if array.ndim == 1}
     header = ["grasp", *POINT, *NORMAL, *single, *WRENCH, *sets.labels]
-    rows = [header]
-    owner = np.repeat(np.arange(len(sets)), sets.sizes)
-    for contact, grasp in enumerate(owner):
-        values = [*sets.points[contact], *sets.normals[contact], *(array[contact] for array in single.values())]
-        numbers = [repr(float(v)) for v in (*values, *sets.wrench[grasp, 0])]
-        rows.append([str(grasp), *numbers, *(str(values[grasp]) for values in sets.labels.values())])
 
-    def write(stream) -> None:
-        text = "".join(",".join(_quoted(cell) for cell in row) + "\n" for row in rows)
-        stream.write(text.encode())
+    def write(stream: IO[bytes]) -> None:
+        text = io.TextIOWrapper(stream, encoding="utf-8", newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(header)
+        for first in range(0, len(sets), GRASPS_AT_A_TIME):
+            writer.writerows(_rows(sets.rows(slice(first, first + GRASPS_AT_A_TIME)), first))
+        text.flush()
+        text.detach()
 
     replace_file(Path(path), write)
 
 
-def _quoted(cell: str) -> str:
-    return '"' + cell.replace('"', '""') + '"' if any(c in cell for c in ',"\n\r') else cell
+def _rows(sets: ContactSets, first: int) -> Iterator[list]:
+    """The lines of some grasps, the first of which has this number."""
+    single = [array for array in sets.columns.values() if array.ndim == 1]
+    owner = np.repeat(np.arange(len(sets)), sets.sizes)
+    numbers = np.column_stack([sets.points, sets.normals, *single, sets.wrench[owner, 0]]).astype(float)
+    labels = [values.tolist() for values in sets.labels.values()]
+    for grasp, line in zip(owner.tolist(), numbers.tolist(), strict=True):
+        yield [first + grasp, *line, *(values[grasp] for values in labels)]
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:

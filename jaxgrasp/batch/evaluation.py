@@ -8,7 +8,11 @@ import numpy as np
 from jaxgrasp.batch.blocks import blocks
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
-from jaxgrasp.batch.qualities import measure_all, summarise_qualities
+from jaxgrasp.batch.qualities import Columns, least_friction_of, measure_all, summarise_qualities
+from jaxgrasp.batch.rankings import rank
+from jaxgrasp.batch.reasons import reasons
+from jaxgrasp.batch.result_table import table_columns
+from jaxgrasp.batch.shards import arrays_of
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.arrays import AnyArray
@@ -16,13 +20,13 @@ from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.quality.measures import measures_named
+from jaxgrasp.quality.measures import Measure, measures_named
 from jaxgrasp.validation.checked import checked
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Evaluation:
-    """Results of every method on N grasps of M contacts in all, with W wrenches each.
+    """Results of every method on N grasps of M contacts in all, with W wrenches each; ``print`` shows a summary.
 
     ``results[name]`` holds arrays ``(N, W)``, with ``forces`` as ``(M, W, 3)`` in the order of
     ``sets.points``, ``moments`` and ``normal_multiplier`` likewise as ``(M, W)``, ``certificate`` as ``(N, W, 6)`` and
@@ -34,6 +38,30 @@ class Evaluation:
     summary: Summary
     times: Times
     quality: dict[str, np.ndarray]
+    numbers: np.ndarray
+    """``(N,)``: of the grasps in what was given, of which bad ones may have been left out."""
+    least_friction: np.ndarray | None = None
+    """``(N, W)``: the least share of its friction with which each grasp holds, where asked for."""
+
+    def __repr__(self) -> str:
+        methods = ", ".join(self.results)
+        wrenches = f" x {self.sets.wrenches} wrenches" if self.sets.wrenches > 1 else ""
+        ranked = self.summary.ranked
+        holds = f", {ranked.holds:,} hold" if ranked else ""
+        return f"Evaluation({len(self.sets):,} grasps{wrenches} by {methods}{holds}; print it for more)"
+
+    @property
+    def why(self) -> np.ndarray:
+        """Codes of [`Reason`][jaxgrasp.batch.reasons.Reason], ``(N, W)``: 0 where a grasp holds, else why not."""
+        return reasons(self.sets, self.results)
+
+    def table(self) -> dict[str, np.ndarray]:
+        """One row for each grasp and wrench, by columns: what ``jaxgrasp evaluate`` writes as ``results.csv``.
+
+        ``pandas.DataFrame(found.table())`` makes a data frame of it.
+        """
+        arrays = arrays_of(self.sets, self.results, self.numbers, self.quality, self.least_friction)
+        return table_columns(arrays)
 
     def __str__(self) -> str:
         """The summary that a person reads in ten seconds."""
@@ -48,6 +76,7 @@ def evaluate(
     limits: Limits | None = None,
     methods: tuple[str, ...] = tuple(METHODS),
     quality: tuple[str, ...] = (),
+    least_friction: bool = False,
     dtype: str | np.dtype | None = None,
     skip_bad: bool = False,
     devices: int | None = None,
@@ -60,6 +89,7 @@ def evaluate(
         limits: of a batch of grasps, of its shape; contact sets hold theirs. They bind the optima alone.
         methods: any of ``"A"``, ``"B"``, ``"A-optimum"``, ``"B-optimum"``; what is not asked for is not computed.
         quality: measures that no wrench enters, some of ``jaxgrasp.quality.measures.MEASURES``, likewise.
+        least_friction: whether to find the least friction with which each grasp holds, some 50 ms a grasp.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
         skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.
         devices: how many of JAX's local devices to use; all where not given.
@@ -74,9 +104,27 @@ def evaluate(
     engine, measures = Engine(methods_named(methods), devices), measures_named(quality)
     good, kept = usable(sets, skip_bad)
     results, columns = run(engine, good), measure_all(measures, good)
-    summary = summarise(good, results, numbers=kept, set_aside=len(sets) - len(kept))
-    summary = replace(summary, qualities=summarise_qualities(measures, columns))
-    return Evaluation(good, results, summary, engine.times, columns)
+    friction = least_friction_of(good) if least_friction else None
+    summary = summarise_all(good, results, measures, columns, friction, kept, set_aside=len(sets) - len(kept))
+    return Evaluation(good, results, summary, engine.times, columns, kept, friction)
+
+
+def summarise_all(
+    sets: ContactSets,
+    results: dict[str, MethodResult],
+    measures: tuple[Measure, ...],
+    quality: Columns,
+    least_friction: np.ndarray | None,
+    numbers: np.ndarray,
+    *,
+    set_aside: int,
+) -> Summary:
+    """The whole summary of some sets, whose grasps have these ``numbers`` in the input."""
+    return replace(
+        summarise(sets, results, numbers=numbers, set_aside=set_aside),
+        qualities=summarise_qualities(measures, quality),
+        ranked=rank(sets, results, quality, least_friction, numbers),
+    )
 
 
 def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:

@@ -7,7 +7,8 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
 from jaxgrasp.batch.evaluation import run, usable
-from jaxgrasp.batch.sources import GraspSource, looks_like_millimetres
+from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.batch.sources import POINT_AWAY, GraspSource, looks_like_millimetres, normals_point_away
 from jaxgrasp.batch.stream import StreamPlan
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.compared_methods import methods_named
@@ -25,23 +26,20 @@ def hints(source: GraspSource, plan: StreamPlan, summary: Summary) -> list[str]:
         return found
     if looks_like_millimetres(sample):
         found.append("contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m.")
-    if _points_away(sample):
-        found.append(
-            "most normals point away from the middle of their grasp: if yours point out of the object, "
-            "add --normals outward."
-        )
+    if normals_point_away(sample):
+        found.append(f"{POINT_AWAY}: if yours point out of the object, add --normals outward.")
     elif _share_that_holds(summary) < 0.5 and _holds_turned_round(sample, plan):
         found.append(
             "most grasps fail, but hold with their normals turned round: if yours point out of the object, "
             "add --normals outward."
         )
+    if summary.ranked is not None and (count := int(summary.ranked.counts[Reason.LINE])):
+        found.append(
+            f"{count:,} of {summary.problems:,} cannot hold because all contacts lie on one line, as those of a "
+            "parallel jaw do: hard fingers resist no torque about the line between them, however hard they squeeze. "
+            "If yours are wide or soft, say so: --torsion 0.005 (metres) gives every contact torsional friction."
+        )
     return found
-
-
-def _points_away(sets: ContactSets) -> bool:
-    """Whether the normals of most grasps point away from the contacts' own middle, as no convex object's do."""
-    inward = np.einsum("ci,ci->c", sets.towards_middle(), sets.normals)
-    return bool(np.mean(np.add.reduceat(inward, sets.offsets[:-1]) < 0) > 0.8)
 
 
 def _share_that_holds(summary: Summary) -> float:

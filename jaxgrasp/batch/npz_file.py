@@ -1,291 +1,58 @@
-"""Grasp files, version 1: an ``.npz`` archive, read column by column in step so that it need not fit in memory.
+"""Grasp files as ``.npz`` archives, which are read column by column in step, so that they need not fit in memory.
 
-    version    (optional) 1
-    points     (N, n, 3), or flat (M, 3) with offsets (N + 1,), [m]
-    normals    like points; unit, into the object
-    friction   (N, n) or (M,)
-    squeeze    (N, n) or (M,) [N]
-    torsion, normal_min, normal_max   (optional) like friction: of soft fingers [m], of limits [N]
-    torque_map, torque_max   (optional, both) contact Jacobians (N, n, 3 or 4, j) or (M, 3 or 4, j), and (N, j) [N.m]
-    offsets    (N + 1,) integers, only with flat columns
-    wrench     (N, 6), or (N, W, 6) for W wrenches a grasp [N, N.m]
-    name, source, object, hand   (optional) (N,) text
-
-Other columns are left alone. Nothing is ever unpickled.
+Nothing is ever unpickled.
 """
 
 import os
-import sys
 import zipfile
 import zlib
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 
-from jaxgrasp.batch.contact_sets import CONTACT_FIELDS, OPTIONAL_FIELDS, OPTIONAL_NUMBERS, ContactSets, as_wrenches
+from jaxgrasp.batch.columnar import ColumnarGrasps, columns_to_save
+from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_column import DAMAGE, Column
-from jaxgrasp.files.printable import LARGEST
 from jaxgrasp.files.replace import replace_file
 
-VERSION = 1
-LABELS = ("name", "source", "object", "hand")
-BY_CONTACT = (*CONTACT_FIELDS, *OPTIONAL_FIELDS)
-NUMBERS = (*BY_CONTACT, "wrench", "torque_max")
-KNOWN = ("version", *NUMBERS, "offsets", *LABELS)
-LONGEST_LABEL = 1_000
-"""Characters of a grasp's name, source, object or hand: every one of a column takes as much memory as its longest."""
 
+class NpzArchive:
+    """The arrays of an ``.npz`` file."""
 
-MOST_OF_A_GRASP = 100_000
-"""Contacts, or wrenches, of a single grasp."""
-
-
-class NpzGrasps:
-    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
-
-    def __init__(self, path: str | os.PathLike, fill: dict[str, float] | None = None):
-        self.path = Path(path)
-        self._fill = fill or {}
+    def __init__(self, path: Path):
+        self.path = path
         try:
-            self._archive = zipfile.ZipFile(self.path)
+            self._archive = zipfile.ZipFile(path)
         except FileNotFoundError:
             raise
         except DAMAGE as error:
-            raise GraspFileError(self.path, "it is not a complete .npz archive") from error
-        try:
-            self._read_headers()
-        except BaseException:
-            self._archive.close()
-            raise
-
-    def _read_headers(self) -> None:
-        """Everything but the numbers, and the check of it."""
+            raise GraspFileError(path, "it is not a complete .npz archive") from error
         members = self._archive.namelist()
         self.names = [member.removesuffix(".npy") for member in members if member.endswith(".npy")]
-        self._check_names()
-        self._headers = {name: self._open(name) for name in self.names if name in KNOWN}
-        self._shapes = {name: column.shape for name, column in self._headers.items()}
-        self._check_version()
-        self._check_types()
-        self.offsets = self._read_offsets()
-        self._check_shapes()
 
-    def __len__(self) -> int:
-        return len(self.offsets) - 1
-
-    def __enter__(self) -> "NpzGrasps":
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._archive.close()
-
-    @property
-    def wrenches(self) -> int:
-        shape = self._shapes["wrench"]
-        return shape[1] if len(shape) == 3 else 1
-
-    @property
-    def largest(self) -> int:
-        return int(np.diff(self.offsets).max(initial=0))
-
-    @property
-    def fingerprint(self) -> int:
+    def checksum(self) -> int:
         """Checksum of the checksums that the archive keeps of its members."""
         parts = [f"{member.filename} {member.CRC} {member.file_size}" for member in self._archive.infolist()]
         return zlib.crc32("\n".join(sorted(parts)).encode())
 
-    def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
-        """The grasps from ``start`` on, ``size`` at a time, in order."""
-        columns = {name: self._open(name) for name in (*NUMBERS, *LABELS) if name in self._headers}
-        per_contact = "offsets" in self._shapes
-        try:
-            for name, column in columns.items():
-                by_contact = name in BY_CONTACT and per_contact
-                column.skip(int(self.offsets[start]) if by_contact else start)
-            for first in range(start, len(self), size):
-                last = min(first + size, len(self))
-                yield self._rows(columns, first, last, per_contact)
-        finally:
-            for column in columns.values():
-                column.close()
-
-    def read(self) -> ContactSets:
-        """All of it."""
-        return next(self.chunks(max(1, len(self))))
-
-    def _rows(self, columns: dict[str, Column], first: int, last: int, per_contact: bool) -> ContactSets:
-        contacts = int(self.offsets[last] - self.offsets[first])
-        taken = {}
-        for name, column in columns.items():
-            taken[name] = column.take(contacts if name in BY_CONTACT and per_contact else last - first)
-        dtype = np.result_type(*(taken[name].dtype for name in taken if name not in LABELS), np.float32)
-        flat = {name: np.full(contacts, value, dtype) for name, value in self._fill.items() if name not in taken}
-        leading = 1 if per_contact else 2
-        for name in BY_CONTACT:
-            if name in taken:
-                tail = taken[name].shape[leading:]
-                flat[name] = taken[name].reshape(contacts, *tail).astype(dtype, copy=False)
-        if "torque_max" in taken:
-            flat["torque_max"] = taken["torque_max"].astype(dtype, copy=False)
-        return ContactSets(
-            **flat,
-            offsets=self.offsets[first : last + 1] - self.offsets[first],
-            wrench=as_wrenches(taken["wrench"].astype(dtype, copy=False), last - first),
-            labels={name: self._text(name, taken[name]) for name in LABELS if name in taken},
-        )
-
-    def _text(self, name: str, column: np.ndarray) -> np.ndarray:
-        if column.dtype.kind == "U":
-            if np.any(np.ascontiguousarray(column).view(column.dtype.byteorder + "u4") > sys.maxunicode):
-                raise GraspFileError(self.path, f"{name} holds characters that are not Unicode")
-            return column
-        try:
-            return np.char.decode(column, "utf-8")
-        except UnicodeDecodeError as error:
-            raise GraspFileError(self.path, f"{name} holds bytes that are not UTF-8 ({error})") from error
-
-    def _open(self, name: str) -> Column:
+    def column(self, name: str) -> Column:
         return Column(self.path, self._archive, name)
 
-    def _check_names(self) -> None:
-        twice = sorted(name for name, times in Counter(self.names).items() if times > 1)
-        if twice:
-            raise GraspFileError(self.path, f"it has the column {twice[0]!r} twice")
-        wanted = [name for name in (*CONTACT_FIELDS, "wrench") if name not in self._fill]
-        missing = [name for name in wanted if name not in self.names]
-        if missing:
-            hint = "".join(
-                f"; jaxgrasp evaluate --{name} gives one value to all"
-                for name in missing
-                if name in ("friction", "squeeze")
-            )
-            held = ", ".join(self.names)[:LARGEST] or "nothing"
-            raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {held}{hint}")
+    def close(self) -> None:
+        self._archive.close()
 
-    def _check_version(self) -> None:
-        if "version" not in self._headers:
-            return
-        column = self._headers["version"]
-        if column.shape or column.dtype.kind not in "iu":
-            raise GraspFileError(
-                self.path, f"version is {column.dtype} of shape {column.shape}: expected the integer {VERSION}"
-            )
-        version = int(column.whole())
-        if version != VERSION:
-            raise GraspFileError(self.path, f"its version is {version}: this jaxgrasp reads version {VERSION}")
 
-    def _check_types(self) -> None:
-        dtypes = {name: column.dtype for name, column in self._headers.items()}
-        for name in (*NUMBERS, "offsets"):
-            dtype = dtypes.get(name)
-            if dtype is not None and (dtype.kind not in "fiu" or dtype.itemsize > 8):
-                raise GraspFileError(self.path, f"{name} holds {dtype}: expected numbers of at most 64 bits")
-        for name in LABELS:
-            if name not in dtypes:
-                continue
-            dtype = dtypes[name]
-            if dtype.kind not in "US":
-                raise GraspFileError(self.path, f"{name} holds {dtype}: expected text")
-            length = dtype.itemsize // np.dtype(f"{dtype.kind}1").itemsize
-            if not 0 < length <= LONGEST_LABEL:
-                raise GraspFileError(
-                    self.path, f"{name} holds text of {length:,} characters: expected 1 to {LONGEST_LABEL:,}"
-                )
-
-    def _read_offsets(self) -> np.ndarray:
-        shape = self._shapes["points"]
-        if "offsets" not in self._shapes:
-            if len(shape) != 3 or shape[2] != 3:
-                raise GraspFileError(
-                    self.path, f"points has shape {shape}: expected (N, n, 3), or (M, 3) with a column 'offsets'"
-                )
-            if shape[1] == 0:
-                raise GraspFileError(self.path, f"points has shape {shape}: expected at least one contact a grasp")
-            return np.arange(shape[0] + 1, dtype=np.int64) * shape[1]
-        if not shape:
-            raise GraspFileError(self.path, "points is a single number: expected (M, 3)")
-        column = self._headers["offsets"]
-        if len(column.shape) != 1 or column.shape[0] == 0 or column.dtype.kind not in "iu":
-            raise GraspFileError(
-                self.path, f"offsets is {column.dtype} of shape {column.shape}: expected (N + 1,) integers"
-            )
-        offsets = column.whole().astype(np.int64)
-        falling = np.flatnonzero(np.diff(offsets) < 0)
-        if offsets[0] != 0 or len(falling) or offsets[-1] != shape[0]:
-            at = 0 if offsets[0] != 0 else (int(falling[0]) + 1 if len(falling) else len(offsets) - 1)
-            raise GraspFileError(
-                self.path,
-                f"offsets[{at}] is {offsets[at]}: expected them to rise from 0 to {shape[0]}, the number of points",
-            )
-        return offsets
-
-    def _check_shapes(self) -> None:
-        contacts = self._shapes["points"][:1] if "offsets" in self._shapes else self._shapes["points"][:2]
-        expected = {"points": (*contacts, 3), "normals": (*contacts, 3), "friction": contacts, "squeeze": contacts}
-        expected |= dict.fromkeys(OPTIONAL_NUMBERS, contacts)
-        for name, shape in expected.items():
-            if name in self._shapes and self._shapes[name] != shape:
-                raise GraspFileError(
-                    self.path, f"{name} has shape {self._shapes[name]}: expected {shape}, to fit points"
-                )
-        self._check_torque_shapes(contacts)
-        wrench = self._shapes["wrench"]
-        if len(wrench) not in (2, 3) or wrench[0] != len(self) or wrench[-1] != 6 or 0 in wrench[1:]:
-            raise GraspFileError(
-                self.path, f"wrench has shape {wrench}: expected ({len(self)}, 6) or ({len(self)}, W, 6)"
-            )
-        for what, most in (("contacts", self.largest), ("wrenches", self.wrenches)):
-            if most > MOST_OF_A_GRASP:
-                raise GraspFileError(
-                    self.path,
-                    f"a grasp has {most:,} {what}: expected at most {MOST_OF_A_GRASP:,}, since one is read whole",
-                )
-        for name in LABELS:
-            if name in self._shapes and self._shapes[name] != (len(self),):
-                raise GraspFileError(self.path, f"{name} has shape {self._shapes[name]}: expected ({len(self)},)")
-        if len(self) == 0:
-            raise GraspFileError(self.path, "it holds no grasps")
-
-    def _check_torque_shapes(self, contacts: tuple[int, ...]) -> None:
-        given = [name for name in ("torque_map", "torque_max") if name in self._shapes]
-        if len(given) == 1:
-            other = "torque_max" if given == ["torque_map"] else "torque_map"
-            raise GraspFileError(self.path, f"it has {given[0]!r} and lacks {other!r}: expected both, or neither")
-        if not given:
-            return
-        found = self._shapes["torque_map"]
-        if len(found) != len(contacts) + 2 or found[:-2] != contacts or found[-2] not in (3, 4) or found[-1] == 0:
-            wanted = ", ".join(map(str, contacts))
-            raise GraspFileError(
-                self.path, f"torque_map has shape {found}: expected ({wanted}, 3 or 4, joints), to fit points"
-            )
-        wanted_max = (len(self), found[-1])
-        if self._shapes["torque_max"] != wanted_max:
-            raise GraspFileError(
-                self.path,
-                f"torque_max has shape {self._shapes['torque_max']}: expected {wanted_max}, to fit torque_map",
-            )
+def open_npz(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ColumnarGrasps:
+    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
+    return ColumnarGrasps(NpzArchive(Path(path)), fill)
 
 
 def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
     """Write a grasp file, whole or not at all."""
-    path = Path(path)
-    uniform = len(sets) > 0 and np.all(sets.sizes == sets.largest)
-    columns = {name: np.ascontiguousarray(array) for name, array in sets.columns.items()}
-    if uniform:
-        columns = {name: a.reshape(len(sets), sets.largest, *a.shape[1:]) for name, a in columns.items()}
-    else:
-        columns["offsets"] = np.asarray(sets.offsets, np.int64)
-    if sets.torque_max is not None:
-        columns["torque_max"] = np.ascontiguousarray(sets.torque_max)
-    wrench = np.ascontiguousarray(sets.wrench[:, 0] if sets.wrenches == 1 else sets.wrench)
-    texts = {name: np.asarray(values, str) for name, values in sets.labels.items()}
-    whole = {"version": np.array(VERSION), "wrench": wrench, **columns, **texts}
-    replace_file(path, lambda stream: save_arrays(stream, whole))
+    replace_file(Path(path), lambda stream: save_arrays(stream, columns_to_save(sets)))
 
 
 def save_arrays(stream: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.quality.measures import UNDECIDED, Measure
 
 Columns = dict[str, np.ndarray]
@@ -20,6 +21,16 @@ def measure_all(measures: tuple[Measure, ...], sets: ContactSets) -> Columns:
     return {
         f"{measure.name}.{column}": values for measure in measures for column, values in measure.columns(grasp).items()
     }
+
+
+def least_friction_of(sets: ContactSets) -> np.ndarray:
+    """The least share of their friction with which sets hold, ``(N, W)``; +inf where no friction would do.
+
+    By the total of normal forces that the hand means to exert, its squeezing forces.
+    """
+    grasp = sets.padded(max(1, sets.largest))
+    each = [np.asarray(least_friction(grasp, sets.wrench[:, k], "uniform")) for k in range(sets.wrenches)]
+    return np.stack(each, 1)
 
 
 @dataclass
@@ -58,11 +69,13 @@ def quality_line(name: str, summary: QualitySummary) -> str:
         closed = int(values.counts.sum())
         text = f"{name:22}{_share(closed, values.total)} closed"
         return text + (f", {_share(summary.undecided, values.total)} undecided" if summary.undecided else "")
-    shown = "  ".join(f"{label} {values.quantile(share):.3g}" for label, share in _QUANTILES)
+    # Those of a histogram are known to half of its bins; the largest is exact.
+    about = [f"{label} ~{values.quantile(share):.2g}" for label, share in _QUANTILES]
+    shown = "  ".join([*about, f"largest {values.quantile(1.0):.3g}"])
     return f"{name:22}{shown}" + (f"  {_share(values.zeros, values.total)} none" if values.zeros else "")
 
 
-_QUANTILES = (("5%", 0.05), ("median", 0.5), ("95%", 0.95), ("largest", 1.0))
+_QUANTILES = (("5%", 0.05), ("median", 0.5), ("95%", 0.95))
 
 
 def _share(count: int, total: int) -> str:

@@ -4,8 +4,9 @@ A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.re
 ``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)`` and
 ``.force_bound (N, W)``; with soft fingers ``.moments (M, W)``; of limited optima ``.normal_multiplier (M, W)``,
 ``.torque_multiplier`` and ``.certificate_rates (N, W, j)``; and ``grasp (N,)``, the grasps' numbers in the input, and
-``offsets (N + 1,)`` of its contacts; and for each measure of quality that was asked for, columns
-``quality.MEASURE.COLUMN (N,)``.
+``offsets (N + 1,)`` of its contacts; ``why (N, W)``, codes of [`Reason`][jaxgrasp.batch.reasons.Reason]; the grasps'
+own ``name (N,)`` where they have one; ``least_friction (N, W)`` where it was asked for; and for each measure of quality
+that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
 """
 
 import hashlib
@@ -18,18 +19,21 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import save_arrays
+from jaxgrasp.batch.reasons import reasons
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.model.compared_methods import METHODS
 
 MANIFEST = "manifest.json"
-VERSION = 6
+VERSION = 7
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
-BESIDE = ("summary.json", "report.html")
+BESIDE = ("summary.json", "report.html", "results.csv", "results.parquet")
 """What the command line writes beside the results, and what is stale without them."""
 SMALL = 64 << 20
 """Results up to this many bytes end as one file instead of shards."""
@@ -164,6 +168,12 @@ class ResultFolder:
         self.manifest["summary"] = summary
         self._write_manifest()
 
+    def shards(self) -> Iterator[dict[str, np.ndarray]]:
+        """The arrays of each shard, one after the other."""
+        for entry in self.manifest["shards"]:
+            with np.load(self.folder / entry["file"], allow_pickle=False) as arrays:
+                yield dict(arrays)
+
     def finish(self) -> None:
         """Join small shards into ``results.npz`` and mark the evaluation complete."""
         if self.manifest["complete"]:
@@ -210,18 +220,22 @@ def _is_whole(path: Path, entry: dict) -> bool:
 
 
 def arrays_of(
+    sets: ContactSets,
     results: dict[str, MethodResult],
-    offsets: np.ndarray,
-    grasp: np.ndarray,
-    constrained: set[str],
+    numbers: np.ndarray,
     quality: dict[str, np.ndarray],
-) -> dict:
-    """A chunk's results as the arrays of a shard."""
-    arrays = {"grasp": grasp, "offsets": offsets}
+    least_friction: np.ndarray | None = None,
+) -> dict[str, np.ndarray]:
+    """The results of some sets as the arrays of a shard; ``numbers`` are the grasps' in the input."""
+    arrays = {"grasp": numbers, "offsets": sets.offsets, "why": reasons(sets, results)}
+    if "name" in sets.labels:
+        arrays["name"] = np.asarray(sets.labels["name"], str)
+    if least_friction is not None:
+        arrays["least_friction"] = least_friction
     for method, result in results.items():
         for field in fields(MethodResult):
             array = getattr(result, field.name)
-            if array is not None and (field.name not in ("certificate", "force_bound") or method in constrained):
+            if array is not None and (field.name not in ("certificate", "force_bound") or METHODS[method].constrained):
                 arrays[f"{method}.{field.name}"] = array
     return arrays | {f"quality.{name}": column for name, column in quality.items()}
 

@@ -3,22 +3,29 @@
 import os
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from jaxgrasp.batch.columnar import LABELS, LONGEST_LABEL
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.csv_file import read_csv, write_csv
 from jaxgrasp.batch.file_error import GraspFileError
-from jaxgrasp.batch.npz_file import LABELS, LONGEST_LABEL, NpzGrasps, write_npz
+from jaxgrasp.batch.hdf5_file import open_hdf5, write_hdf5
+from jaxgrasp.batch.npz_file import open_npz, write_npz
+from jaxgrasp.batch.parquet_file import open_parquet, write_parquet
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 
+POINT_AWAY = "most normals point away from the middle of their grasp"
+MOSTLY = 0.8
+"""Share of grasps from which all are suspected."""
 MILLIMETRES_LIKELY = 2.0
 """A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
 
@@ -90,6 +97,8 @@ class Adjustments:
     friction: float | None = None
     """Replaces the file's, or stands in for a missing column."""
     squeeze: float | None = None
+    torsion: float | None = None
+    """Makes every contact with friction a soft finger of this torsional coefficient [m], in place of the file's."""
 
     @property
     def fill(self) -> dict[str, float]:
@@ -97,7 +106,10 @@ class Adjustments:
 
     def apply(self, sets: ContactSets) -> ContactSets:
         changes = {name: np.full_like(getattr(sets, name), value) for name, value in self.fill.items()}
-        if self.friction == 0 and sets.torsion is not None:
+        if self.torsion is not None:
+            friction = changes.get("friction", sets.friction)
+            changes["torsion"] = np.where(friction > 0, friction.dtype.type(self.torsion), 0)
+        elif self.friction == 0 and sets.torsion is not None:
             # A contact without friction has no torsional friction either.
             changes["torsion"] = np.zeros_like(sets.torsion)
         if self.outward_normals:
@@ -106,20 +118,60 @@ class Adjustments:
 
 
 def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments()) -> GraspSource:
-    """The grasps of a ``.npz`` or ``.csv`` file."""
+    """The grasps of a file of any kind that we read, by its ending.
+
+    Raises:
+        GraspFileError: for a directory, another ending, and a file that is damaged or lacks what it needs.
+        ImportError: for a kind whose library is not installed.
+    """
     path = Path(path)
     if path.is_dir():
-        raise GraspFileError(path, "it is a directory: expected an .npz or a .csv file")
-    if path.suffix.lower() == ".csv":
-        return MemorySource(read_csv(path, adjustments.fill))
-    return NpzGrasps(path, adjustments.fill)
+        raise GraspFileError(path, f"it is a directory: expected a file that ends in {ENDINGS}")
+    return file_format(path).open(path, adjustments.fill)
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """A kind of grasp files."""
+
+    open: Callable[[Path, dict[str, float]], GraspSource]
+    write: Callable[[Path, ContactSets], None]
+
+
+def _open_csv(path: Path, fill: dict[str, float]) -> GraspSource:
+    return MemorySource(read_csv(path, fill))
+
+
+_HDF5 = FileFormat(open_hdf5, write_hdf5)
+FORMATS = {
+    ".npz": FileFormat(open_npz, write_npz),
+    ".csv": FileFormat(_open_csv, write_csv),
+    ".parquet": FileFormat(open_parquet, write_parquet),
+    ".h5": _HDF5,
+    ".hdf5": _HDF5,
+}
+"""By the endings of their files' names."""
+ENDINGS = ", ".join(list(FORMATS)[:-1]) + f" or {list(FORMATS)[-1]}"
+
+
+def file_format(path: Path) -> FileFormat:
+    """The kind of a file by its ending.
+
+    Raises:
+        GraspFileError: for any other.
+    """
+    found = FORMATS.get(path.suffix.lower())
+    if found is None:
+        raise GraspFileError(path, f"its name ends in {shortened(path.suffix)}: expected {ENDINGS}")
+    return found
 
 
 def load_grasps(path: str | os.PathLike) -> ContactSets:
-    """Read a grasp file (``.npz`` version 1, or ``.csv``), check every entry, and return it whole.
+    """Read a grasp file (``.npz``, ``.csv``, ``.parquet``, ``.h5``), check every entry, and return it whole.
 
     Raises:
-        GraspFileError: if the file is damaged, lacks a column, or its shapes do not fit.
+        GraspFileError: if the file is of another kind, damaged, lacks a column, or its shapes do not fit.
+        ImportError: for Parquet and HDF5 without the extras `table` and `mesh`.
         GraspError: for the first entry that is not usable: which, its value, and what was expected.
     """
     with open_source(path) as source:
@@ -131,6 +183,8 @@ def load_grasps(path: str | os.PathLike) -> ContactSets:
             f"{os.fspath(path)}: contacts lie metres apart, as if lengths were in millimetres: expected metres",
             stacklevel=2,
         )
+    if normals_point_away(sets):
+        warnings.warn(f"{os.fspath(path)}: {POINT_AWAY}: expected normals that point into the object", stacklevel=2)
     return sets
 
 
@@ -142,7 +196,7 @@ def save_grasps(
     limits: Limits | None = None,
     **labels: AnyArray | Sequence[str],
 ) -> None:
-    """Write a grasp file, ``.npz`` or ``.csv`` by its name, whole or not at all.
+    """Write a grasp file, ``.npz``, ``.csv``, ``.parquet`` or ``.h5`` by its name, whole or not at all.
 
     Args:
         path: where to; a file that stands there is replaced once the new one is complete.
@@ -153,10 +207,11 @@ def save_grasps(
 
     Raises:
         GraspError: for the first entry that is not usable.
-        ValueError: for a name of another ending, and labels that cannot be used.
+        GraspFileError: for a name of another ending.
+        ImportError: for Parquet and HDF5 without the extras `table` and `mesh`.
+        ValueError: for labels that cannot be used.
     """
-    if Path(path).suffix.lower() not in (".npz", ".csv"):
-        raise ValueError(f"path is {str(path)!r}: expected a name that ends in .npz or .csv")
+    kind = file_format(Path(path))
     sets = as_sets(grasps, wrenches, limits)
     for name, values in labels.items():
         if name not in LABELS:
@@ -173,11 +228,19 @@ def save_grasps(
         sets = replace(sets, labels={name: np.asarray(values, str) for name, values in labels.items()})
     for fault in sets.faults():
         raise GraspError(fault)
-    writer = write_csv if Path(path).suffix.lower() == ".csv" else write_npz
-    writer(path, sets)
+    kind.write(Path(path), sets)
 
 
 def looks_like_millimetres(sets: ContactSets) -> bool:
     """Whether most grasps are larger than any hand, as they are when lengths are in millimetres."""
     reach = sets.reach()
     return bool(len(reach) and np.median(reach) > MILLIMETRES_LIKELY)
+
+
+def normals_point_away(sets: ContactSets) -> bool:
+    """Whether the normals of most grasps point away from the contacts' own middle, as no convex object's do."""
+    if not len(sets.points):
+        return False
+    inward = np.einsum("ci,ci->c", sets.towards_middle(), sets.normals)
+    starts = sets.offsets[:-1][sets.sizes > 0]
+    return bool(np.mean(np.add.reduceat(inward, starts) < 0) > MOSTLY)

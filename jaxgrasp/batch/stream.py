@@ -4,18 +4,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.batch.engine import Engine, MethodResult, Times
-from jaxgrasp.batch.evaluation import run, usable
-from jaxgrasp.batch.qualities import Columns, measure_all, summarise_qualities
+from jaxgrasp.batch.engine import Engine, Times
+from jaxgrasp.batch.evaluation import run, summarise_all, usable
+from jaxgrasp.batch.qualities import least_friction_of, measure_all
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
-from jaxgrasp.batch.summary import Summary, summarise
+from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
@@ -36,16 +36,21 @@ class StreamPlan:
     adjustments: Adjustments = field(default_factory=Adjustments)
     quality: tuple[str, ...] = ()
     """Measures of quality, by name."""
+    least_friction: bool = False
+    """Whether to find the least share of the friction with which each grasp holds."""
 
     def identity(self, name: str, source: GraspSource) -> dict:
         """What must be equal for results to belong to the same evaluation."""
         adjusted = {"outward_normals": self.adjustments.outward_normals, **self.adjustments.fill}
+        if self.adjustments.torsion is not None:
+            adjusted["torsion"] = self.adjustments.torsion
         return {
             "input": name,
             "fingerprint": source.fingerprint,
             "grasps": len(source),
             "methods": list(self.methods),
             "quality": list(self.quality),
+            "least_friction": self.least_friction,
             "chunk": self.chunk,
             "dtype": self.dtype,
             "skip_bad": self.skip_bad,
@@ -90,22 +95,22 @@ def evaluate_stream(
     damaged = _damaged(folder, plan, announce) if folder else []
     resumed = folder.done if folder else 0
     summary = from_json(folder.summary) if folder and folder.summary else None
+    if plan.least_friction:
+        announce("compiling the search for the least friction, which takes up to a minute ...")
     checked = not plan.skip_bad and not resumed
     if checked:
         check_all(source, plan.adjustments, plan.chunk)
     if folder:
         folder.begin()
-    constrained = {method.name for method in methods if method.constrained}
     task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked)
     for entry in damaged:
         assert folder is not None
         again = task(entry["start"], next(iter(source.chunks(plan.chunk, entry["start"]))))
-        folder.replace(entry, arrays_of(again.results, again.offsets, again.grasps, constrained, again.quality))
+        folder.replace(entry, again.arrays)
     for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine)):
         summary = chunk.summary if summary is None else summary.merged(chunk.summary)
         if folder:
-            arrays = arrays_of(chunk.results, chunk.offsets, chunk.grasps, constrained, chunk.quality)
-            folder.add(arrays, chunk.start, chunk.stop, to_json(summary))
+            folder.add(chunk.arrays, chunk.start, chunk.stop, to_json(summary))
         progress(chunk.stop - chunk.start)
     if summary is None:
         raise ValueError("there are no grasps to evaluate")
@@ -131,11 +136,8 @@ class _Chunk:
 
     start: int
     stop: int
-    grasps: np.ndarray
-    """Numbers in the input of those that were not set aside."""
-    offsets: np.ndarray
-    results: dict[str, MethodResult]
-    quality: Columns
+    arrays: dict[str, np.ndarray]
+    """Of its shard."""
     summary: Summary
 
 
@@ -152,10 +154,12 @@ def _evaluate_chunk(
     if not checked:
         sets, kept = usable(sets, plan.skip_bad, start)
     sets = sets.astype(np.dtype(plan.dtype))
+    numbers = start + kept
     results, columns = run(engine, sets, rows_per_shape), measure_all(measures, sets)
-    summary = summarise(sets, results, numbers=start + kept, set_aside=len(raw) - len(kept))
-    summary = replace(summary, qualities=summarise_qualities(measures, columns))
-    return _Chunk(start, start + len(raw), start + kept, sets.offsets, results, columns, summary)
+    friction = least_friction_of(sets) if plan.least_friction else None
+    summary = summarise_all(sets, results, measures, columns, friction, numbers, set_aside=len(raw) - len(kept))
+    arrays = arrays_of(sets, results, numbers, columns, friction)
+    return _Chunk(start, start + len(raw), arrays, summary)
 
 
 def _workers(engine: Engine) -> int:

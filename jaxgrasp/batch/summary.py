@@ -7,7 +7,9 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.price import price_of_friction
 from jaxgrasp.batch.qualities import QualitySummary
+from jaxgrasp.batch.rankings import Ranked
 from jaxgrasp.batch.worst import KEPT, worst_cases
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict, is_balanced, is_optimum
@@ -90,6 +92,8 @@ class Summary:
     """The problems whose closed form is furthest from its optimum, worst first, with their data."""
     qualities: dict[str, QualitySummary] = field(default_factory=dict)
     """Measures of quality that were asked for."""
+    ranked: Ranked | None = None
+    """Which hold, why the others do not, and the best and the worst."""
 
     def merged(self, other: "Summary") -> "Summary":
         sizes = np.zeros(max(len(self.sizes), len(other.sizes)), int)
@@ -106,6 +110,7 @@ class Summary:
             {name: own.merged(other.comparisons[name]) for name, own in self.comparisons.items()},
             ranked[:KEPT],
             {name: own.merged(other.qualities[name]) for name, own in self.qualities.items()},
+            self.ranked.merged(other.ranked) if self.ranked and other.ranked else self.ranked or other.ranked,
         )
 
 
@@ -121,7 +126,7 @@ def summarise(
             comparison, price = _compare(sets, results[name], results[optimum])
             comparisons[name] = comparison
             if name == "B" or "B" not in results:
-                worst = worst_cases(sets, results[name], results[optimum], price, name, numbers)
+                worst = worst_cases(sets, results, price, name, numbers)
     return Summary(
         grasps=len(sets),
         contacts=len(sets.points),
@@ -168,8 +173,8 @@ def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> 
     """The comparison, and the price of every problem (-inf where there is no optimum to compare with)."""
     solved = is_optimum(optimum.verdict)
     already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
+    price = price_of_friction(closed.objective, optimum.objective, optimum.verdict)
     with np.errstate(divide="ignore", invalid="ignore"):
-        price = np.where(already, 0, (optimum.objective - closed.objective) / optimum.objective)
         apart = _length_by_problem(sets, closed.forces, optimum.forces)
         distance = np.where(already, 0, apart / _length_by_problem(sets, optimum.forces))
     comparison = MethodComparison(

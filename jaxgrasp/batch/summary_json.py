@@ -4,6 +4,8 @@ import numpy as np
 
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import QualitySummary
+from jaxgrasp.batch.rankings import Ranked, Ranking
+from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import MethodComparison, MethodSummary, Summary
 from jaxgrasp.model.solution import Route, Verdict
 
@@ -21,6 +23,7 @@ def to_json(summary: Summary) -> dict:
         "comparisons": {name: _comparison_to_json(c) for name, c in summary.comparisons.items()},
         "worst": summary.worst,
         "qualities": {name: quality.to_json() for name, quality in summary.qualities.items()},
+        "ranked": summary.ranked and _ranked_to_json(summary.ranked),
     }
 
 
@@ -32,6 +35,25 @@ def from_json(data: dict) -> Summary:
         methods={name: _method_from_json(method) for name, method in data["methods"].items()},
         comparisons={name: _comparison_from_json(c) for name, c in data["comparisons"].items()},
         qualities={name: QualitySummary.from_json(quality) for name, quality in data["qualities"].items()},
+        ranked=data["ranked"] and _ranked_from_json(data["ranked"]),
+    )
+
+
+def _ranked_to_json(ranked: Ranked) -> dict:
+    return {
+        "judge": ranked.judge,
+        "reasons": {reason.name: int(ranked.counts[reason]) for reason in Reason},
+        "examples": ranked.examples,
+        "rankings": {name: {"best": own.best, "worst": own.worst} for name, own in ranked.rankings.items()},
+    }
+
+
+def _ranked_from_json(data: dict) -> Ranked:
+    return Ranked(
+        data["judge"],
+        np.array([data["reasons"][reason.name] for reason in Reason]),
+        data["examples"],
+        {name: Ranking(**ends) for name, ends in data["rankings"].items()},
     )
 
 

@@ -1,11 +1,15 @@
 """The summary a person reads in ten seconds."""
 
 import math
+import textwrap
 
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
+from jaxgrasp.batch.rankings import MARGIN
 from jaxgrasp.batch.summary import Summary
+from jaxgrasp.batch.worst import case_title
+from jaxgrasp.files.printable import printable
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict
 
@@ -22,12 +26,17 @@ _ROWS = (
 )
 
 
+WHAT_A_AND_B_ARE = (
+    "A shares the load alike among the contacts, B by how hard each squeezes (eqs. 11 and 15); both ignore friction, "
+    "which their optima heed."
+)
+SHOWN = 3
 _SOLVER_ROUTES = (Route.CLOSED_FORM, Route.FAST, Route.CAREFUL)
 
 
 def summary_text(summary: Summary, times: Times, seconds: float) -> str:
     """Some twenty lines of plain text."""
-    lines = [_what_was_read(summary), ""]
+    lines = [_what_was_read(summary), "", *_which_hold(summary)]
     names = list(summary.methods)
     lines.append(f"{'':30}" + "".join(f"{name:>14}" for name in names))
     for label, verdicts in _ROWS:
@@ -51,6 +60,34 @@ def summary_text(summary: Summary, times: Times, seconds: float) -> str:
     return "\n".join(lines)
 
 
+def _which_hold(summary: Summary) -> list[str]:
+    """The answer to which grasps are good: how many hold, why the others do not, and the ends of each order."""
+    ranked, several = summary.ranked, summary.problems != summary.grasps
+    if ranked is None or not summary.problems:
+        return []
+    unit = "problems" if several else "grasps"
+    lines = [f"{ranked.holds:,} of {summary.problems:,} {unit} hold ({ranked.judge})."]
+    for reason, count in ranked.failing:
+        names = ", ".join(printable(case_title(case, several)) for case in ranked.examples.get(reason.name, []))
+        more = ", ..." if count > len(ranked.examples.get(reason.name, [])) else ""
+        lines.append(f"  {count:,} not: {reason.title} ({names}{more})")
+    for name, ranking in ranked.rankings.items():
+        for end, cases in (("best", ranking.best), ("worst", ranking.worst)):
+            shown = ", ".join(
+                f"{printable(case_title(case, several))} {ranked_value(name, case['value'])}" for case in cases[:SHOWN]
+            )
+            if shown:
+                lines.append(f"{end} by {name}: {shown}")
+    return [*lines, ""]
+
+
+def ranked_value(name: str, value: float) -> str:
+    """A value that grasps are ranked by, with its unit."""
+    if name == MARGIN:
+        return _degrees(value)
+    return f"{value:.3g}"
+
+
 def _what_was_read(summary: Summary) -> str:
     sizes = [n for n, count in enumerate(summary.sizes) if count]
     if not sizes:
@@ -65,7 +102,10 @@ def _what_was_read(summary: Summary) -> str:
 
 
 def _comparison_lines(summary: Summary) -> list[str]:
-    lines = [f"{'Against its own optimum':30}{'median':>14}{'95%':>14}{'largest':>14}"]
+    lines = [
+        *textwrap.wrap(WHAT_A_AND_B_ARE, 100),
+        f"{'Against its own optimum':30}{'median':>14}{'95%':>14}{'largest':>14}",
+    ]
     for name, comparison in summary.comparisons.items():
         lines.append(_quantiles(f"{name}: price of friction", comparison.price, _percent))
         lines.append(_quantiles(f"{name}: distance in force", comparison.distance, _percent))

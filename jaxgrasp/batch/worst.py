@@ -1,26 +1,42 @@
-"""The problems where a closed form deceives most, with all that is needed to draw them."""
+"""Problems that are worth a look, with all that is needed to draw them: the extremes, and examples of what fails."""
+
+import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
+from jaxgrasp.model.solution import is_balanced
 
 KEPT = 10
 
 
 def worst_cases(
-    sets: ContactSets,
-    closed: MethodResult,
-    optimum: MethodResult,
-    price: np.ndarray,
-    method: str,
-    numbers: np.ndarray,
+    sets: ContactSets, results: dict[str, MethodResult], price: np.ndarray, method: str, numbers: np.ndarray
 ) -> list[dict]:
     """The problems of highest price, worst first; only those that have one. ``numbers``: of the grasps in the input."""
     flat = price.ravel()
     order = np.argsort(-flat, kind="stable")[:KEPT]
+    chosen = order[flat[order] > 0]
+    cases = cases_of(sets, results, method, chosen, numbers)
+    return [case | {"price": float(flat[problem])} for case, problem in zip(cases, chosen, strict=True)]
+
+
+def cases_of(
+    sets: ContactSets,
+    results: dict[str, MethodResult],
+    method: str,
+    problems: Iterable[int] | np.ndarray,
+    numbers: np.ndarray,
+) -> list[dict]:
+    """Problems, by their place among grasps and wrenches, with the answers of closed form ``method`` and its optimum.
+
+    An answer is None where its method was not asked for, or has no forces that balance the wrench.
+    """
+    closed, optimum = results.get(method), results.get(f"{method}-optimum")
     cases = []
-    for problem in order[flat[order] > 0]:
+    for problem in problems:
         grasp, wrench = divmod(int(problem), sets.wrenches)
         own = slice(sets.offsets[grasp], sets.offsets[grasp + 1])
         cases.append(
@@ -29,16 +45,33 @@ def worst_cases(
                 "wrench_number": wrench,
                 "method": method,
                 "labels": {name: str(values[grasp]) for name, values in sets.labels.items()},
-                "price": float(price[grasp, wrench]),
-                "margin": float(closed.margin[grasp, wrench]),
-                "violation": float(closed.violation[grasp, wrench]),
+                "price": None,
+                "margin": None if closed is None else finite_or_none(closed.margin[grasp, wrench]),
+                "violation": None if closed is None else finite_or_none(closed.violation[grasp, wrench]),
                 "points": sets.points[own].tolist(),
                 "normals": sets.normals[own].tolist(),
                 "friction": sets.friction[own].tolist(),
                 "squeeze": sets.squeeze[own].tolist(),
                 "wrench": sets.wrench[grasp, wrench].tolist(),
-                "closed": closed.forces[own, wrench].tolist(),
-                "optimum": optimum.forces[own, wrench].tolist(),
+                "closed": _forces(closed, own, grasp, wrench),
+                "optimum": _forces(optimum, own, grasp, wrench),
             }
         )
     return cases
+
+
+def case_title(case: dict, several: bool = False) -> str:
+    """A grasp's own name, or its number where it has none; with its wrench where there are ``several``."""
+    title = case["labels"].get("name") or f"grasp {case['grasp']}"
+    return f"{title}, wrench {case['wrench_number']}" if several else title
+
+
+def finite_or_none(value: float | np.floating) -> float | None:
+    """A number as JSON has it, which knows no infinity."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _forces(result: MethodResult | None, own: slice, grasp: int, wrench: int) -> list | None:
+    if result is None or not is_balanced(result.verdict[grasp, wrench]):
+        return None
+    return result.forces[own, wrench].tolist()

@@ -12,7 +12,7 @@ class Data:
     """Which grasps, and how they differ from the conventions."""
 
     file: tyro.conf.Positional[Path | None] = None
-    """An .npz or .csv file of grasps; the simulated grips that ship with the package where not given."""
+    """A file of grasps (.npz, .csv, .parquet, .h5); the simulated grips that ship with the package where not given."""
     normals: Literal["inward", "outward"] = "inward"
     """Where the file's normals point: into the object, or out of it."""
 

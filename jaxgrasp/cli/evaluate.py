@@ -8,7 +8,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from jaxgrasp.batch.arrow import arrow_library
 from jaxgrasp.batch.hints import hints
+from jaxgrasp.batch.result_table import SMALL_TABLE, write_table
 from jaxgrasp.batch.shards import ResultFolder, held_folder
 from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.batch.stream import StreamPlan, StreamResult, evaluate_stream
@@ -28,11 +30,15 @@ def evaluate_command(arguments: Evaluate) -> int:
         raise ValueError(f"chunk is {arguments.chunk}: expected a number of grasps, 1 or more")
     for name in ("friction", "squeeze"):
         _check_values(name, getattr(arguments, name))
+    if arguments.torsion is not None:
+        _check_values("torsion", (arguments.torsion,))
     measures_named(_asked(arguments))
+    if arguments.table == "parquet":
+        arrow_library()
     set_up_jax(arguments.dtype)
     sweeping = len(arguments.friction) > 1 or len(arguments.squeeze) > 1
     for friction, squeeze in product(arguments.friction or (None,), arguments.squeeze or (None,)):
-        adjustments = Adjustments(arguments.normals == "outward", friction, squeeze)
+        adjustments = Adjustments(arguments.normals == "outward", friction, squeeze, arguments.torsion)
         folder = arguments.out
         if sweeping:
             label = "-".join(f"{name}-{value!r}" for name, value in adjustments.fill.items())
@@ -56,7 +62,15 @@ def _check_values(name: str, values: tuple[float, ...]) -> None:
 
 def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> None:
     quality = _asked(arguments)
-    plan = StreamPlan(arguments.methods, arguments.chunk, arguments.dtype, arguments.skip_bad, adjustments, quality)
+    plan = StreamPlan(
+        arguments.methods,
+        arguments.chunk,
+        arguments.dtype,
+        arguments.skip_bad,
+        adjustments,
+        quality,
+        arguments.least_friction,
+    )
     path = data_path(arguments)
     with held_folder(out, announce), opened(arguments, adjustments) as source:
         identity = plan.identity(path.name, source)
@@ -69,6 +83,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         # A resumed evaluation that was finished already has nothing new to say, and no times.
         if outcome.times.problems or not (out / "summary.json").exists():
             _write_summary(out / "summary.json", outcome, arguments)
+        _write_table(folder, outcome.summary.problems, arguments.table)
         show(f"results: {out}")
         if arguments.report:
             _write_report(out / "report.html", path, outcome, arguments)
@@ -82,6 +97,17 @@ def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate) -> No
         "details": _details(arguments),
     }
     replace_file(path, lambda stream: stream.write(json.dumps(content).encode()))
+
+
+def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:
+    if kind == "none":
+        return
+    if kind == "auto" and rows > SMALL_TABLE:
+        show(f"no table of {rows:,} rows: --table csv or --table parquet writes it")
+        return
+    path = folder.folder / f"results.{'csv' if kind == 'auto' else kind}"
+    write_table(path, folder.shards())
+    show(f"table:   {path}")
 
 
 def _write_report(path: Path, data: Path, outcome: StreamResult, arguments: Evaluate) -> None:

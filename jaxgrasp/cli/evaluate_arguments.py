@@ -22,6 +22,14 @@ class Evaluate(Data):
     """Friction for all contacts, in place of the file's; several values are evaluated one after another."""
     squeeze: tuple[float, ...] = ()
     """Squeezing force for all contacts [N], in place of the file's; several values likewise."""
+    torsion: float | None = None
+    """Torsional friction of all contacts [m], in place of the file's: soft fingers, which resist some torque about
+    their normals, as wide pads do. A pad's torsional friction is about its friction times 2/3 of its radius."""
+    least_friction: bool = False
+    """Find the least share of its friction with which each grasp holds; costs some 50 ms a grasp and wrench."""
+    table: Literal["auto", "csv", "parquet", "none"] = "auto"
+    """A table beside the results, one row for each grasp and wrench: auto writes results.csv up to 100,000 rows.
+    Parquet, which holds the forces too, needs the extra `table`."""
     out: Path = Path("jaxgrasp-results")
     """Folder for the results; it gets one sub-folder a value where values are swept."""
     chunk: int = 16_384

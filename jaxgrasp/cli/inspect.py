@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.batch.sources import Adjustments, looks_like_millimetres
+from jaxgrasp.batch.sources import POINT_AWAY, Adjustments, looks_like_millimetres, normals_point_away
 from jaxgrasp.cli.data import data_path, opened
 from jaxgrasp.cli.data_arguments import Info, Validate
 from jaxgrasp.cli.terminal import announce, show
@@ -53,15 +53,20 @@ def info_command(arguments: Info) -> int:
 
 def validate_command(arguments: Validate) -> int:
     """Print every fault, then their number."""
-    count, bad = 0, set()
-    with opened(arguments, Adjustments(arguments.normals == "outward")) as source:
+    count, bad, away = 0, set(), False
+    adjustments = Adjustments(arguments.normals == "outward")
+    with opened(arguments, adjustments) as source:
         first = 0
         for sets in source.chunks(CHUNK):
-            for fault in sets.faults(first):
+            adjusted = adjustments.apply(sets)
+            for fault in adjusted.faults(first):
                 show(fault)
                 count += 1
                 bad.add(fault.index[0])
+            away = away or (first == 0 and normals_point_away(adjusted))
             first += len(sets)
+    if away:
+        show(f"warning: {POINT_AWAY}: if yours point out of the object, add --normals outward")
     if count:
         announce(f"{count:,} fault(s) in {len(bad):,} of {first:,} grasps")
         return 1

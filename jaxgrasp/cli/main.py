@@ -12,6 +12,7 @@ from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.data_arguments import Info, Validate
 from jaxgrasp.cli.evaluate_arguments import Evaluate
 from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
+from jaxgrasp.cli.file_arguments import Convert, Template
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.import_arguments import (
@@ -32,6 +33,7 @@ from jaxgrasp.files.printable import message_line
 
 Command = (
     Annotated[FindContacts, tyro.conf.subcommand("contacts")]
+    | Annotated[Convert, tyro.conf.subcommand("convert")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Experiment, tyro.conf.subcommand("experiment")]
     | Annotated[Glove, tyro.conf.subcommand("glove")]
@@ -40,10 +42,13 @@ Command = (
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
+    | Annotated[Template, tyro.conf.subcommand("template")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
 )
 FUNCTIONS: dict[type, str] = {
     FindContacts: "contacts.contacts_command",
+    Convert: "convert.convert_command",
+    Template: "convert.template_command",
     Evaluate: "evaluate.evaluate_command",
     **dict.fromkeys((DexGraspBench, DexGraspNet, GraspIt), "import_poses.import_hands"),
     **dict.fromkeys((ACRONYM, GraspGen, IsaacGrasp), "import_poses.import_grippers"),

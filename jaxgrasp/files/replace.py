@@ -7,10 +7,10 @@ from typing import IO
 
 
 def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write beside ``path`` and rename, so that a reader never meets half a file."""
+    """Write beside ``path`` and rename, so that a reader never meets half a file; what is written may be read again."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        with open(beside, "wb") as stream:
+        with open(beside, "w+b") as stream:
             write(stream)
             stream.flush()
             os.fsync(stream.fileno())

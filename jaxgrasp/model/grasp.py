@@ -3,7 +3,8 @@
 - SI units. Points, normals and wrenches are written in one frame; a wrench is (force, torque about
   that frame's origin).
 - Normals are unit vectors that point INTO the object. The paper's eq. 3 has them outward while its
-  squeezing force (eq. 6) needs them inward; here they are inward throughout.
+  squeezing force (eq. 6) needs them inward; here they are inward throughout. Nothing can tell outward ones from an
+  object that is held from inside: they give answers, with good verdicts, whose forces pull the contacts apart.
 - Forces are what the hand exerts ON the object: a contact that presses has f.a > 0.
 - A wrench is what the contacts must exert, w = -(F_ext, N_ext) of eq. 1, so that G f = w.
 - The last axes are (contact, component); every axis before them is a batch axis.
@@ -30,7 +31,8 @@ class Grasp(Batched):
 
     Args:
         points: where the hand touches the object ``(..., n, 3)`` [m].
-        normals: unit surface normals that point into the object ``(..., n, 3)``.
+        normals: unit surface normals that point into the object ``(..., n, 3)``. With outward ones turn them round
+            first: a grasp whose normals point out is solved as they stand, and may well be called optimal.
         friction: Coulomb coefficients mu >= 0 ``(..., n)``.
         squeeze: intended normal forces s >= 0 ``(..., n)`` [N] (eq. 6).
         present: 1 where the contact exists, 0 where it is padding ``(..., n)``; all exist where it is not given.

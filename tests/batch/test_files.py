@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxgrasp
-from jaxgrasp.batch.npz_file import NpzGrasps
+from jaxgrasp.batch.npz_file import open_npz
 from jaxgrasp.batch.sources import Adjustments, open_source
 from tests.batch.conftest import make_sets
 from tests.batch.test_contact_sets import same
@@ -46,7 +46,7 @@ def test_many_wrenches_round_trip(folder):
 def test_chunks_are_the_whole(folder, sizes, size, start):
     sets = make_sets(sizes)
     jaxgrasp.save_grasps("set.npz", sets)
-    with NpzGrasps("set.npz") as source:
+    with open_npz("set.npz") as source:
         parts = list(source.chunks(size, start))
     assert sum(map(len, parts)) == 7 - start
     for number, part in enumerate(parts):

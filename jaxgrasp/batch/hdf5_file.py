@@ -1,0 +1,133 @@
+"""Grasp files as HDF5: the columns of [`columnar`][jaxgrasp.batch.columnar] as data sets of those names."""
+
+import math
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.batch.columnar import KNOWN, ColumnarGrasps, columns_to_save
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.npz_column import DEFLATE_RATIO
+from jaxgrasp.files.replace import replace_file
+
+MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
+LONGEST = 1_000
+"""Bytes of a text whose length a file leaves open."""
+
+
+def hdf5_library() -> Any:
+    """h5py.
+
+    Raises:
+        ImportError: where it is not installed, with the command that does it.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise ImportError(MISSING) from None
+    return h5py
+
+
+class Hdf5Column:
+    """One data set, read forward a few rows at a time."""
+
+    def __init__(self, path: Path, name: str, data: Any):
+        """``data`` is h5py's data set.
+
+        Raises:
+            GraspFileError: for what refers to other files, or claims more than it stores.
+        """
+        self._path, self._name, self._data, self._at = path, name, data, 0
+        if data.external or data.is_virtual:
+            raise GraspFileError(path, f"{name} lies in other files: expected its data in this one")
+        self.shape = tuple(map(int, data.shape or ()))
+        self._text = hdf5_library().check_string_dtype(data.dtype)
+        self.dtype = np.dtype(f"S{self._text.length or LONGEST}") if self._text else data.dtype
+        stored, packed = data.id.get_storage_size(), data.compression is not None
+        size = math.prod(self.shape) * data.dtype.itemsize
+        if size > stored * (DEFLATE_RATIO if packed else 1):
+            raise GraspFileError(path, f"{name} of shape {self.shape} takes {size:,} bytes and stores {stored:,}")
+
+    def take(self, rows: int) -> np.ndarray:
+        return self._read(slice(self._at, self._advance(rows)))
+
+    def skip(self, rows: int) -> None:
+        self._advance(rows)
+
+    def whole(self) -> np.ndarray:
+        return self._read(())
+
+    def close(self) -> None: ...
+
+    def _advance(self, rows: int) -> int:
+        self._at += rows
+        return self._at
+
+    def _read(self, where: Any) -> np.ndarray:
+        try:
+            found = self._data[where]
+        except (OSError, RuntimeError, ValueError) as error:
+            raise GraspFileError(self._path, f"{self._name} is damaged ({error})") from error
+        if not self._text:
+            return np.asarray(found)
+        longest = max((len(text) for text in np.ravel(found)), default=0)
+        if longest > LONGEST:
+            raise GraspFileError(
+                self._path, f"{self._name} holds text of {longest:,} bytes: expected at most {LONGEST:,}"
+            )
+        return np.asarray(found, np.bytes_ if longest else "S1")
+
+
+class Hdf5Archive:
+    """The data sets at the root of an HDF5 file."""
+
+    def __init__(self, path: Path):
+        h5py = hdf5_library()
+        if not path.exists():
+            raise FileNotFoundError(2, "No such file or directory", str(path))
+        self.path = path
+        try:
+            self._file = h5py.File(path, "r")
+            self.names = [name for name in self._file if self._is_ours(h5py, name)]
+        except (OSError, RuntimeError, KeyError) as error:
+            raise GraspFileError(path, f"it cannot be read as HDF5 ({error})") from error
+
+    def _is_ours(self, h5py: Any, name: str) -> bool:
+        here = isinstance(self._file.get(name, getlink=True), h5py.HardLink)
+        if name in KNOWN and not here:
+            raise GraspFileError(self.path, f"{name} is a link: expected a data set in this file")
+        return here and isinstance(self._file[name], h5py.Dataset)
+
+    def checksum(self) -> int:
+        """Checksum of all bytes of the file."""
+        sum_ = 0
+        with open(self.path, "rb") as stream:
+            while part := stream.read(1 << 20):
+                sum_ = zlib.crc32(part, sum_)
+        return sum_
+
+    def column(self, name: str) -> Hdf5Column:
+        return Hdf5Column(self.path, name, self._file[name])
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def open_hdf5(path: Path, fill: dict[str, float] | None = None) -> ColumnarGrasps:
+    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
+    return ColumnarGrasps(Hdf5Archive(path), fill)
+
+
+def write_hdf5(path: Path, sets: ContactSets) -> None:
+    """Write a grasp file, whole or not at all."""
+    h5py = hdf5_library()
+
+    def write(stream: Any) -> None:
+        with h5py.File(stream, "w") as file:
+            for name, array in columns_to_save(sets).items():
+                file[name] = np.char.encode(array, "utf-8") if array.dtype.kind == "U" else array
+
+    replace_file(path, write)

@@ -1,0 +1,129 @@
+"""The best and the worst of many grasps, and examples of those that fail, so that they merge chunk by chunk."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.engine import MethodResult
+from jaxgrasp.batch.qualities import Columns
+from jaxgrasp.batch.reasons import Reason, judge, reasons
+from jaxgrasp.batch.worst import cases_of
+from jaxgrasp.model.solution import is_balanced
+
+RANKED = 5
+"""How many of the best, and of the worst."""
+EXAMPLES = 3
+"""Grasps that fail, of each reason."""
+MARGIN, LEAST_FRICTION = "friction margin", "least friction"
+SMALLER_IS_BETTER = (LEAST_FRICTION,)
+
+
+@dataclass
+class Ranking:
+    """The two ends of an order: cases as ``cases_of`` makes them, with their ``value``."""
+
+    best: list[dict] = field(default_factory=list)
+    """Best first."""
+    worst: list[dict] = field(default_factory=list)
+    """Worst first."""
+
+    def merged(self, other: "Ranking", sign: float) -> "Ranking":
+        """``sign`` is 1 where larger is better, and -1 where smaller is."""
+        best = sorted(self.best + other.best, key=lambda case: -sign * case["value"])
+        worst = sorted(self.worst + other.worst, key=lambda case: sign * case["value"])
+        return Ranking(best[:RANKED], worst[:RANKED])
+
+
+@dataclass
+class Ranked:
+    """Which problems hold, why the others do not, and who stands where."""
+
+    judge: str
+    """The method that says what holds."""
+    counts: np.ndarray
+    """Problems by code of Reason."""
+    examples: dict[str, list[dict]]
+    """Some of each Reason, by its name, in the order of the input."""
+    rankings: dict[str, Ranking]
+    """By ``friction margin`` of a closed form [rad], ``least friction`` and measures of quality."""
+
+    @property
+    def holds(self) -> int:
+        return int(self.counts[Reason.HOLDS])
+
+    @property
+    def failing(self) -> list[tuple[Reason, int]]:
+        """Why grasps do not hold, the most frequent first."""
+        there = [(reason, int(self.counts[reason])) for reason in Reason if reason and self.counts[reason]]
+        return sorted(there, key=lambda pair: -pair[1])
+
+    def merged(self, other: "Ranked") -> "Ranked":
+        names = dict.fromkeys([*self.examples, *other.examples])
+        return Ranked(
+            self.judge,
+            self.counts + other.counts,
+            {name: (self.examples.get(name, []) + other.examples.get(name, []))[:EXAMPLES] for name in names},
+            {name: own.merged(other.rankings[name], _sign(name)) for name, own in self.rankings.items()},
+        )
+
+
+def rank(
+    sets: ContactSets,
+    results: dict[str, MethodResult],
+    quality: Columns,
+    least_friction: np.ndarray | None,
+    numbers: np.ndarray,
+) -> Ranked:
+    """What one chunk adds, whose grasps have these ``numbers`` in the input."""
+    why, name = reasons(sets, results), judge(results)
+    examples = {
+        reason.name: cases_of(sets, results, name[0], np.flatnonzero(why.ravel() == reason)[:EXAMPLES], numbers)
+        for reason in Reason
+        if reason and (why == reason).any()
+    }
+    rankings = {}
+    for label, (method, values) in _orders(sets, results, quality, least_friction, name[0]).items():
+        flat = np.asarray(values, float).ravel() * _sign(label)
+        ranked = np.flatnonzero(np.isfinite(flat))
+        ranked = ranked[np.argsort(flat[ranked], kind="stable")]
+        ends = (ranked[::-1][:RANKED], ranked[:RANKED])
+        best, worst = (
+            [
+                case | {"value": float(flat[problem] * _sign(label))}
+                for case, problem in zip(cases_of(sets, results, method, end, numbers), end, strict=True)
+            ]
+            for end in ends
+        )
+        rankings[label] = Ranking(best, worst)
+    return Ranked(name, np.bincount(why.ravel(), minlength=len(Reason)), examples, rankings)
+
+
+def _orders(
+    sets: ContactSets,
+    results: dict[str, MethodResult],
+    quality: Columns,
+    least_friction: np.ndarray | None,
+    judged: str,
+) -> dict[str, tuple[str, np.ndarray]]:
+    """By what grasps are ranked: the closed form drawn beside it, and a value for each problem, or NaN."""
+    orders = {}
+    # An optimum that a cone holds has a margin of zero by its nature: margins compare closed forms.
+    closed = next((name for name in ("B", "A") if name in results), None)
+    if closed is not None:
+        answer = results[closed]
+        orders[MARGIN] = closed, np.where(is_balanced(answer.verdict), answer.margin, np.nan)
+    if least_friction is not None:
+        orders[LEAST_FRICTION] = judged, least_friction
+    for measure in dict.fromkeys(name.split(".")[0] for name in quality):
+        own = [name for name in quality if name.startswith(f"{measure}.")]
+        values = quality[next((name for name in own if quality[name].dtype.kind == "f"), own[0])]
+        # A grasp has one quality, whatever its wrenches: it stands with its first.
+        each = np.full((len(sets), sets.wrenches), np.nan)
+        each[:, 0] = values
+        orders[measure] = judged, each
+    return orders
+
+
+def _sign(name: str) -> float:
+    return -1.0 if name in SMALLER_IS_BETTER else 1.0

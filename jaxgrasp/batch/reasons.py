@@ -1,0 +1,125 @@
+"""Whether a grasp holds its wrench and, where it does not, why: out of verdicts and the proofs that come with them."""
+
+from enum import IntEnum
+
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.engine import MethodResult
+from jaxgrasp.model.compared_methods import METHODS
+from jaxgrasp.model.limits import BOUNDS
+from jaxgrasp.model.solution import Verdict
+
+JUDGES = ("A-optimum", "B-optimum", "A", "B")
+"""Methods by how well they say what holds: by uniform sharing every contact may carry a force."""
+
+
+class Reason(IntEnum):
+    """Why a grasp does not hold its wrench, or that it does. The codes are stable in files."""
+
+    title: str
+    advice: str
+
+    HOLDS = (0, "holds", "There are contact forces inside every friction cone and limit that give the wrench.")
+    LINE = (
+        1,
+        "no torque about the line through its contacts",
+        "All contacts lie on one line, as those of a parallel jaw do, and hard fingers resist no torque about it, "
+        "however hard they squeeze. Soft fingers do where they press along the line: give them torsion.",
+    )
+    POINT = (
+        2,
+        "no torque about its one point of contact",
+        "All contacts lie at one point, about which hard fingers resist no torque. Add a contact, or give torsion.",
+    )
+    PULL = (
+        3,
+        "the contacts would have to pull",
+        "The object escapes straight away from its contacts, so no friction would hold it: add contacts, or move them.",
+    )
+    FRICTION = (
+        4,
+        "friction",
+        "No forces inside the friction cones give the wrench: it takes more friction, or contacts that stand better.",
+    )
+    LIMITS = (
+        5,
+        "limits of forces or torques",
+        "Limits of normal forces or joint torques forbid the forces that the wrench takes. Whether friction would allow "
+        "them without limits is another question: evaluate the grasps without.",
+    )
+    NO_CONTACTS = (6, "no contact can carry a force", Verdict.NO_CONTACTS.advice)
+    SLIPS = (
+        7,
+        "slips or pulls by the closed form",
+        "The closed form leaves a friction cone. Other forces may hold: ask for an optimum too.",
+    )
+    NOT_DECIDED = (8, "not decided", Verdict.NOT_CONVERGED.advice)
+    INVALID_DATA = (9, "invalid data", Verdict.INVALID_DATA.advice)
+
+    def __new__(cls, code: int, title: str = "", advice: str = "") -> "Reason":
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.title, member.advice = title, advice
+        return member
+
+
+_BY_VERDICT = {
+    Verdict.CLOSED_FORM_OPTIMAL: Reason.HOLDS,
+    Verdict.OPTIMAL: Reason.HOLDS,
+    Verdict.FEASIBLE: Reason.HOLDS,
+    Verdict.OUTSIDE_CONES: Reason.SLIPS,
+    Verdict.INFEASIBLE: Reason.FRICTION,
+    Verdict.NO_CONTACTS: Reason.NO_CONTACTS,
+    Verdict.NOT_CONVERGED: Reason.NOT_DECIDED,
+    Verdict.INVALID_DATA: Reason.INVALID_DATA,
+}
+
+
+def judge(results: dict[str, MethodResult]) -> str:
+    """The method that says which grasps hold."""
+    return next(name for name in JUDGES if name in results)
+
+
+def reasons(sets: ContactSets, results: dict[str, MethodResult]) -> np.ndarray:
+    """Codes of Reason for every problem, ``(N, W)``."""
+    name = judge(results)
+    result, own = results[name], METHODS[name]
+    found = np.array([_BY_VERDICT[verdict] for verdict in Verdict], np.int8)[result.verdict]
+    grasps, wrenches = np.nonzero(result.verdict == Verdict.INFEASIBLE)
+    if not len(grasps):
+        return found
+    certificate = result.certificate[grasps, wrenches]
+    closed = results.get(name[0])
+    if closed is not None:
+        # What the closed form proves, it proves of contacts that may push and pull as they like.
+        beyond = closed.verdict[grasps, wrenches] == Verdict.INFEASIBLE
+        certificate = np.where(beyond[:, None], closed.certificate[grasps, wrenches], certificate)
+    found[grasps, wrenches] = _why_infeasible(sets.rows(grasps), certificate, own.sharing)
+    return found
+
+
+def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) -> np.ndarray:
+    """What the certificate ``(N, 6)`` of each of the sets shows, by how it moves their contacts."""
+    small = float(np.finfo(certificate.dtype).eps) ** 0.5
+    owner, starts = np.repeat(np.arange(len(sets)), sets.sizes), sets.offsets[:-1]
+    linear, angular = certificate[owner, :3], certificate[owner, 3:]
+    velocity = linear + np.cross(angular, sets.points)
+    reach = np.linalg.norm(sets.points, axis=1)
+    size = np.linalg.norm(linear, axis=1) + np.linalg.norm(angular, axis=1) * reach
+    along = np.einsum("ci,ci->c", velocity, sets.normals)
+    across = np.linalg.norm(velocity - along[:, None] * sets.normals, axis=1)
+    if sets.torsion is not None:
+        radius = np.divide(sets.torsion, sets.friction, out=np.zeros_like(sets.torsion), where=sets.friction > 0)
+        across = np.hypot(across, radius * np.einsum("ci,ci->c", angular, sets.normals))
+    carries = np.ones(len(owner), bool) if sharing == "uniform" else sets.squeeze > 0
+    across_only = np.logical_and.reduceat(~carries | (across <= small * size), starts)
+    at_rest = across_only & np.logical_and.reduceat(~carries | (np.abs(along) <= small * size), starts)
+    pushes = np.logical_or.reduceat(carries & (along + sets.friction * across > small * size), starts)
+    limited = any(getattr(sets, name) is not None for name in BOUNDS)
+    apart = np.maximum.reduceat(np.linalg.norm(sets.towards_middle(), axis=1), starts) > small * (
+        np.maximum.reduceat(reach, starts)
+    )
+    why = np.where(across_only, Reason.PULL, Reason.FRICTION)
+    why = np.where(at_rest, np.where(apart, Reason.LINE, Reason.POINT), why)
+    return np.where(limited & pushes, Reason.LIMITS, why).astype(np.int8)

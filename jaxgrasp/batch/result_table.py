@@ -1,0 +1,143 @@
+"""Results as a table, one row for each grasp and wrench: what a spreadsheet or a data frame reads.
+
+Columns, in this order:
+
+    grasp, name        number in the input, from 0; its own name, or the number again
+    wrench             number of the wrench, only where grasps have several
+    contacts           how many
+    holds, why         yes, no or unknown by the best judge among the methods; the title of a Reason
+    METHOD.verdict     the name of a [`jaxgrasp.Verdict`][]
+    METHOD.margin_deg  smallest friction margin of the loaded contacts; empty where the forces balance nothing
+    METHOD.largest_force_N   likewise
+    A.price, B.price   price of friction, a share; empty where there is no optimum to compare with
+    least_friction     with --least-friction: the least share of the friction with which it holds, perhaps inf
+    MEASURE.COLUMN     measures of quality that were asked for
+    METHOD.forces      in Parquet alone: a list of [x, y, z] for each contact [N]
+"""
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.price import price_of_friction
+from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.model.compared_methods import METHODS
+from jaxgrasp.model.solution import Verdict, is_balanced, is_optimum
+
+SMALL_TABLE = 100_000
+"""Rows up to which a table is written unasked."""
+UNKNOWN = (Reason.SLIPS, Reason.NOT_DECIDED, Reason.INVALID_DATA)
+Shard = Mapping[str, np.ndarray]
+"""Arrays as ``shards.arrays_of`` names them."""
+
+
+def table_columns(shard: Shard) -> dict[str, np.ndarray]:
+    """The columns of a table without forces, each ``(N * W,)``; text as arrays of str."""
+    why = shard["why"]
+    count, wrenches = why.shape
+    number = np.repeat(shard["grasp"], wrenches)
+    columns: dict[str, np.ndarray] = {
+        "grasp": number,
+        "name": np.repeat(shard["name"], wrenches) if "name" in shard else number.astype(str),
+    }
+    if wrenches > 1:
+        columns["wrench"] = np.tile(np.arange(wrenches), count)
+    columns["contacts"] = np.repeat(np.diff(shard["offsets"]), wrenches)
+    unknown = np.isin(why, UNKNOWN)
+    columns["holds"] = np.where(why == Reason.HOLDS, "yes", np.where(unknown, "unknown", "no")).ravel()
+    columns["why"] = np.array([reason.title for reason in Reason])[why.ravel()]
+    methods = [name for name in METHODS if f"{name}.verdict" in shard]
+    for name in methods:
+        columns |= {f"{name}.{column}": values for column, values in _of_method(shard, name).items()}
+    for name in methods:
+        optimum = f"{name}-optimum"
+        if optimum in methods:
+            verdict = shard[f"{optimum}.verdict"]
+            price = price_of_friction(shard[f"{name}.objective"], shard[f"{optimum}.objective"], verdict)
+            columns[f"{name}.price"] = np.where(is_optimum(verdict), np.maximum(price, 0), np.nan).ravel()
+    if "least_friction" in shard:
+        columns["least_friction"] = shard["least_friction"].ravel()
+    for name, values in shard.items():
+        if name.startswith("quality."):
+            columns[name.removeprefix("quality.")] = np.repeat(values, wrenches)
+    return columns
+
+
+def _of_method(shard: Shard, name: str) -> dict[str, np.ndarray]:
+    verdict = shard[f"{name}.verdict"].ravel()
+    balanced = is_balanced(verdict)
+    sizes = np.linalg.norm(shard[f"{name}.forces"], axis=-1)
+    largest = np.maximum.reduceat(sizes, shard["offsets"][:-1], axis=0).ravel() if len(sizes) else np.zeros(0)
+    return {
+        "verdict": np.array([one.name for one in Verdict])[verdict],
+        "margin_deg": np.where(balanced, np.degrees(shard[f"{name}.margin"].ravel()), np.nan),
+        "largest_force_N": np.where(balanced, largest, np.nan),
+    }
+
+
+def write_table(path: Path, shards: Iterable[Shard]) -> None:
+    """Write the table of these shards, as CSV or Parquet by the file's name, whole or not at all.
+
+    Raises:
+        ImportError: for Parquet without the extra `table`.
+    """
+    writer = _write_parquet if path.suffix == ".parquet" else _write_csv
+    if path.suffix == ".parquet":
+        arrow_library()
+    replace_file(path, lambda stream: writer(stream, shards))
+
+
+def _write_csv(stream: IO[bytes], shards: Iterable[Shard]) -> None:
+    text = io.TextIOWrapper(stream, encoding="utf-8", newline="", write_through=True)
+    writer = csv.writer(text, lineterminator="\n")
+    for number, shard in enumerate(shards):
+        columns = table_columns(shard)
+        if number == 0:
+            writer.writerow(columns)
+        writer.writerows(zip(*(_cells(values) for values in columns.values()), strict=True))
+    text.detach()
+
+
+def _cells(values: np.ndarray) -> Iterator[Any]:
+    """Numbers with digits enough to read them back, and nothing where there is none."""
+    for value in values.tolist():
+        yield "" if isinstance(value, float) and value != value else value
+
+
+def _write_parquet(stream: IO[bytes], shards: Iterable[Shard]) -> None:
+    arrow = arrow_library()
+    writer = None
+    try:
+        for shard in shards:
+            columns: dict[str, Any] = {name: arrow.array(values) for name, values in table_columns(shard).items()}
+            columns |= _force_columns(arrow, shard)
+            table = arrow.table(columns)
+            writer = writer or arrow.parquet.ParquetWriter(stream, table.schema)
+            writer.write_table(table)
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+def _force_columns(arrow: Any, shard: Shard) -> dict[str, Any]:
+    """``METHOD.forces`` as lists; the forces of a grasp's wrenches come one after the other."""
+    wrenches = shard["why"].shape[1]
+    sizes = np.repeat(np.diff(shard["offsets"]), wrenches)
+    ends = np.cumsum(sizes)
+    first = np.repeat(shard["offsets"][:-1], wrenches)
+    contact = np.repeat(first - (ends - sizes), sizes) + np.arange(ends[-1] if len(ends) else 0)
+    wrench = np.repeat(np.tile(np.arange(wrenches), len(shard["why"])), sizes)
+    offsets = arrow.array(np.concatenate([[0], ends]).astype(np.int32))
+    columns = {}
+    for name in METHODS:
+        if f"{name}.forces" in shard:
+            forces = shard[f"{name}.forces"][contact, wrench].ravel()
+            triples = arrow.FixedSizeListArray.from_arrays(arrow.array(forces), 3)
+            columns[f"{name}.forces"] = arrow.ListArray.from_arrays(offsets, triples)
+    return columns

@@ -107,7 +107,7 @@ def _orders(
     judged: str,
 ) -> dict[str, tuple[str, np.ndarray]]:
     """By what grasps are ranked: the closed form drawn beside it, and a value for each problem, or NaN."""
-    orders = {}
+    orders: dict[str, tuple[str, np.ndarray]] = {}
     # An optimum that a cone holds has a margin of zero by its nature: margins compare closed forms.
     closed = next((name for name in ("B", "A") if name in results), None)
     if closed is not None:

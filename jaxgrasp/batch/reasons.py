@@ -45,8 +45,8 @@ class Reason(IntEnum):
     LIMITS = (
         5,
         "limits of forces or torques",
-        "Limits of normal forces or joint torques forbid the forces that the wrench takes. Whether friction would allow "
-        "them without limits is another question: evaluate the grasps without.",
+        "Limits of normal forces or joint torques forbid the forces that the wrench takes. Whether friction would "
+        "allow them without limits is another question: evaluate the grasps without.",
     )
     NO_CONTACTS = (6, "no contact can carry a force", Verdict.NO_CONTACTS.advice)
     SLIPS = (

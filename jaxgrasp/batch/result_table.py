@@ -69,6 +69,16 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
     return columns
 
 
+def first_rows(shards: Iterable[Shard], most: int) -> dict[str, np.ndarray]:
+    """The first rows of a table, ``most`` or somewhat more of them."""
+    parts: list[dict[str, np.ndarray]] = []
+    for shard in shards:
+        parts.append(table_columns(shard))
+        if sum(len(part["grasp"]) for part in parts) >= most:
+            break
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} if parts else {}
+
+
 def _of_method(shard: Shard, name: str) -> dict[str, np.ndarray]:
     verdict = shard[f"{name}.verdict"].ravel()
     balanced = is_balanced(verdict)

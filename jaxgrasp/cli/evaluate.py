@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from jaxgrasp.batch.arrow import arrow_library
 from jaxgrasp.batch.hints import hints
-from jaxgrasp.batch.result_table import SMALL_TABLE, write_table
+from jaxgrasp.batch.result_table import SMALL_TABLE, first_rows, write_table
 from jaxgrasp.batch.shards import ResultFolder, held_folder
 from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.batch.stream import StreamPlan, StreamResult, evaluate_stream
@@ -86,7 +86,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         _write_table(folder, outcome.summary.problems, arguments.table)
         show(f"results: {out}")
         if arguments.report:
-            _write_report(out / "report.html", path, outcome, arguments)
+            _write_report(out / "report.html", path, outcome, arguments, folder)
 
 
 def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate) -> None:
@@ -110,11 +110,13 @@ def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:
     show(f"table:   {path}")
 
 
-def _write_report(path: Path, data: Path, outcome: StreamResult, arguments: Evaluate) -> None:
+def _write_report(path: Path, data: Path, outcome: StreamResult, arguments: Evaluate, folder: ResultFolder) -> None:
+    from jaxgrasp.report.grasp_table import MOST_ROWS
     from jaxgrasp.report.page import write_report
 
+    rows = first_rows(folder.shards(), MOST_ROWS)
     try:
-        write_report(path, outcome.summary, outcome.times, title=data.name, details=_details(arguments))
+        write_report(path, outcome.summary, outcome.times, title=data.name, details=_details(arguments), rows=rows)
     except ImportError as error:
         show(f"no report: {error}")
     else:

@@ -52,8 +52,8 @@ def listed(array: np.ndarray, decimals: int) -> list:
     return values.tolist()
 
 
-def page_html(title: str, body: str, script: str) -> str:
-    """A whole page around a body, with the script of this name."""
+def page_html(title: str, body: str, *scripts: str) -> str:
+    """A whole page around a body, with the scripts of these names."""
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -74,7 +74,7 @@ fetches nothing. SI units throughout.</footer>
 </main>
 <script type="text/plain" id="library">{plotly_bundle()}</script>
 <script>
-{asset("library.js")}{asset(script)}</script>
+{asset("library.js")}{"".join(map(asset, scripts))}</script>
 </body>
 </html>
 """

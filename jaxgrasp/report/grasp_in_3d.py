@@ -15,12 +15,14 @@ CONE, NORMAL, ARROW, HEAD = 0.34, 0.42, 0.9, 0.11
 
 
 class Case:
-    """A worst case with what is needed to draw it, in SI units."""
+    """A grasp under a wrench with what is needed to draw it, in SI units; an answer that there is not is zero."""
 
     def __init__(self, case: dict):
         self.name = case["method"]
         names = ("points", "normals", "friction", "squeeze", "wrench", "closed", "optimum")
-        arrays = {name: np.asarray(case[name], float) for name in names}
+        self.has_closed, self.has_optimum = case["closed"] is not None, case["optimum"] is not None
+        nothing = np.zeros_like(np.asarray(case["points"], float))
+        arrays = {name: nothing if case[name] is None else np.asarray(case[name], float) for name in names}
         self.points, self.normals = arrays["points"], arrays["normals"]
         self.friction, self.squeeze = arrays["friction"], arrays["squeeze"]
         self.wrench, self.closed, self.optimum = arrays["wrench"], arrays["closed"], arrays["optimum"]
@@ -32,7 +34,8 @@ class Case:
         """A round length of arrow [m], which stands for ``newtons`` or ``optimum_newtons``."""
         own, other = _largest(self.closed, self.wrench[None, :3]), _largest(self.optimum)
         # Near infeasibility the optimum's forces grow without bound, and one scale would hide the closed form's.
-        if max(own, other) <= MUCH_LARGER * min(own, other):
+        both = self.has_closed and self.has_optimum
+        if not both or max(own, other) <= MUCH_LARGER * min(own, other):
             own = other = max(own, other)
         self.newtons, self.optimum_newtons = (
             round_up(size * self.length / (ARROW * self.spread)) for size in (own, other)
@@ -121,9 +124,14 @@ def _contact_text(case: Case, index: int) -> str:
     return (
         f"contact {index + 1}<br>friction {number(friction)}, angle {degrees(np.arctan(friction))}"
         f"<br>squeeze {number(case.squeeze[index])} N"
-        f"<br>{_force_text(case, 'closed form ' + case.name, case.closed, index)}"
-        f"<br>{_force_text(case, 'optimum ' + case.name, case.optimum, index)}"
+        + "".join(f"<br>{_force_text(case, title, forces, index)}" for title, forces in answers(case))
     )
+
+
+def answers(case: Case) -> list[tuple[str, np.ndarray]]:
+    """The answers that there are: their titles and forces."""
+    there = ((case.has_closed, "closed form", case.closed), (case.has_optimum, "optimum", case.optimum))
+    return [(f"{title} {case.name}", forces) for given, title, forces in there if given]
 
 
 def _force_text(case: Case, title: str, forces: np.ndarray, index: int) -> str:

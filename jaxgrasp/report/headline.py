@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
-from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, percentage, share, short_percentage, swatch, whole
+from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, share, short_percentage, swatch, whole
 
 SOLVED = (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
@@ -33,17 +33,22 @@ def unit(summary: Summary) -> str:
 
 def tiles(summary: Summary) -> list[Tile]:
     """The tiles that the evaluated methods allow, the most asked for first."""
-    return [
-        *_holding(summary),
-        *(tile for name in "AB" for tile in _right_as_it_stands(summary, name)),
-        *_price(summary),
-        *_deceiving(summary),
-        *_infeasible(summary),
-    ]
+    return [*holding_tiles(summary), *comparing_tiles(summary)]
 
 
-def tiles_html(summary: Summary) -> str:
-    return '<div class="tiles">' + "".join(tile.html() for tile in tiles(summary)) + "</div>"
+def holding_tiles(summary: Summary) -> list[Tile]:
+    """What holds and what cannot."""
+    return [*_holding(summary), *_infeasible(summary)]
+
+
+def comparing_tiles(summary: Summary) -> list[Tile]:
+    """Closed forms against their optima."""
+    right = [tile for name in "AB" for tile in _right_as_it_stands(summary, name)]
+    return [*right, *_price(summary), *_deceiving(summary)]
+
+
+def tiles_html(tiles: list[Tile]) -> str:
+    return '<div class="tiles">' + "".join(tile.html() for tile in tiles) + "</div>"
 
 
 def _optimum(summary: Summary) -> str | None:
@@ -92,10 +97,10 @@ def _price(summary: Summary) -> list[Tile]:
     for name, own in summary.comparisons.items():
         bound = LogHistogram(own.price.counts, 0, own.price.largest)
         if bound.total:
-            binding.append(f"{percentage(bound.quantile(0.5))} for {name}")
+            binding.append(f"about {short_percentage(bound.quantile(0.5))} for {name}")
     sentence = (
-        "Median, 95% and largest over all that hold: the share (F* \N{MINUS SIGN} F) / F* of the optimum's objective "
-        "F* that the closed form, at F, leaves out by ignoring friction."
+        "About the median and 95%, and the largest, over all that hold: the share (F* \N{MINUS SIGN} F) / F* of the "
+        "optimum's objective F* that the closed form, at F, leaves out by ignoring friction."
     )
     if binding:
         sentence += f" Where it is not zero, its median is {' and '.join(binding)}."

@@ -13,14 +13,17 @@
       const at = (index + scenes.length) % scenes.length;
       chooser.value = String(at);
       for (const panel of document.querySelectorAll(".panel")) panel.hidden = Number(panel.dataset.case) !== at;
-      for (const pick of picks) pick.closest("tr").classList.toggle("chosen", Number(pick.dataset.case) === at);
+      for (const pick of picks) pick.classList.toggle("chosen", Number(pick.dataset.case) === at);
       // One element, drawn anew: a browser keeps few WebGL contexts, and this page needs only one.
       if (window.Plotly) Plotly.react(element, scenes[at].data, scenes[at].layout, config);
     }
     chooser.addEventListener("change", () => show(Number(chooser.value)));
     document.getElementById("before").addEventListener("click", () => show(Number(chooser.value) - 1));
     document.getElementById("after").addEventListener("click", () => show(Number(chooser.value) + 1));
-    for (const pick of picks) pick.addEventListener("click", () => show(Number(pick.dataset.case)));
+    for (const pick of picks) pick.addEventListener("click", () => {
+      show(Number(pick.dataset.case));
+      document.getElementById("cases").scrollIntoView({ behavior: "smooth" });
+    });
     show(0);
   }
 

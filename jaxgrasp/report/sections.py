@@ -1,5 +1,7 @@
 """The parts of the page below the headline: each figure with the sentences that define what it shows."""
 
+from collections.abc import Callable
+
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.summary import Summary
@@ -106,11 +108,40 @@ def _quantiles(histograms: dict[str, LogHistogram], shown) -> str:
         [
             f"{swatch(METHOD_COLOURS[name])}{name}",
             share(own.zeros, own.total),
-            *((shown(own.quantile(q)) if own.total else NOTHING) for q in (0.5, 0.95, 1.0)),
+            *((about(shown, own.quantile(q)) if own.total else NOTHING) for q in (0.5, 0.95)),
+            shown(own.largest) if own.total else NOTHING,
         ]
         for name, own in histograms.items()
     ]
     return table(["", "exactly 0", "median", "95%", "largest"], rows, "tight")
+
+
+def about(shown: Callable[[float], str], value: float) -> str:
+    """A quantile of a histogram, which is known to half of its bins (6%): two digits of it, and said."""
+    return f"~{shown(float(f'{value:.2g}'))}" if value else "0"
+
+
+def qualities_html(summary: Summary) -> str:
+    """Measures of the grasps whatever they hold, if any were asked for."""
+    if not summary.qualities:
+        return "<p class='note'>None was asked for: jaxgrasp evaluate --quality ...</p>"
+    rows = []
+    for name, quality in summary.qualities.items():
+        values = quality.values
+        quantiles = [about(number, values.quantile(q)) if values.total else NOTHING for q in (0.05, 0.5, 0.95)]
+        closure = name == "force-closure"
+        above = share(int(values.counts.sum()), values.total)
+        rows.append(
+            [
+                text(name),
+                f"{above} closed" if closure else above,
+                *([NOTHING] * 4 if closure else [*quantiles, number(values.largest)]),
+                whole(quality.undecided) if quality.undecided else NOTHING,
+            ]
+        )
+    head = ["measure", "above zero", "5%", "median", "95%", "largest", "not decided"]
+    note = "Of the grasps alone, whatever wrench they hold. Quantiles are to 6%; the largest is exact."
+    return table(head, rows) + f'<p class="note">{note}</p>'
 
 
 def angles_html(summary: Summary) -> str:

@@ -1,39 +1,36 @@
-"""The worst cases of the report: a table to choose from, one scene at a time, and the forces of its contacts."""
+"""The cases of the report: one scene at a time, the forces of its contacts, and the table of the highest prices."""
 
 import numpy as np
 
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.report.bundle import embedded
-from jaxgrasp.report.grasp_in_3d import Case, scale_text, scene
-from jaxgrasp.report.look import METHOD_COLOURS, counted, degrees, number, percentage, swatch, table, text
+from jaxgrasp.report.cases import DrawnCases
+from jaxgrasp.report.grasp_in_3d import Case, answers, scale_text, scene
+from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, degrees, number, percentage, swatch, table, text
 
 
-def worst_html(summary: Summary) -> str:
-    """The whole section."""
-    if not summary.worst:
-        return (
-            "<p class='note'>There is none to show: no closed form was compared with its optimum, or each one that was "
-            "compared is the optimum.</p>"
-        )
-    cases = [Case(case) for case in summary.worst]
-    several = summary.problems != summary.grasps
-    name = cases[0].name
+def cases_html(drawn: DrawnCases) -> str:
+    """The section that shows one grasp at a time."""
+    if not drawn.cases:
+        return "<p class='note'>There is none to show.</p>"
+    cases = [Case(case) for case in drawn.cases]
     choices = "".join(
-        f'<option value="{i}">{i + 1}: {_title(case, several)}, price {percentage(case["price"])}</option>'
-        for i, case in enumerate(summary.worst)
+        f'<optgroup label="{text(group)}">'
+        + "".join(f'<option value="{i}">{text(drawn.title(drawn.cases[i]))}</option>' for i in members)
+        + "</optgroup>"
+        for group, members in _by_group(drawn).items()
     )
-    panels = "".join(
-        _panel(i, case, data, several) for i, (case, data) in enumerate(zip(cases, summary.worst, strict=True))
+    panels = "".join(_panel(i, case, drawn) for i, case in enumerate(cases))
+    warm, cool = (
+        "".join(swatch(METHOD_COLOURS[name + end]) for name in dict.fromkeys(case.name for case in cases))
+        for end in ("", "-optimum")
     )
-    warm, cool = swatch(METHOD_COLOURS[name]), swatch(METHOD_COLOURS[name + "-optimum"])
     intro = (
-        f"The {counted(len(cases), 'problem')} of the highest price of friction, closed form {name} {warm} against its "
-        f"optimum {cool}. Arrows are what the hand exerts on the object. Each cone holds the forces that friction "
-        "allows: an arrow outside its cone slips, one that points away from it pulls. A price near 100% often means a "
-        "wrench near the limit of what friction can hold, where the optimum has to squeeze hard."
+        f"Arrows are what the hand exerts on the object, by the closed form {warm} and by its optimum {cool}. Each "
+        "cone holds the forces that friction allows: an arrow outside its cone slips, one that points away from it "
+        "pulls."
     )
     return f"""<p class="note">{intro}</p>
-{_overview(summary.worst, several)}
 <div class="chooser"><button type="button" id="before" aria-label="previous case">&lsaquo;</button>
 <select id="case" aria-label="case">{choices}</select>
 <button type="button" id="after" aria-label="next case">&rsaquo;</button>
@@ -42,30 +39,45 @@ def worst_html(summary: Summary) -> str:
 {embedded("scenes", [scene(case) for case in cases])}"""
 
 
-def _title(case: dict, several: bool) -> str:
-    wrench = f", wrench {case['wrench_number']}" if several else ""
-    return f"grasp {case['grasp']}{wrench}"
+def _by_group(drawn: DrawnCases) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for place, group in enumerate(drawn.groups):
+        found.setdefault(group, []).append(place)
+    return found
 
 
-def _overview(cases: list[dict], several: bool) -> str:
-    labels = list(dict.fromkeys(name for case in cases for name in case["labels"]))
+def worst_html(summary: Summary, drawn: DrawnCases) -> str:
+    """The section of the highest prices of friction."""
+    if not summary.worst:
+        return (
+            "<p class='note'>There is none to show: no closed form was compared with its optimum, or each one that was "
+            "compared is the optimum.</p>"
+        )
+    intro = (
+        f"The {counted(len(summary.worst), 'problem')} of the highest price of friction, by closed form "
+        f"{summary.worst[0]['method']}. A price near 100% often means a wrench near the limit of what friction can "
+        "hold, where the optimum has to squeeze hard."
+    )
+    return f'<p class="note">{intro}</p>{_overview(summary.worst, drawn)}'
+
+
+def _overview(cases: list[dict], drawn: DrawnCases) -> str:
+    labels = [name for name in dict.fromkeys(name for case in cases for name in case["labels"]) if name != "name"]
     head = [
-        "",
         "grasp",
-        *(["wrench"] if several else []),
+        "number",
         *(f'<span class="label">{text(name)}</span>' for name in labels),
     ]
     head += ["contacts", "price of friction", "smallest friction margin", "largest cone violation"]
     rows = []
-    for i, case in enumerate(cases):
-        button = f'<button type="button" class="pick" data-case="{i}" aria-label="show case {i + 1}">{i + 1}</button>'
-        row = [button, str(case["grasp"]), *([str(case["wrench_number"])] if several else [])]
+    for case in cases:
+        row = [drawn.pick(case), str(case["grasp"])]
         row += [f'<span class="label">{text(case["labels"].get(name, ""))}</span>' for name in labels]
         row += [
             str(len(case["points"])),
             percentage(case["price"]),
-            degrees(case["margin"]),
-            f"{number(case['violation'])} N",
+            NOTHING if case["margin"] is None else degrees(case["margin"]),
+            NOTHING if case["violation"] is None else f"{number(case['violation'])} N",
         ]
         rows.append(row)
     return table(head, rows, "overview") + (
@@ -74,13 +86,15 @@ def _overview(cases: list[dict], several: bool) -> str:
     )
 
 
-def _panel(index: int, case: Case, data: dict, several: bool) -> str:
+def _panel(index: int, case: Case, drawn: DrawnCases) -> str:
     """What is known of one case, beside its scene."""
     force, torque = case.wrench[:3], case.wrench[3:]
     facts = [
         f"<b>Wrench</b> force ({_vector(force)}) N, torque ({_vector(torque)}) N·m about the origin.",
         f"<b>Arrows</b> {scale_text(case)}",
-        f"<b>Largest force</b> closed form {_largest(case.closed)} N, optimum {_largest(case.optimum)} N.",
+        "<b>Largest force</b> "
+        + (", ".join(f"{title} {_largest(forces)} N" for title, forces in answers(case)) or "none, by no answer")
+        + ".",
     ]
     closed, optimum = case.angles(case.closed), case.angles(case.optimum)
     limit = np.arctan(case.friction)
@@ -105,7 +119,7 @@ def _panel(index: int, case: Case, data: dict, several: bool) -> str:
     ]
     hidden = " hidden" if index else ""
     lines = "".join(f"<p>{fact}</p>" for fact in facts)
-    title = f"<h3>Case {index + 1}: {_title(data, several)}</h3>"
+    title = f"<h3>{text(drawn.title(drawn.cases[index]))}: {text(drawn.groups[index])}</h3>"
     return f'<div class="panel" data-case="{index}"{hidden}>{title}{lines}{table(head, rows, "contacts")}</div>'
 
 

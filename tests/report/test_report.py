@@ -9,17 +9,21 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
+import jaxgrasp
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult, Times
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import bundle
+from jaxgrasp.report.cases import DrawnCases
 from jaxgrasp.report.figures import verdict_bars
 from jaxgrasp.report.grasp_in_3d import Case, scene
+from jaxgrasp.report.grasp_table import grasp_table_html
 from jaxgrasp.report.headline import tiles
 from jaxgrasp.report.look import number, percentage, share
 from jaxgrasp.report.page import report_html, write_report
+from tests.batch.conftest import make_sets
 
 go = pytest.importorskip("plotly.graph_objects")
 
@@ -119,6 +123,58 @@ def test_data_are_not_offered_to_a_cloud():
     assert 'plotlyServerURL: ""' in script
 
 
+@pytest.fixture(scope="module")
+def found() -> jaxgrasp.Evaluation:
+    """Three grasps that hold, and one that would have to turn about its two contacts."""
+    sets = make_sets([3, 5, 2, 4])
+    sets.wrench[2] = [0, 0, 0, 0, 0, 5.0]
+    sets = replace(sets, labels={"name": np.array([HOSTILE, "second", "third", "fourth"])})
+    return jaxgrasp.evaluate(sets, quality=("least-singular-value",))
+
+
+def page_of(found: jaxgrasp.Evaluation) -> str:
+    return report_html(found.summary, found.times, title="A report", details={}, rows=found.table())
+
+
+def test_which_grasps_are_good_comes_first_and_by_name(found):
+    html = page_of(found)
+    headings = re.findall(r"<h2>(.*?)</h2>", html)
+    assert headings.index("Which grasps hold, and which are the best") < headings.index("Closed forms and their optima")
+    words = Tags(html).words
+    assert "3 of 4 grasps hold" in words
+    assert "no torque about the line through its contacts" in words
+    assert "By least-singular-value" in words and "least-singular-value" in words
+    assert {"second", "third", "fourth", HOSTILE} <= set(words)
+
+
+def test_every_button_shows_a_grasp_that_is_drawn(found):
+    html = page_of(found)
+    scenes = json.loads(re.search(r'<script type="application/json" id="scenes">(.*?)</script>', html, re.S)[1])
+    buttons = [attributes for tag, attributes in Tags(html).tags if attributes.get("class") == "pick"]
+    assert len(scenes) == 4 and {int(one["data-case"]) for one in buttons} == set(range(4))
+    panels = [attributes for tag, attributes in Tags(html).tags if attributes.get("class") == "panel"]
+    assert [int(one["data-case"]) for one in panels] == list(range(4))
+    for figure in scenes:
+        go.Figure(figure)
+
+
+def test_the_table_of_all_grasps_says_what_the_results_say(found):
+    html = page_of(found)
+    rows = re.search(r'<table id="grasps">(.*?)</table>', html, re.S)[1]
+    assert re.findall(r'data-holds="(\w+)"', rows) == ["yes", "yes", "no", "yes"]
+    for value in found.table()["B.margin_deg"][[0, 1, 3]]:
+        assert f'data-value="{value}"' in rows
+    assert "<img" not in html.replace(bundle.plotly_bundle(), "")
+
+
+def test_a_long_table_is_cut_and_says_so():
+    rows = {
+        name: np.repeat(column, 3000) for name, column in {"grasp": np.arange(1), "holds": np.array(["yes"])}.items()
+    }
+    html = grasp_table_html(rows, 3000, DrawnCases(False))
+    assert html.count("<tr data-holds") == 2000 and "The first 2\u202f000 of 3\u202f000 rows" in html
+
+
 def test_library_unpacks():
     from base64 import b64decode
     from gzip import decompress
@@ -132,8 +188,8 @@ def test_text_from_outside_is_escaped():
     parsed = Tags(html)
     assert "img" not in {tag for tag, _ in parsed.tags}
     assert "<img" not in html.replace(bundle.plotly_bundle(), "")
-    # The title twice, the name and the text of the detail, and the label of each worst case.
-    assert "".join(parsed.words).count(HOSTILE) == 4 + len(fake_summary().worst)
+    # The title twice, the name and the text of the detail, and each worst case by its name: offered, drawn, and listed.
+    assert "".join(parsed.words).count(HOSTILE) == 4 + 3 * len(fake_summary().worst)
 
 
 def test_embedded_data_cannot_end_its_script():

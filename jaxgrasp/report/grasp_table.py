@@ -1,0 +1,66 @@
+"""Every grasp in a table that a reader sorts and filters; the page's own script does both."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from jaxgrasp.report.cases import DrawnCases, pick
+from jaxgrasp.report.look import NOTHING, counted, number, percentage, text, whole
+
+MOST_ROWS = 2_000
+"""A page with more is slow to open; the table beside the results has all."""
+HEADINGS = {"margin_deg": "margin [°]", "price": "price", "least_friction": "least friction"}
+
+
+def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn: DrawnCases) -> str:
+    """The whole section, of columns as ``batch.result_table`` makes them."""
+    if rows is None or not len(rows["grasp"]):
+        return "<p class='note'>No table was made.</p>"
+    count = min(len(rows["grasp"]), MOST_ROWS)
+    shown = [name for name in rows if _is_shown(name)]
+    head = "".join(f'<th><button type="button" class="sort">{text(_heading(name))}</button></th>' for name in shown)
+    lines = [_line(rows, shown, k, drawn) for k in range(count)]
+    some = f"The first {whole(count)} of {whole(problems)} rows; results.csv has all. " if count < problems else ""
+    note = (
+        f"{some}A heading sorts, and again the other way round. Margin: friction angle less slip angle at the worst "
+        "contact; below zero it slips. Price: the share of the optimum's objective that the closed form leaves out."
+    )
+    return f"""<p class="note">{note}</p>
+<div class="chooser"><input type="search" id="filter" placeholder="filter by any text" aria-label="filter">
+<select id="filter-holds" aria-label="which"><option value="">all</option><option value="yes">those that hold</option>
+<option value="no">those that do not</option><option value="unknown">those of which it is not known</option></select>
+<span class="note" id="filtered">{counted(count, "row")}</span></div>
+<div class="scroll tall"><table id="grasps"><thead><tr>{head}</tr></thead>
+<tbody>{"".join(lines)}</tbody></table></div>"""
+
+
+def _is_shown(name: str) -> bool:
+    method, _, column = name.rpartition(".")
+    if method in ("A", "B"):
+        return column in ("margin_deg", "price")
+    return not method.endswith("-optimum")
+
+
+def _heading(name: str) -> str:
+    method, _, column = name.rpartition(".")
+    if method in ("A", "B"):
+        return f"{method}: {HEADINGS[column]}"
+    return HEADINGS.get(name, name)
+
+
+def _line(rows: Mapping[str, np.ndarray], shown: list[str], k: int, drawn: DrawnCases) -> str:
+    wrench = int(rows["wrench"][k]) if "wrench" in rows else 0
+    place = drawn.place(int(rows["grasp"][k]), wrench)
+    cells = []
+    for name in shown:
+        value = rows[name][k].item()
+        if isinstance(value, str):
+            inside = text(value) if name != "name" or place is None else pick(place, value)
+            cells.append(f'<td class="text">{inside}</td>')
+        elif isinstance(value, float) and math.isnan(value):
+            cells.append(f"<td>{NOTHING}</td>")
+        else:
+            said = percentage(value) if name.endswith(".price") else number(value)
+            cells.append(f'<td data-value="{value}">{said}</td>')
+    return f'<tr data-holds="{rows["holds"][k]}">{"".join(cells)}</tr>'

@@ -1,0 +1,63 @@
+"""Which grasps are good: how many hold, why the others do not, and the best and the worst, each by its own name."""
+
+from jaxgrasp.batch.rankings import MARGIN, Ranked
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.report.cases import DrawnCases
+from jaxgrasp.report.look import counted, degrees, method_title, number, share, table, text, whole
+
+MEANINGS = {
+    MARGIN: "friction angle less slip angle of the closed form's worst contact; below zero it slips",
+    "least friction": "the share of its friction that is just enough, by the normal forces that it means to exert",
+}
+
+
+def which_hold_html(summary: Summary, drawn: DrawnCases) -> str:
+    """The whole section."""
+    ranked = summary.ranked
+    if ranked is None or not summary.problems:
+        return "<p class='note'>Nothing was evaluated.</p>"
+    unit = "problem" if drawn.several else "grasp"
+    lead = (
+        f"<p><b>{whole(ranked.holds)} of {counted(summary.problems, unit)} hold</b> "
+        f"({share(ranked.holds, summary.problems)}), as {text(method_title(ranked.judge))} says. "
+        "A button shows its grasp below.</p>"
+    )
+    return lead + _failing(ranked, summary, drawn) + _rankings(ranked, drawn)
+
+
+def _failing(ranked: Ranked, summary: Summary, drawn: DrawnCases) -> str:
+    if not ranked.failing:
+        return ""
+    rows = [
+        [
+            text(reason.title),
+            f"{whole(count)} ({share(count, summary.problems)})",
+            " ".join(drawn.pick(case) for case in ranked.examples.get(reason.name, [])),
+            f'<span class="wide">{text(reason.advice)}</span>',
+        ]
+        for reason, count in ranked.failing
+    ]
+    head = ["what keeps them from holding", "", "for example", "<span class='wide'>what it means</span>"]
+    return table(head, rows, "reasons")
+
+
+def _rankings(ranked: Ranked, drawn: DrawnCases) -> str:
+    parts = []
+    for name, ranking in ranked.rankings.items():
+        if not ranking.best:
+            continue
+        places = max(len(ranking.best), len(ranking.worst))
+        rows = []
+        for k in range(places):
+            row = [str(k + 1)]
+            for end in (ranking.best, ranking.worst):
+                row += [drawn.pick(end[k]), ranked_value(name, end[k]["value"])] if k < len(end) else ["", ""]
+            rows.append(row)
+        meaning = f'<p class="note">{text(MEANINGS[name])}</p>' if name in MEANINGS else ""
+        body = table(["", "best", "", "worst", ""], rows, "ranking")
+        parts.append(f'<div class="panel3"><h3>By {text(name)}</h3>{meaning}{body}</div>')
+    return f'<div class="three rankings">{"".join(parts)}</div>'
+
+
+def ranked_value(name: str, value: float) -> str:
+    return degrees(value) if name == MARGIN else number(value)

@@ -26,7 +26,7 @@ from jaxgrasp.files.replace import replace_file
 
 POINT, NORMAL = ("px", "py", "pz"), ("ax", "ay", "az")
 WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
-TOGETHER = {"points": POINT, "normals": NORMAL, "wrench": WRENCH}
+TOGETHER = {"points": POINT, "normals": NORMAL}
 GRASPS_AT_A_TIME = 1_000
 """Grasps whose lines are made at a time: as text they take ten times the memory."""
 NUMBERS = (*POINT, *NORMAL, *WRENCH, "friction", "squeeze", *OPTIONAL_NUMBERS)
@@ -48,9 +48,8 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     column = dict(zip(table.columns, table.numbers.T, strict=True))
     together = {name: np.stack([column[one] for one in some], 1) for name, some in TOGETHER.items()}
     offsets = np.array([*table.starts, len(table.numbers)])
-    wrench = together["wrench"][offsets[:-1]]
-    expected = np.repeat(wrench, np.diff(offsets), 0)
-    differs = np.flatnonzero((together["wrench"] != expected).any(1) & np.isfinite(expected).all(1))
+    wrench = np.stack([column[one][offsets[:-1]] for one in WRENCH], 1)
+    differs = _differing(column, wrench, np.diff(offsets))
     if len(differs):
         raise GraspFileError(path, f"line {table.lines[differs[0]]} has another wrench than its grasp's first")
     contacts = {
@@ -63,6 +62,14 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     return ContactSets(
         together["points"], together["normals"], **contacts, offsets=offsets, wrench=wrench[:, None], labels=labels
     )
+
+
+def _differing(column: dict[str, np.ndarray], wrench: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Lines whose wrench is not that of their grasp's first; a component at a time, for the sake of memory."""
+    unlike = np.zeros(int(sizes.sum()), bool)
+    for k, name in enumerate(WRENCH):
+        unlike |= column[name] != np.repeat(wrench[:, k], sizes)
+    return np.flatnonzero(unlike & np.repeat(np.isfinite(wrench).all(1), sizes))
 
 
 class _Table(NamedTuple):

@@ -52,11 +52,11 @@ class ParquetArchive:
         try:
             with arrow.parquet.ParquetFile(path) as file:
                 names = [name for name in file.schema_arrow.names if name in KNOWN and name != "offsets"]
-                table = file.read(columns=names)
+                for name in names:
+                    # One at a time, since joining its pieces takes its size once more.
+                    self._arrays[name] = self._flat(arrow, name, file.read(columns=[name])[name].combine_chunks())
         except (arrow.ArrowException, OSError) as error:
             raise GraspFileError(path, f"it cannot be read as Parquet ({error})") from error
-        for name in names:
-            self._arrays[name] = self._flat(arrow, name, table[name].combine_chunks())
         self.names = list(self._arrays)
 
     def _flat(self, arrow: Any, name: str, values: Any) -> np.ndarray:

@@ -28,6 +28,7 @@ from jaxgrasp.cli.import_arguments import (
 )
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
+from jaxgrasp.cli.show_arguments import Show
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.printable import message_line
 
@@ -42,6 +43,7 @@ Command = (
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
+    | Annotated[Show, tyro.conf.subcommand("show")]
     | Annotated[Template, tyro.conf.subcommand("template")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
 )
@@ -56,6 +58,7 @@ FUNCTIONS: dict[type, str] = {
     Info: "inspect.info_command",
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
+    Show: "show_grasp.show_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
     Check: "scene_check.check_command",
     ReadyScenes: "scene_check.list_command",

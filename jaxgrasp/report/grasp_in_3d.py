@@ -1,5 +1,7 @@
 """One grasp in three dimensions: contacts, normals, friction cones, and the forces of a closed form and its optimum."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxgrasp.model.solution import Verdict
@@ -37,9 +39,11 @@ class Case:
         both = self.has_closed and self.has_optimum
         if not both or max(own, other) <= MUCH_LARGER * min(own, other):
             own = other = max(own, other)
-        self.newtons, self.optimum_newtons = (
-            round_up(size * self.length / (ARROW * self.spread)) for size in (own, other)
-        )
+        self.newtons, self.optimum_newtons = self.newtons_for(own), self.newtons_for(other)
+
+    def newtons_for(self, largest: float) -> float:
+        """What ``length`` has to stand for, so that an arrow of this force [N] has its place."""
+        return round_up(largest * self.length / (ARROW * self.spread))
 
     def angles(self, forces: np.ndarray) -> np.ndarray:
         """Slip angle of each contact [rad]; NaN where it carries nothing, for zero force has no slip angle."""
@@ -48,22 +52,29 @@ class Case:
         return np.where(np.any(forces != 0, axis=1), np.arctan2(across, along), np.nan)
 
 
-def scene(case: Case) -> dict:
-    """The figure. Lengths in metres on equal axes; the legend states each arrow's scale."""
+def scene(case: Case, around: Sequence[dict] = ()) -> dict:
+    """The figure. Lengths in metres on equal axes; the legend states each arrow's scale.
+
+    ``around`` are traces of what else is to be seen.
+    """
     name = case.name
     warm, cool = METHOD_COLOURS[name], METHOD_COLOURS[f"{name}-optimum"]
     traces = [
+        *around,
         _cones(case),
         _lines("inward normal", case.points, case.points + NORMAL * case.spread * case.normals, MUTED, 2, dash="dot"),
-        *_contact_arrows(case, f"closed form {name}", case.closed, case.newtons, warm, 7),
-        *_contact_arrows(case, f"optimum {name}", case.optimum, case.optimum_newtons, cool, 5),
+        *force_arrows(case, f"closed form {name}", case.closed, case.newtons, warm, 7),
+        *force_arrows(case, f"optimum {name}", case.optimum, case.optimum_newtons, cool, 5),
         *_wrench_arrow(case),
         _contacts(case),
     ]
-    # A cube about the centroid that holds everything: equal axes, and no case jumps in size when another is chosen.
-    reach = 1.04 * max(_reach(trace, case.centroid) for trace in traces)
-    middle = dict(zip("xyz", case.centroid.tolist(), strict=True))
-    axes = {f"{a}axis": axis3(a, at - reach, at + reach) for a, at in middle.items()}
+    return framed(traces, case.centroid)
+
+
+def framed(traces: list[dict], middle: np.ndarray) -> dict:
+    """Traces in a cube about their middle that holds everything: equal axes, whatever is shown."""
+    reach = 1.04 * max(_reach(trace, middle) for trace in traces)
+    axes = {f"{a}axis": axis3(a, at - reach, at + reach) for a, at in zip("xyz", middle.tolist(), strict=True)}
     camera = {"eye": {"x": 1.17, "y": 1.17, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.08}}
     shape = layout(
         600,
@@ -143,7 +154,7 @@ def _force_text(case: Case, title: str, forces: np.ndarray, index: int) -> str:
     return f"{title}: |f| {number(size)} N, {angles}"
 
 
-def _contact_arrows(case: Case, title: str, forces: np.ndarray, newtons: float, colour: str, width: int) -> list[dict]:
+def force_arrows(case: Case, title: str, forces: np.ndarray, newtons: float, colour: str, width: int) -> list[dict]:
     """A force at every contact that carries one."""
     loaded = np.flatnonzero(np.any(forces != 0, axis=1))
     texts = [f"contact {i + 1}<br>{_force_text(case, title, forces, i)}" for i in loaded.tolist()]

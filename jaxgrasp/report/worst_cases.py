@@ -1,5 +1,7 @@
 """The cases of the report: one scene at a time, the forces of its contacts, and the table of the highest prices."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxgrasp.batch.summary import Summary
@@ -9,8 +11,8 @@ from jaxgrasp.report.grasp_in_3d import Case, answers, scale_text, scene
 from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, degrees, number, percentage, swatch, table, text
 
 
-def cases_html(drawn: DrawnCases) -> str:
-    """The section that shows one grasp at a time."""
+def cases_html(drawn: DrawnCases, around: Sequence[dict] = ()) -> str:
+    """The section that shows one grasp at a time; ``around`` are traces of what else stands in each scene."""
     if not drawn.cases:
         return "<p class='note'>There is none to show.</p>"
     cases = [Case(case) for case in drawn.cases]
@@ -36,7 +38,7 @@ def cases_html(drawn: DrawnCases) -> str:
 <button type="button" id="after" aria-label="next case">&rsaquo;</button>
 <span class="note">Drag to turn, scroll to zoom, hover for numbers, click the legend to hide.</span></div>
 <div class="case"><div id="scene" class="figure"></div><div>{panels}</div></div>
-{embedded("scenes", [scene(case) for case in cases])}"""
+{embedded("scenes", [scene(case, around) for case in cases])}"""
 
 
 def _by_group(drawn: DrawnCases) -> dict[str, list[int]]:

@@ -14,10 +14,9 @@ from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import methods_named
-from jaxgrasp.sensitivity.matrix import SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task
-from jaxgrasp.sensitivity.study import Study, ranking, spells, study
+from jaxgrasp.sensitivity.study import Study, rankings, spells, study
 from jaxgrasp.validation.fields import check_positive
 
 LABELS: Labels = dict.fromkeys(
@@ -75,19 +74,13 @@ def _curves(found: Study) -> Iterable[Sequence]:
 
 
 def _rankings(found: Study) -> Iterable[Sequence]:
-    yield ["of", "parameter", "unit", "value", "influence of 1% [%]"]
-    for name, matrix in _ranked(found).items():
-        values = {
-            entry.label: (entry.unit, value) for entry, value in zip(matrix.parameters, matrix.values, strict=True)
-        }
-        for one in ranking(matrix):
+    yield ["of the worst", "parameter", "unit", "value", "influence of 1% [%]"]
+    matrix = found.reserve.matrix
+    values = {entry.label: (entry.unit, value) for entry, value in zip(matrix.parameters, matrix.values, strict=True)}
+    for name, ranked in rankings(found).items():
+        for one in ranked:
             unit, value = values[one.label]
             yield [name, one.label, unit, f"{value:.9g}", f"{one.size:.6g}"]
-
-
-def _ranked(found: Study) -> dict[str, SensitivityMatrix]:
-    slips = {f"slip angles, {method}": trajectory.matrix for method, trajectory in found.slips.items()}
-    return slips | {"reserve of friction": found.reserve.matrix}
 
 
 def _said(found: Study, finger: str) -> list[str]:
@@ -103,9 +96,9 @@ def _said(found: Study, finger: str) -> list[str]:
     reserve = np.asarray(found.reserve.matrix.nominal)[:, 0]
     worst = int(np.argmin(reserve))
     lines.append(f"reserve of friction: {reserve[worst]:.2f} at the worst, at {found.reserve.times[worst]:.2f} s")
-    for name, matrix in _ranked(found).items():
-        ranked = [f"{one.label} {_size(one.size)}" for one in ranking(matrix)[:SAID]]
-        lines.append(f"{name}: 1% of a parameter moves them by, in %: {', '.join(ranked)}")
+    for name, ranked in rankings(found).items():
+        said = ", ".join(f"{one.label} {_size(one.size)}" for one in ranked[:SAID])
+        lines.append(f"{name}: 1% of a parameter moves the worst over time by, in %: {said}")
     return lines
 
 

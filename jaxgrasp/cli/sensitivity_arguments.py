@@ -12,8 +12,9 @@ class FollowSensitivity:
     """Follow slip angles along a task, and how every parameter moves them; write curves, a ranking and a figure.
 
     sensitivity.csv has a row for each method, finger and instant: the slip angle [rad] and its derivatives.
-    ranking.csv has the parameters by their influence on the slip angles of each method, and on the reserve of friction,
-    by which an optimum is ranked: its active contacts have no margin left.
+    ranking.csv has the parameters by their influence on the worst over time: on each finger's largest slip angle by
+    each method, and on the smallest reserve of friction, by which an optimum is ranked: its active contacts have no
+    margin left.
     """
 
     task: Literal["cylinder"] = "cylinder"

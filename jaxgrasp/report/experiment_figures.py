@@ -12,6 +12,8 @@ from jaxgrasp.report.look import INK, MUTED
 COLOURS = ("#1f5fa8", "#b5541c", "#2f7d4f", "#7a4fa3", "#8a6d1d", "#5a6472")
 """Colours of references, in their order; the last for all others."""
 POINTS = 120
+APART_X, APART_Y = 0.006, 0.012
+"""How far neighbours' intervals are moved from each other: a share of the largest level, and of the hit ratio."""
 
 
 def colour(place: int) -> str:
@@ -29,18 +31,20 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
         of_persons: name them by the person.
     """
     traces: list[dict] = []
+    largest = max((cell.counts.levels.max() for cell in cells if len(cell.counts.levels)), default=0.0)
     for k, cell in enumerate(cells):
         if not len(cell.counts.levels):
             continue
+        aside = k - (len(cells) - 1) / 2
         name = f"{cell.reference:g} {unit}" if cell.reference > 0 else "detection"
         name = cell.subject if of_persons else name
-        traces.append(_ratios(cell, name, colour(k)))
+        traces.append(_ratios(cell, name, colour(k), APART_X * aside * largest))
         if cell.threshold.function is not None:
             levels = np.linspace(0, 1.1 * cell.counts.levels.max(), POINTS)
             chances = model.hit_probability(levels, cell.threshold.function)
             traces.append(_line(levels, chances, colour(k)))
         if np.isfinite(cell.threshold.value):
-            traces.append(_threshold(cell, name, colour(k)))
+            traces.append(_threshold(cell, name, colour(k), APART_Y * aside))
     title = "difference from the reference, by the reference" if cells[0].reference > 0 else f"intensity [{unit}]"
     level = {"type": "line", "x0": 0, "x1": 1, "xref": "paper", "y0": model.criterion, "y1": model.criterion}
     shape = layout(
@@ -48,7 +52,7 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
         xaxis=axis(title, rangemode="tozero"),
         yaxis=axis("hit ratio", range=[0.35, 1.02]),
         showlegend=True,
-        legend={"x": 0.99, "y": 0.02, "xanchor": "right", "yanchor": "bottom"},
+        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
         shapes=[level | {"line": {"color": MUTED, "width": 1, "dash": "dot"}}],
     )
     return {"data": traces, "layout": shape}
@@ -117,19 +121,20 @@ def staircases(traces: tuple[Trace, ...], unit: str) -> dict:
     return {"data": drawn, "layout": shape}
 
 
-def _ratios(cell: Cell, name: str, shade: str) -> dict:
+def _ratios(cell: Cell, name: str, shade: str, aside: float) -> dict:
     ends = ratio_intervals(cell.counts, cell.threshold.coverage)
     ratios = cell.counts.ratios
     away = {"type": "data", "symmetric": False, "color": shade, "thickness": 1, "width": 3}
-    pairs = [f"{k} of {n}" for k, n in zip(cell.counts.hits, cell.counts.trials, strict=True)]
+    counted = zip(cell.counts.levels, cell.counts.hits, cell.counts.trials, strict=True)
+    pairs = [f"level {level:.4g}: {k} of {n}" for level, k, n in counted]
     return {
         "type": "scatter",
         "mode": "markers",
         "name": name,
-        "x": cell.counts.levels.tolist(),
+        "x": (cell.counts.levels + aside).tolist(),
         "y": ratios.tolist(),
         "text": pairs,
-        "hovertemplate": f"{name}, level %{{x}}: %{{text}}<extra></extra>",
+        "hovertemplate": f"{name}, %{{text}}<extra></extra>",
         "error_y": away | {"array": (ends[:, 1] - ratios).tolist(), "arrayminus": (ratios - ends[:, 0]).tolist()},
         "marker": {"color": shade, "size": 8},
     }
@@ -141,13 +146,13 @@ def _line(x: np.ndarray, y: np.ndarray, shade: str) -> dict:
     return {"type": "scatter", "mode": "lines", **points, "line": line, "showlegend": False, "hoverinfo": "skip"}
 
 
-def _threshold(cell: Cell, name: str, shade: str) -> dict:
+def _threshold(cell: Cell, name: str, shade: str, aside: float) -> dict:
     one = cell.threshold
     away = {"type": "data", "symmetric": False, "color": shade, "thickness": 2, "width": 5}
     away |= {"array": [_finite(one.high - one.value)], "arrayminus": [_finite(one.value - one.low)]}
     marker = {"color": "#ffffff", "size": 9, "symbol": "diamond", "line": {"color": shade, "width": 2}}
     said = f"{name}: threshold {one.value:.3f}<extra></extra>"
-    point = {"x": [one.value], "y": [one.criterion], "error_x": away, "marker": marker, "hovertemplate": said}
+    point = {"x": [one.value], "y": [one.criterion + aside], "error_x": away, "marker": marker, "hovertemplate": said}
     return {"type": "scatter", "mode": "markers", "showlegend": False, **point}
 
 

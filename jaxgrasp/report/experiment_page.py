@@ -53,12 +53,18 @@ def _answers(found: Analysis, unit: str) -> str:
         f"All persons' answers together, as if one person's: hit ratios with {percentage(settings.coverage)} "
         f"intervals (Wilson's), the function of "
         f"largest likelihood where the method has one ({text(model.shape)}), and the threshold at a hit ratio "
-        f"of {model.criterion:g} with its interval."
+        f"of {model.criterion:g} with its interval. Intervals that would cover each other stand a little apart."
     )
     figure = figure_html("psychometric", figures.psychometric(found.pooled, model, unit))
     head = ["who", f"reference [{text(unit)}]", "threshold", "interval", "JND", "trials", "cut", "the other way", "fit"]
-    head.append("what it means")
-    rows = [_row(cell) for cell in (*found.pooled, *found.cells)]
+    cells = (*found.pooled, *found.cells)
+    rows = [_row(cell) for cell in cells]
+    if any(cell.threshold.finding is not Finding.FOUND for cell in cells):
+        head.append("what it means")
+        rows = [
+            [*row, f'<span class="wide">{text(cell.threshold.finding.advice)}</span>']
+            for row, cell in zip(rows, cells, strict=True)
+        ]
     about = (
         "Cut: trials in which the device cut a torque; the other way: the threshold with these where they are left "
         "out, and without them where they are counted."
@@ -96,7 +102,6 @@ def _row(cell: Cell) -> list[str]:
         str(cell.saturated or ""),
         number(cell.with_others.value) if cell.with_others is not None else "",
         fit,
-        "" if one.finding is Finding.FOUND else f'<span class="wide">{text(one.finding.advice)}</span>',
     ]
 
 

@@ -25,20 +25,17 @@ from jaxgrasp.report.surfaces import DrawnSurface, arrows, placed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ELEVATION, AZIMUTH = 12, 52
+ELEVATION, AZIMUTH = 12.0, 52.0
 """Elevation and azimuth of the eye [degrees]: it sees a right thumb, and the palm once it is turned."""
-TO_EYE = np.array(
-    [
-        np.cos(np.radians(ELEVATION)) * np.cos(np.radians(AZIMUTH)),
-        np.cos(np.radians(ELEVATION)) * np.sin(np.radians(AZIMUTH)),
-        np.sin(np.radians(ELEVATION)),
-    ]
-)
+SIDES = {"": 0.0, "from the other side": 180.0, "from the left": 90.0, "from the right": 270.0}
+"""Where else the eye goes [degrees], by how many earlier views show hand and object as they stand now."""
+SAME = 1e-4
+"""How far parts may have moved among each other to look the same [m, rad]."""
 SUN = np.array([0.5, 0.3, 0.81])
 
 
 def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) -> "Figure":
-    """Hand and object at named instants, all seen from the same side and on the same scale."""
+    """Hand and object at named instants on the same scale; what stands as in an earlier view, from another side."""
     from matplotlib.figure import Figure
 
     stage, scale = Stage.of(scene, history), Scale.of(history)
@@ -47,12 +44,15 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
     figure = Figure(figsize=(5.2 * columns, 4.9 * rows + 0.6))
     boxes = {name: stage.around(history, k) for name, k in shown.items()}
     reach = largest_reach(boxes.values())
-    for place, (name, k) in enumerate(shown.items(), 1):
+    sides = _sides(history, list(shown.values()))
+    for place, ((name, k), side) in enumerate(zip(shown.items(), sides, strict=True), 1):
         axes = figure.add_subplot(rows, columns, place, projection="3d", computed_zorder=False)
-        _set_up(axes, boxes[name].mean(0), reach)
-        _draw_solids(axes, stage, history, k)
+        azimuth = AZIMUTH + SIDES[side]
+        _set_up(axes, boxes[name].mean(0), reach, azimuth)
+        _draw_solids(axes, stage, history, k, _to_eye(azimuth))
         _draw_arrows(axes, history, k, scale)
-        axes.set_title(f"{name}, {history.times[k]:.2f} s", fontsize=12, color=INK, pad=14)
+        words = ", ".join(part for part in (name, f"{history.times[k]:.2f} s", side) if part)
+        axes.set_title(words, fontsize=12, color=INK, pad=14)
         colour = HOLD_COLOURS[Hold(int(history.hold[k]))]
         axes.text2D(0.5, 1.0, history.said(k), transform=axes.transAxes, ha="center", color=colour, weight="bold")
     _legend(figure, scale)
@@ -61,10 +61,28 @@ def instants_figure(scene: Scene, history: History, shown: Mapping[str, int]) ->
     return figure
 
 
-def _set_up(axes, middle: np.ndarray, reach: float) -> None:
+def _sides(history: History, instants: list[int]) -> list[str]:
+    """From which side each instant is seen."""
+    standing = [_standing(history, k) for k in instants]
+    seen = [sum(np.allclose(earlier, now, atol=SAME) for earlier in standing[:k]) for k, now in enumerate(standing)]
+    return [list(SIDES)[count % len(SIDES)] for count in seen]
+
+
+def _standing(history: History, k: int) -> np.ndarray:
+    """Poses of links and object ``(L + 1, 3, 4)``, wherever the whole of them is."""
+    poses = np.concatenate([history.link_poses[k], history.object_pose[k][None]])
+    return np.concatenate([poses[..., :3], poses[..., 3:] - poses[:1, :, 3:]], -1)
+
+
+def _to_eye(azimuth: float) -> np.ndarray:
+    up, around = np.radians(ELEVATION), np.radians(azimuth)
+    return np.array([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
+
+
+def _set_up(axes, middle: np.ndarray, reach: float, azimuth: float) -> None:
     from matplotlib.ticker import MaxNLocator
 
-    axes.view_init(ELEVATION, AZIMUTH)
+    axes.view_init(ELEVATION, azimuth)
     axes.set_proj_type("ortho")
     axes.set_box_aspect((1, 1, 1), zoom=1.15)
     for name, at in zip("xyz", middle.tolist(), strict=True):
@@ -77,7 +95,7 @@ def _set_up(axes, middle: np.ndarray, reach: float) -> None:
     axes.tick_params(labelsize=8, labelcolor=MUTED)
 
 
-def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
+def _draw_solids(axes, stage: Stage, history: History, k: int, to_eye: np.ndarray) -> None:
     """What of hand, object and table lies within the axes."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
@@ -87,7 +105,9 @@ def _draw_solids(axes, stage: Stage, history: History, k: int) -> None:
         for link, pose in zip(stage.links, history.link_poses[k], strict=True)
     ]
     solids.append((thing, stage.object.faces, OBJECT_COLOUR, 0.5))
-    triangles, colours = (np.concatenate(part) for part in zip(*(_shaded(*solid) for solid in solids), strict=True))
+    triangles, colours = (
+        np.concatenate(part) for part in zip(*(_shaded(*solid, to_eye) for solid in solids), strict=True)
+    )
     low, high = np.array([axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()]).T
     seen = ((triangles >= low) & (triangles <= high)).all((1, 2))
     # Opaque triangles are drawn a hair larger, or what lies behind would shine through their seams.
@@ -125,14 +145,16 @@ def _draw_arrows(axes, history: History, k: int, scale: Scale) -> None:
             axes.add_collection3d(Poly3DCollection(heap.corners[heap.faces], **look))
 
 
-def _shaded(corners: np.ndarray, faces: np.ndarray, colour: str, alpha: float) -> tuple[np.ndarray, np.ndarray]:
+def _shaded(
+    corners: np.ndarray, faces: np.ndarray, colour: str, alpha: float, to_eye: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The triangles that face the eye, and their colours under a high sun."""
     from matplotlib.colors import to_rgb
 
     triangles = corners[faces]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     sizes = np.linalg.norm(normals, axis=1, keepdims=True)
-    seen = (normals @ TO_EYE > 0) & (sizes[:, 0] > 0)
+    seen = (normals @ to_eye > 0) & (sizes[:, 0] > 0)
     lit = 0.62 + 0.38 * np.maximum(normals[seen] / sizes[seen] @ SUN, 0)
     colours = np.column_stack([lit[:, None] * np.array(to_rgb(colour)), np.full(len(lit), alpha)])
     return triangles[seen], np.clip(colours, 0, 1)

@@ -8,8 +8,9 @@ from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.report.grip_over_time import History
 from jaxgrasp.report.look import finger_colours, number
 
-WORTH_NAMING = 0.06
-"""Share of the time from which a spell of slipping or falling is named."""
+WORTH_NAMING = 0.09
+"""Share of the time from which a spell of slipping or falling is named: about as wide as its name, so that names of
+neighbours stand apart."""
 
 
 class PanelLine(NamedTuple):

@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxgrasp.report.look import GRID, INK, METHOD_COLOURS, MUTED, method_title, number
 from jaxgrasp.report.png import check_matplotlib, write_png
-from jaxgrasp.sensitivity.matrix import SensitivityMatrix
-from jaxgrasp.sensitivity.study import Study, ranking
+from jaxgrasp.sensitivity.matrix import Influence
+from jaxgrasp.sensitivity.study import Study, rankings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,19 +37,23 @@ def sensitivity_figure(found: Study, finger: str, vary: str) -> "Figure":
     columns = len(found.slips)
     figure = Figure(figsize=(max(4.2 * columns + 0.8, 10), 7.6))
     grid = figure.add_gridspec(2, columns, left=0.075, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.42)
-    rankings = figure.add_gridspec(
-        2, columns + 1, left=0.11, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.75
-    )
+    lower = figure.add_gridspec(2, columns + 1, left=0.11, right=0.985, top=0.9, bottom=0.085, hspace=0.36, wspace=0.75)
+    ranked = rankings(found)
     for column, (method, trajectory) in enumerate(found.slips.items()):
         axes = figure.add_subplot(grid[0, column])
         _draw_slips(axes, method, trajectory, finger, vary)
         axes.set_ylabel(f"slip angle of the {finger} [\N{DEGREE SIGN}]" if column == 0 else "")
-        below = figure.add_subplot(rankings[1, column])
-        _draw_ranking(below, trajectory.matrix, f"slip angles, {method_title(method)}", METHOD_COLOURS[method])
-    last = figure.add_subplot(rankings[1, columns])
-    _draw_ranking(last, found.reserve.matrix, "reserve of friction", INK)
+        below = figure.add_subplot(lower[1, column])
+        title = f"largest slip angles, {method_title(method)}"
+        _draw_ranking(below, ranked[f"slip angles, {method}"], title, METHOD_COLOURS[method])
+    last = figure.add_subplot(lower[1, columns])
+    _draw_ranking(last, ranked["reserve of friction"], "smallest reserve of friction", INK)
     figure.text(
-        0.012, 0.955, f"Slip angle of the {finger} along the task; what moves all fingers'", fontsize=12, color=INK
+        0.012,
+        0.955,
+        f"Slip angle of the {finger} along the task; what moves all fingers' worst",
+        fontsize=12,
+        color=INK,
     )
     values = next(iter(found.slips.values())).varied[vary].values
     for dash, value in zip(cycle(DASHES), values, strict=False):
@@ -72,11 +76,11 @@ def _draw_slips(axes: "Axes", method: str, trajectory: Any, finger: str, vary: s
     _plain(axes)
 
 
-def _draw_ranking(axes: "Axes", matrix: SensitivityMatrix, title: str, colour: str) -> None:
-    ranked = [one for one in ranking(matrix) if np.isfinite(one.size)][:SHOWN][::-1]
+def _draw_ranking(axes: "Axes", influences: list[Influence], title: str, colour: str) -> None:
+    ranked = [one for one in influences if np.isfinite(one.size)][:SHOWN][::-1]
     axes.barh([one.label for one in ranked], [one.size for one in ranked], color=colour, height=0.62)
     axes.set_title(title, fontsize=10, color=colour, loc="left")
-    axes.set_xlabel("influence of 1%, in %")
+    axes.set_xlabel("influence of 1% on the worst over time, in %")
     axes.tick_params(axis="y", length=0, labelsize=8.5)
     axes.grid(axis="y", visible=False)
     _plain(axes)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.task import Task
@@ -60,8 +61,41 @@ def study(
     return Study(slips, sensitivity_trajectory(task, some, friction_reserve, by, labels=ours))
 
 
-def ranking(matrix: SensitivityMatrix) -> list[Influence]:
-    """By how many per cent one per cent of each parameter moves the outputs, in the mean; the largest first."""
+def at_worst(matrix: SensitivityMatrix, *, largest: bool) -> SensitivityMatrix:
+    """Outputs over time ``(T, M)`` as each stands at its own worst instant, with its derivatives there.
+
+    What only comes earlier or later, as by another speed, moves an output at every instant, and its worst not at all:
+    at an extremum the derivative of the curve's height is that at its place.
+
+    Args:
+        matrix: of leading axis time.
+        largest: whether the largest value is the worst, or the smallest.
+    """
+    nominal, derivatives = np.asarray(matrix.nominal), np.asarray(matrix.derivatives)
+    bad = nominal if largest else -nominal
+    # What has no derivative (no forces hold) has no worst that could be led back to parameters.
+    known = np.isfinite(bad) & ~np.isnan(derivatives).any(-1)
+    place = np.where(known, bad, -np.inf).argmax(0)
+    which = np.arange(nominal.shape[1])
+    return SensitivityMatrix(
+        jnp.asarray(derivatives[place, which]),
+        jnp.asarray(nominal[place, which]),
+        matrix.values,
+        matrix.outputs,
+        matrix.parameters,
+    )
+
+
+def rankings(found: Study) -> dict[str, list[Influence]]:
+    """By how many per cent one per cent of each parameter moves the worst over time; the largest first.
+
+    Of the slip angles, each finger's largest, by method; and of the reserve of friction, its smallest.
+    """
+    slips = {f"slip angles, {name}": _ranking(at_worst(one.matrix, largest=True)) for name, one in found.slips.items()}
+    return slips | {"reserve of friction": _ranking(at_worst(found.reserve.matrix, largest=False))}
+
+
+def _ranking(matrix: SensitivityMatrix) -> list[Influence]:
     known = {entry.name for entry in matrix.parameters}
     return matrix.ranking({name: size for name, size in WHOLE.items() if name in known})
 

@@ -3,12 +3,19 @@
 import csv
 import sys
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.sensitivity import Output, cylinder_task, sensitivity_trajectory
-from jaxgrasp.sensitivity.study import spells
+from jaxgrasp.sensitivity import (
+    Output,
+    SensitivityMatrix,
+    cylinder_task,
+    sensitivity_matrix,
+    sensitivity_trajectory,
+)
+from jaxgrasp.sensitivity.study import at_worst, spells
 
 QUICK = ["sensitivity", "--methods", "A", "--by", "mass", "friction[index]", "--step", "0.5", "--out", "out"]
 
@@ -30,7 +37,7 @@ def test_it_writes_curves_ranking_and_figure(folder, capsys):
     np.testing.assert_allclose(slopes, expected.matrix.derivatives[:, 1, 0], rtol=1e-8, atol=1e-8)
     with open("out/ranking.csv") as file:
         ranked = list(csv.DictReader(file))
-    assert {row["of"] for row in ranked} == {"slip angles, A", "reserve of friction"}
+    assert {row["of the worst"] for row in ranked} == {"slip angles, A", "reserve of friction"}
     assert ranked[0]["parameter"] == "mass" and float(ranked[1]["influence of 1% [%]"]) == 0
     with open("out/sensitivity.png", "rb") as file:
         assert len(file.read()) > 20_000
@@ -56,6 +63,27 @@ def test_bad_input_is_one_line(folder, capsys, arguments, said):
     assert main(["sensitivity", "--methods", "A", *arguments]) == 1
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1 and not any(folder.iterdir())
+
+
+def test_a_shift_in_time_moves_no_worst():
+    """Of A sin(t - s) the worst moves with A alone, though s moves every other instant as much."""
+    times = np.linspace(0, 2 * np.pi, 2001)
+
+    def curve(parameters):
+        return {"y": parameters["amplitude"] * jnp.sin(times - parameters["shift"])}
+
+    whole = sensitivity_matrix(curve, {"amplitude": 2.0, "shift": 1.0})
+    over_time = SensitivityMatrix(
+        whole.derivatives[:, None], whole.nominal[:, None], whole.values, whole.outputs[:1], whole.parameters
+    )
+    sizes = {one.label: one.size for one in over_time.ranking()}
+    assert sizes["shift"] > 0.9
+    for largest in (True, False):
+        worst = at_worst(over_time, largest=largest)
+        np.testing.assert_allclose(worst.nominal, [2.0 if largest else -2.0], rtol=1e-5)
+        sizes = {one.label: one.size for one in worst.ranking()}
+        np.testing.assert_allclose(sizes["amplitude"], 1, rtol=1e-5)
+        assert sizes["shift"] < 2e-3
 
 
 def test_spells_begin_and_end_between_instants():

@@ -290,6 +290,19 @@ def test_pictures_name_each_instant_and_what_becomes_of_the_object():
     assert [len(axes.collections) for axes in figure.axes] == [5, 1]
 
 
+def test_what_stands_still_is_seen_from_four_sides():
+    history = happened()
+    for poses in (history.link_poses, history.object_pose):
+        poses[:] = poses[0]
+        poses[..., 2, 3] += np.arange(len(poses)).reshape(-1, *[1] * (poses.ndim - 3))
+    shown = {"closed": 0, "lifted": 1, "held": 2, "end": 3}
+    figure = instants_figure(scene(), history, shown)
+    assert len({axes.azim % 360 for axes in figure.axes}) == 4
+    history.object_pose[1:, 0, 3] += 0.01
+    figure = instants_figure(scene(), history, shown)
+    assert [axes.azim % 360 for axes in figure.axes] == [52, 52, 232, 142]
+
+
 def test_matplotlib_missing_is_one_line(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[report\]'"):

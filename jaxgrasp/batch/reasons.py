@@ -25,12 +25,12 @@ class Reason(IntEnum):
         1,
         "no torque about the line through its contacts",
         "All contacts lie on one line, as those of a parallel jaw do, and hard fingers resist no torque about it, "
-        "however hard they squeeze. Soft fingers do where they press along the line: give them torsion.",
+        "however hard they squeeze. Soft fingers do where they press along the line: give them torsion (--torsion 0.005).",
     )
     POINT = (
         2,
         "no torque about its one point of contact",
-        "All contacts lie at one point, about which hard fingers resist no torque. Add a contact, or give torsion.",
+        "All contacts lie at one point, about which hard fingers resist no torque. Add a contact, or give --torsion.",
     )
     PULL = (
         3,

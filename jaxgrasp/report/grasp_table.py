@@ -21,7 +21,11 @@ def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn
     shown = [name for name in rows if _is_shown(name)]
     head = "".join(f'<th><button type="button" class="sort">{text(_heading(name))}</button></th>' for name in shown)
     lines = [_line(rows, shown, k, drawn) for k in range(count)]
-    some = f"The first {whole(count)} of {whole(problems)} rows; results.csv has all. " if count < problems else ""
+    some = (
+        f"The first {whole(count)} of {whole(problems)} rows; results.csv, which --table csv writes, has all. "
+        if count < problems
+        else ""
+    )
     note = (
         f"{some}A heading sorts, and again the other way round. Margin: friction angle less slip angle at the worst "
         "contact; below zero it slips. Price: the share of the optimum's objective that the closed form leaves out."

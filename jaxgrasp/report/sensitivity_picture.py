@@ -80,7 +80,7 @@ def _draw_ranking(axes: "Axes", influences: list[Influence], title: str, colour:
     ranked = [one for one in influences if np.isfinite(one.size)][:SHOWN][::-1]
     axes.barh([one.label for one in ranked], [one.size for one in ranked], color=colour, height=0.62)
     axes.set_title(title, fontsize=10, color=colour, loc="left")
-    axes.set_xlabel("influence of 1% on the worst over time, in %")
+    axes.set_xlabel("1% moves the worst by [%]")
     axes.tick_params(axis="y", length=0, labelsize=8.5)
     axes.grid(axis="y", visible=False)
     _plain(axes)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.psychophysics.analysis.experiment import analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import METHODS, Plan, SessionPlan
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
@@ -38,7 +39,12 @@ def test_figures_show_what_was_found(folder):
     figures = data_of(page)
     points = [one for one in figures["psychometric"]["data"] if one["mode"] == "markers" and "error_y" in one]
     for cell, shown in zip(found.pooled, points):
-        assert shown["x"] == cell.counts.levels.tolist() and shown["y"] == pytest.approx(cell.counts.ratios)
+        # A little aside, so that intervals do not cover each other.
+        near = 0.01 * max(cell.counts.levels)
+        assert shown["x"] == pytest.approx(cell.counts.levels, abs=near)
+        assert shown["y"] == pytest.approx(cell.counts.ratios)
+    assert not set(points[0]["x"]) & set(points[1]["x"])
+    assert figures["psychometric"]["layout"]["legend"]["y"] > 1, "the legend stands above the lines"
     for k, reference in enumerate(PLAN.session.references):
         shown = [one for one in figures[f"persons-{k}"]["data"] if "error_y" in one]
         own = [cell for cell in found.cells if cell.reference == reference]
@@ -59,6 +65,19 @@ def test_every_procedure_has_a_page(folder, method):
     )
     if method == "staircase":
         assert len(figures["staircases"]["data"]) == 2 == len(found.traces)
+
+
+def test_what_it_means_is_said_only_where_there_is_something_to_say(folder):
+    def advice(page: str) -> list[str]:
+        return re.findall(r'<span class="wide">(.*?)</span>', page)
+
+    found = done(Plan(session=SessionPlan((2.0,))), folder / "found", 1)
+    assert {cell.threshold.finding for cell in (*found.pooled, *found.cells)} == {Finding.FOUND}
+    page = experiment_html(found)
+    assert "what it means" not in page and not advice(page)
+    easy = Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(levels=(5.0, 9.0)))
+    found = done(easy, folder / "easy", 1)
+    assert advice(experiment_html(found)) == [cell.threshold.finding.advice for cell in (*found.pooled, *found.cells)]
 
 
 def test_nothing_found_is_said(folder):

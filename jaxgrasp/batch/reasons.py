@@ -25,7 +25,8 @@ class Reason(IntEnum):
         1,
         "no torque about the line through its contacts",
         "All contacts lie on one line, as those of a parallel jaw do, and hard fingers resist no torque about it, "
-        "however hard they squeeze. Soft fingers do where they press along the line: give them torsion (--torsion 0.005).",
+        "however hard they squeeze. Soft fingers do where they press along the line: give them torsion "
+        "(--torsion 0.005).",
     )
     POINT = (
         2,

@@ -26,6 +26,8 @@ from jaxgrasp.model.limits import Limits
 POINT_AWAY = "most normals point away from the middle of their grasp"
 MOSTLY = 0.8
 """Share of grasps from which all are suspected."""
+ROUNDING = 1e-3
+"""Of the distances: as far as normals out of files may be off."""
 MILLIMETRES_LIKELY = 2.0
 """A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
 
@@ -241,6 +243,7 @@ def normals_point_away(sets: ContactSets) -> bool:
     """Whether the normals of most grasps point away from the contacts' own middle, as no convex object's do."""
     if not len(sets.points):
         return False
-    inward = np.einsum("ci,ci->c", sets.towards_middle(), sets.normals)
-    starts = sets.offsets[:-1][sets.sizes > 0]
-    return bool(np.mean(np.add.reduceat(inward, starts) < 0) > MOSTLY)
+    ways, starts = sets.towards_middle(), sets.offsets[:-1][sets.sizes > 0]
+    inward = np.add.reduceat(np.einsum("ci,ci->c", ways, sets.normals), starts)
+    # Those that press across the plane that they lie in, as fingers under a tray, say nothing either way.
+    return bool(np.mean(inward < -ROUNDING * np.add.reduceat(np.linalg.norm(ways, axis=1), starts)) > MOSTLY)

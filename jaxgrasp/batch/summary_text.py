@@ -6,7 +6,7 @@ import textwrap
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
-from jaxgrasp.batch.rankings import MARGIN
+from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.worst import case_title
 from jaxgrasp.files.printable import printable
@@ -68,13 +68,15 @@ def _which_hold(summary: Summary) -> list[str]:
     unit = "problems" if several else "grasps"
     lines = [f"{ranked.holds:,} of {summary.problems:,} {unit} hold ({ranked.judge})."]
     for reason, count in ranked.failing:
-        names = ", ".join(printable(case_title(case, several)) for case in ranked.examples.get(reason.name, []))
-        more = ", ..." if count > len(ranked.examples.get(reason.name, [])) else ""
+        names = "; ".join(printable(case_title(case, several)) for case in ranked.examples.get(reason.name, []))
+        more = "; ..." if count > len(ranked.examples.get(reason.name, [])) else ""
         lines.append(f"  {count:,} not: {reason.title} ({names}{more})")
     for name, ranking in ranked.rankings.items():
+        by_wrench = several and name in (MARGIN, LEAST_FRICTION)
         for end, cases in (("best", ranking.best), ("worst", ranking.worst)):
-            shown = ", ".join(
-                f"{printable(case_title(case, several))} {ranked_value(name, case['value'])}" for case in cases[:SHOWN]
+            shown = "; ".join(
+                f"{printable(case_title(case, by_wrench))} {ranked_value(name, case['value'])}"
+                for case in cases[:SHOWN]
             )
             if shown:
                 lines.append(f"{end} by {name}: {shown}")

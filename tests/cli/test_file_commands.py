@@ -84,12 +84,25 @@ def test_validate_suspects_outward_normals(folder, capsys):
         assert "warning" not in capsys.readouterr().out
 
 
+def test_fingers_under_a_tray_are_not_suspected(folder, capsys):
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform(-0.1, 0.1, (50, 3, 2)), np.full((50, 3, 1), 0.3)], -1)
+    # As far from upright as rounding of a file may be, and outwards each of them.
+    normals = np.array([0, 0, 1.0]) + 1e-3 * (points - points.mean(1, keepdims=True))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    grasp = jaxgrasp.Grasp(points, normals, np.full((50, 3), 0.5), np.ones((50, 3)))
+    jaxgrasp.save_grasps("tray.npz", grasp, np.array([0, 0, 3.0, 0, 0, 0]))
+    jaxgrasp.load_grasps("tray.npz")
+    assert main(["validate", "tray.npz"]) == 0
+    assert "warning" not in capsys.readouterr().out
+
+
 def test_jaws_that_cannot_hold_are_told_why_and_what_mends_it(folder, capsys):
     jaxgrasp.save_grasps("jaws.npz", *pinches(), name=["a", "b", "c"])
     common = ["evaluate", "jaws.npz", "--methods", "A-optimum", "--no-report"]
     assert main([*common, "--out", "hard"]) == 0
     said = capsys.readouterr().out
-    assert "0 of 3 grasps hold" in said and "3 not: no torque about the line through its contacts (a, b, c)" in said
+    assert "0 of 3 grasps hold" in said and "3 not: no torque about the line through its contacts (a; b; c)" in said
     assert "resist no torque about the line between them" in said and "--torsion" in said
     with open("hard/results.csv", newline="") as stream:
         assert [(row["name"], row["holds"]) for row in csv.DictReader(stream)] == [(n, "no") for n in "abc"]

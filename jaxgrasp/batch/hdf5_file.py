@@ -11,24 +11,11 @@ from jaxgrasp.batch.columnar import KNOWN, ColumnarGrasps, columns_to_save
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_column import DEFLATE_RATIO
+from jaxgrasp.files.hdf5 import hdf5_library
 from jaxgrasp.files.replace import replace_file
 
-MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
 LONGEST = 1_000
 """Bytes of a text whose length a file leaves open."""
-
-
-def hdf5_library() -> Any:
-    """h5py.
-
-    Raises:
-        ImportError: where it is not installed, with the command that does it.
-    """
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError(MISSING) from None
-    return h5py
 
 
 class Hdf5Column:

@@ -11,11 +11,11 @@ Source: Eppner, Mousavian and Fox, ACRONYM, 2021; https://github.com/NVlabs/acro
 from pathlib import Path
 from typing import Any
 
+from jaxgrasp.files.hdf5 import hdf5_library
 from jaxgrasp.interop.grasp_fields import poses_of_fields
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
 
-MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
 PLACES = {
     "transforms": "grasps/transforms",
     "angles": "grasps/angles",
@@ -48,10 +48,7 @@ def read_acronym(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
 
 
 def _fields(path: str | Path) -> dict[str, Any]:
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError(MISSING) from None
+    h5py = hdf5_library()
     # h5py's own message for a missing file is five lines long.
     with open(path, "rb"):
         pass

@@ -5,6 +5,7 @@ from jaxgrasp.hand.deepest import Kept, keep_deepest
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree
 from jaxgrasp.hand.human_hand import human_hand, mirrored
+from jaxgrasp.hand.joint_limits import torque_limits
 from jaxgrasp.hand.kinematics import contact_jacobian, joint_torques, pose_hand
 from jaxgrasp.hand.mesh import Mesh, check_mesh, load_mesh, principal_frame
 from jaxgrasp.hand.parallel_jaw import parallel_jaw
@@ -57,6 +58,7 @@ __all__ = [
     "signed_distance",
     "sphere_tree",
     "spring_wrench",
+    "torque_limits",
     "world_contacts",
 ]
 

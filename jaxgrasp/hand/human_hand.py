@@ -145,6 +145,7 @@ def mirrored(hand: Hand) -> Hand:
         hand.joints,
         hand.links,
         hand.sliding,
+        hand.torque_max,
     )
 
 

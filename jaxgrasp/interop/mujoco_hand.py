@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.interop.mujoco_motors import largest_torques
 from jaxgrasp.model.hand import Hand, Link, padded
 from jaxgrasp.validation.checked import checked
 
@@ -72,6 +73,7 @@ def hand_from_mujoco(
 
     Returns:
         The Hand: every joint below the wrist that is not locked, and a link for every body with collision geoms.
+        Its largest torques are those of the motors, as far as the model limits them.
 
     Raises:
         ImportError: without MuJoCo.
@@ -165,6 +167,7 @@ def _finish(
     slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     # Limits that the model does not have are a whole turn.
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.pi, np.pi])
+    torque_max = largest_torques(mujoco, model, joints)
     hand = Hand(
         jnp.array(tree.origins),
         jnp.array(tree.rests),
@@ -176,6 +179,7 @@ def _finish(
         tuple(model.joint(j).name for j in joints),
         tuple(links),
         tuple(model.joint(j).name for j in joints[slides]),
+        None if np.isinf(torque_max).all() else jnp.array(torque_max),
     )
     return MujocoHand(
         hand=hand,

@@ -50,7 +50,8 @@ def hand_from_urdf(
         names: finger and phalanx of a link, by its name, such as ``{"link_3.0": ("index", "distal")}``.
 
     Returns:
-        The Hand, and the MuJoCo model that it came from.
+        The Hand, and the MuJoCo model that it came from. Its largest torques are the joints' ``effort``; one of zero
+        says nothing, as in most files that have it.
 
     Raises:
         ImportError: without MuJoCo.

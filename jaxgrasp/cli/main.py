@@ -14,6 +14,7 @@ from jaxgrasp.cli.evaluate_arguments import Evaluate
 from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
+from jaxgrasp.cli.hand_arguments import CheckHand
 from jaxgrasp.cli.import_arguments import ImportGrasps
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
@@ -26,6 +27,7 @@ Command = (
     | Annotated[Experiment, tyro.conf.subcommand("experiment")]
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
+    | Annotated[CheckHand, tyro.conf.subcommand("hand")]
     | Annotated[ImportGrasps, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
@@ -39,6 +41,7 @@ FUNCTIONS: dict[type, str] = {
     Info: "inspect.info_command",
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
+    CheckHand: "hand_check.check_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
     Check: "scene_check.check_command",
     ReadyScenes: "scene_check.list_command",

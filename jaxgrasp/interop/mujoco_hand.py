@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.interop.mujoco_couplings import couplings
 from jaxgrasp.interop.mujoco_motors import largest_torques
 from jaxgrasp.model.hand import Hand, Link, padded
 from jaxgrasp.validation.checked import checked
@@ -38,7 +40,10 @@ class MujocoHand:
     rotations: np.ndarray
     """``(L, 3, 3)``: of the body's frame in the link's."""
     left_out: tuple[str, ...]
-    """Collision geoms that are no sphere, capsule, cylinder, ellipsoid or box, and so touch nothing here."""
+    """Collision geoms that are no sphere, capsule, cylinder, ellipsoid or box, and so touch nothing here; of a URDF
+    that was read with ``keep_going``, links' meshes that are missing too."""
+    coupled: tuple[LeftOut, ...] = ()
+    """Couplings of joints, such as URDF's ``mimic``, which a Hand does not have: its joints move each by itself."""
 
 
 @dataclass
@@ -147,7 +152,7 @@ def _finish(
     links, spheres, kept, left_out = [], [], [], []
     for body, place in carriers.items():
         first = int(model.body_geomadr[body])
-        geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if _collides(model, g)]
+        geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if collides(model, g)]
         parts = []
         for geom in geoms:
             row = _spheres(mujoco, model, geom, place)
@@ -190,10 +195,11 @@ def _finish(
         positions=np.array([carriers[body].position for body in kept]),
         rotations=np.array([carriers[body].rotation for body in kept]),
         left_out=tuple(left_out),
+        coupled=couplings(mujoco, model, tree.joints),
     )
 
 
-def _collides(model: mujoco.MjModel, geom: int) -> bool:
+def collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 

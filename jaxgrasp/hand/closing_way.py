@@ -108,7 +108,8 @@ def _knuckles(hand: Hand, frames: HandFrames, fingers: list[str]) -> np.ndarray:
 def _centers(hand: Hand, frames: HandFrames, link: int) -> tuple[np.ndarray, np.ndarray]:
     """Centres ``(m, 3)`` and radii ``(m,)`` of the spheres that a link has."""
     radii = np.asarray(hand.skin.radii[link])
-    centers = frames.links.origin[link] + np.asarray(hand.skin.centers[link]) @ frames.links.rotation[link].T
+    rotation, origin = np.asarray(frames.links.rotation)[link], np.asarray(frames.links.origin)[link]
+    centers = origin + np.asarray(hand.skin.centers[link]) @ rotation.T
     return centers[radii > 0], radii[radii > 0]
 
 

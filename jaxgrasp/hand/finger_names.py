@@ -62,7 +62,7 @@ def name_fingers(hand: Hand, names: Mapping[str, tuple[str, str]] | None = None)
     if ("thumb", "middle") in read.values():
         shifted = {("thumb", "proximal"): ("thumb", "metacarpal"), ("thumb", "middle"): ("thumb", "proximal")}
         read = {name: pair if name in given or pair is None else shifted.get(pair, pair) for name, pair in read.items()}
-    links = tuple(link if read[link.name] is None else Link(*read[link.name], link.joint) for link in hand.links)
+    links = tuple(link if (pair := read[link.name]) is None else Link(*pair, link.joint) for link in hand.links)
     return Hand(**{**vars(hand), "links": links})
 
 

@@ -121,12 +121,6 @@ def is_human(hand: Hand) -> bool:
     return tips <= {link.name for link in hand.links} and hinges <= set(hand.joints)
 
 
-def check_human(hand: Hand) -> None:
-    """Raise ValueError unless a hand has a human one's joints and links, by their names."""
-    if not is_human(hand):
-        raise ValueError("hand is not a human one: expected joints and links named as by human_hand")
-
-
 def open_angles(hand: Hand) -> np.ndarray:
     """Every joint's angle where fingers are straight and the thumb stands opposite them [rad]."""
     return np.array([OPPOSITION if name == "thumb abduction" else 0.0 for name in hand.joints])

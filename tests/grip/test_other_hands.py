@@ -1,12 +1,13 @@
 """Power grips of hands that are not human: the Shadow hand by its links' names, the Allegro hand by the user's."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxgrasp
 from jaxgrasp import Verdict
-from jaxgrasp.grip import GripType, grip_type, power_grip
+from jaxgrasp.grip import GripType, grip_type, power_grip, precision_grip
 from jaxgrasp.hand import (
     Cylinder,
     Hand,
@@ -147,6 +148,24 @@ def test_the_allegro_hand_closes_by_the_users_names():
     weight = jaxgrasp.weight_wrench(0.3, placed.origin, jnp.array([0.0, 0.0, -9.81]))
     limits = torque_limits(hand, posture, contacts)
     assert jaxgrasp.constrained_optimum(grasp, weight, limits=limits).verdict <= Verdict.OPTIMAL
+
+
+@pytest.mark.slow
+def test_the_shadow_hand_holds_by_its_fingertips_alone_whichever_way_is_down(shadow):
+    hand, down = shadow[2], np.concatenate([np.eye(3), -np.eye(3)])
+    for radius in (0.015, 0.025, 0.035):
+        posture, placed, contacts = jax.device_get(
+            precision_grip(hand, Cylinder(radius, 0.12), 3, way=closing_way(hand, **THUMB))
+        )
+        check_posture(hand, posture)
+        there = contacts.present > 0
+        touching = {link.name for link, touches in zip(hand.links, there, strict=True) if touches}
+        assert touching == {"thumb distal", "index distal", "middle distal"}
+        np.testing.assert_allclose(contacts.depths[there], 1e-3, rtol=0.05)
+        assert int(grip_type(hand, posture, contacts)) == GripType.PRECISION_3
+        grasp = grasp_from_contacts(contacts, friction=0.5, stiffness=1000.0)
+        weights = np.stack([jaxgrasp.weight_wrench(0.4, placed.origin, 9.81 * way) for way in down])
+        assert (jaxgrasp.constrained_optimum(grasp, weights).verdict <= int(Verdict.OPTIMAL)).all()
 
 
 def test_a_mirrored_hand_closes_as_its_image(shadow):

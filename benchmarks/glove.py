@@ -23,15 +23,16 @@ import numpy as np
 
 from benchmarks.page import glove_tables
 from benchmarks.sections import run_sections
+from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import Guard, GuardState
-from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.child import Child
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
+from jaxgrasp.glove.model import lucidgloves
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.messages import Exchange
-from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.polhemus import FastrakAscii, FastrakBinary, IsotrakBinary
 from jaxgrasp.glove.protocol.frames import CHANNELS, LINE_SIZE, Flag, Frame, FrameReader, Kind, Sequence, encode
 from jaxgrasp.glove.simulated.line_faults import Spoiler
@@ -101,7 +102,7 @@ def rubbish(plan: Plan) -> list[dict]:
         decoder = kind()
         readers[kind.__name__] = decoder.feed, lambda decoder=decoder: len(decoder.kept)
     line = MemoryLine(115_200)
-    lucid = LucidHost(line, Guard(lucidgloves()))
+    lucid = LucidHost(lucidgloves(), lambda: line, Guard(lucidgloves()))
 
     def lucid_feed(data: bytes) -> None:
         line.to_host += data

@@ -55,6 +55,10 @@ class RunExperiment:
     """What `jaxgrasp glove calibrate` wrote; the nominal one where not given."""
     baud: int = 115_200
     """Baud rate of the glove's serial line."""
+    device: str = "native"
+    """Protocol of the glove: `native`, `lucidgloves`, or MODULE:CLASS, as for `jaxgrasp glove run`."""
+    full_scale: int = 4095
+    """Largest number that a LucidGloves sends."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()

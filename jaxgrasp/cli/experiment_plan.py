@@ -1,5 +1,6 @@
 """``jaxgrasp experiment plan`` and ``power``: what a plan asks, and what it will tell."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -162,4 +163,5 @@ def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:
 
 def _line(one: Rendered, unit: str) -> str:
     felt = f"SATURATES, feels like {one.felt:.3g} {unit}" if one.saturated else "rendered whole"
-    return f"  {one.intensity:8.4g} {unit}: torques up to {one.torque:.4f} N\N{MIDDLE DOT}m, {felt}"
+    warm = f", for {one.lasts:.0f} s until motors are warm" if math.isfinite(one.lasts) else ""
+    return f"  {one.intensity:8.4g} {unit}: torques up to {one.torque:.4f} N\N{MIDDLE DOT}m, {felt}{warm}"

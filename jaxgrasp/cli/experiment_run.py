@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import Any
 
 from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson
@@ -10,7 +11,8 @@ from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, 
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show, typed
 from jaxgrasp.glove.calibrate import load_model
-from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.devices import device_kind
+from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.line import check_port
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.psychophysics.plan import Plan
@@ -28,7 +30,8 @@ Arm = Callable[[], None]
 
 def run_command(arguments: RunExperiment) -> int:
     """Ask until all is asked, or the person stops."""
-    check_positive(arguments, "baud")
+    check_positive(arguments, "baud", "full_scale")
+    acceptance = device_kind(arguments.device).acceptance
     if arguments.simulate == (arguments.port is not None):
         raise ValueError(
             "either --port, of the glove in which stimuli are felt, or --simulate, which lets an observer answer: "
@@ -44,7 +47,9 @@ def run_command(arguments: RunExperiment) -> int:
     show("\n".join(summary(plan)))
     try:
         with ExitStack() as stack:
-            stimulus, arm = _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, stack)
+            stimulus, arm = (
+                _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, acceptance, stack)
+            )
             done = _asked(arguments, plan, stimulus, person, arm)
     except KeyboardInterrupt:
         raise InterruptedError(f"stopped; all answers are in {path}, --resume goes on with them") from None
@@ -73,7 +78,7 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
     return stimulus, lambda: None
 
 
-def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimulus, Arm]:
+def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack) -> tuple[Stimulus, Arm]:
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
     check_port(arguments.port or "", arguments.baud)
     set_up_jax("float64")
@@ -82,11 +87,10 @@ def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimu
     from jaxgrasp.lab.stimuli import GloveStimulus
 
     files = {"model": arguments.glove, "calibration": arguments.calibration}
-    options = {name: str(one.resolve()) for name, one in files.items() if one is not None}
+    options: dict[str, Any] = {name: str(one.resolve()) for name, one in files.items() if one is not None}
+    options |= {name: getattr(arguments, name) for name in ("device", "full_scale", "baud")}
     model, _ = load_model(options)
-    glove = stack.enter_context(
-        GloveProcess(arguments.port or "", len(model.joints), **options, baud=arguments.baud, scale=FIRST)
-    )
+    glove = stack.enter_context(GloveProcess(arguments.port or "", len(model.joints), **options, scale=FIRST))
     _check_linked(glove, arguments.port or "")
     show("compiling")
     felt = felt_object(plan.stimulus, model)
@@ -94,11 +98,15 @@ def _felt(arguments: RunExperiment, plan: Plan, stack: ExitStack) -> tuple[Stimu
     stack.callback(stimulus.close)
     show("\n".join(predicted(plan, stimulus)))
 
+    if acceptance:
+        show(f"this glove goes on with what it was told last when its line is cut; to go on, type: {acceptance}")
+    accepted = typed("") if acceptance else ""
+
     def arm(scale: float, words: str) -> None:
         typed(words)
         glove.disarm()
         glove.rescale(scale)
-        _until_it_does(glove.arm)
+        _until_it_does(lambda: glove.arm(accepted))
         stimulus.wait_until_armed(PATIENCE)
 
     arm(FIRST, "Enter arms the glove at a twentieth of its torque ")

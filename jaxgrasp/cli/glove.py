@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.cli.glove_arguments import GloveFiles, Monitor, Ports, Simulate
+from jaxgrasp.cli.glove_arguments import GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.glove.calibrate import load_model
+from jaxgrasp.glove.devices import device_kind, make_device
+from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard
-from jaxgrasp.glove.host import GloveHost, LinkState
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.other_devices.lucidgloves import FINGERS, LucidHost, lucidgloves
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.simulator import Simulator
 from jaxgrasp.validation.fields import check_finite, check_not_negative, check_positive
@@ -33,8 +33,13 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
     """The options that say which glove, for another process, and the glove that they say."""
     check_positive(arguments, "baud")
     named = {"model": arguments.model, "calibration": arguments.calibration}
-    options = {name: str(path.resolve()) for name, path in named.items() if path is not None}
-    return options | {"baud": arguments.baud}, *load_model(options)
+    options: dict[str, Any] = {name: str(path.resolve()) for name, path in named.items() if path is not None}
+    options |= {"baud": arguments.baud}
+    if isinstance(arguments, GloveDriven):
+        check_positive(arguments, "full_scale")
+        device_kind(arguments.device)
+        options |= {"device": arguments.device, "full_scale": arguments.full_scale}
+    return options, *load_model(options)
 
 
 def simulate_command(arguments: Simulate) -> int:
@@ -64,46 +69,27 @@ def simulate_command(arguments: Simulate) -> int:
 
 
 def monitor_command(arguments: Monitor) -> int:
-    """Show angles, torques and ages, one line each."""
-    check_positive(arguments, "seconds", "full_scale")
-    _, model, sensors = which_glove(arguments)
-    if arguments.device == "lucidgloves":
-        return _monitor_lucidgloves(arguments)
-    host = GloveHost(
-        model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model), baud=arguments.baud
-    )
+    """Show what the sensors say and how old it is, one line each time."""
+    check_positive(arguments, "seconds")
+    options, model, sensors = which_glove(arguments)
+    host = make_device(options, model, sensors, lambda: SerialLine(arguments.port, arguments.baud), Guard(model))
     show("channels: " + ", ".join(model.joints))
+    linked = False
 
     def turn(now: float) -> None:
+        nonlocal linked
         host.poll(now)
         host.send(now, np.zeros(len(model.joints)), now)
+        linked = linked or host.state >= LinkState.LINKED
 
-    _watch(arguments, turn, lambda elapsed, now: shown(host, elapsed, now), lambda: host.state >= LinkState.LINKED)
-    host.close(time.perf_counter())
-    if host.counts.links == 0:
+    try:
+        _watch(arguments, turn, lambda elapsed, now: shown(host, elapsed, now), lambda: host.state >= LinkState.LINKED)
+    finally:
+        host.close(time.perf_counter())
+    if not linked:
         raise OSError(
             f"no glove answered: {host.trouble}; `jaxgrasp glove ports` lists the ports, `jaxgrasp glove simulate` "
             "makes one, in the folder where it runs"
-        )
-    return 0
-
-
-def _monitor_lucidgloves(arguments: Monitor) -> int:
-    host = LucidHost(SerialLine(arguments.port, arguments.baud), Guard(lucidgloves()), full_scale=arguments.full_scale)
-    show("curl of " + ", ".join(FINGERS))
-
-    def turn(now: float) -> None:
-        host.poll(now)
-        host.send(now, np.zeros(len(FINGERS)))
-
-    try:
-        _watch(arguments, turn, lambda elapsed, now: curled(host, elapsed, now), lambda: host.reading is not None)
-    finally:
-        host.close()
-    if host.reading is None:
-        raise OSError(
-            f"no LucidGloves spoke at {arguments.port}: {host.refused} lines came, and none was of five curls up to "
-            f"{arguments.full_scale}"
         )
     return 0
 
@@ -128,26 +114,19 @@ def _watch(
             time.sleep(TURN)
 
 
-def shown(host: GloveHost, elapsed: float, now: float) -> str:
+def shown(host: GloveDevice, elapsed: float, now: float) -> str:
     """A line of what a glove says."""
     if host.state < LinkState.LINKED:
         return f"{elapsed:7.1f} s  {host.trouble}"
     reading = host.reading
     angles = " ".join(f"{angle:4.0f}" for angle in np.degrees(reading.angles))
-    torques = " ".join(f"{1e3 * torque:4.0f}" for torque in reading.torques)
+    torques = ""
+    if host.capability.measures_torque:
+        torques = f"   [mN\N{MIDDLE DOT}m] {' '.join(f'{1e3 * torque:4.0f}' for torque in reading.torques)}"
     age = 1e3 * (now - reading.angles_at)
     end = "  a gauge is at its end" if reading.saturated.any() else ""
-    return f"{elapsed:7.1f} s  [\N{DEGREE SIGN}] {angles}   [mN\N{MIDDLE DOT}m] {torques}   {age:.0f} ms old{end}"
-
-
-def curled(host: LucidHost, elapsed: float, now: float) -> str:
-    """A line of what a LucidGloves says."""
-    reading = host.reading
-    if reading is None:
-        return f"{elapsed:7.1f} s  it says nothing"
-    curls = " ".join(f"{100 * curl:4.0f}" for curl in reading.curls)
-    pressed = ", ".join(sorted(reading.buttons))
-    return f"{elapsed:7.1f} s  [%] {curls}   {1e3 * (now - host.read_at):.0f} ms old  {pressed}".rstrip()
+    also = f"  {host.also_says()}".rstrip()
+    return f"{elapsed:7.1f} s  [\N{DEGREE SIGN}] {angles}{torques}   {age:.0f} ms old{end}{also}"
 
 
 def ports_command(command: Ports) -> int:

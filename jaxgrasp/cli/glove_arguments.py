@@ -20,6 +20,17 @@ class GloveFiles:
 
 
 @dataclass(frozen=True)
+class GloveDriven(GloveFiles):
+    """Which glove, and how it is spoken to."""
+
+    device: str = "native"
+    """Protocol of the glove: `native`; `lucidgloves`, that of LucidGloves and OpenGloves, whose model it then is; or
+    MODULE:CLASS, a `jaxgrasp.glove.GloveDevice` of your own."""
+    full_scale: int = 4095
+    """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
+
+
+@dataclass(frozen=True)
 class Simulate(GloveFiles):
     """Run a simulated glove behind a pseudo-terminal as slow as a serial line, until interrupted (Linux, macOS)."""
 
@@ -36,26 +47,22 @@ class Simulate(GloveFiles):
 
 
 @dataclass(frozen=True)
-class Monitor(GloveFiles):
+class Monitor(GloveDriven):
     """Show what a glove's sensors say, ten times a second; it is never armed."""
 
     port: str = "jaxgrasp-glove"
     """Serial port of the glove."""
-    device: Literal["native", "lucidgloves"] = "native"
-    """Protocol of the glove: the native one, or that of LucidGloves and OpenGloves."""
-    full_scale: int = 4095
-    """Largest number that a LucidGloves sends: 4095 with an ESP32, 1023 with an AVR."""
     seconds: float | None = None
     """How long; until interrupted where not given."""
 
 
 @dataclass(frozen=True)
-class Run(GloveFiles):
+class Run(GloveDriven):
     """Let a hand in a glove feel an object that it grasps and lifts.
 
     Without a port, all of it happens in virtual time, on a simulated glove whose cable is cut: glove.csv and glove.png
     show it. With one, it happens now; orders are typed: `arm` (at 5 % of the torque), `full` (all of it), `disarm`,
-    `quit`.
+    `quit`. A device without a watchdog, as LucidGloves, is armed by a sentence that it asks for.
     """
 
     scene: tyro.conf.Positional[str] = "cylinder"

@@ -14,6 +14,7 @@ from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -62,6 +63,8 @@ def _check_ends(arguments: Run) -> Alignment | None:
         for name in ("seconds", "control", "tracker", "alignment"):
             if getattr(arguments, name):
                 raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
+        if arguments.device != "native":
+            raise ValueError(f"device is {arguments.device!r}: expected native where all happens in virtual time")
     for name in ("listen", "connect"):
         if (address := getattr(arguments, name)) is not None:
             _address(name, address)
@@ -123,7 +126,7 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     extra = {"listen": (host, port), "key": arguments.key, "scale": FIRST, "projection": arguments.projection}
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
         show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit")
-        orders = Orders(glove)
+        orders = Orders(glove, device_kind(arguments.device).acceptance)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
             time.sleep(0.05)
@@ -150,7 +153,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 show("ready; orders: arm, full, disarm, quit")
-                orders = Orders(glove)
+                orders = Orders(glove, device_kind(arguments.device).acceptance)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
                 times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
@@ -184,13 +187,19 @@ def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | No
 class Orders:
     """What a person types, told to the glove as it comes: nothing waits for it."""
 
-    def __init__(self, glove: GloveProcess) -> None:
+    def __init__(self, glove: GloveProcess, acceptance: str = "") -> None:
+        """``acceptance``: what has to be typed, letter by letter, before the glove may be armed."""
         self.is_over = False
         self._glove, self._scale = glove, 0.0
+        self._acceptance, self._accepted = acceptance, ""
         threading.Thread(target=self._listen, daemon=True).start()
 
     def _listen(self) -> None:
         for line in sys.stdin:
+            if self._acceptance and line.strip() == self._acceptance:
+                self._accepted = self._acceptance
+                show(self._obey("arm"))
+                continue
             order = line.strip().lower()
             if order == "quit":
                 break
@@ -210,11 +219,13 @@ class Orders:
         return f"{order!r} is no order: expected arm, full, disarm or quit"
 
     def _arm(self, scale: float) -> str:
+        if self._accepted != self._acceptance:
+            return f"this glove goes on with what it was told last when its line is cut; type: {self._acceptance}"
         if scale == FULL and self._scale == 0.0:
             return "the first time power is on, it is a twentieth: arm, feel it, and then say full"
         self._glove.disarm()
         self._glove.rescale(scale)
-        self._glove.arm()
+        self._glove.arm(self._accepted)
         self._scale = scale
         return f"armed, {scale:.0%} of the torque"
 

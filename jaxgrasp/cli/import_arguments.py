@@ -1,41 +1,155 @@
-"""Arguments of ``jaxgrasp import``."""
+"""Arguments of ``jaxgrasp import FORMAT``."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ImportGrasps:
-    """Make a file of contacts out of a data set's grasps, for evaluate (needs the extras `hands` and `mesh`)."""
+    """What every format asks for."""
 
-    format: tyro.conf.Positional[Literal["dexgraspnet"]]
-    """Whose files: DexGraspNet's .npy files of the Shadow hand."""
     files: tyro.conf.Positional[tuple[Path, ...]]
-    """Files of grasps of one object."""
-    hand: Path
-    """The hand's MJCF, whose joints the files name; what this MuJoCo does not know of it is left out."""
-    object: Path
-    """The object's mesh, closed, in the units whose size the files say."""
-    root: str | None = None
-    """Body of the hand that the files place; the first of its model where not given."""
-    reach: float = 1e-3
-    """How far from the mesh a link still touches it [m]: the files' hands stand at its surface, not in it."""
-    levels: int = 6
-    """How often the cube about the mesh is cut in eight."""
-    friction: float = 0.5
-    """Coulomb's coefficient."""
-    stiffness: float = 1000.0
-    """K of eq. 6 [N/m]: squeezing forces are this times how far links reach in."""
-    mass: float = 0.1
-    """Mass of the object [kg]."""
+    """The files."""
+    friction: float | None = None
+    """Coulomb's coefficient; the file's, or 0.5, where not given."""
+    mass: float | None = None
+    """Mass of the object [kg]; the file's, or 0.1, where not given."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    """Gravity in the mesh's frame [m/s^2]."""
-    max_contacts: int | None = None
-    """The most contacts of a grasp: the deepest are kept."""
+    """Gravity in the frame of the contacts, the mesh's or the file's world [m/s^2]."""
     keep_going: bool = False
-    """Leave bad records out and count them, instead of stopping at the first."""
+    """Leave bad records and files out and count them, instead of stopping at the first."""
     out: Path = Path("grasps.npz")
     """The file of contacts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportPoses(ImportGrasps):
+    """Formats that say where a hand stands: contacts come from its geometry and the mesh's."""
+
+    object: Path | None = None
+    """The object's mesh, closed; or the folder under which the paths lie that the files name, which are looked for
+    beside the files and above where not given."""
+    scale: float | None = None
+    """Metres for one unit of the mesh; the file's, or 1, where not given."""
+    levels: int = 6
+    """How often the cube about the mesh is cut in eight."""
+    stiffness: float = 1000.0
+    """K of eq. 6 [N/m]: squeezing forces are this times how far links reach in."""
+    max_contacts: int | None = None
+    """The most contacts of a grasp: the deepest are kept."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportHands(ImportPoses):
+    """Formats of hands, which stay as they stand."""
+
+    hand: Path
+    """The hand's MJCF, with the joints of the files; what this MuJoCo does not know of it is left out."""
+    root: str | None = None
+    """Body of the hand that the files place; what is usual for the format where not given."""
+    reach: float = 1e-3
+    """How far from the mesh a link still touches it [m]: the files' hands stand at its surface, not in it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DexGraspNet(ImportHands):
+    """DexGraspNet's .npy files of the Shadow hand, joints by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DexGraspBench(ImportHands):
+    """DexGraspBench's .npy files, joints in the order of the hand's MJCF; needs that MJCF."""
+
+    posture: Literal["pregrasp", "grasp", "squeeze"] = "grasp"
+    """Which of a file's postures touches."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspIt(ImportHands):
+    """GraspIt!'s world .xml files, whose numbers have no names: needs the order of the hand's joints."""
+
+    order: tuple[str, ...]
+    """The hand's joint that each number of dofValues is of, and - for a flag of a joint that breaks away."""
+    robot: str | None = None
+    """Which of several robots is the hand, by the name of its model's file."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportGrippers(ImportPoses):
+    """Formats of two parallel jaws, which close on the mesh."""
+
+    gripper: Literal["franka", "robotiq-2f-85", "robotiq-2f-140"] = "franka"
+    """Whose opening and pads; it looks along z."""
+    opening: float | None = None
+    """Between the open pads [m]; the gripper's where not given."""
+    pads: tuple[float, float] | None = None
+    """Where the pads begin and end along z [m]; the gripper's where not given."""
+    closes_along: Literal["x", "y"] = "x"
+    """Axis of the files' frame along which the jaws close."""
+    depth: float = 1e-3
+    """How far the jaws press into the mesh [m]."""
+    successful: bool = False
+    """Import only the grasps of which the file says that they held in simulation."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class IsaacGrasp(ImportGrippers):
+    """Isaac Sim's isaac_grasp .yaml files of two-jaw grippers, whatever frames they are in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GraspGen(ImportGrippers):
+    """GraspGen's .json files of two-jaw grippers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ACRONYM(ImportGrippers):
+    """ACRONYM's .h5 files of the Franka hand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportContacts(ImportGrasps):
+    """Formats that have contacts: they are used as they are, and no hand is needed."""
+
+    center: tuple[float, float, float] | None = None
+    """Centre of mass of the object in the file's world [m]; the file's, or the mesh's, where not given."""
+    force: float = 1.0
+    """Newtons for one unit of the file's forces."""
+    squeeze: float = 1.0
+    """Squeezing force of contacts of which the file has no forces [N]."""
+    torsion: float | None = None
+    """Torque about the normal for one newton that presses [m], of soft fingers; hard ones where not given."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dexonomy(ImportContacts):
+    """Dexonomy's .npy files, grasps and templates, with their own contacts."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BODex(ImportContacts):
+    """BODex's .npy files, with their own contacts."""
+
+    object: Path | None = None
+    """The object's mesh, for its centre of mass; or the folder under which the paths lie that the files name."""
+
+
+@dataclass(frozen=True)
+class ImportCommand:
+    """Make a file of contacts, for evaluate, out of another project's grasps (extras `hands` and `mesh`)."""
+
+    command: tyro.conf.OmitSubcommandPrefixes[
+        tyro.conf.OmitArgPrefixes[
+            Annotated[ACRONYM, tyro.conf.subcommand("acronym")]
+            | Annotated[BODex, tyro.conf.subcommand("bodex")]
+            | Annotated[DexGraspBench, tyro.conf.subcommand("dexgraspbench")]
+            | Annotated[DexGraspNet, tyro.conf.subcommand("dexgraspnet")]
+            | Annotated[Dexonomy, tyro.conf.subcommand("dexonomy")]
+            | Annotated[GraspGen, tyro.conf.subcommand("graspgen")]
+            | Annotated[GraspIt, tyro.conf.subcommand("graspit")]
+            | Annotated[IsaacGrasp, tyro.conf.subcommand("isaac-grasp")]
+        ]
+    ]

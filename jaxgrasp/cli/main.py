@@ -15,7 +15,17 @@ from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCo
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.hand_arguments import CheckHand
-from jaxgrasp.cli.import_arguments import ImportGrasps
+from jaxgrasp.cli.import_arguments import (
+    ACRONYM,
+    BODex,
+    DexGraspBench,
+    DexGraspNet,
+    Dexonomy,
+    GraspGen,
+    GraspIt,
+    ImportCommand,
+    IsaacGrasp,
+)
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import announce, show
@@ -28,7 +38,7 @@ Command = (
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
     | Annotated[CheckHand, tyro.conf.subcommand("hand")]
-    | Annotated[ImportGrasps, tyro.conf.subcommand("import")]
+    | Annotated[ImportCommand, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
@@ -37,7 +47,9 @@ Command = (
 FUNCTIONS: dict[type, str] = {
     FindContacts: "contacts.contacts_command",
     Evaluate: "evaluate.evaluate_command",
-    ImportGrasps: "import_grasps.import_command",
+    **dict.fromkeys((DexGraspBench, DexGraspNet, GraspIt), "import_poses.import_hands"),
+    **dict.fromkeys((ACRONYM, GraspGen, IsaacGrasp), "import_poses.import_grippers"),
+    **dict.fromkeys((BODex, Dexonomy), "import_contacts.import_contacts"),
     Info: "inspect.info_command",
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",

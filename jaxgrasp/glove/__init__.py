@@ -6,14 +6,15 @@ build a device.
 """
 
 from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, load_sensors, save_sensors
+from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
-from jaxgrasp.glove.host import GloveHost, LinkState, Reading
+from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import Line, LineError, SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
-from jaxgrasp.glove.model import FLEXIONS, GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.glove.model import FLEXIONS, CoupledJoint, GloveModel, load_glove, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.network.link import NetworkLink
-from jaxgrasp.glove.other_devices.lucidgloves import LucidHost, lucidgloves
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.glove.protocol.device import Device, DeviceState
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
@@ -22,11 +23,14 @@ from jaxgrasp.glove.simulated.virtual_glove import VirtualGlove
 from jaxgrasp.glove.tension import TensionControl, TensionWatch
 
 __all__ = [
+    "Capability",
+    "CoupledJoint",
     "Device",
     "DeviceState",
     "Encoders",
     "FLEXIONS",
     "Gauges",
+    "GloveDevice",
     "GloveHost",
     "GloveModel",
     "GloveProcess",

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxgrasp.files.file_numbers import is_number
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master, lucidgloves
 from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
 from jaxgrasp.validation.checked import checked
 
@@ -160,13 +160,16 @@ def load_sensors(path: str | os.PathLike, channels: int) -> Sensors:
 
 
 def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
-    """A glove and its sensors from the files ``model`` and ``calibration``; the paper's, uncalibrated, without them.
+    """A glove and its sensors from the files ``model`` and ``calibration``.
+
+    Without them it is the paper's, or the ready one of a ``device``, uncalibrated.
 
     Raises:
         ValueError: for a file that holds neither.
         OSError: for a file that cannot be read.
     """
-    model = load_glove(Path(options["model"])) if options.get("model") else lrp_hand_master()
+    ready = lucidgloves if options.get("device") == "lucidgloves" else lrp_hand_master
+    model = load_glove(Path(options["model"])) if options.get("model") else ready()
     path = options.get("calibration")
     return model, load_sensors(Path(path), len(model.joints)) if path else nominal_sensors(model)
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.warmth import Warmth
 
 Projection = Literal["clip", "scale"]
 HUGE = 1e9
@@ -49,6 +50,8 @@ class GuardOutput:
 class Guard:
     """Bounds torques for a glove: 0 <= torque <= limit, no faster than its rate, with a ramp after arming.
 
+    Where motors are warm, the limit is what they can hold for ever.
+
     Anything that is not a finite number for each channel, a clock that runs backwards, a reading that is too old: all
     become zero at once, and stay so until ``arm`` is called. ``step`` raises nothing.
     """
@@ -88,6 +91,7 @@ class Guard:
         self._projection, self._ramp = projection, ramp
         self._oldest, self._longest = oldest, longest
         self._limits, self._most = np.array(model.limits), np.array(model.most_counts)
+        self._warmth = Warmth(model)
         self._level = np.zeros(len(model.joints))
         self._armed_at = self._now = -np.inf
         self.rescale(scale)
@@ -139,7 +143,7 @@ class Guard:
             return GuardOutput(self.state, nothing.astype(np.int16), nothing, nothing, nothing, nothing)
         self._now = now
         resisting = np.maximum(asked, 0)
-        allowed = self._projected(resisting)
+        allowed = self._projected(resisting, self._warmth.most(now, self._level))
         target = allowed * self._scale * min(1.0, (now - self._armed_at) / self._ramp)
         most = self.model.rate * passed
         self._level += np.clip(target - self._level, -most, most)
@@ -171,9 +175,9 @@ class Guard:
                 return nothing
         return asked
 
-    def _projected(self, resisting: np.ndarray) -> np.ndarray:
+    def _projected(self, resisting: np.ndarray, limits: np.ndarray) -> np.ndarray:
         if self._projection == "clip":
-            return np.minimum(resisting, self._limits)
+            return np.minimum(resisting, limits)
         # No finite number may overflow on its way.
-        most = float(np.max(np.minimum(resisting, HUGE * self._limits) / self._limits))
-        return np.minimum(resisting / max(most, 1.0), self._limits)
+        most = float(np.max(np.minimum(resisting, HUGE * limits) / limits))
+        return np.minimum(resisting / max(most, 1.0), limits)

@@ -3,11 +3,12 @@
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
+from jaxgrasp.glove.encoder_watch import EncoderWatch
+from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
@@ -25,7 +26,7 @@ from jaxgrasp.glove.protocol.frames import (
     Sequence,
     encode,
 )
-from jaxgrasp.glove.protocol.peer_clock import PeerClock
+from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.tension import TensionWatch
 
@@ -39,42 +40,13 @@ OLDEST_TENSION = 0.15
 """Age of the tensions beyond which nobody knows what the cables do [s]."""
 LONGEST_WATCHDOG = 50
 """Longest watchdog time of a device that may be armed [ms]."""
+LONGEST_WAIT = 0.015
+"""How long a frame and its answer may wait on their way, beside the time that they take [s]."""
 SILENCE = 0.25
 """How long a device may say nothing before it is greeted again [s]."""
 SESSIONS = 2**15
 SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
 """What only a device says: a line that echoes brings the host's own frames back."""
-
-
-class LinkState(IntEnum):
-    """How far a host has come with its device."""
-
-    CLOSED = 0
-    """No port."""
-    GREETING = 1
-    """A port, and no answer that fits."""
-    LINKED = 2
-    """A device that answers."""
-    ARMING = 3
-    """A person asked for torque: a new session begins, and the device has not yet said yes."""
-    ARMED = 4
-    """Torque may flow."""
-
-
-@dataclass
-class Reading:
-    """What a glove's sensors said last; arrays ``(channels,)``, NaN before they spoke."""
-
-    angles: np.ndarray
-    """Joints [rad]."""
-    torques: np.ndarray
-    """Torques that the cables exert [N.m]."""
-    saturated: np.ndarray
-    """Whether a channel's gauge is at its end."""
-    angles_at: float = -np.inf
-    """When the angles were read, on the host's clock [s]."""
-    torques_at: float = -np.inf
-    """When the tensions were [s]."""
 
 
 @dataclass
@@ -95,11 +67,10 @@ class HostCounts:
     """The device's own numbers of this session, from its last STATUS."""
 
 
-class GloveHost:
-    """One glove on one line, driven by calls to ``poll`` and ``send`` at the caller's rate; neither waits.
+class GloveHost(GloveDevice):
+    """A glove that speaks the native protocol."""
 
-    Nothing is armed but by ``arm``. A line that goes away is opened and greeted again, and stays without torque.
-    """
+    capability = Capability("torque", measures_torque=True, outlives_host=False)
 
     def __init__(
         self,
@@ -110,6 +81,7 @@ class GloveHost:
         *,
         baud: int = 115_200,
         watch: TensionWatch | None = None,
+        longest_wait: float = LONGEST_WAIT,
     ):
         """A host that has not opened its line yet.
 
@@ -120,37 +92,37 @@ class GloveHost:
             guard: bounds what is sent; its state is the host's.
             baud: of the line, by which frames are spaced.
             watch: compares measured with commanded torques; the usual tolerances if None.
+            longest_wait: how long a command and its answer may wait on their way, beside the time that two frames take
+                [s]; beyond that no torque flows.
         """
         self.model, self.guard = model, guard
         self.state = LinkState.CLOSED
         self.trouble = "not opened yet"
-        """Why there is no link."""
         self.counts = HostCounts()
         self.reader = FrameReader()
         self.order = Sequence()
-        nothing = np.full(len(model.joints), np.nan)
-        self.reading = Reading(nothing, nothing.copy(), np.zeros(len(model.joints), bool))
+        self.reading = Reading.of_nothing(len(model.joints))
         self._sensors, self._open = sensors, open_line
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
+        self._encoder_watch = EncoderWatch(model.joints)
         self._pace = Pace(baud, LINE_SIZE)
         # There and back, each after a frame that is already on its way.
         self._repeat = max(REPEAT, 5 * self._pace.frame_time)
         self._patience = max(ARMING, 4 * self._repeat)
         self._line: Line | None = None
         self._number, self._ticks = random.randrange(SEQUENCES), 0
-        self._session = 0
+        self._session = self._nonce = 0
         self._clock = PeerClock(self._pace.frame_time)
+        self.round_trip = RoundTrip()
+        """Time until a frame of the device answers ours."""
+        self._longest_trip = 2 * self._pace.frame_time + longest_wait
+        self._heard_clock = 0
         self._next = self._asked_at = self._heard_at = -np.inf
         self._is_greeted = False
         self._flags = NO_FLAGS
         self._was_cut = False
 
-    def arm(self, now: float) -> None:
-        """Ask the device for torque; ``state`` is ARMED once it agrees. What latched before is forgotten.
-
-        Raises:
-            ValueError: without a link, or without fresh angles.
-        """
+    def arm(self, now: float, accepted: str = "") -> None:
         if self.state < LinkState.LINKED:
             raise ValueError(f"the glove cannot be armed: {self.trouble}")
         if not now - self.reading.angles_at <= ARMING:
@@ -161,14 +133,13 @@ class GloveHost:
         self._session = random.randrange(SESSIONS)
         self.guard.disarm()
         self._watch.forget()
+        self._encoder_watch.forget()
 
     def disarm(self) -> None:
-        """No torque from the next command on."""
         self.guard.disarm()
         self.state = min(self.state, LinkState.LINKED)
 
     def poll(self, now: float) -> Reading:
-        """Take what came; open and greet where that is due."""
         try:
             self._connect(now)
             if self._line is not None:
@@ -176,19 +147,12 @@ class GloveHost:
                     self._take(now, frame)
         except LineError as error:
             self._lose(now, str(error))
-        if self.state == LinkState.ARMED and now - self.reading.torques_at > OLDEST_TENSION:
-            self.guard.trip("the strain gauges fell silent")
+        if self.state == LinkState.ARMED:
+            self._check_link(now)
         self._lose_patience(now)
         return self.reading
 
-    def send(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
-        """Send a command; what the guard made of it.
-
-        Args:
-            now: as for ``poll``.
-            wanted: torques by which to resist flexion [N.m].
-            measured_at: when the angles were read that these torques answer [s].
-        """
+    def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
         output = self.guard.step(now, wanted, measured_at)
         if self.guard.state != GuardState.ARMED and self.state == LinkState.ARMED:
             self.state = LinkState.LINKED
@@ -199,7 +163,6 @@ class GloveHost:
         return output
 
     def close(self, now: float) -> None:
-        """A command of zero, if the line takes it, and no line."""
         self.disarm()
         if self._line is None:
             return
@@ -212,13 +175,19 @@ class GloveHost:
         self._line.close()
         self._line, self.state = None, LinkState.CLOSED
 
+    def report(self) -> dict[str, Any]:
+        refused = {why.name: count for why, count in self.reader.refused.items()}
+        counts = {"commands": self.counts.commands, "held_back": self.counts.held_back, "cut": self.counts.cut}
+        heard = {"heard": self.reader.accepted, "missing": self.counts.missing + self.order.missing, "refused": refused}
+        return counts | heard | {"links": self.counts.links, "device": self.counts.status}
+
     def _ask(self, now: float) -> None:
         """Ask for torque, in a new session: however many frames were lost before, the device counts anew."""
         if now < self._next:
             return
         self._next = now + self._repeat
         if self._is_greeted:
-            self._send(now, Kind.ARM, (self._session,))
+            self._send(now, Kind.ARM, (self._session, self._nonce))
         else:
             self._greet(now)
 
@@ -286,7 +255,7 @@ class GloveHost:
         # Two frames of one instant would be one and the same to a device.
         self._ticks = max(int(now * 1e6), self._ticks + 1)
         padded = values + (0,) * (CHANNELS - len(values))
-        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags))
+        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags, self._heard_clock))
 
     def _take(self, now: float, frame: Frame) -> None:
         if frame.kind == Kind.CAPABILITY:
@@ -296,7 +265,7 @@ class GloveHost:
 
     def _greeted(self, now: float, frame: Frame) -> None:
         """A device that answers, if it is the one that the model describes."""
-        session, channels, watchdog, quantum, most, slew = frame.values[:6]
+        session, channels, watchdog, quantum, most, slew, nonce = frame.values[:7]
         if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
             return
         expected = round(self.model.quantum * 1e7)
@@ -320,14 +289,20 @@ class GloveHost:
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
             self._clock = PeerClock(self._pace.frame_time)
+            self.round_trip = RoundTrip()
+            self._nonce, self._heard_clock = nonce, frame.clock
 
     def _hear(self, now: float, frame: Frame) -> None:
-        sent_at = self._clock.sent_at(frame.clock, now)
-        self._heard_at = now
+        trip = (int(now * 1e6) - frame.echo) % TICKS * 1e-6
+        self.round_trip.add(now, trip)
+        sent_at = self._clock.sent_at(frame.clock, now, trip)
+        self._heard_at, self._heard_clock = now, frame.clock
         self._flags = frame.flags
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
             self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
+            if self.state == LinkState.ARMED and (fault := self._encoder_watch.fault(sent_at, self.reading.angles)):
+                self.guard.trip(fault)
         elif frame.kind == Kind.TENSIONS:
             self.reading.torques, self.reading.saturated = self._sensors.gauges.torques(counts)
             self.reading.torques_at = sent_at
@@ -347,8 +322,19 @@ class GloveHost:
             self.guard.trip("the device latched" if Flag.LATCHED in self._flags else "the device is not armed")
             self.state = LinkState.LINKED
 
+    def _check_link(self, now: float) -> None:
+        """Trip where the device's words are there, but late, or lack something."""
+        if now - self.reading.torques_at > OLDEST_TENSION:
+            self.guard.trip("the strain gauges fell silent")
+        trip = self.round_trip.least(now)
+        if trip > self._longest_trip:
+            self.guard.trip(
+                f"the line takes {1e3 * trip:.0f} ms there and back: {1e3 * self._longest_trip:.0f} at most"
+            )
+
     def _check_tension(self, at: float) -> None:
-        fault = self._watch.fault(at, self.reading.torques, self.reading.saturated)
+        torques = self.reading.torques
+        fault = self._watch.fault(at, torques, self.reading.saturated) or self._encoder_watch.stands_still(at, torques)
         if fault:
             self.guard.trip(fault)
 

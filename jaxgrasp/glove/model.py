@@ -5,7 +5,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -21,15 +21,28 @@ FLEXIONS = (
     *(f"{finger} {joint}" for finger in ("index", "middle", "ring", "little") for joint in ("MP", "PIP", "DIP")),
 )
 """The joints of [`jaxgrasp.hand.human_hand`][] that the paper's glove pulls on (section III-A)."""
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+FIST = {"MP": 90, "PIP": 100, "DIP": 90, "thumb MP": 55, "thumb IP": 80}
+"""Flexions of a closed fist [degrees]: where the joints of [`jaxgrasp.hand.human_hand`][] end."""
+
+
+class CoupledJoint(NamedTuple):
+    """A joint of the hand that bends with one of the glove's, by the same cable or string."""
+
+    joint: str
+    follows: str
+    """The glove's joint."""
+    ratio: float
+    """Its angle for one radian of that joint [rad/rad], and what its torque counts there."""
 
 
 @dataclass(frozen=True)
 class GloveModel:
-    """A glove that resists flexion by cables, one channel for each joint that has a motor.
+    """A glove that resists flexion, one channel for each joint that has a motor.
 
     Raises:
-        ValueError: for channels that are none or too many or named twice, and limits, rates or steps that are no
-            positive numbers or do not fit a frame's 16 bits.
+        ValueError: for channels that are none or too many or named twice, limits, rates, steps or spans that are no
+            positive numbers or do not fit a frame's 16 bits, and coupled joints that follow none of the channels.
     """
 
     name: str
@@ -41,6 +54,14 @@ class GloveModel:
     """Largest change of a torque [N.m/s]."""
     quantum: float = 1e-5
     """Torque of one count [N.m]."""
+    coupled: tuple[CoupledJoint, ...] = ()
+    """Joints that bend with the channels'."""
+    spans: tuple[float, ...] | None = None
+    """Angle of each channel's joint where its finger is curled all the way [rad], of gloves that read curls."""
+    continuous: tuple[float, ...] | None = None
+    """Torque that each channel's motor can hold for ever [N.m], of gloves whose limits are for moments."""
+    heating: float = 30.0
+    """Time constant by which a motor warms and cools [s]; that of small DC motors' windings is tens of seconds."""
     most_counts: tuple[int, ...] = field(init=False)
     """Largest count of each channel whose torque does not exceed its limit."""
 
@@ -52,7 +73,7 @@ class GloveModel:
                 raise ValueError(f"joints[{k}] is {joint!r} again: expected each joint once")
         if len(self.limits) != len(self.joints):
             raise ValueError(f"limits are {len(self.limits)}: expected one for each of {len(self.joints)} joints")
-        for name in ("rate", "quantum"):
+        for name in ("rate", "quantum", "heating"):
             _check_positive(name, getattr(self, name))
         if not (1 <= round(self.quantum * 1e7) <= MOST_COUNTS and abs(self.quantum * 1e7 % 1 - 0.5) > 0.5 - 1e-6):
             raise ValueError(
@@ -64,12 +85,20 @@ class GloveModel:
                 raise ValueError(
                     f"limits[{k}] is {limit:g}: expected 1 to {MOST_COUNTS} times quantum, {self.quantum:g}"
                 )
+        for name in ("spans", "continuous"):
+            self._check_each(name, getattr(self, name))
+        for k, torque in enumerate(self.continuous or ()):
+            if torque > self.limits[k]:
+                raise ValueError(f"continuous[{k}] is {torque:g}: expected its limit, {self.limits[k]:g}, at most")
+        self._check_coupled()
         object.__setattr__(self, "most_counts", tuple(_most_counts(limit, self.quantum) for limit in self.limits))
 
     def resisting(
         self, joints: Sequence[str], torques: Float[np.ndarray, "*batch J"]
     ) -> Float[np.ndarray, "*batch channels"]:
         """Torque by which each channel is to resist flexion [N.m]: less a hand's joint torque, so positive there.
+
+        What coupled joints bear counts at the joint that they follow, by their ratio: the work is the same.
 
         Args:
             joints: names of the hand's joints.
@@ -78,10 +107,24 @@ class GloveModel:
         Raises:
             ValueError: for a hand without one of the glove's joints, or torques that are not one for each joint.
         """
-        places = self.places(joints)
+        transmission = self.transmission(joints)
         if torques.shape[-1:] != (len(joints),):
             raise ValueError(f"torques have shape {torques.shape}: expected (..., {len(joints)}), one for each joint")
-        return -torques[..., list(places)]
+        return -torques @ transmission.T
+
+    def transmission(self, joints: Sequence[str]) -> Float[np.ndarray, "channels J"]:
+        """Angle of each of a hand's joints for one radian of each channel [rad/rad].
+
+        Raises:
+            ValueError: for a hand without one of the glove's joints, or of those that follow them.
+        """
+        moved = np.zeros((len(self.joints), len(joints)))
+        moved[np.arange(len(self.joints)), list(self.places(joints))] = 1
+        for joint, follows, ratio in self.coupled:
+            if joint not in joints:
+                raise ValueError(f"the hand has no joint {joint!r}, which {self.name} couples{nearest(joint, joints)}")
+            moved[self.joints.index(follows), list(joints).index(joint)] = ratio
+        return moved
 
     def places(self, joints: Sequence[str]) -> tuple[int, ...]:
         """Indices of the channels' joints among a hand's.
@@ -94,6 +137,25 @@ class GloveModel:
                 raise ValueError(f"the hand has no joint {joint!r}, which {self.name} pulls on{nearest(joint, joints)}")
         return tuple(list(joints).index(joint) for joint in self.joints)
 
+    def _check_each(self, name: str, values: tuple[float, ...] | None) -> None:
+        if values is None:
+            return
+        if len(values) != len(self.joints):
+            raise ValueError(f"{name} are {len(values)}: expected one for each of {len(self.joints)} joints")
+        for k, value in enumerate(values):
+            _check_positive(f"{name}[{k}]", value)
+
+    def _check_coupled(self) -> None:
+        named = set(self.joints)
+        for joint, follows, ratio in self.coupled:
+            if joint in named:
+                raise ValueError(f"coupled has {joint!r}, which is named already: expected each joint once")
+            named.add(joint)
+            if follows not in self.joints:
+                raise ValueError(f"coupled[{joint!r}] follows {follows!r}{nearest(follows, self.joints)}")
+            if not (math.isfinite(ratio) and ratio != 0):
+                raise ValueError(f"coupled[{joint!r}] has the ratio {ratio}: expected a number that is not 0")
+
 
 @checked
 def lrp_hand_master() -> GloveModel:
@@ -102,8 +164,34 @@ def lrp_hand_master() -> GloveModel:
 
 
 @checked
+def lucidgloves() -> GloveModel:
+    """Five fingers, each read and stopped by one string over all its joints.
+
+    The numbers are ours. A finger is taken to curl all the way to a fist's angles, its joints in proportion. Three
+    times the paper's 0.12 N.m, one for each of a finger's joints, count as the whole range of a limit.
+    """
+    coupled = [CoupledJoint("thumb IP", "thumb MP", FIST["thumb IP"] / FIST["thumb MP"])]
+    for finger in FINGERS[1:]:
+        coupled += [
+            CoupledJoint(f"{finger} {kind}", f"{finger} MP", FIST[kind] / FIST["MP"]) for kind in ("PIP", "DIP")
+        ]
+    return GloveModel(
+        "LucidGloves",
+        tuple(f"{finger} MP" for finger in FINGERS),
+        (0.36,) * 5,
+        rate=3.6,
+        quantum=1.2e-4,
+        coupled=tuple(coupled),
+        spans=tuple(math.radians(FIST[kind]) for kind in ("thumb MP", *("MP",) * 4)),
+    )
+
+
+@checked
 def load_glove(path: str | os.PathLike) -> GloveModel:
     """A glove from a TOML file of ``name``, ``joints``, ``limits`` (a number or one for each), ``rate``, ``quantum``.
+
+    ``spans`` and ``continuous`` are given like ``limits``, and ``heating``; in the table ``[coupled]``, a line such as
+    ``"index PIP" = {follows = "index MP", ratio = 1.2}`` couples a joint.
 
     Raises:
         ValueError: for a file that is no TOML, keys that are unknown or missing, and values that no glove has.
@@ -130,10 +218,24 @@ def _read(key: str, value: Any, given: dict[str, Any]) -> Any:
         if not (isinstance(value, list) and all(isinstance(one, str) for one in value)):
             raise ValueError(f"joints is {value!r}: expected a list of names")
         return tuple(value)
-    if key == "limits" and isinstance(value, list):
-        return tuple(number(f"limits[{k}]", one) for k, one in enumerate(value))
+    if key == "coupled":
+        return _read_coupled(value)
+    each = key in ("limits", "spans", "continuous")
+    if each and isinstance(value, list):
+        return tuple(number(f"{key}[{k}]", one) for k, one in enumerate(value))
     one = number(key, value)
-    return (one,) * len(_read("joints", given["joints"], given)) if key == "limits" else one
+    return (one,) * len(_read("joints", given["joints"], given)) if each else one
+
+
+def _read_coupled(value: Any) -> tuple[CoupledJoint, ...]:
+    if not isinstance(value, dict):
+        raise ValueError(f"coupled is {value!r}: expected a table of joints")
+    found = []
+    for joint, how in value.items():
+        if not (isinstance(how, dict) and how.keys() == {"follows", "ratio"} and isinstance(how["follows"], str)):
+            raise ValueError(f"coupled[{joint!r}] is {how!r}: expected {{follows = JOINT, ratio = NUMBER}}")
+        found.append(CoupledJoint(joint, how["follows"], number(f"coupled[{joint!r}].ratio", how["ratio"])))
+    return tuple(found)
 
 
 def _check_positive(name: str, value: float) -> None:

@@ -26,6 +26,9 @@ class Tick(eqx.Module):
     contacts: Contacts
     grasp: Grasp
     """In a frame at the object's centre, along the world's axes."""
+    stiffness: Float[Array, "*batch L"]
+    """Effective stiffness of each contact, c K of eq. 6 [N/m], by which its squeezing force grows as the hand presses;
+    0 where nothing touches."""
     wrench: Float[Array, "*batch 6"]
     """What hand and table must exert about that centre [N, N.m]."""
     inertial: Float[Array, "*batch 6"]
@@ -118,4 +121,5 @@ def assessed(
     torques = joint_torques(scene.hand, frames, contacts.points, exerted)
     rests = slips & (share > STANDING)
     support = share[..., None] * table.wrench
-    return Tick(contacts, grasp, wrench, inertial, assessment, support, rests, exerted, torques)
+    stiffness = contacts.present * scene.contributions * scene.stiffness
+    return Tick(contacts, grasp, stiffness, wrench, inertial, assessment, support, rests, exerted, torques)

@@ -8,6 +8,7 @@ from jaxgrasp.hand.kinematics import flatten_posture
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.numerics.rotation import is_rotation
 from jaxgrasp.validation.checked import checked
 
 ROUNDING = 1e-6
@@ -52,13 +53,6 @@ def check_pose(name: str, pose: Pose) -> None:
             f"{name}.rotation{f'[{place}]' if place else ''} is no rotation: expected a matrix with orthonormal "
             "columns and determinant 1"
         )
-
-
-def is_rotation(matrices: np.ndarray, rounding: float) -> np.ndarray | np.bool_:
-    """Which of the matrices ``(..., 3, 3)`` are rotations, but for that much in the products of their columns."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        square = np.abs(matrices @ matrices.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
-        return (square <= rounding) & (np.linalg.det(matrices) > 0)
 
 
 @checked

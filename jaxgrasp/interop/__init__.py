@@ -1,7 +1,16 @@
 """Grasps out of other people's simulators, hand models and data sets (extra ``hands``)."""
 
-from jaxgrasp.interop.dexgraspnet import HandPoses, read_dexgraspnet
+from jaxgrasp.interop.acronym import read_acronym
+from jaxgrasp.interop.bodex import read_bodex
+from jaxgrasp.interop.contact_records import ContactRecords
+from jaxgrasp.interop.dexgraspbench import read_dexgraspbench
+from jaxgrasp.interop.dexgraspnet import read_dexgraspnet
+from jaxgrasp.interop.dexonomy import read_dexonomy
+from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.graspgen import read_graspgen
+from jaxgrasp.interop.graspit import read_graspit
 from jaxgrasp.interop.hand_file import HandFile, read_hand
+from jaxgrasp.interop.isaac_grasp import read_isaac_grasp
 from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mjcf_file import load_mjcf
 from jaxgrasp.interop.mjx_contacts import MjxGrasp, from_mjx
@@ -10,8 +19,9 @@ from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
 from jaxgrasp.interop.urdf_hand import hand_from_urdf
 
 __all__ = [
+    "ContactRecords",
+    "GraspPoses",
     "HandFile",
-    "HandPoses",
     "LeftOut",
     "MjxGrasp",
     "MujocoGrasp",
@@ -21,7 +31,14 @@ __all__ = [
     "hand_from_mujoco",
     "hand_from_urdf",
     "load_mjcf",
+    "read_acronym",
+    "read_bodex",
+    "read_dexgraspbench",
     "read_dexgraspnet",
+    "read_dexonomy",
+    "read_graspgen",
+    "read_graspit",
+    "read_isaac_grasp",
     "read_hand",
 ]
 

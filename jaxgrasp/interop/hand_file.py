@@ -185,7 +185,8 @@ class _Account:
             elif body not in self.below:
                 yield LeftOut(part, "not below the wrist")
             elif self._name(geom) in self.found.left_out:
-                yield LeftOut(part, "of an MJCF file, touches only as a sphere, capsule, cylinder, ellipsoid or box")
+                only = "of an MJCF file, touches only as a sphere, capsule, cylinder, ellipsoid or box"
+                yield LeftOut(part, f"{only}; load_mjcf can make capsules of meshes")
         if seen:
             yield LeftOut(f"{seen} shape{'s' * (seen > 1)}", "touch nothing in the file, as it says")
 

@@ -246,7 +246,7 @@ def _resisting(
     index, count = np.array(links), len(links)
     points = jnp.zeros((len(hand.links), 3)).at[index].set(grasp.points[:count])
     on_links = jnp.zeros((len(hand.links), 3)).at[index].set(forces[:count])
-    return -joint_torques(hand, frames, points, on_links)[np.array(worn.places)]
+    return worn.resisting(joint_torques(hand, frames, points, on_links))
 
 
 def _within(felt: "Lifted | Squeezed", is_felt) -> Float[np.ndarray, "P channels"]:

@@ -22,16 +22,22 @@ from jaxgrasp.validation.checked import checked
 
 
 class GloveHand(eqx.Module):
-    """Which joints of a hand are the glove's channels, and where the others are."""
+    """Which joints of a hand move with the glove's channels, and where the others are."""
 
     places: tuple[int, ...] = eqx.field(static=True)
     """Index of each channel's joint among the hand's joints."""
+    transmission: Float[AnyArray, "channels J"]
+    """Angle of each joint for one radian of each channel; rows of a one where no joints are coupled."""
     others: Float[AnyArray, "J"]
-    """Angles of all joints [rad], of which the glove's are replaced."""
+    """Angles of the joints that follow no channel [rad]; 0 of those that do."""
 
     def posture(self, flexions: Float[AnyArray, "channels"], wrist: Pose) -> Posture:
         """The hand as the glove reads it."""
-        return Posture(wrist, jnp.asarray(self.others).at[np.array(self.places)].set(flexions))
+        return Posture(wrist, self.others + jnp.asarray(flexions) @ self.transmission)
+
+    def resisting(self, torques: Float[AnyArray, "J"]) -> Float[Array, "channels"]:
+        """Torque by which each channel is to resist flexion [N.m], for torques on all joints."""
+        return -(jnp.asarray(self.transmission) @ torques)
 
 
 @checked
@@ -41,14 +47,16 @@ def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> G
     Args:
         hand: with the glove's joints among its own.
         model: of the glove.
-        others: angles of all its joints [rad]; those that the glove does not read stay there.
+        others: angles of all its joints [rad]; those that the glove does not move stay there.
 
     Raises:
         ValueError: for a hand without one of the glove's joints, or angles that are not one for each joint.
     """
     if np.shape(others) != (len(hand.joints),):
         raise ValueError(f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle a joint")
-    return GloveHand(model.places(hand.joints), others)
+    transmission = model.transmission(hand.joints)
+    alone = np.all(transmission == 0, 0)
+    return GloveHand(model.places(hand.joints), transmission, jnp.where(alone, jnp.asarray(others), 0))
 
 
 class Felt(NamedTuple):
@@ -84,8 +92,7 @@ def resistance(
         inertial: wrench about the object's centre that accelerates it [N, N.m]; none at rest.
         law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
     """
-    torques = observe(scene, worn.posture(flexions, wrist), placed, inertial, law=law).torques
-    return -torques[np.array(worn.places)]
+    return worn.resisting(observe(scene, worn.posture(flexions, wrist), placed, inertial, law=law).torques)
 
 
 @partial(jax.jit, static_argnames="law")
@@ -107,7 +114,7 @@ def felt(
 
     def both(angles: Array) -> tuple[Array, tuple[Array, Tick]]:
         tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law)
-        torques = -tick.torques[np.array(worn.places)]
+        torques = worn.resisting(tick.torques)
         return torques, (torques, tick)
 
     slope, (torques, tick) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
@@ -129,7 +136,7 @@ def _by_closest_forces(
 
     def torques_at(angles: Array) -> Array:
         frames = pose_hand(scene.hand, worn.posture(angles, wrist))
-        return -joint_torques(scene.hand, frames, tick.contacts.points, forces)[np.array(worn.places)]
+        return worn.resisting(joint_torques(scene.hand, frames, tick.contacts.points, forces))
 
     return *with_slope(torques_at, jnp.asarray(flexions)), forces
 

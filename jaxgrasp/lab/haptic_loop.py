@@ -24,6 +24,12 @@ from jaxgrasp.validation.checked import checked
 
 LONGEST = 0.05
 """Time that a tick counts as at most [s], so that a pause does not throw the object."""
+OFF_ROTATION = 1e-3
+"""By how much a wrist's axes may miss being square and of length one."""
+MOST_BENT = np.pi
+"""No joint of a hand is bent so far [rad]: what reads more is no angle."""
+FARTHEST = 100.0
+"""No wrist is so far from the world's origin [m]."""
 SHORTEST = 2e-4
 """Time between two ticks below which the later one only looks: where the object is stays as the earlier left it [s]."""
 
@@ -77,9 +83,10 @@ class Haptics:
             wrist: of the hand, in the world.
 
         Returns:
-            A law that is valid if all its numbers are finite. After one that is not, the next goes on from before it.
+            A law that is valid if all its numbers are finite, and time, angles and wrist are such as a hand has. After
+            one that is not, the next goes on from before it.
         """
-        if not np.isfinite(now):
+        if not (np.isfinite(now) and _is_a_hands(angles, wrist)):
             return refused_law(now, angles)
         passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
         # What has hardly passed, or not at all, says nothing of how fast anything moves.
@@ -91,6 +98,14 @@ class Haptics:
             self._passed = become if passed > 0 else None
             self._state, self._before, self.placed = state, now, state.carried.placed
         return law
+
+
+def _is_a_hands(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:
+    """Whether a hand can be there: what cannot be must not move the object, finite or not."""
+    # A comparison with NaN is false.
+    bent, far = np.max(np.abs(angles), initial=0), np.max(np.abs(np.asarray(wrist.origin)))
+    turn = np.asarray(wrist.rotation)
+    return bool(bent <= MOST_BENT and far <= FARTHEST and np.all(np.abs(turn @ turn.T - np.eye(3)) <= OFF_ROTATION))
 
 
 def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array, Array]) -> TorqueLaw:

@@ -6,11 +6,12 @@ import time
 import numpy as np
 from jaxtyping import Float
 
+from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.warmth import lasts
 from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, is_alone, resistance_and_slope, resistances
 from jaxgrasp.lab.haptic_loop import law_of, run_loop
 from jaxgrasp.model.hand import Pose
@@ -28,14 +29,14 @@ class PredictedGloveStimulus(PredictedStimulus):
     def __init__(self, felt: FeltObject, model: GloveModel) -> None:
         """Args: what is felt, and the glove, whose limits count."""
         super().__init__()
-        self._felt, self._limits = felt, np.array(model.limits)
+        self._felt, self._model = felt, model
         self._postures = felt.postures()
         self._known: dict[float, Rendered] = {}
 
     def predict(self, intensity: float) -> Rendered:
         if intensity not in self._known:
             asked = np.asarray(resistances(self._felt, self._postures, intensity))
-            self._known[intensity] = rendered(intensity, asked, self._limits)
+            self._known[intensity] = rendered(intensity, asked, self._model)
         return self._known[intensity]
 
 
@@ -135,7 +136,7 @@ class GloveStimulus(PredictedGloveStimulus):
             intensity = self._intensity
         law = law_of(now, angles, resistance_and_slope(self._felt, angles, intensity))
         if is_alone(self._felt, angles):
-            now_felt = rendered(1.0, law.torques[None], self._limits)
+            now_felt = rendered(1.0, law.torques[None], self._model)
             with self._lock:
                 self._most, self._share = max(self._most, now_felt.torque), min(self._share, now_felt.felt)
                 self._cut = self._cut or now_felt.saturated
@@ -146,11 +147,11 @@ def _is_armed(state: GloveState) -> bool:
     return state.guard == GuardState.ARMED and state.link == LinkState.ARMED
 
 
-def rendered(
-    intensity: float, asked: Float[np.ndarray, "P channels"], limits: Float[np.ndarray, "channels"]
-) -> Rendered:
-    """What limits leave of torques; felt is the share that is left of their sum, where it is least."""
+def rendered(intensity: float, asked: Float[np.ndarray, "P channels"], model: GloveModel) -> Rendered:
+    """What a glove's limits leave of torques; felt is the share that is left of their sum, where it is least."""
+    limits = np.array(model.limits)
     given = np.clip(asked, 0, limits)
     sums = np.clip(asked, 0, None).sum(1)
     shares = np.where(sums > 0, given.sum(1) / np.where(sums > 0, sums, 1), 1.0)
-    return Rendered(intensity, float(intensity * shares.min()), float(asked.max()), bool(np.any(asked > limits)))
+    felt, cut = float(intensity * shares.min()), bool(np.any(asked > limits))
+    return Rendered(intensity, felt, float(asked.max()), cut, float(lasts(model, asked).min()))

@@ -45,11 +45,16 @@ def _transposed(pulled, source, *moves):
     return out
 
 
+def _mapped(arrays, axes):
+    ahead = [x[None] if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(arrays, axes, strict=True)]
+    return _asked.bind(*jnp.broadcast_arrays(*ahead)), 0
+
+
 _asked = Primitive("no_derivative")
 _asked.def_impl(jax.jit(_nan_where_all_move))
 _asked.def_abstract_eval(lambda source, *moves: source)
 mlir.register_lowering(_asked, mlir.lower_fun(_nan_where_all_move, multiple_results=False))
-batching.defbroadcasting(_asked)
+batching.primitive_batchers[_asked] = _mapped
 ad.primitive_jvps[_asked] = _tangent
 ad.primitive_transposes[_asked] = _transposed
 

@@ -1,6 +1,7 @@
 """Rotation matrices."""
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -34,3 +35,10 @@ def unit(vector: ArrayLike) -> Array:
     """A vector's direction; it must not be zero."""
     vector = jnp.asarray(vector)
     return vector / jnp.linalg.norm(vector)
+
+
+def is_rotation(matrices: np.ndarray, rounding: float) -> np.ndarray | np.bool_:
+    """Which of the matrices ``(..., 3, 3)`` are rotations, but for that much in the products of their columns."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = np.abs(matrices @ matrices.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
+        return (square <= rounding) & (np.linalg.det(matrices) > 0)

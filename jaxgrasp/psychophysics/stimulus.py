@@ -1,5 +1,6 @@
 """The stimulus as an experiment sees it: something with an intensity, rendered by whoever implements this."""
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
@@ -24,6 +25,8 @@ class Rendered:
     """Largest joint torque that it asks for [N.m]; NaN where nobody knows."""
     saturated: bool
     """Whether any torque was cut: the trial is not what the plan says."""
+    lasts: float = math.inf
+    """How long a glove whose motors are cold renders it so [s]."""
 
 
 class Stimulus(ABC):

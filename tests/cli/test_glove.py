@@ -149,7 +149,7 @@ def test_monitor_lucidgloves(folder, capsys):
 
     assert monitor(b"A0B1023C2046D3069E4092LJ\nnoise\n") == 0
     said = capsys.readouterr().out
-    assert "curl of thumb, index" in said and "0   25   50   75  100" in said and "A, grab" in said
+    assert "channels: thumb MP, index" in said and "0   22   45   68   90" in said and "A, grab" in said
     assert b"A0B0C0D0E0\n" in os.read(ours, 4096)
     assert monitor(b"A0B1023C2046D3069E4093\n") == 1
     assert "1 lines came, and none was of five curls up to 4092" in capsys.readouterr().err

@@ -3,11 +3,13 @@
 import random
 import struct
 import zlib
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import jaxgrasp.glove.protocol
 from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 from jaxgrasp.glove.protocol.frames import (
     BUFFER,
@@ -68,17 +70,36 @@ def test_long_runs(size):
 def test_frames_come_back(parts):
     frame = Frame(*parts)
     line = encode(frame)
-    assert len(line) == LINE_SIZE == 42 and line.index(b"\0") == len(line) - 1
+    assert len(line) == LINE_SIZE == 46 and line.index(b"\0") == len(line) - 1
     assert FrameReader().feed(line) == [frame]
 
 
 def test_the_layout_is_that_of_the_page():
     """Byte by byte, as firmware would write it."""
-    frame = Frame(Kind.COMMAND, 0x0102, 0x03040506, (1, -2, *range(12)), Flag.ENABLE)
-    body = bytes([0x13, 1, 0x02, 0x01, 0x06, 0x05, 0x04, 0x03, 1, 0, 0xFE, 0xFF])
+    frame = Frame(Kind.COMMAND, 0x0102, 0x03040506, (1, -2, *range(12)), Flag.ENABLE, 0x0708090A)
+    body = bytes([0x23, 1, 0x02, 0x01, 0x06, 0x05, 0x04, 0x03, 0x0A, 0x09, 0x08, 0x07, 1, 0, 0xFE, 0xFF])
     body += b"".join(bytes([k, 0]) for k in range(12))
     check = zlib.crc32(body)
     assert unstuff(encode(frame)[:-1]) == body + bytes(check >> 8 * k & 255 for k in range(4))
+
+
+def vectors() -> list[tuple[Frame, bytes]]:
+    """Frames and their bytes, as the page has them."""
+    page = (Path(jaxgrasp.glove.protocol.__file__).parent / "firmware" / "PROTOCOL.md").read_text()
+    found = []
+    for row in page.split("## Test vectors")[1].strip().splitlines()[2:]:
+        kind, flags, sequence, clock, echo, values, line = (cell.strip(" `") for cell in row.strip("|").split("|"))
+        numbers = tuple(map(int, values.split()))
+        frame = Frame(Kind[kind], int(sequence), int(clock), numbers, Flag(int(flags)), int(echo))
+        found.append((frame, bytes.fromhex(line)))
+    return found
+
+
+def test_the_pages_vectors():
+    assert len(vectors()) == 5
+    for frame, line in vectors():
+        assert encode(frame) == line
+        assert FrameReader().feed(line) == [frame]
 
 
 @settings(deadline=None)
@@ -106,7 +127,7 @@ def test_any_bytes_are_survived(parts):
 def test_refusals_say_why():
     good = encode(numbered(1)[0])[:-1]
     data = unstuff(good)
-    other_version = bytes([data[0] + 16, *data[1:36]])
+    other_version = bytes([data[0] + 16, *data[1:40]])
     cases = {
         Refusal.STUFFING: good[:-1],
         Refusal.LENGTH: stuff(data[:-1]),

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
-from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import EngineLink, LinkPeer, SlotPeer, make_slots
 from jaxgrasp.glove.loop.rendering import Rendering

@@ -1,5 +1,7 @@
 """A host and a simulated glove in virtual time: no clock, no thread, the same every time."""
 
+from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,13 +18,46 @@ SENSORS = nominal_sensors(MODEL)
 TICK, MILLISECOND = 0.005, 0.001
 
 
+class DelayedLine(MemoryLine):
+    """A line on which bytes wait, either way, for times that may change; none overtakes another."""
+
+    def __init__(self, baud: int, clock: Callable[[], float]):
+        super().__init__(baud)
+        self.outward = self.inward = lambda now: 0.0
+        self._clock, self._out, self._in = clock, deque(), deque()
+
+    def write(self, data: bytes) -> bool:
+        self._check()
+        self._out.append((self._clock() + self.outward(self._clock()), data))
+        return True
+
+    def read(self) -> bytes:
+        self._check()
+        came = bytearray()
+        while self._in and self._in[0][0] <= self._clock():
+            came += self._in.popleft()[1]
+        return bytes(came)
+
+    def carry(self) -> None:
+        """What has waited long enough goes on."""
+        now = self._clock()
+        if not self.is_plugged:
+            self._out.clear()
+            self._in.clear()
+            return
+        if came := super().read():
+            self._in.append((now + self.inward(now), came))
+        while self._out and self._out[0][0] <= now:
+            super().write(self._out.popleft()[1])
+
+
 class World:
     """Time, a glove and its host, which asks for the torques of a spring from 0.2 rad on."""
 
     def __init__(self, baud: int = 115_200, **options: Any):
-        self.line = MemoryLine(baud)
-        self.events: list[dict[str, Any]] = []
         self.now = 100.0
+        self.line = DelayedLine(baud, lambda: self.now)
+        self.events: list[dict[str, Any]] = []
         options = {"clock": 2**32 - 3_000_000, **options}
         self.simulation = Simulation(options, self.line.far, self.now, self.events.append, MODEL, SENSORS)
         self.host = GloveHost(MODEL, SENSORS, lambda: self.line, Guard(MODEL, ramp=0.2), baud=baud)
@@ -39,6 +74,7 @@ class World:
         end = self.now + seconds
         while self.now < end:
             self.now += MILLISECOND
+            self.line.carry()
             self.simulation.turn(self.now)
             self.history.append((self.now, np.array(self.device.counts)))
             if self.is_host_alive and self.now >= self._next_tick:

@@ -142,3 +142,21 @@ def test_the_support_has_the_derivative_of_what_is_felt(scene):
     step = 1e-6
     apart = (np.asarray(torques(angles + step * way)) - np.asarray(torques(angles - step * way))) / (2 * step)
     np.testing.assert_allclose(forward, apart, rtol=2e-4, atol=1e-5 * np.abs(apart).max())
+
+
+def test_a_contact_pushes_back_by_its_effective_stiffness(scene):
+    """What its squeezing force grows by, for each metre that it presses deeper."""
+    made, closed, placed = scene
+    stiffer = eqx.tree_at(
+        lambda s: s.contributions, made, made.contributions * jnp.linspace(0.5, 2, len(made.contributions))
+    )
+    here, there = (
+        observe(stiffer, closed, Pose(placed.origin + step, placed.rotation), law="closed-form")
+        for step in (jnp.zeros(3), jnp.array([0.0, 1e-5, -2e-5]))
+    )
+    both = np.asarray(here.contacts.present * there.contacts.present) > 0
+    deeper = np.asarray(there.contacts.depths - here.contacts.depths)[both]
+    grown = np.asarray(there.grasp.squeeze - here.grasp.squeeze)[both]
+    np.testing.assert_allclose(np.asarray(here.stiffness)[both] * deeper, grown, rtol=1e-9, atol=1e-12)
+    assert both.sum() > 5 and np.abs(deeper).max() > 5e-6
+    assert not np.asarray(here.stiffness)[np.asarray(here.contacts.present) == 0].any()

@@ -9,33 +9,11 @@ from scipy.spatial.transform import Rotation
 from jaxgrasp.batch.sources import load_grasps
 from jaxgrasp.cli.main import main
 from jaxgrasp.interop import hand_from_mujoco, load_mjcf, read_dexgraspnet
+from tests.interop.two_fingers import JOINTS, model, written
+from tests.interop.two_fingers import SAMPLES as EVERY_SAMPLE
 
-SAMPLES = Path(__file__).parents[3] / "shared" / "samples" / "dexgraspnet"
-JOINTS = ("left", "right")
-HAND = """
-<mujoco>
-  <option apirate="200"/>
-  <asset>
-    <texture name="skin" type="2d" file="skin.png"/>
-    <material name="skin" texture="skin"/>
-    <mesh name="shell" file="shell.obj"/>
-  </asset>
-  <worldbody>
-    <body name="palm">
-      <geom type="box" size="0.05 0.02 0.01" material="skin"/>
-      <geom type="mesh" mesh="shell"/>
-      <body name="left finger" pos="-0.045 0 0">
-        <joint name="left" axis="0 1 0" range="-1 1"/>
-        <geom type="capsule" fromto="0 0 0 0 0 0.08" size="0.01"/>
-      </body>
-      <body name="right finger" pos="0.045 0 0">
-        <joint name="right" axis="0 1 0" range="-1 1"/>
-        <geom type="capsule" fromto="0 0 0 0 0 0.08" size="0.01"/>
-      </body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
+SAMPLES = EVERY_SAMPLE / "dexgraspnet"
+HAND = model()
 
 
 def record(left: float, right: float, place=(0.0, 0.0, 0.0), turns=(0.0, 0.0, 0.0), scale: float = 0.07) -> dict:
@@ -43,12 +21,6 @@ def record(left: float, right: float, place=(0.0, 0.0, 0.0), turns=(0.0, 0.0, 0.
     qpos |= {f"WRJT{axis}": value for axis, value in zip("xyz", place, strict=True)}
     qpos |= {f"WRJR{axis}": value for axis, value in zip("xyz", turns, strict=True)}
     return {"qpos": qpos, "scale": np.array(scale)}
-
-
-def written(path: Path, *records: object) -> None:
-    several = np.empty(len(records), object)
-    several[:] = records
-    np.save(path, several, allow_pickle=True)
 
 
 @pytest.fixture
@@ -73,9 +45,11 @@ def files(folder) -> Path:
 def test_joints_go_by_name_and_turns_about_fixed_axes(files):
     found = read_dexgraspnet("grasps.npy", JOINTS)
     np.testing.assert_array_equal(found.angles[:3], [[0.02, -0.02]] * 3)
-    np.testing.assert_allclose(found.rotations[2], Rotation.from_euler("xyz", (0.3, -0.5, 0.7)).as_matrix(), atol=1e-15)
-    np.testing.assert_allclose(found.positions[0], [0, 0, -0.06])
-    assert found.scales.tolist() == [0.07] * 4 and found.numbers.tolist() == [0, 1, 2, 3]
+    np.testing.assert_allclose(
+        found.transforms[2, :3, :3], Rotation.from_euler("xyz", (0.3, -0.5, 0.7)).as_matrix(), atol=1e-15
+    )
+    np.testing.assert_allclose(found.transforms[0, :3, 3], [0, 0, -0.06])
+    assert found.scales.tolist() == [0.07] * 4 and found.names == ("0", "1", "2", "3")
     turned = read_dexgraspnet("grasps.npy", JOINTS[::-1])
     np.testing.assert_array_equal(turned.angles, found.angles[:, ::-1])
 
@@ -96,6 +70,18 @@ def test_a_pinch_is_imported_with_contacts_that_face_each_other(files, capsys):
         assert (np.sum(grasp.points * grasp.normals, -1) < 0).all()
 
 
+@pytest.mark.slow
+def test_sizes_of_the_object_keep_the_order_of_the_file(files):
+    below = (0.0, 0.0, -0.06)
+    sizes = [0.07, 0.06, 0.07]
+    written(files / "sizes.npy", *(record(a, -a, below, scale=s) for a, s in zip((0.02, 0.09, 0.02), sizes)))
+    assert main(["import", "dexgraspnet", "sizes.npy", "--hand", "hand.xml", "--object", "cube.stl"]) == 0
+    sets = load_grasps("grasps.npz")
+    assert sets.labels["name"].tolist() == ["sizes 0", "sizes 1", "sizes 2"]
+    for i, size in enumerate(sizes):
+        np.testing.assert_allclose(np.abs(sets[i].points[:, 0]), size / 2, atol=2e-3)
+
+
 @pytest.mark.parametrize(
     "bad, said",
     [
@@ -106,7 +92,7 @@ def test_a_pinch_is_imported_with_contacts_that_face_each_other(files, capsys):
         (record(0.0, np.zeros(3)), "record 1: right is [0. 0. 0.]: expected a finite number"),
         (
             {"qpos": record(0, 0)["qpos"] | {"rihgt": 0.0}, "scale": 1},
-            "qpos has the joint 'rihgt', which the hand has not: did",
+            "qpos has 'rihgt', which the hand has not: did",
         ),
         ({"qpos": {"left": 0.0}, "scale": 1}, "record 1: qpos has no 'right', which the hand has"),
     ],
@@ -117,7 +103,7 @@ def test_a_bad_record_is_named_and_the_rest_go_on(folder, bad, said):
         read_dexgraspnet("some.npy", JOINTS)
     assert str(caught.value).startswith("some.npy: ") and said in str(caught.value)
     found = read_dexgraspnet("some.npy", JOINTS, keep_going=True)
-    assert found.numbers.tolist() == [0, 2] and len(found.left_out) == 1 and said in found.left_out[0]
+    assert found.names == ("0", "2") and len(found.left_out) == 1 and said in found.left_out[0]
 
 
 def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):

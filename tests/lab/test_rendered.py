@@ -239,7 +239,9 @@ def test_odd_times_and_readings_spoil_nothing(scene, follows):
         np.testing.assert_array_equal(played((now, angles, 0.0)), plain)
     for now in (3 * DT, -1.0, -100.0, 3 * DT + 1e-9, np.nextafter(3 * DT, 1)):
         np.testing.assert_array_equal(played((now, angles, 1e-3)), plain)
-    np.testing.assert_array_equal(played((3.5 * DT, bad, 0.0)), plain)
+    mad = np.where(np.arange(len(angles)) == 3, 1e300, angles)
+    for there, rise in ((bad, 0.0), (mad, 0.0), (angles + 4, 0.0), (angles, 1e6), (angles, np.nan)):
+        np.testing.assert_array_equal(played((3.5 * DT, there, rise)), plain)
 
 
 def test_contributions_follow_the_grip_without_a_jump(scene):

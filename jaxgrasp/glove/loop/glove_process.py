@@ -18,8 +18,9 @@ class GloveProcess:
         Args:
             port: of the glove.
             channels: of its model.
-            options: ``baud``, ``model`` and ``calibration`` (files), ``rate`` [Hz], ``scale`` (of all torques, 0.05
-                if left out), ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s];
+            options: ``baud``, ``model`` and ``calibration`` (files), ``device`` (``native``, ``lucidgloves`` or
+                ``MODULE:CLASS``) and its ``full_scale``, ``rate`` [Hz], ``scale`` (of all torques, 0.05 if left out),
+                ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s];
                 ``listen`` (host and port) for an engine elsewhere in place of ``write`` and ``state``, with
                 ``transport`` and ``key``.
 
@@ -51,14 +52,17 @@ class GloveProcess:
         vector = self._state.read()
         return None if vector is None else GloveState.of(vector, self._channels)
 
-    def arm(self) -> None:
+    def arm(self, accepted: str = "") -> None:
         """Let torques flow; ``state`` says when they do.
+
+        Args:
+            accepted: what the user said, of a device that needs its ``acceptance``.
 
         Raises:
             ValueError: if it refuses; the message says why.
             OSError: if it has ended.
         """
-        self._order({"arm": True})
+        self._order({"arm": accepted})
 
     def disarm(self) -> None:
         """No torque."""

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.glove.calibrate import load_model
+from jaxgrasp.glove.devices import make_device
 from jaxgrasp.glove.guard import Guard
-from jaxgrasp.glove.host import GloveHost
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.peers import LinkPeer, NoPeer, Peer, SlotPeer
+from jaxgrasp.glove.loop.release import Release
 from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
@@ -29,7 +30,7 @@ from jaxgrasp.glove.tension import TensionControl
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
-    *("slots", "listen", "transport", "key"),
+    *("slots", "listen", "transport", "key", "device", "full_scale"),
 }
 ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end it: asked, interrupted, its terminal closed."""
@@ -45,16 +46,19 @@ def main() -> None:
     orders: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(orders,), daemon=True).start()
     rendering = build(options)
+    release = Release(options) if rendering.host.capability.outlives_host else None
     times = TickTimes(1.0 / options.get("rate", 200.0))
     try:
-        run(rendering, times, orders)
+        run(rendering, times, orders, release)
     finally:
         # Whoever ends it twice must not keep it from its last zero.
         for name in ENDS:
             signal.signal(name, signal.SIG_IGN)
         rendering.host.close(time.perf_counter())
         rendering.peer.close()
-        tell({"summary": times.summary() | report(rendering.host)})
+        if release is not None:
+            release.close()
+        tell({"summary": times.summary() | rendering.host.report()})
 
 
 def build(options: dict[str, Any]) -> Rendering:
@@ -66,7 +70,7 @@ def build(options: dict[str, Any]) -> Rendering:
     for name in options:
         if name not in OPTIONS:
             raise ValueError(f"option {name!r} is none of {', '.join(sorted(OPTIONS))}")
-    for name in ("baud", "rate"):
+    for name in ("baud", "rate", "full_scale"):
         value = options.get(name, 1)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 1e9:
             raise ValueError(f"{name} is {value!r}: expected a positive number")
@@ -75,14 +79,16 @@ def build(options: dict[str, Any]) -> Rendering:
     model, sensors = load_model(options)
     bounds = {name: options[name] for name in ("projection", "ramp") if name in options}
     guard = Guard(model, scale=options.get("scale", FIRST_SCALE), **bounds)
-    port, baud = options["port"], options.get("baud", 115_200)
-    host = GloveHost(model, sensors, lambda: SerialLine(port, baud), guard, baud=baud)
+    options.setdefault("baud", 115_200)
+    host = make_device(options, model, sensors, lambda: SerialLine(options["port"], options["baud"]), guard)
     control = TensionControl(len(model.joints)) if options.get("control") else None
     oldest = options.get("oldest", OLDEST_LAW)
     return Rendering(host, _peer(options, model, oldest), oldest=oldest, control=control)
 
 
-def run(rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str | None]") -> None:
+def run(
+    rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str | None]", release: Release | None = None
+) -> None:
     """Turn at a steady rate, and say what changes."""
     said: tuple[str, ...] = ()
     due = time.perf_counter()
@@ -91,7 +97,7 @@ def run(rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str |
             order = orders.get()
             if order is None:
                 return
-            _obey(rendering, json.loads(order))
+            _obey(rendering, release, json.loads(order))
         begun = time.perf_counter()
         rendering.turn(begun)
         host = rendering.host
@@ -104,14 +110,6 @@ def run(rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str |
         # A turn that was missed is not made up for: its answer would be as late as it is.
         due = max(due + times.period, over)
         time.sleep(max(0.0, due - time.perf_counter()))
-
-
-def report(host: GloveHost) -> dict[str, Any]:
-    """What a host has counted."""
-    refused = {why.name: count for why, count in host.reader.refused.items()}
-    counts = {"commands": host.counts.commands, "held_back": host.counts.held_back, "cut": host.counts.cut}
-    heard = {"heard": host.reader.accepted, "missing": host.counts.missing + host.order.missing, "refused": refused}
-    return counts | heard | {"links": host.counts.links, "device": host.counts.status}
 
 
 def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
@@ -127,18 +125,20 @@ def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
     return SlotPeer(Path(options["slots"]), channels) if options.get("slots") else NoPeer()
 
 
-def _obey(rendering: Rendering, order: dict[str, Any]) -> None:
+def _obey(rendering: Rendering, release: Release | None, order: dict[str, Any]) -> None:
     now = time.perf_counter()
     try:
         match order:
-            case {"arm": _}:
-                rendering.arm(now)
+            case {"arm": accepted}:
+                if release is not None and not release.is_there():
+                    raise ValueError("the glove cannot be armed: nobody would free it if this program died")
+                rendering.arm(now, accepted)
             case {"disarm": _}:
                 rendering.host.disarm()
             case {"scale": scale}:
                 rendering.host.guard.rescale(scale)
             case {"report": _}:
-                tell({"report": report(rendering.host)})
+                tell({"report": rendering.host.report()})
                 return
             case _:
                 raise ValueError(f"order {order} is none of arm, disarm, scale, report")

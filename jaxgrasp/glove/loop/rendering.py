@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from jaxgrasp.glove.glove_device import GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import GuardOutput, GuardState
-from jaxgrasp.glove.host import GloveHost, LinkState, Reading
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.peers import AHEAD, Peer
 from jaxgrasp.glove.tension import TensionControl
@@ -20,7 +20,7 @@ class Rendering:
     """The I/O side of the loop, driven by calls to ``turn`` at the line's own rate."""
 
     def __init__(
-        self, host: GloveHost, peer: Peer, *, oldest: float = OLDEST_LAW, control: TensionControl | None = None
+        self, host: GloveDevice, peer: Peer, *, oldest: float = OLDEST_LAW, control: TensionControl | None = None
     ) -> None:
         """A loop that has not turned.
 
@@ -31,8 +31,11 @@ class Rendering:
             control: of the torques by the measured tensions; none if None.
 
         Raises:
-            ValueError: for an age that is not positive, or too long to be safe.
+            ValueError: for an age that is not positive, or too long to be safe, and control of torques that nobody
+                measures.
         """
+        if control is not None and not host.capability.measures_torque:
+            raise ValueError(f"control needs measured torques, which {host.model.name} has not")
         if not (isinstance(oldest, int | float) and 0 < oldest <= LONGEST):
             raise ValueError(f"oldest is {oldest!r}: expected more than 0 and at most {LONGEST} s")
         self.host, self.peer = host, peer
@@ -43,18 +46,18 @@ class Rendering:
         """Read, compute, send."""
         host = self.host
         reading = host.poll(now)
-        wanted = self._wanted(now, reading)
+        wanted, slope = self._wanted(now, reading)
         control = self._control if self._may_control(now, reading) else None
         asked = wanted if control is None else control.ask(wanted, reading.torques)
-        output = host.send(now, asked, reading.angles_at)
+        output = host.send(now, asked, reading.angles_at, slope)
         if control is not None:
             control.left(output.torques, wanted, reading.torques, max(now - self._before, 0.0))
         self._before = now
         self.peer.publish(now, self._state(now, reading, output))
         return output
 
-    def arm(self, now: float) -> None:
-        """Let torques flow, if there is a law to follow.
+    def arm(self, now: float, accepted: str = "") -> None:
+        """Let torques flow, if there is a law to follow; ``accepted`` is what the user said.
 
         Raises:
             ValueError: without one, or as the host says.
@@ -64,16 +67,18 @@ class Rendering:
             raise ValueError(f"the glove cannot be armed: {trouble}")
         if self._control is not None:
             self._control.forget()
-        self.host.arm(now)
+        self.host.arm(now, accepted)
 
-    def _wanted(self, now: float, reading: Reading) -> np.ndarray:
+    def _wanted(self, now: float, reading: Reading) -> tuple[np.ndarray, np.ndarray]:
+        """Torques, and their slope."""
         law = self.peer.law(now)
         trouble = self._trouble(now, law)
         if trouble:
             self.host.guard.trip(trouble)
         if law is None or trouble:
-            return np.zeros(len(self.host.model.joints))
-        return law.at(reading.angles, REACH)
+            channels = len(self.host.model.joints)
+            return np.zeros(channels), np.zeros((channels, channels))
+        return law.at(reading.angles, REACH), law.derivative
 
     def _trouble(self, now: float, law: TorqueLaw | None) -> str:
         if law is None:

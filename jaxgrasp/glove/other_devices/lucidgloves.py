@@ -1,7 +1,8 @@
 """LucidGloves and OpenGloves: curls in, position limits out, over their text protocol ("alpha encoding").
 
 A limit is where a servo stops a finger's string, 0 (free) to 1000 (no curl at all). **It is not a force**: the finger
-that pulls harder feels more, the one that does not pull feels nothing, and no number makes it otherwise. The firmware
+that pulls harder feels more, the one that does not pull feels nothing, and no number makes it otherwise. So a finger is
+stopped where the torque asked for begins, by its slope: at the surface of what it touches. The firmware
 has no check sum, no sequence and **no watchdog: a limit stays when its host dies or its cable is cut**, until power
 is taken away. That is why arming it takes a sentence of its user's. Read from its source: it waits for an answer to
 every line it sends, ignores answers shorter than five characters, and takes a finger that is not named for 0.
@@ -10,17 +11,18 @@ every line it sends, ignores answers shorter than five characters, and takes a f
 import logging
 import math
 import re
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.guard import Guard, GuardState
+from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
+from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError
-from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.validation.checked import checked
+from jaxgrasp.glove.model import FINGERS, GloveModel
 
-FINGERS = ("thumb", "index", "middle", "ring", "little")
 ACCEPTANCE = "I accept that the limits persist when the host dies"
 """What a user says to arm such a device, letter by letter."""
 BUTTONS = {
@@ -38,14 +40,14 @@ LONGEST = 511
 """Bytes of a line that are kept at most."""
 SEVERAL = 3
 """How often what frees all fingers is said, since no check sum guards it."""
+SILENCE = 0.25
+"""How long it may say nothing before it counts as gone [s]."""
+REOPEN = 0.25
+"""Time between attempts to open a port [s]."""
+DEEPEST = 0.2
+"""How far from a finger its resistance may begin at most [rad]: the law's slope is followed no farther."""
 _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]|P)(\d{1,5})|([H-O])(?!\d)")
 _log = logging.getLogger(__name__)
-
-
-@checked
-def lucidgloves() -> GloveModel:
-    """Five fingers, each by the torque on its MP joint; 0.12 N.m count as the whole range. That number is ours."""
-    return GloveModel("LucidGloves", tuple(f"{finger} MP" for finger in FINGERS), (0.12,) * 5, rate=1.2, quantum=1.2e-4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,76 +98,156 @@ def read_line(line: bytes, full_scale: int) -> LucidReading | None:
     return LucidReading(curls, splays, joints, stick, others.get("P", math.nan), frozenset(buttons))
 
 
-def limits_for(
-    shares: Float[np.ndarray, "5"], curls: Float[np.ndarray, "5"], give: float
+def stops_at(
+    curls: Float[np.ndarray, "5"],
+    deep: Float[np.ndarray, "5"],
+    let: Float[np.ndarray, "5"],
+    give: float,
 ) -> tuple[int, int, int, int, int]:
-    """Limits, 0 to 1000, that stop fingers the nearer to where they are the larger their torques should be.
+    """Limits, 0 to 1000, that stop fingers where resistance begins.
 
     Args:
-        shares: of the largest torque, 0 to 1. None is free; 1 stops a finger where it is.
         curls: of the fingers, 0 to 1.
-        give: how much farther a finger may still curl for the smallest torque.
+        deep: how far each is beyond where its torque begins, in curl.
+        let: part of the torque asked for that may leave, 0 to 1: 1 stops a finger where resistance begins, and less
+            lets it go on by more of the ``give``. None is free.
+        give: how much farther a finger may still curl for next to no torque, in curl.
     """
-    stops = np.clip(curls + give * (1 - shares), 0, 1)
-    limits = np.where(shares > 0, np.floor(1000 * (1 - stops)), 0)
+    stops = np.clip(curls - deep + give * (1 - let), 0, 1)
+    limits = np.where(let > 0, np.floor(1000 * (1 - stops)), 0)
     thumb, index, middle, ring, little = (int(limit) for limit in limits)
     return thumb, index, middle, ring, little
 
 
-class LucidHost:
+class LucidHost(GloveDevice):
     """Such a glove on a line: it answers each line once, so that the firmware never waits and nothing queues."""
 
-    def __init__(self, line: Line, guard: Guard, *, full_scale: int = 4095, give: float = 0.3) -> None:
-        """A glove that is free, and not armed.
+    capability = Capability("position limit", measures_torque=False, outlives_host=True)
+    acceptance = ACCEPTANCE
+
+    def __init__(
+        self,
+        model: GloveModel,
+        open_line: Callable[[], Line],
+        guard: Guard,
+        *,
+        full_scale: int = 4095,
+        give: float = 0.3,
+    ) -> None:
+        """A glove whose line is not open yet.
 
         Args:
-            line: an open port.
-            guard: of a model of five channels; its torques become limits.
+            model: five channels, one for each finger, with ``spans``.
+            open_line: opens the port; called again after each loss.
+            guard: of the model; its torques become limits.
             full_scale: of the glove's numbers: 4095 with an ESP32, 1023 with an AVR.
-            give: see ``limits_for``.
+            give: see ``stops_at``.
 
         Raises:
-            ValueError: for another number of channels, a scale that is not positive, or a give outside 0 to 1.
+            ValueError: for another number of channels, a model without spans, a scale that is not positive, or a give
+                outside 0 to 1.
         """
-        if len(guard.model.joints) != 5:
-            raise ValueError(f"the model has {len(guard.model.joints)} channels: expected 5, one for each finger")
+        if len(model.joints) != len(FINGERS):
+            raise ValueError(f"the model has {len(model.joints)} channels: expected 5, one for each finger")
+        if model.spans is None:
+            raise ValueError(f"{model.name} has no spans: expected the angles of all five joints at full curl [rad]")
         if full_scale < 1:
             raise ValueError(f"full_scale is {full_scale}: expected 1 or more")
         if not 0 <= give <= 1:
             raise ValueError(f"give is {give}: expected 0 to 1")
-        self.guard = guard
-        self.reading: LucidReading | None = None
-        self.read_at = -math.inf
-        self.refused = 0
-        """Lines that said nothing."""
-        self._line, self._full_scale, self._give = line, full_scale, give
+        self.model, self.guard = model, guard
+        self.state, self.trouble = LinkState.CLOSED, "not opened yet"
+        self.reading = Reading.of_nothing(len(FINGERS))
+        self.said: LucidReading | None = None
+        """What it said last."""
+        self.limits = (0, 0, 0, 0, 0)
+        """Those that are to hold from now on."""
+        self.refused = self.links = 0
+        """Lines that said nothing; how often it began to speak."""
+        self._open, self._next = open_line, -math.inf
+        self._line: Line | None = None
+        self._spans, self._full_scale, self._give = np.array(model.spans), full_scale, give
         self._kept = b""
         self._owed = self._holds = self._was_cut = False
 
-    def arm(self, now: float, accepted: str) -> None:
-        """Let limits through.
-
-        Args:
-            now: time [s].
-            accepted: ``ACCEPTANCE``, as its user typed it.
-
-        Raises:
-            ValueError: for anything else, and before the glove has said anything.
-        """
+    def arm(self, now: float, accepted: str = "") -> None:
         if accepted != ACCEPTANCE:
             raise ValueError(f"this glove's limits outlive their host; to arm it, its user says: {ACCEPTANCE!r}")
-        if self.reading is None:
-            raise ValueError("the glove cannot be armed: it says nothing")
-        _log.warning("armed a glove without a watchdog; its limits are positions, not forces, and outlive this program")
+        if self.state < LinkState.LINKED:
+            raise ValueError(f"the glove cannot be armed: {self.trouble}")
+        _log.warning("armed a glove without a watchdog: its limits are no forces, and stay where its cable is cut")
         self.guard.arm(now)
+        self.state = LinkState.ARMED
 
-    def poll(self, now: float) -> LucidReading | None:
-        """Take what came; the newest reading.
+    def disarm(self) -> None:
+        self.guard.disarm()
+        self.state = min(self.state, LinkState.LINKED)
 
-        Raises:
-            LineError: if the line is gone.
+    def poll(self, now: float) -> Reading:
+        try:
+            self._connect(now)
+            if self._line is not None:
+                self._take(now, self._line.read())
+        except LineError as error:
+            self._lose(now, str(error))
+        if self.state >= LinkState.LINKED and now - self.reading.angles_at > SILENCE:
+            self.guard.trip("the glove fell silent")
+            self.state, self.trouble = LinkState.GREETING, "the glove fell silent"
+        return self.reading
+
+    def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
+        """Answer the glove if it waits for that.
+
+        Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
+        answer may have been lost, and then the glove holds them and waits.
         """
-        *lines, rest = (self._kept + self._line.read()).split(b"\n")
+        output = self.guard.step(now, wanted, measured_at)
+        if output.state != GuardState.ARMED:
+            self.state = min(self.state, LinkState.LINKED)
+        self.limits = self._limits(output, wanted, slope)
+        if self._line is None:
+            return output
+        try:
+            self._answer(self._line)
+        except LineError as error:
+            self._lose(now, str(error))
+        return output
+
+    def close(self, now: float) -> None:
+        """Free all fingers, if the line still is there, and let go of it."""
+        self.disarm()
+        if self._line is None:
+            return
+        try:
+            self.free(self._line)
+        except LineError as error:
+            self.trouble = str(error)
+            _log.error("the glove could not be freed: %s; take its power away", error)
+        self._line.close()
+        self._line, self.state = None, LinkState.CLOSED
+
+    @staticmethod
+    def free(line: Line) -> None:
+        for _ in range(SEVERAL):
+            line.write(b"\n" + FREE)
+
+    def also_says(self) -> str:
+        return "" if self.said is None else ", ".join(sorted(self.said.buttons))
+
+    def report(self) -> dict[str, Any]:
+        return {"links": self.links, "refused": self.refused}
+
+    def _connect(self, now: float) -> None:
+        if self._line is not None or now < self._next:
+            return
+        self._next = now + REOPEN
+        self._line = self._open()
+        self.state, self.trouble = LinkState.GREETING, "the glove says nothing"
+        # Nobody knows what it was told before.
+        self._kept, self._owed, self._holds, self._was_cut = b"", False, True, False
+
+    def _take(self, now: float, came: bytes) -> None:
+        *lines, rest = (self._kept + came).split(b"\n")
         # What is longer than any line is none, and neither is what follows it up to the next end.
         self._kept = rest if len(rest) <= LONGEST else rest[:1] * (LONGEST + 1)
         for line in lines:
@@ -173,42 +255,40 @@ class LucidHost:
             self._owed = True
             if found is None:
                 self.refused += 1
-            else:
-                self.reading, self.read_at = found, now
-        return self.reading
+                if self.state == LinkState.GREETING:
+                    self.trouble = f"{self.refused} lines came, and none was of five curls up to {self._full_scale}"
+                continue
+            self.said = found
+            self.reading = replace(self.reading, angles=found.curls * self._spans, angles_at=now)
+            if self.state < LinkState.LINKED:
+                self.state, self.trouble = LinkState.LINKED, ""
+                self.links += 1
 
-    def send(self, now: float, wanted: Float[np.ndarray, "5"]) -> tuple[int, int, int, int, int]:
-        """Answer the glove if it waits for that; the limits that are to hold from now on.
+    def _limits(self, output: GuardOutput, wanted: Any, slope: np.ndarray | None) -> tuple[int, int, int, int, int]:
+        if output.state != GuardState.ARMED or self.said is None:
+            return (0, 0, 0, 0, 0)
+        # The guard has seen that these are finite numbers; what it lets out is never more.
+        torques = np.maximum(np.asarray(wanted, float), 0)
+        let = np.divide(output.torques, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
+        steep = np.zeros(len(FINGERS)) if slope is None else np.diagonal(slope)
+        # Where torque begins within reach; a finger that is deeper is stopped no farther back.
+        near = torques < DEEPEST * steep
+        deep = np.divide(torques, steep, out=np.where(steep > 0, DEEPEST, 0.0), where=near)
+        return stops_at(self.said.curls, deep / self._spans, np.minimum(let, 1), self._give)
 
-        Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
-        answer may have been lost, and then the glove holds them and waits.
+    def _answer(self, line: Line) -> None:
+        if not (self._owed or (self._holds and not any(self.limits))):
+            return
+        text = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", self.limits, strict=True))
+        # After what may be half an answer, an end of line makes it a bad one, and the next a good one.
+        begin = b"" if self._owed and not self._was_cut else b"\n"
+        self._was_cut = not line.write(begin + text.encode() + b"\n")
+        if self._owed and not self._was_cut:
+            self._holds, self._owed = any(self.limits), False
 
-        Args:
-            now: time [s].
-            wanted: torques by which to resist flexion [N.m].
-
-        Raises:
-            LineError: if the line is gone; its limits stay as they were, which no host can change.
-        """
-        output = self.guard.step(now, wanted, self.read_at)
-        limits = (0, 0, 0, 0, 0)
-        if output.state == GuardState.ARMED and self.reading is not None:
-            limits = limits_for(output.torques / np.array(self.guard.model.limits), self.reading.curls, self._give)
-        if self._owed or (self._holds and not any(limits)):
-            text = "".join(f"{name}{limit}" for name, limit in zip("ABCDE", limits, strict=True))
-            # After what may be half an answer, an end of line makes it a bad one, and the next a good one.
-            begin = b"" if self._owed and not self._was_cut else b"\n"
-            self._was_cut = not self._line.write(begin + text.encode() + b"\n")
-            if self._owed and not self._was_cut:
-                self._holds, self._owed = any(limits), False
-        return limits
-
-    def close(self) -> None:
-        """Free all fingers, if the line still is there, and let go of it."""
-        self.guard.disarm()
-        try:
-            for _ in range(SEVERAL):
-                self._line.write(b"\n" + FREE)
-        except LineError as error:
-            _log.error("the glove could not be freed: %s; take its power away", error)
-        self._line.close()
+    def _lose(self, now: float, trouble: str) -> None:
+        self.guard.trip(trouble)
+        self.trouble = trouble
+        if self._line is not None:
+            self._line.close()
+        self._line, self.state, self._next = None, LinkState.CLOSED, now + REOPEN

@@ -1,5 +1,7 @@
 """What a device does with the native protocol, as its firmware must: the twin of ``firmware/glove_device.c``."""
 
+import struct
+import zlib
 from enum import IntEnum
 
 from jaxgrasp.glove.protocol.frames import (
@@ -52,7 +54,14 @@ class Device:
     """
 
     def __init__(
-        self, *, channels: int = CHANNELS, most: int = 12_000, slew: int = 120, quantum: int = 100, watchdog: int = 40
+        self,
+        *,
+        channels: int = CHANNELS,
+        most: int = 11_999,
+        slew: int = 120,
+        quantum: int = 100,
+        watchdog: int = 50,
+        seed: int = 0,
     ):
         """A device that is idle.
 
@@ -61,8 +70,14 @@ class Device:
             most: largest count.
             slew: largest change [counts/ms].
             quantum: torque of a count [1e-7 N.m].
-            watchdog: time without a command after which it latches [ms].
+            watchdog: time after which it latches, from when it sent what the newest command answers [ms].
+            seed: below 2^32, another each time it is switched on, of the numbers that ARM must repeat.
+
+        Raises:
+            ValueError: for channels that no frame has.
         """
+        if not 1 <= channels <= CHANNELS:
+            raise ValueError(f"channels is {channels}: expected 1 to {CHANNELS}")
         self.state, self.cause = DeviceState.IDLE, Cause.NONE
         self.counts = [0] * CHANNELS
         """What it holds."""
@@ -78,13 +93,16 @@ class Device:
         self._heard = self._stepped = self._peer_clock = 0
         self._credit = 0
         self._answers = False
-        self._sent = 0
+        self._sent = self._greeted = 0
+        self._seed = seed
+        self.nonce = 0
+        """What ARM must repeat, since the last HELLO."""
 
     def receive(self, now: int, data: bytes) -> None:
         """Bytes from the line."""
         for frame in self.reader.feed(data):
             if frame.kind == Kind.HELLO:
-                self._greet(frame)
+                self._greet(now, frame)
             elif frame.kind in (Kind.ARM, Kind.COMMAND) and self.session is not None and self._is_new(frame):
                 self._obey(now, frame)
 
@@ -118,7 +136,7 @@ class Device:
         elif self.state == DeviceState.LATCHED:
             flags |= Flag.LATCHED
         self._sent = (self._sent + 1) % SEQUENCES
-        return Frame(kind, self._sent, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags)
+        return Frame(kind, self._sent, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags, self._peer_clock)
 
     def answer(self, now: int) -> Frame | None:
         """Its CAPABILITY, once after each HELLO."""
@@ -126,7 +144,7 @@ class Device:
             return None
         self._answers = False
         capability = (self._channels, self._watchdog, self._quantum, self._most, self._slew)
-        return self.frame(now, Kind.CAPABILITY, (self.session, *capability))
+        return self.frame(now, Kind.CAPABILITY, (self.session, *capability, self.nonce))
 
     def status(self, now: int) -> Frame:
         """Its STATUS."""
@@ -136,13 +154,15 @@ class Device:
         values = (self.session or 0, self.state, self.cause, *halves, self.order.newest or 0)
         return self.frame(now, Kind.STATUS, tuple(_signed(value) for value in values))
 
-    def _greet(self, frame: Frame) -> None:
+    def _greet(self, now: int, frame: Frame) -> None:
         if self.state == DeviceState.ARMED:
             self.trip(Cause.GREETED)
         self.session, self._answers = frame.values[0], True
         self.order = Sequence(frame.sequence, WINDOW)
         self._peer_clock = frame.clock
         self.accepted = 0
+        self._greeted += 1
+        self.nonce = _signed(zlib.crc32(struct.pack("<3I", self._seed, now, self._greeted)) % SEQUENCES)
 
     def _is_new(self, frame: Frame) -> bool:
         """Newer than the last by number and by clock: what an older session left on the line is neither."""
@@ -155,18 +175,23 @@ class Device:
         return True
 
     def _obey(self, now: int, frame: Frame) -> None:
-        self.accepted += 1
-        if frame.kind == Kind.ARM:
-            if frame.values[0] == self.session:
-                self._drop()
-                self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, now
-            return
-        if Flag.ENABLE not in frame.flags:
+        """Torque ends whatever the frame's age; it begins and goes on only by what answers a frame of ours in time."""
+        if frame.kind == Kind.COMMAND and Flag.ENABLE not in frame.flags:
+            self.accepted += 1
             if self.state == DeviceState.ARMED:
                 self.state = DeviceState.IDLE
             self._drop()
+            return
+        if (now - frame.echo) % TICKS > 1000 * self._watchdog:
+            self.order.stale += 1
+            return
+        self.accepted += 1
+        if frame.kind == Kind.ARM:
+            if frame.values[:2] == (self.session, self.nonce):
+                self._drop()
+                self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, frame.echo
         elif self.state == DeviceState.ARMED:
-            self._heard = now
+            self._heard = frame.echo
             asked = (min(max(value, 0), self._most) for value in frame.values)
             self._wanted = [value if k < self._channels else 0 for k, value in enumerate(asked)]
 

@@ -1,6 +1,6 @@
 """The native protocol's frames: 14 signed values with a number, a time and a check sum, between zeros.
 
-A frame before stuffing, little-endian, 40 bytes:
+A frame before stuffing, little-endian, 44 bytes:
 
 ======  ========  ===================================================================
 offset  type      meaning
@@ -9,12 +9,13 @@ offset  type      meaning
 1       uint8     flags
 2       uint16    sequence number, one more for each frame sent, 0 after 65,535
 4       uint32    the sender's clock [us], from 0 again after 4,294,967,295
-8       int16 x14 values; what they are depends on the kind
-36      uint32    CRC-32 (that of Ethernet and zlib) of the 36 bytes before
+8       uint32    the other side's clock in the newest of its frames that were heard; 0 before any
+12      int16 x14 values; what they are depends on the kind
+40      uint32    CRC-32 (that of Ethernet and zlib) of the 40 bytes before
 ======  ========  ===================================================================
 
-Stuffed (``cobs.py``) it has 41 bytes without a zero, and a zero ends it: 42 on the line, which at 115,200 baud
-carries 274 of them a second.
+Stuffed (``cobs.py``) it has 45 bytes without a zero, and a zero ends it: 46 on the line, which at 115,200 baud
+carries 250 of them a second.
 """
 
 import struct
@@ -25,9 +26,9 @@ from enum import IntEnum, IntFlag
 
 from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 
-VERSION = 1
+VERSION = 2
 CHANNELS = 14
-_BODY = struct.Struct("<BBHI14h")
+_BODY = struct.Struct("<BBHII14h")
 _CHECK = struct.Struct("<I")
 SIZE = _BODY.size + _CHECK.size
 """Bytes of a frame before stuffing."""
@@ -46,7 +47,7 @@ class Kind(IntEnum):
     """Host to device: session, a number the host draws. A device gives up all torque at it, and answers."""
     CAPABILITY = 2
     """Device to host: session, channels, watchdog [ms], torque of a count [1e-7 N.m], largest count, largest change
-    of a torque [counts/ms]."""
+    of a torque [counts/ms], and a number that the device draws, which ARM must repeat."""
     COMMAND = 3
     """Host to device: torques [counts]."""
     ANGLES = 4
@@ -54,7 +55,7 @@ class Kind(IntEnum):
     TENSIONS = 5
     """Device to host: strain gauges [counts]."""
     ARM = 6
-    """Host to device: session. What alone lets torques through, and what alone ends a latch."""
+    """Host to device: session, and the device's number. What alone lets torques through and ends a latch."""
     STATUS = 7
     """Device to host: session, state, cause; then four numbers of 32 bits, low half first: commands accepted,
     missing, stale, frames refused; and the newest sequence number."""
@@ -85,6 +86,8 @@ class Frame:
     values: tuple[int, ...]
     """14 of them, 16 bits each with sign."""
     flags: Flag = NO_FLAGS
+    echo: int = 0
+    """The other side's clock [us], in the newest frame that was heard of it; 0 before any."""
 
 
 def encode(frame: Frame) -> bytes:
@@ -96,7 +99,8 @@ def encode(frame: Frame) -> bytes:
     if len(frame.values) != CHANNELS:
         raise ValueError(f"values are {len(frame.values)}: expected {CHANNELS}")
     try:
-        body = _BODY.pack(VERSION << 4 | frame.kind, frame.flags, frame.sequence, frame.clock, *frame.values)
+        head = VERSION << 4 | frame.kind, frame.flags, frame.sequence, frame.clock, frame.echo
+        body = _BODY.pack(*head, *frame.values)
     except struct.error as error:
         raise ValueError(f"a number of {frame} does not fit its place: {error}") from None
     return stuff(body + _CHECK.pack(zlib.crc32(body))) + b"\0"
@@ -124,10 +128,10 @@ def decode(line: bytes) -> Frame | Refusal:
     body = data[: _BODY.size]
     if _CHECK.unpack(data[_BODY.size :])[0] != zlib.crc32(body):
         return Refusal.CHECK
-    head, flags, sequence, clock, *values = _BODY.unpack(body)
+    head, flags, sequence, clock, echo, *values = _BODY.unpack(body)
     if head >> 4 != VERSION or head & 15 not in Kind._value2member_map_:
         return Refusal.VERSION
-    return Frame(Kind(head & 15), sequence, clock, tuple(values), Flag(flags & 7))
+    return Frame(Kind(head & 15), sequence, clock, tuple(values), Flag(flags & 7), echo)
 
 
 class FrameReader:

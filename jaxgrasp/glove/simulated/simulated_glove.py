@@ -1,5 +1,6 @@
 """A glove on a hand that are not there: a device of the native protocol, its cables, and fingers that bend."""
 
+import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -49,6 +50,7 @@ class SimulatedGlove:
             most=max(model.most_counts),
             slew=round(model.rate / model.quantum / 1000),
             quantum=round(model.quantum * 1e7),
+            seed=random.randrange(2**32),
         )
         count = len(model.joints)
         self.angles, self.speeds = np.zeros(count), np.zeros(count)
@@ -56,6 +58,8 @@ class SimulatedGlove:
         """Tensions of the cables at the fingers [N]."""
         self.are_encoders_stuck = False
         """Whether ANGLES repeat what they said last: a fault."""
+        self.jump: int | None = None
+        """Counts that the first encoder says in place of its own: a fault."""
         self.slack: int | None = None
         """A channel whose cable has come off: a fault."""
         self._model, self._sensors, self._cable = model, sensors, cable
@@ -106,7 +110,8 @@ class SimulatedGlove:
             return self.device.frame(clock, Kind.TENSIONS, _plain(counts), Flag.SATURATED if saturated else Flag(0))
         if not self.are_encoders_stuck:
             self._stuck = self._sensors.encoders.counts(self.angles)
-        return self.device.frame(clock, Kind.ANGLES, _plain(self._stuck))
+        said = _plain(self._stuck)
+        return self.device.frame(clock, Kind.ANGLES, said if self.jump is None else (self.jump, *said[1:]))
 
 
 def _plain(counts: Sequence[int] | np.ndarray) -> tuple[int, ...]:

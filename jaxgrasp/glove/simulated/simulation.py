@@ -105,6 +105,8 @@ class Simulation:
                 self.spoiler = Spoiler(share, seed) if share else None
             case {"stuck": stuck}:
                 self.glove.are_encoders_stuck = bool(stuck)
+            case {"jump": counts}:
+                self.glove.jump = counts
             case {"slack": channel}:
                 self.glove.slack = channel
             case {"fault": _}:

@@ -5,7 +5,8 @@
 #define WINDOW 64u
 #define LONGEST_SILENCE 1000000u
 #define LONGEST_STEP 20000u
-#define BODY 36
+#define BODY 40
+#define VALUES 12
 
 static uint32_t crc32(const uint8_t *data, size_t size) {
     uint32_t crc = 0xFFFFFFFFu;
@@ -21,7 +22,7 @@ static uint32_t get32(const uint8_t *at) { return get16(at) | (uint32_t)get16(at
 static void put16(uint8_t *at, uint16_t value) { at[0] = (uint8_t)value; at[1] = (uint8_t)(value >> 8); }
 static void put32(uint8_t *at, uint32_t value) { put16(at, (uint16_t)value); put16(at + 2, (uint16_t)(value >> 16)); }
 
-/* A frame has 40 bytes, so that no run is as long as 254 and every code byte but the first stands for a zero. */
+/* A frame has 44 bytes, so that no run is as long as 254 and every code byte but the first stands for a zero. */
 static void stuff(const uint8_t data[GLOVE_FRAME], uint8_t line[GLOVE_LINE]) {
     size_t code = 0;
     for (size_t i = 0; i < GLOVE_FRAME; i++) {
@@ -56,6 +57,7 @@ static void drop(struct glove_device *device) {
 
 void glove_init(struct glove_device *device, struct glove_limits limits) {
     memset(device, 0, sizeof *device);
+    if (limits.channels > GLOVE_CHANNELS) limits.channels = GLOVE_CHANNELS;
     device->limits = limits;
 }
 
@@ -67,13 +69,19 @@ void glove_trip(struct glove_device *device, enum glove_cause cause) {
     drop(device);
 }
 
-static void greet(struct glove_device *device, const uint8_t *data) {
+static void greet(struct glove_device *device, uint32_t now, const uint8_t *data) {
+    uint8_t drawn[12];
     if (device->state == GLOVE_ARMED) glove_trip(device, GLOVE_GREETED);
     device->newest = get16(data + 2);
     device->peer_clock = get32(data + 4);
-    device->session = (int16_t)get16(data + 8);
+    device->session = (int16_t)get16(data + VALUES);
     device->accepted = device->missing = device->stale = 0;
-    device->greeted = device->answers = true;
+    device->greeted++;
+    device->answers = true;
+    put32(drawn, device->limits.seed);
+    put32(drawn + 4, now);
+    put32(drawn + 8, device->greeted);
+    device->nonce = (int16_t)(uint16_t)crc32(drawn, sizeof drawn);
 }
 
 /* Newer than the last by clock and by number: what an older session left on the line is neither. */
@@ -90,21 +98,32 @@ static bool is_new(struct glove_device *device, const uint8_t *data) {
     return true;
 }
 
+/* Torque ends whatever the frame's age; it begins and goes on only by what answers a frame of ours in time. */
 static void obey(struct glove_device *device, uint32_t now, const uint8_t *data) {
+    uint32_t echo = get32(data + 8);
+    bool arms = (data[0] & 15) == GLOVE_ARM;
+    if (!arms && !(data[1] & GLOVE_ENABLE)) {
+        device->accepted++;
+        if (device->state == GLOVE_ARMED) device->state = GLOVE_IDLE;
+        drop(device);
+        return;
+    }
+    if (now - echo > (uint32_t)1000 * device->limits.watchdog) {
+        device->stale++;
+        return;
+    }
     device->accepted++;
-    if ((data[0] & 15) == GLOVE_ARM) {
-        if ((int16_t)get16(data + 8) != device->session) return;
+    if (arms) {
+        if ((int16_t)get16(data + VALUES) != device->session) return;
+        if ((int16_t)get16(data + VALUES + 2) != device->nonce) return;
         drop(device);
         device->state = GLOVE_ARMED;
         device->cause = GLOVE_NO_CAUSE;
-        device->heard = now;
-    } else if (!(data[1] & GLOVE_ENABLE)) {
-        if (device->state == GLOVE_ARMED) device->state = GLOVE_IDLE;
-        drop(device);
+        device->heard = echo;
     } else if (device->state == GLOVE_ARMED) {
-        device->heard = now;
+        device->heard = echo;
         for (int k = 0; k < device->limits.channels; k++) {
-            int16_t value = (int16_t)get16(data + 8 + 2 * k);
+            int16_t value = (int16_t)get16(data + VALUES + 2 * k);
             device->wanted[k] = value < 0 ? 0 : value > device->limits.most ? device->limits.most : value;
         }
     }
@@ -119,8 +138,8 @@ static void handle(struct glove_device *device, uint32_t now) {
     if (kind < GLOVE_HELLO || kind > GLOVE_STATUS) {
         device->refused++;
     } else if (kind == GLOVE_HELLO) {
-        greet(device, data);
-    } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted && is_new(device, data)) {
+        greet(device, now, data);
+    } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted > 0 && is_new(device, data)) {
         obey(device, now, data);
     }
 }
@@ -168,7 +187,8 @@ void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind
     data[1] = flags;
     put16(data + 2, ++device->sent);
     put32(data + 4, now);
-    for (int k = 0; k < GLOVE_CHANNELS; k++) put16(data + 8 + 2 * k, (uint16_t)values[k]);
+    put32(data + 8, device->peer_clock);
+    for (int k = 0; k < GLOVE_CHANNELS; k++) put16(data + VALUES + 2 * k, (uint16_t)values[k]);
     put32(data + BODY, crc32(data, BODY));
     stuff(data, line);
 }
@@ -183,6 +203,7 @@ bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_
     values[3] = (int16_t)device->limits.quantum;
     values[4] = device->limits.most;
     values[5] = (int16_t)device->limits.slew;
+    values[6] = device->nonce;
     glove_frame(device, now, GLOVE_CAPABILITY, values, 0, line);
     return true;
 }

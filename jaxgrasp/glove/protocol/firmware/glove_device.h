@@ -14,10 +14,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define GLOVE_VERSION 1
+#define GLOVE_VERSION 2
 #define GLOVE_CHANNELS 14
-#define GLOVE_FRAME 40   /* bytes of a frame before stuffing */
-#define GLOVE_LINE 42    /* bytes of a frame on the line, the zero at its end among them */
+#define GLOVE_FRAME 44   /* bytes of a frame before stuffing */
+#define GLOVE_LINE 46    /* bytes of a frame on the line, the zero at its end among them */
 
 enum glove_kind {
     GLOVE_HELLO = 1,
@@ -34,11 +34,12 @@ enum glove_cause { GLOVE_NO_CAUSE = 0, GLOVE_WATCHDOG = 1, GLOVE_GREETED = 2, GL
 
 /* What the motors and the line allow: set before glove_init. */
 struct glove_limits {
-    uint8_t channels;
+    uint8_t channels;      /* 14 at most */
     int16_t most;          /* largest count */
     uint16_t slew;         /* largest change [counts/ms] */
     uint16_t quantum;      /* torque of a count [1e-7 N.m] */
-    uint16_t watchdog;     /* time without a command after which it latches [ms] */
+    uint16_t watchdog;     /* time after which it latches, from when it sent what the newest command answers [ms] */
+    uint32_t seed;         /* another each time it is switched on, such as noise of its sensors */
 };
 
 struct glove_device {
@@ -52,8 +53,9 @@ struct glove_device {
     int16_t wanted[GLOVE_CHANNELS];
     uint8_t kept[GLOVE_LINE];
     size_t length;
-    bool overflown, greeted, answers;
-    int16_t session;
+    bool overflown, answers;
+    int16_t session, nonce;
+    uint32_t greeted;
     uint16_t newest, sent;
     uint32_t peer_clock, heard, stepped, credit;
 };

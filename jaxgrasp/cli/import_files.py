@@ -1,0 +1,55 @@
+"""What every ``jaxgrasp import`` does with its files: check the arguments, read each file, leave bad ones out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from jaxgrasp.cli.import_arguments import ImportGrasps
+from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.printable import message_line
+from jaxgrasp.interop.contact_records import ContactRecords
+from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.validation.fields import check_not_negative
+
+FRICTION, MASS = 0.5, 0.1
+"""Where neither the user nor the file says them."""
+
+
+Read = TypeVar("Read", GraspPoses, ContactRecords)
+
+
+def check_import(arguments: ImportGrasps, *needed: Path) -> None:
+    """Raise ValueError for arguments that every format refuses, and for files that are not there."""
+    check_not_negative(arguments, "friction", "mass")
+    if not np.all(np.isfinite(arguments.gravity)):
+        raise ValueError(f"gravity is {arguments.gravity}: expected finite numbers [m/s^2]")
+    if not arguments.files:
+        raise ValueError("files are none: expected one at least")
+    if arguments.out.suffix not in (".npz", ".csv"):
+        raise ValueError(f"out is {arguments.out}: expected a file that ends in .npz or .csv")
+    for path in (*arguments.files, *needed):
+        if not path.is_file():
+            raise ValueError(f"{path} is no file")
+
+
+def read_files(arguments: ImportGrasps, read: Callable[[Path], Read]) -> list[Read]:
+    """What is in the files; with ``keep_going`` the bad ones are said and left out."""
+    found: list[Read] = []
+    wrong: list[str] = []
+    for path in arguments.files:
+        try:
+            found.append(read(path))
+            wrong += found[-1].left_out
+        except (ValueError, OSError) as error:
+            if not arguments.keep_going:
+                raise
+            wrong.append(str(error))
+    if not found:
+        raise ValueError(f"{wrong[0]}, and none of the {len(arguments.files)} files is better")
+    for line in wrong:
+        show(message_line(f"left out: {line}"))
+    if wrong:
+        show(f"left out: {len(wrong)} bad records or files in all")
+    return found

@@ -1,0 +1,148 @@
+"""Where posed hands and closing grippers touch a mesh: grasps of any number, worked on some at a time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.hand.closing import close_hand
+from jaxgrasp.hand.deepest import keep_deepest
+from jaxgrasp.hand.detection import Contacts as Found
+from jaxgrasp.hand.detection import find_contacts
+from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.hand.to_grasp import grasp_from_contacts
+from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.wrench import weight_wrench
+
+CHUNK = 512
+"""Grasps at a time."""
+STRIDES = 24
+"""Steps of a closing hand's first way; as many again, within the last of them, find the depth."""
+
+
+@dataclass(frozen=True)
+class PlacedGrasps:
+    """N grasps of one mesh."""
+
+    transforms: np.ndarray
+    """``(N, 4, 4)``: of the wrist."""
+    angles: np.ndarray | None
+    """``(N, J)``; None where the hand is to close."""
+    objects: np.ndarray | None
+    """``(N, 4, 4)``: where the mesh stands; at the origin where None."""
+    scales: np.ndarray
+    """``(N,)``: by how much the tree is to be made larger."""
+    friction: np.ndarray
+    """``(N,)``"""
+    wrenches: np.ndarray
+    """``(N, 6)``"""
+
+    def posture(self, hand: Hand, own: np.ndarray) -> Posture:
+        """Of some grasps; open where the hand is to close."""
+        open_ = jnp.clip(jnp.zeros(len(hand.joints)), hand.lower, hand.upper)
+        angles = jnp.broadcast_to(open_, (len(own), len(open_))) if self.angles is None else self.angles[own]
+        return Posture(_pose(self.transforms[own]), jnp.asarray(angles))
+
+    def placed(self, own: np.ndarray) -> Pose:
+        """Where the mesh stands."""
+        return Pose(jnp.zeros(3), jnp.eye(3)) if self.objects is None else _pose(self.objects[own])
+
+
+def joined_grasps(parts: Sequence[PlacedGrasps]) -> PlacedGrasps:
+    """Grasps of several files of one format, which all have a field or none has it."""
+    columns: dict[str, Any] = {}
+    for one in fields(PlacedGrasps):
+        arrays = [getattr(part, one.name) for part in parts]
+        columns[one.name] = None if arrays[0] is None else np.concatenate(arrays)
+    return PlacedGrasps(**columns)
+
+
+class Touching(NamedTuple):
+    """How hands touch."""
+
+    stiffness: float
+    """K of eq. 6 [N/m]."""
+    depth: float
+    """How far a closing hand presses into the mesh [m]."""
+    max_contacts: int | None
+    """The most contacts of a grasp."""
+
+
+class Touched(NamedTuple):
+    """What was found."""
+
+    sets: ContactSets
+    """All N grasps, those without contacts too."""
+    inside: np.ndarray
+    """``(N,)``: which hands began inside the object."""
+    dropped: int
+    """Contacts beyond the deepest of each grasp."""
+
+
+def weights(
+    mass: float, centers: np.ndarray, gravity: Sequence[float], objects: np.ndarray | None = None
+) -> np.ndarray:
+    """The wrenches ``(N, 6)`` that hold objects whose centres of mass ``(N, 3)`` are given in their meshes' frames."""
+    if objects is not None:
+        centers = objects[:, :3, 3] + np.einsum("nij,nj->ni", objects[:, :3, :3], centers)
+    return np.asarray(weight_wrench(mass, jnp.asarray(centers), jnp.asarray(gravity)))
+
+
+def touch(hand: Hand, tree: SphereTree, grasps: PlacedGrasps, how: Touching) -> Touched:
+    """The contacts of all grasps, sizes of the object one after the other, in the order of the grasps."""
+    sizes, which, counts = np.unique(grasps.scales, return_inverse=True, return_counts=True)
+    size = min(CHUNK, int(counts.max()))
+    order, parts, inside, dropped = [], [], [], 0
+    for number, scale in enumerate(sizes):
+        chosen = np.flatnonzero(which == number)
+        sized = tree.scaled(float(scale))
+        for first in range(0, len(chosen), size):
+            # The last are filled up with repeats: another size would be compiled anew.
+            own = chosen[np.minimum(np.arange(first, first + size), len(chosen) - 1)]
+            found, stuck = _find(hand, sized, grasps, own, how.depth)
+            own = own[: len(chosen) - first]
+            found, stuck = jax.tree.map(lambda x, own=own: x[: len(own)], (found, stuck))
+            if how.max_contacts is not None:
+                kept = keep_deepest(found, how.max_contacts)
+                dropped += int(kept.dropped.sum())
+                found = kept.contacts
+            grasp = grasp_from_contacts(found, grasps.friction[own, None], how.stiffness)
+            parts.append(ContactSets.from_grasp(jax.device_get(grasp), grasps.wrenches[own]))
+            order.append(own)
+            inside.append(stuck)
+    back = np.argsort(np.concatenate(order))
+    return Touched(joined_sets(parts).rows(back), np.concatenate(inside)[back], dropped)
+
+
+def _find(
+    hand: Hand, tree: SphereTree, grasps: PlacedGrasps, own: np.ndarray, depth: float
+) -> tuple[Found, np.ndarray]:
+    """The contacts of some grasps, and which of them began inside the object."""
+    start, placed = grasps.posture(hand, own), grasps.placed(own)
+    found = find_contacts(hand, start, tree, placed)
+    if grasps.angles is not None:
+        return found, np.zeros(len(own), bool)
+    inside = np.asarray(jnp.max(found.depths, -1) > depth)
+    near, _ = close_hand(hand, start, tree, placed, depth, steps=STRIDES)
+    stride = (hand.upper - start.angles) / STRIDES
+    back = Posture(start.wrist, jnp.maximum(near.angles - stride, start.angles))
+    return close_hand(hand, back, tree, placed, depth, towards=near.angles, steps=STRIDES)[1], inside
+
+
+def _pose(transforms: np.ndarray) -> Pose:
+    whole = jnp.asarray(transforms)
+    return Pose(whole[:, :3, 3], whole[:, :3, :3])
+
+
+def joined_sets(parts: Sequence[ContactSets]) -> ContactSets:
+    """Sets of contacts one after the other, without labels."""
+    columns: dict[str, Any] = {
+        name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns
+    }
+    columns["wrench"] = np.concatenate([part.wrench for part in parts])
+    sizes = np.concatenate([part.sizes for part in parts])
+    return ContactSets(**columns, offsets=np.concatenate([[0], np.cumsum(sizes)]))

@@ -1,0 +1,55 @@
+"""The devices that there are, by their names, and those that others write."""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+from jaxgrasp.glove.glove_device import GloveDevice
+from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.host import GloveHost
+from jaxgrasp.glove.line import Line
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.other_devices.lucidgloves import LucidHost
+from jaxgrasp.glove.sensors import Sensors
+
+READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": LucidHost}
+
+
+def device_kind(name: str) -> type[GloveDevice]:
+    """The class of a device: a ready one's by its name, or another's by ``MODULE:CLASS``.
+
+    Raises:
+        ValueError: for a name that is none of the ready ones, and a class that is not there or is no GloveDevice.
+    """
+    if name in READY:
+        return READY[name]
+    module, colon, own = name.partition(":")
+    expected = f"expected {', '.join(READY)}, or MODULE:CLASS of your own"
+    if not colon:
+        raise ValueError(f"device is {name!r}: {expected}")
+    try:
+        found = getattr(import_module(module), own)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"device is {name!r}: {error}") from None
+    if not (isinstance(found, type) and issubclass(found, GloveDevice)):
+        raise ValueError(f"device is {name!r}, which is no GloveDevice: {expected}")
+    return found
+
+
+def make_device(
+    options: Mapping[str, Any], model: GloveModel, sensors: Sensors, open_line: Callable[[], Line], guard: Guard
+) -> GloveDevice:
+    """The device of the ``device`` that options name, native where they name none.
+
+    A class of your own is called with model, ``open_line`` and guard.
+
+    Raises:
+        ValueError: for a device that is not there, and what it says of a model or options that it cannot use.
+    """
+    kind = device_kind(options.get("device", "native"))
+    if kind is GloveHost:
+        return GloveHost(model, sensors, open_line, guard, baud=options.get("baud", 115_200))
+    if kind is LucidHost:
+        return LucidHost(model, open_line, guard, full_scale=options.get("full_scale", 4095))
+    maker: Callable[[GloveModel, Callable[[], Line], Guard], GloveDevice] = kind
+    return maker(model, open_line, guard)

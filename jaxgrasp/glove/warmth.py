@@ -1,0 +1,50 @@
+"""How warm motors are, and what that leaves of their strength: torques for moments, and torques for ever."""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrasp.glove.model import GloveModel
+
+FADING = 0.2
+"""Part of the warmth that a motor can bear over which its torque fades from the limit to what it holds for ever."""
+
+
+class Warmth:
+    """The windings' warmth above their surroundings', as the torque that would keep it for ever, squared.
+
+    A winding warms with the square of its current, and cools by its time constant (a motor's catalogue has both
+    numbers). Torque is given up gradually, so that nothing jumps in the hand.
+    """
+
+    def __init__(self, model: GloveModel) -> None:
+        """Motors that are cold."""
+        self._limits = np.array(model.limits)
+        self._continuous = None if model.continuous is None else np.array(model.continuous)
+        self._heating = model.heating
+        self._squares = np.zeros(len(model.limits))
+        self._at = math.inf
+
+    def most(self, now: float, torques: Float[np.ndarray, "channels"]) -> Float[np.ndarray, "channels"]:
+        """The largest torque of each channel at a time [N.m]; ``torques`` held since the last call."""
+        if self._continuous is None:
+            return self._limits
+        share = -math.expm1(-max(0.0, now - self._at) / self._heating)
+        self._at = now
+        self._squares += share * (torques**2 - self._squares)
+        left = np.clip((1 - self._squares / self._continuous**2) / FADING, 0, 1)
+        return self._continuous + left * (self._limits - self._continuous)
+
+
+def lasts(model: GloveModel, torques: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch"]:
+    """How long cold motors hold torques, cut to their limits, before one of them fades [s]; inf where none does."""
+    if model.continuous is None:
+        return np.full(torques.shape[:-1], math.inf)
+    limits, continuous = np.array(model.limits), np.array(model.continuous)
+    held = np.minimum(torques, limits)
+    fades = held > continuous
+    left = np.divide(held - continuous, limits - continuous, out=np.zeros(held.shape), where=fades)
+    squares = continuous**2 * (1 - FADING * left)
+    ratio = np.divide(squares, held**2, out=np.zeros(held.shape), where=fades)
+    return np.asarray(np.where(fades, -model.heating * np.log1p(-ratio), math.inf).min(-1))

@@ -1,0 +1,122 @@
+"""BODex's files: grasps of an object with their contacts, and the pressures that its own optimisation found.
+
+A file is one pickled record of one object or several, b, each with n grasps of p contacts, in the world in which the
+object stands; lengths in metres. ``contact_point`` (b, n, p, 3) lies on the object, ``contact_frame`` (b, n, p, 3, 3)
+has as its column 0 the normal into the object, and as the others two tangents. ``contact_force`` (b, n, m, p, 3 or 4)
+is in that frame, pressure first, for each of m wrenches that were to be exerted; a contact presses by at most 1.
+``world_cfg`` says where the object's mesh stands (x, y, z and quaternion w, x, y, z), its ``scale`` and its path.
+
+The pressures here are the means over the m wrenches. Friction is not in the files; it is ``miu_coef`` of the run, 0.1
+for the Shadow hand's. Grasps whose ``grasp_error`` is large are not left out. The object's centre of mass is not in the
+files either: it comes from the mesh. ``robot_pose`` (b, n, 3, 7 + J), the hand in pregrasp, grasp and squeeze with its
+``joint_names``, the thumb's first, is not needed.
+
+Source: Chen, Ke and Wang, BODex, 2025; https://github.com/JYChen18/BODex, ``example_grasp/plan_batch_env.py`` and
+``src/curobo/rollout/cost/grasp_energy``.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxgrasp.files.plain_pickle import load_plain
+from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
+from jaxgrasp.interop.records import field, numbers, pose, read_each, rigid_axes
+from jaxgrasp.validation.checked import checked
+
+
+class _Object(NamedTuple):
+    transform: np.ndarray
+    scale: np.ndarray
+    mesh: str
+
+
+@checked
+def read_bodex(path: str | Path, *, keep_going: bool = False) -> ContactRecords:
+    """The grasps of a file.
+
+    Args:
+        path: a ``.npy`` file.
+        keep_going: leave bad grasps out and say what is wrong with them, instead of stopping at the first.
+
+    Returns:
+        Contacts in the file's world. The unit of pressures is the largest pressure of a contact. Objects, scales and
+        mesh are None where the file does not have one mesh for each b, all of one path.
+
+    Raises:
+        ValueError: for a file that is none of BODex's, and for its first bad grasp.
+        OSError: for a file that cannot be read.
+    """
+    record = load_plain(path)
+    try:
+        points, frames, forces = (_array(record, name) for name in ("contact_point", "contact_frame", "contact_force"))
+        _check_shapes(points, frames, forces)
+        objects = _objects(record, len(points))
+    except ValueError as error:
+        raise ValueError(f"{path} is no file of BODex: {error}") from None
+
+    def each() -> Iterator[tuple[str, Any]]:
+        for place in np.ndindex(points.shape[:2]):
+            yield ", ".join(map(str, place)), (points[place], frames[place], forces[place])
+
+    found, left_out = read_each(path, each(), _grasp, keep_going)
+    if objects is None:
+        return contact_records(path, found, left_out)
+    own = [objects[int(name.split(",")[0])] for name, _ in found]
+    return contact_records(
+        path,
+        found,
+        left_out,
+        objects=np.stack([one.transform for one in own]),
+        scales=np.stack([one.scale for one in own]),
+        mesh=own[0].mesh,
+    )
+
+
+def _array(record: Any, name: str) -> np.ndarray:
+    array = field(record, name)
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} is no array of numbers")
+    return array
+
+
+def _check_shapes(points: np.ndarray, frames: np.ndarray, forces: np.ndarray) -> None:
+    if points.ndim != 4 or points.shape[3] != 3 or 0 in points.shape:
+        raise ValueError(f"contact_point has the shape {points.shape}: expected (b, n, p, 3)")
+    if frames.shape != (*points.shape, 3):
+        raise ValueError(f"contact_frame has the shape {frames.shape}: expected {(*points.shape, 3)}")
+    b, n, p, _ = points.shape
+    if forces.ndim != 5 or forces.shape[:2] != (b, n) or forces.shape[3] != p or forces.shape[4] not in (3, 4):
+        raise ValueError(f"contact_force has the shape {forces.shape}: expected ({b}, {n}, m, {p}, 3 or 4)")
+    if not forces.shape[2]:
+        raise ValueError("contact_force is of no wrenches: expected one at least")
+
+
+def _grasp(given: tuple[np.ndarray, np.ndarray, np.ndarray]) -> OneGrasp:
+    points = numbers("contact_point", given[0], (None, 3))
+    frames = rigid_axes("contact_frame", given[1])
+    forces = numbers("contact_force", given[2], (None, len(points), None))
+    pressures = pressing("contact_force", forces[..., 0].mean(0))
+    return OneGrasp(points, frames[..., 0], pressures, np.full(3, np.nan), np.zeros(6))
+
+
+def _objects(record: dict, count: int) -> list[_Object] | None:
+    """Where the meshes stand, of a file that says it of one mesh for each."""
+    worlds = record.get("world_cfg")
+    if not isinstance(worlds, list | tuple) or len(worlds) != count:
+        return None
+    found = []
+    for world in worlds:
+        meshes = world.get("mesh") if isinstance(world, dict) else None
+        if not isinstance(meshes, dict) or len(meshes) != 1:
+            return None
+        ((name, mesh),) = meshes.items()
+        scale = np.asarray(field(mesh, "scale"))
+        scale = np.full(3, scale) if scale.ndim == 0 else scale
+        scale = numbers(f"world_cfg mesh {str(name)[:40]!r} scale", scale, (3,))
+        if not (scale > 0).all():
+            raise ValueError(f"world_cfg has the scale {scale}: expected positive numbers")
+        found.append(_Object(pose("world_cfg pose", field(mesh, "pose")), scale, str(field(mesh, "file_path"))))
+    return found if len({one.mesh for one in found}) == 1 else None

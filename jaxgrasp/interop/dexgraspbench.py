@@ -1,0 +1,95 @@
+"""DexGraspBench's files: a hand's posture by the order of its joints, beside an object that stands in the world.
+
+A file is one pickled record. ``grasp_qpos`` (also ``pregrasp_qpos`` and ``squeeze_qpos``) is what MuJoCo's ``qpos`` of
+the hand is set to: the place of the hand's root in the world [m], its unit quaternion w, x, y, z, and the joints'
+values [rad] in the order in which the benchmark's own MJCF of the hand has them. The root is that MJCF's world, not its
+first body: the benchmark hangs the whole file on a free joint. ``obj_pose`` is the object's place in the world in the
+same way, ``obj_scale`` the size of its mesh [m for one unit], ``obj_path`` the folder of its meshes, of which
+``mesh/simplified.obj`` is the one that is meant. Normals and forces it has none. ``squeeze_qpos`` is where the joints
+are driven to, beyond the grasp and into the object.
+
+Of the order no name is in the file: count and limits of the joints are checked, and that is all that can be.
+
+Source: Chen, Ke and Wang, BODex, 2025; https://github.com/JYChen18/DexGraspBench, ``src/util/hand_util.py``.
+"""
+
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from jaxgrasp.files.plain_pickle import load_plain
+from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.records import by_order, field, numbers, pose, positive, read_each
+from jaxgrasp.model.hand import Hand
+from jaxgrasp.validation.checked import checked
+
+MESH = "mesh/simplified.obj"
+
+
+class _Grasp(NamedTuple):
+    transform: np.ndarray
+    angles: np.ndarray
+
+
+@checked
+def read_dexgraspbench(
+    path: str | Path,
+    hand: Hand,
+    *,
+    posture: Literal["pregrasp", "grasp", "squeeze"] = "grasp",
+    keep_going: bool = False,
+) -> GraspPoses:
+    """The grasp of a file, or its grasps where it holds several postures ``(n, 7 + J)``.
+
+    Args:
+        path: a ``.npy`` file.
+        hand: of the MJCF that the file was made with, from its world on
+            (``hand_from_mujoco(load_mjcf(path, capsules=True), "world").hand``: some of its links are meshes).
+        posture: which of the file's postures; the limits of the joints are looked at in the grasp's.
+        keep_going: leave bad postures out and say what is wrong with them, instead of stopping at the first.
+
+    Returns:
+        Poses in the world, where the object stands too.
+
+    Raises:
+        ValueError: for a file that is none of DexGraspBench's, and for its first bad posture.
+        OSError: for a file that cannot be read.
+    """
+    record = load_plain(path)
+    try:
+        object_ = pose("obj_pose", field(record, "obj_pose"))
+        scale = positive("obj_scale", field(record, "obj_scale"))
+        given = {name: np.atleast_2d(field(record, f"{name}_qpos")) for name in dict.fromkeys(("grasp", posture))}
+    except ValueError as error:
+        raise ValueError(f"{path} is no grasp of DexGraspBench: {error}") from None
+    rows = len(given["grasp"])
+    each = ((str(i), {name: several[i : i + 1] for name, several in given.items()}) for i in range(rows))
+    found, left_out = read_each(path, each, lambda one: _grasp(one, hand, posture), keep_going)
+    place = record.get("obj_path")
+    return GraspPoses(
+        Path(path),
+        tuple(name for name, _ in found),
+        np.stack([one.transform for _, one in found]),
+        np.stack([one.angles for _, one in found]),
+        np.full(len(found), scale),
+        np.tile(object_, (len(found), 1, 1)),
+        f"{place}/{MESH}" if isinstance(place, str) else None,
+        mesh_parts=3,
+        left_out=left_out,
+    )
+
+
+def _grasp(record: dict[str, Any], hand: Hand, posture: str) -> _Grasp:
+    size = 7 + len(hand.joints)
+    rows = {name: _row(name, several, size) for name, several in record.items()}
+    by_order("grasp_qpos[7:]", rows["grasp"][7:], hand)
+    return _Grasp(pose(f"{posture}_qpos[:7]", rows[posture][:7]), rows[posture][7:])
+
+
+def _row(name: str, several: np.ndarray, size: int) -> np.ndarray:
+    if several.ndim != 2 or several.shape != (1, size):
+        raise ValueError(
+            f"{name}_qpos has {several.size} numbers: expected {size}, the root's 7 and the hand's {size - 7} joints"
+        )
+    return numbers(f"{name}_qpos", several[0], (size,))

@@ -1,0 +1,79 @@
+"""GraspGen's files: poses of a gripper's base in the frame of an object's mesh.
+
+A file in JSON has ``object`` ``{file, scale}``, the mesh's path in the data set and the size of its unit [m], and
+``grasps`` ``{transforms, object_in_gripper}``: ``transforms`` (N, 4, 4) of the gripper's base link in the mesh's frame,
+already at that scale [m], and which of them held in simulation. The gripper looks along its z axis and closes along x.
+Which gripper it is the file does not say: of suction cups, which have no jaws, nothing here finds contacts.
+Normals, forces and joints there are none.
+
+Source: Murali et al., GraspGen, 2025; https://github.com/NVlabs/GraspGen, ``docs/GRASP_DATASET_FORMAT.md`` and
+``docs/GRIPPER_DESCRIPTION.md``.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.files.printable import shortened
+from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.records import field, positive, read_each, read_text, transform
+from jaxgrasp.validation.checked import checked
+
+
+@checked
+def read_graspgen(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
+    """The grasps of a file.
+
+    Args:
+        path: a ``.json`` file.
+        keep_going: leave bad grasps out and say what is wrong with them, instead of stopping at the first.
+
+    Returns:
+        Poses in the mesh's frame.
+
+    Raises:
+        ValueError: for a file that is none of GraspGen's, and for its first bad grasp.
+        OSError: for a file that cannot be read.
+    """
+    whole = _json(path)
+    try:
+        object_, grasps = field(whole, "object"), field(whole, "grasps")
+        mesh, scale = field(object_, "file"), positive("object.scale", field(object_, "scale"))
+        transforms = field(grasps, "transforms")
+        if not isinstance(transforms, list) or not transforms:
+            raise ValueError(f"grasps.transforms is {shortened(transforms)}: expected a list of poses")
+        succeeded = _flags(grasps.get("object_in_gripper"), len(transforms))
+    except ValueError as error:
+        raise ValueError(f"{path} is no file of GraspGen: {error}") from None
+    each = ((str(number), one) for number, one in enumerate(transforms))
+    found, left_out = read_each(path, each, lambda one: transform("transforms", one), keep_going, "grasp")
+    kept = np.array([int(name) for name, _ in found])
+    return GraspPoses(
+        Path(path),
+        tuple(name for name, _ in found),
+        np.stack([one for _, one in found]),
+        scales=np.full(len(found), scale),
+        mesh=mesh if isinstance(mesh, str) else None,
+        succeeded=None if succeeded is None else succeeded[kept],
+        left_out=left_out,
+    )
+
+
+def _json(path: str | Path) -> Any:
+    text = read_text(path)
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError(f"{path} is no JSON of ours: it is nested too deeply") from None
+    except ValueError as error:
+        raise ValueError(f"{path} is no JSON: {error}") from None
+
+
+def _flags(given: Any, count: int) -> np.ndarray | None:
+    if given is None:
+        return None
+    if not isinstance(given, list) or len(given) != count or any(one not in (0, 1) for one in given):
+        raise ValueError(f"grasps.object_in_gripper is {shortened(given)}: expected {count} of true or false")
+    return np.array(given, bool)

@@ -1,0 +1,135 @@
+"""GraspIt!'s world files: a robot's hand beside a body, in millimetres.
+
+A file in XML has a ``graspableBody`` and a ``robot``, each with the ``filename`` of its model and a ``transform`` of
+one ``fullTransform`` ``(w x y z)[x y z]``, a unit quaternion and a place in the world [mm]. The robot's is that of its
+palm. ``dofValues`` are its degrees of freedom [rad; mm of those that slide] in the order of the ``dof`` elements of the
+robot's own model, without their names; one of the kind that breaks away writes a flag for each of its joints behind its
+value, 0 where none has broken away. Joints that follow another by a factor are not in the file. Normals and forces it
+has none.
+
+The order must so be said by whoever imports: the names of a hand's joints, one for each number, and ``-`` for a flag.
+Of it the limits of the joints are checked, and that each joint of the hand is named once.
+
+Source: Miller and Allen, GraspIt!, 2004; https://github.com/graspit-simulator/graspit, ``src/world.cpp``,
+``src/matvecIO.cpp`` and ``BreakAwayDOF`` in ``src/dof.cpp``.
+"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxgrasp.files.file_numbers import decimal_number
+from jaxgrasp.files.printable import shortened
+from jaxgrasp.interop.grasp_poses import GraspPoses
+from jaxgrasp.interop.records import by_name, by_order, frame, numbers, read_text, rotation
+from jaxgrasp.model.hand import Hand
+from jaxgrasp.validation.checked import checked
+
+MILLIMETRE = 1e-3
+FLAG = "-"
+WHOLE = re.compile(r"\s*\(([^()]*)\)\s*\[([^\[\]]*)\]\s*")
+
+
+@checked
+def read_graspit(path: str | Path, hand: Hand, order: Sequence[str], *, robot: str | None = None) -> GraspPoses:
+    """The grasp of a world file.
+
+    Args:
+        path: an ``.xml`` file.
+        hand: whose wrist is the palm of the robot's model.
+        order: the hand's joint that each number of ``dofValues`` is of, and ``-`` for those that are none.
+        robot: which of several robots is the hand, by the name of its model's file without its ending.
+
+    Returns:
+        One pose in the world, where the body stands too; the scale is that of meshes in millimetres. The mesh is None:
+        the body's model is none, but names one.
+
+    Raises:
+        ValueError: for a file that is no such world, naming the element that is wrong.
+        OSError: for a file that cannot be read.
+    """
+    root = _root(path)
+    try:
+        body, chosen = _only(root, "graspableBody", None), _only(root, "robot", robot)
+        return GraspPoses(
+            Path(path),
+            ("0",),
+            _place(chosen, "robot")[None],
+            _angles(chosen, hand, order)[None],
+            np.array([MILLIMETRE]),
+            _place(body, "graspableBody")[None],
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _root(path: str | Path) -> ElementTree.Element:
+    text = read_text(path)
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError(f"{path} defines entities: expected a world of GraspIt!, which has none")
+    try:
+        root = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ValueError(f"{path} is no XML: {error}") from None
+    if root.tag != "world":
+        raise ValueError(f"{path} is <{root.tag[:40]}>: expected <world>, a world of GraspIt!")
+    return root
+
+
+def _only(root: ElementTree.Element, tag: str, name: str | None) -> ElementTree.Element:
+    """The one element of a kind, or that of a name."""
+    found = root.findall(tag)
+    stems = [Path(_text(one, "filename") or "").stem for one in found]
+    if name is not None:
+        found = [one for one, stem in zip(found, stems, strict=True) if stem == name]
+    if len(found) != 1:
+        more = f" of the name {name!r}" if name is not None else ""
+        raise ValueError(f"it has {len(found)} <{tag}>{more}: expected one of {', '.join(stems) or 'any name'}")
+    return found[0]
+
+
+def _text(element: ElementTree.Element, tag: str) -> str | None:
+    found = element.findtext(tag)
+    return None if found is None else found.strip()
+
+
+def _place(element: ElementTree.Element, name: str) -> np.ndarray:
+    """``(4, 4)`` [m]."""
+    parts = element.findall("transform/*")
+    if len(parts) != 1 or parts[0].tag != "fullTransform":
+        said = ", ".join(part.tag[:40] for part in parts) or "none"
+        raise ValueError(f"{name}'s transform is of {said}: expected one fullTransform")
+    written = WHOLE.fullmatch(parts[0].text or "")
+    if written is None:
+        raise ValueError(f"{name}'s fullTransform is {shortened(parts[0].text)}: expected (w x y z)[x y z]")
+    turn, place = (_numbers(f"{name}'s fullTransform", text) for text in written.groups())
+    return frame(MILLIMETRE * numbers(f"{name}'s place", place, (3,)), rotation(f"{name}'s quaternion", turn))
+
+
+def _numbers(name: str, text: str) -> list[float]:
+    try:
+        return [decimal_number(word) for word in text.split()]
+    except ValueError as error:
+        raise ValueError(f"{name} {error}") from None
+
+
+def _angles(robot: ElementTree.Element, hand: Hand, order: Sequence[str]) -> np.ndarray:
+    values = _numbers("dofValues", _text(robot, "dofValues") or "")
+    if len(values) != len(order):
+        raise ValueError(f"dofValues has {len(values)} numbers: expected {len(order)}, one for each name of the order")
+    broken = [k for k, name in enumerate(order) if name == FLAG and values[k] != 0]
+    if broken:
+        raise ValueError(
+            f"dofValues[{broken[0]}] is {values[broken[0]]:g}: expected 0, a joint that has not broken away"
+        )
+    named = [name for name in order if name != FLAG]
+    if len(set(named)) < len(named):
+        raise ValueError(
+            f"the order names {next(n for n in named if named.count(n) > 1)!r} twice: expected each joint once"
+        )
+    given = {name: value for name, value in zip(order, values, strict=True) if name != FLAG}
+    angles = by_name(given, hand.joints, "the order")
+    return by_order("dofValues", np.where(hand.slides, MILLIMETRE, 1.0) * angles, hand)

@@ -1,0 +1,211 @@
+"""Records of files from anywhere: read one by one, checked before they are used, and named where they are bad."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from jaxgrasp.files.printable import printable, shortened
+from jaxgrasp.files.toml_fields import nearest
+from jaxgrasp.model.hand import Hand
+from jaxgrasp.numerics.rotation import is_rotation
+
+Read = TypeVar("Read")
+
+ROUNDING = 1e-4
+"""How far a rotation in a file may be from orthonormal: many are written in single precision."""
+UNIT_ROUNDING = 1e-2
+"""How far the length of a unit vector or a quaternion in a file may be from 1: some are written with three digits."""
+BEYOND_LIMITS = 0.05
+"""How far a joint may stand beyond its limits [rad, m]: simulators let them give way."""
+LARGEST = 1e100
+"""No quantity is this large, and what is can be squared."""
+MOST_BYTES = 2**28
+"""Larger texts are refused: they are no lists of grasps."""
+
+
+def read_each(
+    path: str | Path,
+    records: Iterable[tuple[str, Any]],
+    read: Callable[[Any], Read],
+    keep_going: bool,
+    kind: str = "record",
+) -> tuple[list[tuple[str, Read]], tuple[str, ...]]:
+    """What each record of a file says, with its name, and what was wrong with those that were left out.
+
+    Raises:
+        ValueError: for the first bad record unless ``keep_going``, and for a file without a good one.
+    """
+    found, left_out = [], []
+    for name, record in records:
+        try:
+            found.append((name, read(record)))
+        except ValueError as error:
+            wrong = f"{path}: {kind} {name}: {error}"
+            if not keep_going:
+                raise ValueError(wrong) from None
+            left_out.append(wrong)
+    if not found:
+        raise ValueError(f"{left_out[0]}, and no other {kind} is better" if left_out else f"{path} holds no {kind}s")
+    return found, tuple(left_out)
+
+
+def read_text(path: str | Path) -> str:
+    """A file of text.
+
+    Raises:
+        ValueError: for one that is too large or no text.
+        OSError: for one that cannot be read.
+    """
+    path = Path(path)
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path} has {path.stat().st_size} bytes: expected {MOST_BYTES} at most")
+    try:
+        return path.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} is no text in UTF-8") from None
+
+
+def numbers(name: str, value: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+    """An array of finite numbers in float64; None in ``shape`` stands for any size.
+
+    Raises:
+        ValueError: naming the entry that is none, or the shape that it has.
+    """
+    try:
+        array = np.asarray(value)
+    except (ValueError, OverflowError):
+        raise ValueError(f"{name} is {shortened(value)}: expected an array {_shape_words(shape)}") from None
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} is {shortened(value)}: expected an array of numbers {_shape_words(shape)}")
+    if array.ndim != len(shape) or any(wanted not in (None, own) for wanted, own in zip(shape, array.shape)):
+        raise ValueError(f"{name} has the shape {array.shape}: expected {_shape_words(shape)}")
+    array = array.astype(float)
+    bad = np.argwhere(~(np.abs(array) < LARGEST))
+    if len(bad):
+        place = f"[{', '.join(map(str, bad[0]))}]" if array.ndim else ""
+        raise ValueError(f"{name}{place} is {array[tuple(bad[0])]}: expected a finite number")
+    return array
+
+
+def number(name: str, value: Any) -> float:
+    """One finite number."""
+    try:
+        return float(numbers(name, value, ()))
+    except ValueError:
+        raise ValueError(f"{name} is {printable(str(value)[:40])}: expected a finite number") from None
+
+
+def positive(name: str, value: Any) -> float:
+    """One finite number above zero."""
+    found = number(name, value)
+    if not found > 0:
+        raise ValueError(f"{name} is {found:g}: expected a positive number")
+    return found
+
+
+def field(record: Any, name: str) -> Any:
+    """What a record has under a name."""
+    if not isinstance(record, dict):
+        raise ValueError(f"it is {shortened(record)}: expected fields by their names")
+    if name not in record:
+        raise ValueError(f"it has no {name!r}{nearest(name, [printable(str(one)[:40]) for one in list(record)[:40]])}")
+    return record[name]
+
+
+def directions(name: str, value: Any) -> np.ndarray:
+    """Unit vectors ``(n, 3)``, of exactly unit length."""
+    array = numbers(name, value, (None, 3))
+    length = np.linalg.norm(array, axis=1, keepdims=True)
+    bad = np.flatnonzero(np.abs(length[:, 0] - 1) > UNIT_ROUNDING)
+    if len(bad):
+        raise ValueError(f"{name}[{bad[0]}] has the length {length[bad[0], 0]:.3g}: expected a unit vector")
+    return array / length
+
+
+def rotation(name: str, quaternion: Any) -> np.ndarray:
+    """The matrix of a unit quaternion w, x, y, z."""
+    q = numbers(name, quaternion, (4,))
+    length = np.linalg.norm(q)
+    if not abs(length - 1) <= UNIT_ROUNDING:
+        raise ValueError(f"{name} has the length {length:.3g}: expected a unit quaternion w, x, y, z")
+    w, x, y, z = q / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def pose(name: str, value: Any) -> np.ndarray:
+    """``(4, 4)`` of a place x, y, z and a unit quaternion w, x, y, z."""
+    seven = numbers(name, value, (7,))
+    return frame(seven[:3], rotation(f"{name}[3:]", seven[3:]))
+
+
+def frame(origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """``(..., 4, 4)`` of an origin and of axes as columns."""
+    whole = np.zeros((*axes.shape[:-2], 4, 4))
+    whole[..., :3, :3], whole[..., :3, 3], whole[..., 3, 3] = axes, origin, 1
+    return whole
+
+
+def transform(name: str, value: Any) -> np.ndarray:
+    """A rigid transform ``(4, 4)``."""
+    array = numbers(name, value, (4, 4))
+    if not (is_rotation(array[:3, :3], ROUNDING) and np.array_equal(array[3], [0, 0, 0, 1])):
+        raise ValueError(f"{name} is no pose: expected a rotation and an origin above the row 0 0 0 1")
+    return array
+
+
+def rigid_axes(name: str, value: Any) -> np.ndarray:
+    """Rotations ``(n, 3, 3)``."""
+    array = numbers(name, value, (None, 3, 3))
+    bad = np.flatnonzero(~is_rotation(array, UNIT_ROUNDING))
+    if len(bad):
+        raise ValueError(f"{name}[{bad[0]}] is no rotation: expected orthonormal columns")
+    return array / np.linalg.norm(array, axis=-2, keepdims=True)
+
+
+def by_name(given: dict, wanted: Sequence[str], what: str) -> np.ndarray:
+    """Values in the order of the names that are wanted.
+
+    Raises:
+        ValueError: listing the names that are unknown and those that are missing, with the nearest.
+    """
+    unknown = [str(name)[:40] for name in given if name not in wanted]
+    missing = [name for name in wanted if name not in given]
+    lines = [f"{what} has {name!r}, which the hand has not{nearest(name, wanted)}" for name in unknown[:5]]
+    if missing:
+        known = [printable(str(name)[:40]) for name in given]
+        lines += [f"{what} has no {name!r}, which the hand has{nearest(name, known)}" for name in missing[:5]]
+    if lines:
+        raise ValueError("; ".join(lines))
+    return np.array([number(name, given[name]) for name in wanted])
+
+
+def by_order(name: str, values: Any, hand: Hand) -> np.ndarray:
+    """Joint values that a file has in the hand's own order, as far as the file allows checked by count and limits.
+
+    Raises:
+        ValueError: for another count, or a joint far beyond its limits, as it is where the order is another one.
+    """
+    angles = numbers(name, values, (None,))
+    if len(angles) != len(hand.joints):
+        raise ValueError(f"{name} has {len(angles)} joints: expected {len(hand.joints)}, those of the hand")
+    lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
+    beyond = np.flatnonzero((angles < lower - BEYOND_LIMITS) | (angles > upper + BEYOND_LIMITS))
+    if len(beyond):
+        joint = beyond[0]
+        raise ValueError(
+            f"{name}[{joint}] is {angles[joint]:.3g}, but the hand's {hand.joints[joint]!r} goes from "
+            f"{lower[joint]:.3g} to {upper[joint]:.3g}: is it this hand, in this order?"
+        )
+    return angles
+
+
+def _shape_words(shape: tuple[int | None, ...]) -> str:
+    return f"({', '.join('any' if size is None else str(size) for size in shape)})" if shape else "of one"

@@ -1,0 +1,142 @@
+"""Delays that grow where nobody sees them: torque ends in time all the same, and ages stay true."""
+
+import numpy as np
+import pytest
+
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.host import LinkState
+from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
+from tests.glove.virtual import World
+
+IN_TIME = 0.055
+"""Torque after any fault [s]."""
+
+
+def growing(since: float, rate: float, most: float):
+    return lambda now: float(np.clip(rate * (now - since), 0, most))
+
+
+def delayed(way: str, rate: float, most: float, **options) -> World:
+    """Armed for two seconds, and then a delay begins to grow."""
+    world = World(**options).armed()
+    world.run(2.0)
+    for each in ("outward", "inward") if way == "both" else (way,):
+        setattr(world.line, each, growing(world.now, rate, most))
+    return world
+
+
+@pytest.mark.parametrize("way", ["outward", "inward", "both"])
+@pytest.mark.parametrize(("rate", "most"), [(0.1, 0.3), (0.165, 0.495), (0.005, 0.14), (1.0, 0.5)])
+def test_a_growing_delay_is_seen_and_ends_torque(way, rate, most):
+    world = delayed(way, rate, most)
+    since = world.now
+    world.run(0.04 / rate + 0.3)
+    assert world.host.guard.state == GuardState.LATCHED and world.host.guard.cause
+    # Not before there is anything to see; a tenth of a second after the line is 25 ms late at most.
+    seen = world.zero_after(since)
+    assert 0.002 / rate < seen < 0.025 / rate + 0.1 + IN_TIME
+    assert world.host.state >= LinkState.GREETING
+
+
+@pytest.mark.parametrize("way", ["outward", "inward", "both"])
+@pytest.mark.parametrize("waits", [0.0, 0.004, 0.008, 0.012, 0.02, 0.1, 0.4])
+def test_a_host_that_dies_leaves_no_torque_whatever_the_delay(way, waits):
+    world = delayed(way, 0.1, waits)
+    world.run(waits / 0.1)
+    world.is_host_alive, died = False, world.now
+    world.run(1.5)
+    assert world.zero_after(died) <= IN_TIME
+
+
+@pytest.mark.parametrize("waits", [0.1, 0.4])
+def test_it_is_not_armed_over_a_line_that_is_late(waits):
+    world = World()
+    world.line.outward = lambda now: waits
+    world.bend(0.6)
+    world.run(1.0)
+    assert world.host.state == LinkState.LINKED
+    world.host.arm(world.now)
+    world.run(2.0)
+    assert not any(counts.any() for _, counts in world.history)
+
+
+@pytest.mark.parametrize("drift", [-0.005, 0.0, 0.005])
+@pytest.mark.parametrize(("way", "rate"), [("inward", 0.005), ("inward", 0.05), ("outward", 0.05), ("both", 0.02)])
+def test_the_age_of_angles_is_right_while_they_are_used(way, rate, drift):
+    """Against the true time of each frame, which only the world knows."""
+    world = World(drift=drift).armed()
+    simulation = world.simulation
+    sent: dict[int, float] = {}
+    clock = simulation.clock
+    simulation.clock = lambda now: (sent.setdefault(clock(now), now), clock(now))[1]
+    world.run(8.0)
+    setattr(world.line, "outward" if way == "outward" else "inward", growing(world.now, rate, 0.2))
+    if way == "both":
+        world.line.outward = world.line.inward
+    wrong, ages = [], []
+    told = world.host._clock.sent_at
+
+    def kept(ticks, arrived, trip):
+        found = told(ticks, arrived, trip)
+        if world.host.guard.state == GuardState.ARMED:
+            wrong.append(found - sent[ticks])
+            ages.append(arrived - sent[ticks])
+        return found
+
+    world.host._clock.sent_at = kept
+    world.run(0.03 / rate)
+    assert world.host.guard.state == GuardState.LATCHED
+    assert np.abs(wrong).max() <= 2e-3, "2 ms"
+    assert way == "outward" or np.max(ages) > 0.012, "and they did grow"
+
+
+def test_a_short_delay_is_no_fault():
+    world = World()
+    world.line.inward = world.line.outward = lambda now: 0.003
+    world.armed()
+    world.run(3.0)
+    assert world.host.guard.state == GuardState.ARMED
+
+
+def test_old_frames_arm_nothing():
+    """All that a host ever said, byte for byte, a second time."""
+    world = World()
+    said = []
+    write = world.line.write
+    world.line.write = lambda data: (said.append(data), write(data))[1]
+    world.armed()
+    world.host.close(world.now)
+    world.is_host_alive = False
+    world.run(0.2)
+    begun = len(world.history)
+    for data in said:
+        write(data)
+        world.run(0.005)
+    assert not any(counts.any() for _, counts in world.history[begun:])
+
+
+def test_a_clock_tells_drift_from_delay():
+    rng = np.random.default_rng(0)
+    clock, drift = PeerClock(), 0.004
+    errors = []
+    for k in range(6000):
+        sent = 50.0 + 0.004 * k
+        grown = max(0.0, 0.003 * (sent - 60.0))
+        waits = 0.001 + rng.exponential(5e-4) + grown
+        found = clock.sent_at(int((1 + drift) * sent * 1e6) % 2**32, sent + waits, 0.002 + waits)
+        errors.append(found - sent - 0.001)
+    assert np.abs(errors[1000:]).max() < 2e-3
+    plain = np.array([max(0.0, 0.003 * (0.004 * k - 10)) for k in range(6000)])
+    assert plain[-1] > 0.04, "by arrivals alone it would be off by this"
+
+
+def test_a_round_trip_is_the_least_of_the_last_moments():
+    seen = RoundTrip(0.1)
+    assert seen.least(0.0) == np.inf
+    rng, trips = np.random.default_rng(1), []
+    for k in range(500):
+        now, trip = 0.01 * k, float(rng.exponential())
+        trips.append((now, trip))
+        seen.add(now, trip)
+        assert seen.least(now) == min(trip for at, trip in trips if at >= now - 0.1)
+    assert seen.least(now + 1) == np.inf

@@ -1,0 +1,97 @@
+"""A device without a watchdog is freed whoever dies: real processes, on a pseudo-terminal, with the firmware's ways."""
+
+import os
+import re
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from jaxgrasp.glove.glove_device import LinkState
+from jaxgrasp.glove.loop.exchange import TorqueLaw
+from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.model import lucidgloves
+from jaxgrasp.glove.other_devices.lucidgloves import ACCEPTANCE
+
+if os.name != "posix":
+    pytest.skip("the simulated firmware needs pseudo-terminals", allow_module_level=True)
+from jaxgrasp.glove.simulated.pseudo_terminal import PseudoTerminal
+
+
+class Firmware(threading.Thread):
+    """Says its curls, waits for an answer, and does what it says until there is another."""
+
+    def __init__(self, path):
+        super().__init__(daemon=True)
+        self.terminal = PseudoTerminal(path, 115_200)
+        self.terminal.plug()
+        self.servos, self.over = [0] * 5, False
+        self.held_at = 0.0
+
+    def run(self) -> None:
+        kept, waits = b"", False
+        while not self.over:
+            now = time.perf_counter()
+            if not waits:
+                self.terminal.queue(b"A2047B2047C2047D2047E2047\n")
+                waits = True
+            self.terminal.write(now)
+            *lines, kept = (kept + self.terminal.read(now)).split(b"\n")
+            for line in lines:
+                if len(line) >= 5:
+                    self.servos = [int(part) for part in re.split(b"[A-E]", line)[1:]]
+                    waits = False
+            if any(self.servos):
+                self.held_at = now
+            time.sleep(0.001)
+        self.terminal.unplug()
+
+
+@pytest.fixture
+def firmware(tmp_path):
+    made = Firmware(tmp_path / "port")
+    made.start()
+    yield made
+    made.over = True
+    made.join()
+
+
+@pytest.mark.slow
+@pytest.mark.always
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "engine", "close"])
+def test_it_is_freed_whoever_ends(firmware, end):
+    model = lucidgloves()
+    glove = GloveProcess(str(firmware.terminal.link), 5, device="lucidgloves", scale=1.0, ramp=0.2)
+
+    def push(until, seconds=10.0):
+        give_up = time.perf_counter() + seconds
+        while not until(glove.state()) and time.perf_counter() < give_up:
+            state = glove.state()
+            if state is not None and np.all(np.isfinite(state.angles)):
+                law = TorqueLaw(time.perf_counter(), True, state.angles, np.full(5, 0.1), np.eye(5))
+                glove.write(law)
+            time.sleep(0.005)
+        return until(glove.state())
+
+    try:
+        assert push(lambda state: state is not None and state.link == LinkState.LINKED)
+        np.testing.assert_allclose(glove.state().angles, 2047 / 4095 * np.array(model.spans))
+        push(lambda _: False, 0.1)
+        with pytest.raises(ValueError, match="to arm it, its user says"):
+            glove.arm()
+        push(lambda _: False, 0.1)
+        glove.arm(ACCEPTANCE)
+        assert push(lambda _: min(firmware.servos) > 0)
+        since = time.perf_counter()
+        if end.startswith("SIG"):
+            glove.child.process.send_signal(getattr(signal, end))
+        elif end == "close":
+            glove.close()
+        time.sleep(1.0)
+        assert firmware.servos == [0] * 5
+        assert firmware.held_at - since < 0.055 + 0.1, "a tenth of a second for processes that must wait their turn"
+    finally:
+        if end != "close":
+            glove.close()

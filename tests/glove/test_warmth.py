@@ -1,0 +1,103 @@
+"""Torques for moments and torques for ever, against the integral of the motors' warmth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.model import GloveModel, load_glove
+from jaxgrasp.glove.warmth import lasts
+
+MODEL = GloveModel("warm", ("a", "b"), (0.2, 0.3), rate=20.0, continuous=(0.1, 0.25), heating=2.0)
+TURN = 0.005
+
+
+def played(asked, model: GloveModel = MODEL) -> np.ndarray:
+    """Torques ``(turns, 2)`` that leave, of those asked for at each turn."""
+    guard = Guard(model, ramp=1e-3)
+    guard.arm(0.0)
+    return np.array([guard.step(TURN * k, one, TURN * k).torques for k, one in enumerate(asked, 1)])
+
+
+def warmth(torques: np.ndarray) -> np.ndarray:
+    """By SciPy's integrator: T s' = torque^2 - s of torques that are held for a turn each."""
+    found = [np.zeros(2)]
+    for torque in torques:
+        rate = lambda _, squares, torque=torque: (torque**2 - squares) / MODEL.heating  # noqa: E731
+        found.append(solve_ivp(rate, (0, TURN), found[-1], rtol=1e-8, atol=1e-12).y[:, -1])
+    return np.array(found)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 200), st.floats(0, 0.5), st.floats(0, 0.5)), min_size=2, max_size=5))
+def test_no_motor_gets_warmer_than_what_it_bears_for_ever(parts):
+    torques = played([torque for count, *torque in parts for _ in range(count)])
+    most = np.array(MODEL.continuous) ** 2
+    assert np.all(warmth(torques) <= most * (1 + 1e-3))
+
+
+def test_a_limit_is_for_moments_and_fades_without_a_jump():
+    torques = played(np.full((4000, 2), 0.3))
+    assert torques[:20].max(0) == pytest.approx([0.2, 0.3], abs=1e-4)
+    assert torques[-1] == pytest.approx(MODEL.continuous, abs=1e-3)
+    # As gradually as it warms: what fades, by the fifth of the warmth over which it does, and the time constant.
+    assert np.abs(np.diff(torques[20:], axis=0)).max() < TURN * (0.1 / 0.2) * (0.2 / 0.1) ** 2 / MODEL.heating
+    whole = (np.abs(torques - MODEL.limits) < 2e-5).all(1)
+    seconds = TURN * np.flatnonzero(whole)[-1]
+    assert seconds == pytest.approx(float(lasts(MODEL, np.full(2, 0.3))), abs=0.05)
+
+
+def test_what_is_borne_for_ever_stays():
+    torques = played(np.full((4000, 2), MODEL.continuous))
+    np.testing.assert_allclose(torques[50:], np.broadcast_to(MODEL.continuous, torques[50:].shape), atol=1e-5)
+    assert lasts(MODEL, np.array(MODEL.continuous)) == np.inf
+
+
+def test_rest_cools():
+    rests = np.zeros((2000, 2))
+    torques = played(np.concatenate([np.full((2000, 2), 0.3), rests, np.full((20, 2), 0.3)]))
+    assert torques[-1] == pytest.approx([0.2, 0.3], abs=1e-4)
+    guard = Guard(MODEL, ramp=1e-3)
+    for begins in (0.0, 100.0):
+        guard.arm(begins)
+        for k in range(1, 1000):
+            found = guard.step(begins + TURN * k, np.full(2, 0.3), begins + TURN * k)
+            first = found.torques if k == 10 else first if k > 10 else None
+        assert first == pytest.approx([0.2, 0.3], abs=1e-4) and found.torques[0] < 0.15
+        guard.disarm()
+
+
+def test_times_follow_torques():
+    torques = np.array([[0.2, 0], [0.15, 0], [0.1, 0], [0, 0.3], [0.5, 0.26]])
+    found = lasts(MODEL, torques)
+    # T ln(1 / (1 - bearable / torque^2)), of which a fifth fades.
+    expected = [
+        -2 * np.log1p(-0.01 * 0.8 / 0.04),
+        -2 * np.log1p(-0.01 * 0.9 / 0.0225),
+        np.inf,
+        -2 * np.log1p(-0.0625 * 0.8 / 0.09),
+        -2 * np.log1p(-0.01 * 0.8 / 0.04),
+    ]
+    np.testing.assert_allclose(found, expected)
+    assert (lasts(replace(MODEL, continuous=None), torques) == np.inf).all()
+    assert (lasts(replace(MODEL, continuous=MODEL.limits), torques) == np.inf).all()
+
+
+def test_bad_entries(tmp_path):
+    path = tmp_path / "glove.toml"
+    head = 'name = "warm"\njoints = ["a", "b"]\nlimits = [0.2, 0.3]\n'
+    path.write_text(head + "continuous = [0.1, 0.25]\nheating = 2\nrate = 20\n")
+    assert load_glove(path) == MODEL
+    for more, message in (
+        ("continuous = [0.1]", "continuous are 1: expected one for each of 2 joints"),
+        ("continuous = 0.25", r"continuous\[0\] is 0.25: expected its limit, 0.2, at most"),
+        ("continuous = 0", r"continuous\[0\] is 0.0: expected a positive number"),
+        ("continuous = 0.1\nheating = -1", "heating is -1.0: expected a positive number"),
+    ):
+        path.write_text(head + more)
+        with pytest.raises(ValueError, match=message):
+            load_glove(path)

@@ -1,0 +1,106 @@
+"""GraspIt!'s world files: a pinch of a cube, in millimetres."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.batch.sources import load_grasps
+from jaxgrasp.cli.main import main
+from jaxgrasp.interop import hand_from_mujoco, load_mjcf, read_graspit
+from jaxgrasp.model.hand import Hand
+from tests.interop.two_fingers import BELOW, PINCH, SIZE, matrix, model, on_opposite_faces, seven
+
+OBJECT = (np.array([0.3, -0.2, 0.1]), Rotation.from_euler("xyz", (0.4, -0.3, 0.9)))
+PALM = (OBJECT[0] + OBJECT[1].apply(BELOW), OBJECT[1])
+ORDER = ("right", "-", "left", "-")
+"""As of a hand whose joints break away, so that a flag follows each number."""
+
+
+def place(where: tuple[np.ndarray, Rotation]) -> str:
+    x, y, z, *turn = seven(1e3 * where[0], where[1])
+    full = f"({' '.join(f'{q:+.12g}' for q in turn)})[{x:+.12g} {y} {z}]"
+    return f"<transform><fullTransform>{full}</fullTransform></transform>"
+
+
+def world(values: str = f"{PINCH[1]:+} 0 {PINCH[0]:+} +0", robot: str = place(PALM), body: str = place(OBJECT)) -> str:
+    return f"""<?xml version="1.0" ?>
+    <world>
+        <obstacle><filename>models/table.xml</filename></obstacle>
+        <graspableBody><filename>models/objects/cube.xml</filename>{body}</graspableBody>
+        <robot><filename>models/robots/Two/Two.xml</filename><dofValues>{values} </dofValues>{robot}</robot>
+        <camera><position>0 0 0</position></camera>
+    </world>"""
+
+
+@pytest.fixture
+def hand(folder) -> Hand:
+    (folder / "hand.xml").write_text(model())
+    return hand_from_mujoco(load_mjcf("hand.xml"), "palm").hand
+
+
+def test_places_are_millimetres_and_joints_as_the_order_says(folder, hand):
+    (folder / "one.xml").write_text(world())
+    found = read_graspit("one.xml", hand, ORDER)
+    np.testing.assert_allclose(found.transforms[0], matrix(*PALM), atol=1e-10)
+    np.testing.assert_allclose(found.objects[0], matrix(*OBJECT), atol=1e-10)
+    assert found.angles.tolist() == [list(PINCH)] and found.scales.tolist() == [1e-3]
+
+
+@pytest.mark.slow
+def test_forward_kinematics_puts_the_fingers_on_the_cube(folder, hand, capsys):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box([1e3 * SIZE] * 3).export("cube.stl")
+    (folder / "one.xml").write_text(world())
+    command = ["import", "graspit", "one.xml", "--hand", "hand.xml", "--object", "cube.stl", "--levels", "5"]
+    assert main([*command, "--order", *ORDER]) == 0
+    sets = load_grasps("grasps.npz")
+    on_opposite_faces(sets.points, sets.normals, matrix(*OBJECT))
+
+
+TWO = world().replace("<camera>", "<robot><filename>models/robots/Puma/Puma.xml</filename></robot><camera>")
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("<world>", "bad.xml is no XML"),
+        ("<robot/>", "bad.xml is <robot>: expected <world>"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><world/>', "bad.xml defines entities"),
+        ("<world/>", "it has 0 <graspableBody>: expected one of any name"),
+        (TWO, "it has 2 <robot>: expected one of Two, Puma"),
+        (world("0 0"), "dofValues has 2 numbers: expected 4, one for each name of the order"),
+        (world("0 1 0 0"), r"dofValues\[1\] is 1: expected 0, a joint that has not broken away"),
+        (world("0 0 x 0"), "dofValues is 'x': expected a number"),
+        (world("3 0 0 0"), "is 3, but the hand's 'right' goes from -1 to 1"),
+        (world(robot="<transform><translation>0 0 0</translation></transform>"), "robot's transform is of translation"),
+        (
+            world(robot="<transform><fullTransform>1 0 0 0</fullTransform></transform>"),
+            r"expected \(w x y z\)\[x y z\]",
+        ),
+        (world(body=place(OBJECT).replace("(", "(5 ")), "graspableBody's quaternion has the (length|shape)"),
+        (world(body=place(OBJECT).replace("[", "[inf ")), "graspableBody's place has the shape"),
+    ],
+)
+def test_a_bad_world_is_named(folder, hand, text, said):
+    (folder / "bad.xml").write_text(text)
+    with pytest.raises(ValueError, match=said) as caught:
+        read_graspit("bad.xml", hand, ORDER)
+    assert str(caught.value).startswith("bad.xml") and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "order, said",
+    [
+        (("right", "-", "lefty", "-"), "the order has 'lefty', which the hand has not.*'left'.*has no 'left'"),
+        (("right", "-", "right", "-"), "the order names 'right' twice: expected each joint once"),
+    ],
+)
+def test_a_bad_order_is_named_with_the_nearest(folder, hand, order, said):
+    (folder / "one.xml").write_text(world())
+    with pytest.raises(ValueError, match=said):
+        read_graspit("one.xml", hand, order)
+
+
+def test_of_several_robots_one_is_named(folder, hand):
+    (folder / "two.xml").write_text(TWO)
+    assert len(read_graspit("two.xml", hand, ORDER, robot="Two")) == 1

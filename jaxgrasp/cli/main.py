@@ -15,6 +15,7 @@ from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCo
 from jaxgrasp.cli.file_arguments import Convert, Template
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
+from jaxgrasp.cli.hand_arguments import CheckHand
 from jaxgrasp.cli.import_arguments import (
     ACRONYM,
     BODex,
@@ -39,6 +40,7 @@ Command = (
     | Annotated[Experiment, tyro.conf.subcommand("experiment")]
     | Annotated[Glove, tyro.conf.subcommand("glove")]
     | Annotated[Grip, tyro.conf.subcommand("grip")]
+    | Annotated[CheckHand, tyro.conf.subcommand("hand")]
     | Annotated[ImportCommand, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
@@ -59,6 +61,7 @@ FUNCTIONS: dict[type, str] = {
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
     Show: "show_grasp.show_command",
+    CheckHand: "hand_check.check_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
     Check: "scene_check.check_command",
     ReadyScenes: "scene_check.list_command",

@@ -1,5 +1,6 @@
 """How far a posed hand is from holding an object by its fingertips: every demand of such a grip, as a number."""
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -9,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.hand.closing_way import ClosingWay
+from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.hand.shapes import Shape, signed_distance
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
@@ -33,23 +35,74 @@ class FingertipTask(eqx.Module):
     shape: Shape
     depth: float | AnyArray
     """[m]"""
+    way: ClosingWay
+    """In which the hand closes."""
+    pulps: AnyArray
+    """``(n, 3)`` Straight out of each fingertip's palmar side, in its link's frame."""
+    sides: AnyArray
+    """``(n, 3)`` Sideways out of each fingertip, likewise."""
     fingers: tuple[str, ...] = eqx.field(static=True)
     """The thumb first."""
+    tips: tuple[int, ...] = eqx.field(static=True)
+    """Their links."""
+    joints: tuple[int, ...] = eqx.field(static=True)
+    """Those that carry the fingertips."""
+    flexions: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """Of each finger the joints that close it, from the palm outwards."""
 
     @property
-    def tips(self) -> list[int]:
-        """Their links."""
-        names = [link.name for link in self.hand.links]
-        return [names.index(f"{finger} distal") for finger in self.fingers]
+    def wrist(self) -> Pose:
+        """At the world's origin, palm down."""
+        return Pose(jnp.zeros(3), jnp.asarray(self.way.frame).T)
 
     @property
-    def joints(self) -> list[int]:
-        """Those that carry the fingertips."""
-        return [j for j, name in enumerate(self.hand.joints) if name.split()[0] in self.fingers]
+    def abductions(self) -> list[int]:
+        """The fingers' other joints."""
+        flexing = {joint for chain in self.flexions for joint in chain}
+        thumb = set(np.flatnonzero(ancestry(self.hand)[self.tips[0]]).tolist())
+        return [joint for joint in self.joints if joint not in flexing | thumb]
 
-    def fingers_joints(self, kind: str) -> list[int]:
-        """One kind of joint of all fingers but the thumb."""
-        return [self.hand.joints.index(f"{finger} {kind}") for finger in self.fingers[1:]]
+    def bent(self, angles: AnyArray, joints: Sequence[int]) -> AnyArray:
+        """How far joints are on their way from open to closed [rad]."""
+        at = np.array(joints)
+        ways = jnp.asarray(self.way.closed)[at] - jnp.asarray(self.way.open)[at]
+        return jnp.sign(ways) * (angles[..., at] - jnp.asarray(self.way.open)[at])
+
+
+def fingertip_task(hand: Hand, shape: Shape, depth: float, fingers: tuple[str, ...], way: ClosingWay) -> FingertipTask:
+    """The task of a hand's fingertips, the thumb's first.
+
+    Raises:
+        ValueError: for a hand that lacks one of these fingertips, or joints that bend it.
+    """
+    names, moves = [(link.finger, link.phalanx) for link in hand.links], ancestry(hand)
+    lacking = [finger for finger in fingers if (finger, "distal") not in names]
+    if lacking:
+        raise ValueError(f"hand has no link {lacking[0]} distal: expected links named as name_fingers does")
+    tips = [names.index((finger, "distal")) for finger in fingers]
+    closing = np.asarray(way.closed) != np.asarray(way.open)
+    flexions = tuple(tuple(np.flatnonzero(moves[tip] & closing).tolist()) for tip in tips)
+    for finger, chain in zip(fingers, flexions, strict=True):
+        if len(chain) < 2:
+            raise ValueError(f"{finger} has {len(chain)} joints that close it: expected two at least")
+    still = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(way.open))
+    frames = jax.device_get(pose_hand(hand, still))
+    last = np.array([chain[-1] for chain in flexions])
+    turned, axes = frames.links.rotation[tips], frames.axes[last]
+    ends = frames.links.origin[tips] + np.einsum("tij,tj->ti", turned, tip_ends(hand, tips))
+    signs = np.sign(np.asarray(way.closed) - np.asarray(way.open))[last]
+    towards = signs[:, None] * np.cross(axes, ends - frames.joints.origin[last])
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    own = [np.einsum("tij,ti->tj", turned, each) for each in (towards, axes)]
+    joints = tuple(np.flatnonzero(moves[tips].any(0)).tolist())
+    return FingertipTask(hand, shape, depth, way, own[0], own[1], fingers, tuple(tips), joints, flexions)
+
+
+def tip_ends(hand: Hand, tips: list[int]) -> np.ndarray:
+    """``(n, 3)`` Centres of the spheres at the ends of links, in their frames."""
+    centers, radii = np.asarray(hand.skin.centers)[tips], np.asarray(hand.skin.radii)[tips]
+    ends = np.argmax(np.where(radii > 0, np.linalg.norm(centers, axis=-1), -1), -1)
+    return centers[np.arange(len(tips)), ends]
 
 
 class Misses(NamedTuple):
@@ -72,7 +125,7 @@ class Misses(NamedTuple):
     coupling: AnyArray
     """``(n - 1,)`` Flexion of the last joints beyond the ``COUPLING`` [rad]."""
     spread: AnyArray
-    """``(n - 1,)`` Abduction of the fingers [rad]."""
+    """Abduction of the fingers [rad]: of every joint of theirs that does not close them."""
 
 
 WEIGHED = {
@@ -90,14 +143,14 @@ WEIGHED = {
 
 
 def misses(task: FingertipTask, angles: Array, placed: Pose) -> Misses:
-    """What is missing, where the wrist stands at the world's origin.
+    """What is missing, where the wrist stands at the world's origin, palm down.
 
     A fingertip that does not touch counts by its sphere that is nearest to the object; one that does by the mean
     of its overlaps, as [`jaxgrasp.hand.find_contacts`][] takes it.
     """
     hand, tips = task.hand, np.array(task.tips)
     others = np.setdiff1d(np.arange(len(hand.links)), tips)
-    links = pose_hand(hand, Posture(Pose(jnp.zeros(3), jnp.eye(3)), angles)).links
+    links = pose_hand(hand, Posture(task.wrist, angles)).links
     centers = jnp.einsum("lij,lmj->lmi", links.rotation, hand.skin.centers) + links.origin[:, None]
     own = (centers - placed.origin) @ placed.rotation
     distances, out = signed_distance(task.shape, own)
@@ -107,16 +160,17 @@ def misses(task: FingertipTask, angles: Array, placed: Pose) -> Misses:
     normals = -_unit(jnp.einsum("tm,tmi->ti", weights, out[tips])) @ placed.rotation.T
     along = _unit(jnp.mean(points[1:], 0) - points[0])
     turned = links.rotation[tips]
+    before, ends = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
     return Misses(
         depth=jnp.sum(weights * depths[tips], -1) - task.depth,
         facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
         opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
         intrusion=jnp.maximum(jnp.max(depths[others], -1) + CLEARANCE, 0),
         overlap=jnp.maximum(APART - _gaps(centers[tips], hand.skin.radii[tips]), 0),
-        pulp=jnp.maximum(PULP + jnp.sum(turned[..., 2] * normals, -1), 0),
-        side=jnp.sum(turned[..., 1] * normals, -1),
-        coupling=angles[np.array(task.fingers_joints("DIP"))] - COUPLING * angles[np.array(task.fingers_joints("PIP"))],
-        spread=angles[np.array(task.fingers_joints("abduction"))],
+        pulp=jnp.maximum(PULP - jnp.einsum("tij,tj,ti->t", turned, task.pulps, normals), 0),
+        side=jnp.einsum("tij,tj,ti->t", turned, task.sides, normals),
+        coupling=task.bent(angles, ends) - COUPLING * task.bent(angles, before),
+        spread=(angles - jnp.asarray(task.way.open))[np.array(task.abductions, int)],
     )
 
 

@@ -4,8 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.hand.closing import close_hand
+from jaxgrasp.hand.closing_way import ClosingWay, closing_way
 from jaxgrasp.hand.detection import Contacts
-from jaxgrasp.hand.human_hand import check_human, open_angles
+from jaxgrasp.hand.human_hand import is_human
+from jaxgrasp.hand.posture_limits import ROUNDING, check_clear
 from jaxgrasp.hand.shapes import Shape, check_shape
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.vec3 import Vec3
@@ -15,52 +17,59 @@ ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
 
 
-def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose]:
+def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None = None) -> tuple[Posture, Pose]:
     """An open hand, its palm on an object below it: wrist at the world's origin, palm down.
 
     The object lies under the knuckles, its z axis across the palm.
 
     Args:
-        hand: a human hand.
+        hand: a human hand, or one whose fingers have names.
         shape: of the object.
         depth: at which the palm presses into it [m].
+        way: in which the hand closes; its own where not given.
 
     Raises:
         TypeError: for what is no hand, or no shape.
-        ValueError: for a hand that is not a human one, a shape of no volume, or a depth below zero.
+        ValueError: for a hand without palm and fingers, a shape of no volume, or a depth below zero.
     """
-    check_human(hand)
-    knuckles = [hand.joints.index(name) for name in ("index abduction", "little abduction")]
-    palm = [link.name for link in hand.links].index("middle palm")
-    origins, rotation = np.asarray(hand.origins), np.array(ACROSS)
+    way = closing_way(hand) if way is None else way
+    rotation = np.array(ACROSS)
     above = float(shape._support(Vec3(*jnp.asarray(rotation[2]))))
-    x = float(origins[knuckles, 0].max())
-    z = -(above + float(hand.skin.radii[palm, -1]) - depth)
-    wrist = Pose(jnp.zeros(3), jnp.eye(3))
-    return Posture(wrist, jnp.asarray(open_angles(hand))), Pose(jnp.array([x, 0.0, z]), jnp.asarray(rotation))
+    # The palm's axes become the world's.
+    frame = np.asarray(way.frame)
+    under = frame.T @ np.asarray(way.seat) - np.array([0.0, 0.0, above - depth])
+    wrist = Pose(jnp.zeros(3), jnp.asarray(frame.T))
+    return Posture(wrist, jnp.asarray(way.open)), Pose(jnp.asarray(under), jnp.asarray(rotation))
 
 
 @checked
-def power_grip(hand: Hand, shape: Shape, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
+def power_grip(
+    hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None = None
+) -> tuple[Posture, Pose, Contacts]:
     """A hand closed on an object that lies in its palm.
 
     What is too thick or too thin for the hand is closed on as far as it goes: [`jaxgrasp.grip.grip_type`][] tells.
 
     Args:
-        hand: a human hand.
+        hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named.
         shape: of the object; its z axis goes across the palm.
         depth: at which links press into it [m].
+        way: in which the hand closes, from [`jaxgrasp.hand.closing_way`][]; as that finds it where not given.
 
     Returns:
         The posture, its wrist at the world's origin and its palm down; where the object lies in the world; and the
         contacts.
 
     Raises:
-        ValueError: for a hand that is not a human one.
+        ValueError: for a hand without palm and fingers, and for one that is not human and starts inside the object.
     """
     check_shape(shape)
     if not (np.isfinite(depth) and depth >= 0):
         raise ValueError(f"depth is {depth}: expected a number of metres, zero or more")
-    posture, placed = lay_on(hand, shape, depth)
-    closed, contacts = close_hand(hand, posture, shape, placed, depth)
+    way = closing_way(hand) if way is None else way
+    posture, placed = lay_on(hand, shape, depth, way)
+    if not is_human(hand):
+        # Whether its thumb is out of the way depends on what the caller said of it.
+        check_clear(hand, posture, shape, placed, depth + ROUNDING)
+    closed, contacts = close_hand(hand, posture, shape, placed, depth, towards=jnp.asarray(way.closed))
     return closed, placed, contacts

@@ -7,9 +7,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.grip.fingertips import APART, CLEARANCE, COUPLING, FingertipTask, Misses, misses, weighed
+from jaxgrasp.grip.fingertips import (
+    APART,
+    CLEARANCE,
+    COUPLING,
+    FingertipTask,
+    Misses,
+    fingertip_task,
+    misses,
+    tip_ends,
+    weighed,
+)
+from jaxgrasp.hand.closing_way import ClosingWay, closing_way
 from jaxgrasp.hand.detection import Contacts, find_contacts
-from jaxgrasp.hand.human_hand import check_human, open_angles
+from jaxgrasp.hand.human_hand import is_human
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.shapes import Shape, check_shape
 from jaxgrasp.model.arrays import AnyArray
@@ -19,10 +30,14 @@ from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.validation.checked import checked
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
-PRESHAPES = {"MP": (25, 45, 65), "PIP": (25, 50), "thumb abduction": (30, 50)}
-"""Angles from which the hand sets out, in all combinations [degrees]."""
+PRESHAPES = ((25.0, 45.0, 65.0), (25.0, 50.0))
+"""Angles from which the fingers' first and second flexion set out, in all combinations [degrees]."""
+THUMB_ABDUCTIONS = (30.0, 50.0)
+"""Those of a human thumb's abduction [degrees]."""
+THUMB_WAYS = (0.5, 1.0)
+"""How far another hand's thumb is on its way round, but for its last two joints."""
 THUMB_FLEXION = 20.0
-"""Flexion of both of the thumb's joints, MP and IP, at the start [degrees]."""
+"""Flexion of the thumb's last two joints at the start [degrees]."""
 STEPS = 60
 SHIFT = 0.05
 """A way of the object that counts as much as a radian of a joint [m]."""
@@ -35,7 +50,9 @@ OFF_LINE = 0.2
 
 
 @checked
-def precision_grip(hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3) -> tuple[Posture, Pose, Contacts]:
+def precision_grip(
+    hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3, way: ClosingWay | None = None
+) -> tuple[Posture, Pose, Contacts]:
     """A hand that holds an object by its fingertips: posture, the object's place, and the contacts.
 
     Joint angles within their limits and the object's pose are found together, by least squares from several
@@ -49,43 +66,36 @@ def precision_grip(hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e
     The first call for a kind of shape and a number of fingers compiles, about 15 s; another takes a third of a second.
 
     Args:
-        hand: a human hand.
+        hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named, with a thumb.
         shape: of the object.
         fingers: that touch, with the thumb: 3 (thumb, index, middle), 4, or 5.
         depth: at which each fingertip presses into it [m].
+        way: in which the hand closes, from [`jaxgrasp.hand.closing_way`][]; as that finds it where not given.
 
     Raises:
-        ValueError: for a hand that is not a human one, another number of fingers, a shape of no volume, and an object
-            that this hand does not hold so; the message names what was not reached.
+        ValueError: for a hand without palm and these fingers, another number of fingers, a shape of no volume, and an
+            object that this hand does not hold so; the message names what was not reached.
     """
-    check_human(hand)
+    way = closing_way(hand) if way is None else way
     check_shape(shape)
     if fingers not in (3, 4, 5):
         raise ValueError(f"fingers is {fingers}: expected 3, 4 or 5, since fewer hard contacts do not hold an object")
     if not (np.isfinite(depth) and depth > 0):
         raise ValueError(f"depth is {depth}: expected a positive number of metres")
-    task = FingertipTask(hand, shape, depth, FINGERS[:fingers])
+    task = fingertip_task(hand, shape, depth, FINGERS[:fingers], way)
     angles, placed, missed = _solve(task, *_preshapes(task))
     _check_reached(task, jax.device_get(missed))
-    posture = Posture(Pose(jnp.zeros(3), jnp.eye(3)), angles)
+    posture = Posture(task.wrist, angles)
     return posture, placed, find_contacts(hand, posture, shape, placed)
 
 
 def _preshapes(task: FingertipTask) -> tuple[np.ndarray, Pose]:
     """Angles ``(S, J)`` to set out from, the object midway between thumb and fingers."""
-    starts = []
-    for flexion, bend, abduction in np.radians(list(product(*PRESHAPES.values()))):
-        angles = open_angles(task.hand)
-        for kind, angle in (("MP", flexion), ("PIP", bend), ("DIP", COUPLING * bend)):
-            angles[task.fingers_joints(kind)] = angle
-        for kind, angle in (("abduction", abduction), *((kind, np.radians(THUMB_FLEXION)) for kind in ("MP", "IP"))):
-            angles[task.hand.joints.index(f"thumb {kind}")] = angle
-        starts.append(angles)
-    whole = np.array(starts)
-    posture = Posture(Pose(np.zeros(3), np.eye(3)), whole)
-    links, tips = jax.device_get(pose_hand(task.hand, posture).links), task.tips
-    ends = np.einsum("stij,tj->sti", links.rotation[:, tips], np.asarray(task.hand.skin.centers)[tips, -1])
-    ends += links.origin[:, tips]
+    bends = product(*PRESHAPES, _thumbs(task))
+    whole = np.array([_preshape(task, flexion, bend, thumb) for flexion, bend, thumb in bends])
+    posture, tips = Posture(task.wrist, whole), list(task.tips)
+    links = jax.device_get(pose_hand(task.hand, posture).links)
+    ends = np.einsum("stij,tj->sti", links.rotation[:, tips], tip_ends(task.hand, tips)) + links.origin[:, tips]
     thumb, others = ends[:, 0], ends[:, 1:].mean(1)
     x = others - thumb
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
@@ -93,6 +103,29 @@ def _preshapes(task: FingertipTask) -> tuple[np.ndarray, Pose]:
     z = x[:, 1:2] * x - np.array([0.0, 1.0, 0.0])
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
     return whole, Pose((thumb + others) / 2, np.stack([x, np.cross(z, x), z], -1))
+
+
+def _preshape(task: FingertipTask, flexion: float, bend: float, thumb: dict[int, float]) -> np.ndarray:
+    """``(J,)`` Angles with fingers bent that far [degrees], and the thumb's joints where they are said to be."""
+    bends = dict.fromkeys(task.flexions[0][-2:], THUMB_FLEXION)
+    for chain in task.flexions[1:]:
+        first, *middle, last = chain
+        bends |= {first: flexion, last: COUPLING * bend, **dict.fromkeys(middle, bend)}
+    angles = np.asarray(task.way.open).copy()
+    for joint, angle in thumb.items():
+        angles[joint] = angle
+    for joint, angle in bends.items():
+        angles[joint] += np.sign(task.way.closed[joint] - task.way.open[joint]) * np.radians(angle)
+    return np.clip(angles, np.asarray(task.hand.lower), np.asarray(task.hand.upper))
+
+
+def _thumbs(task: FingertipTask) -> list[dict[int, float]]:
+    """Angles of the thumb's first joints to set out from [rad]."""
+    if is_human(task.hand):
+        return [{task.hand.joints.index("thumb abduction"): float(np.radians(a))} for a in THUMB_ABDUCTIONS]
+    first = task.flexions[0][:-2]
+    ways = np.asarray(task.way.closed) - np.asarray(task.way.open)
+    return [{joint: float(task.way.open[joint] + share * ways[joint]) for joint in first} for share in THUMB_WAYS]
 
 
 @jax.jit
@@ -126,7 +159,7 @@ def _check_reached(task: FingertipTask, missed: Misses) -> None:
     """Raise ValueError with what a grip lacks, the first thing of each kind."""
     links = [link.name for link in task.hand.links]
     tips = [links[i] for i in task.tips]
-    others = [name for name in links if name not in tips]
+    others = [name for i, name in enumerate(links) if i not in task.tips]
     lacking = [
         f"{name} is {1e3 * abs(off):.1f} mm too {'deep' if off > 0 else 'far'}"
         for name, off in zip(tips, missed.depth, strict=True)

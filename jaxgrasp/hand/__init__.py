@@ -1,10 +1,13 @@
 """A hand's posture and an object's shape in, contacts out."""
 
 from jaxgrasp.hand.closing import close_hand
+from jaxgrasp.hand.closing_way import ClosingWay, closing_way
 from jaxgrasp.hand.deepest import Kept, keep_deepest
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.filling import LevelError, level_errors, sphere_tree
+from jaxgrasp.hand.finger_names import name_fingers
 from jaxgrasp.hand.human_hand import human_hand, mirrored
+from jaxgrasp.hand.joint_limits import torque_limits
 from jaxgrasp.hand.kinematics import contact_jacobian, joint_torques, pose_hand
 from jaxgrasp.hand.mesh import Mesh, check_mesh, load_mesh, principal_frame
 from jaxgrasp.hand.parallel_jaw import parallel_jaw
@@ -18,6 +21,7 @@ from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
 __all__ = [
     "Box",
     "Capsule",
+    "ClosingWay",
     "Contacts",
     "Cylinder",
     "Hand",
@@ -40,6 +44,7 @@ __all__ = [
     "check_shape",
     "clamp_posture",
     "close_hand",
+    "closing_way",
     "contact_jacobian",
     "find_contacts",
     "grasp_from_contacts",
@@ -50,6 +55,7 @@ __all__ = [
     "link_contributions",
     "load_mesh",
     "mirrored",
+    "name_fingers",
     "parallel_jaw",
     "pose_hand",
     "principal_frame",
@@ -57,6 +63,7 @@ __all__ = [
     "signed_distance",
     "sphere_tree",
     "spring_wrench",
+    "torque_limits",
     "world_contacts",
 ]
 

@@ -114,12 +114,11 @@ def human_hand(length: float = LENGTH, breadth: float | None = None, side: str =
     return hand if side == "right" else mirrored(hand)
 
 
-def check_human(hand: Hand) -> None:
-    """Raise ValueError unless a hand has a human one's joints and links, by their names."""
+def is_human(hand: Hand) -> bool:
+    """Whether a hand has a human one's joints and links, by their names."""
     tips = {f"{finger} distal" for finger in ("thumb", *FINGERS)} | {f"{finger} palm" for finger in FINGERS}
     hinges = {f"{finger} {kind}" for finger in ("thumb", *FINGERS) for kind in ("abduction", "MP")}
-    if not (tips <= {link.name for link in hand.links} and hinges <= set(hand.joints)):
-        raise ValueError("hand is not a human one: expected joints and links named as by human_hand")
+    return tips <= {link.name for link in hand.links} and hinges <= set(hand.joints)
 
 
 def open_angles(hand: Hand) -> np.ndarray:
@@ -145,6 +144,7 @@ def mirrored(hand: Hand) -> Hand:
         hand.joints,
         hand.links,
         hand.sliding,
+        hand.torque_max,
     )
 
 

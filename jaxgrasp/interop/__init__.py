@@ -9,8 +9,11 @@ from jaxgrasp.interop.dexonomy import read_dexonomy
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.interop.graspgen import read_graspgen
 from jaxgrasp.interop.graspit import read_graspit
+from jaxgrasp.interop.hand_file import HandFile, read_hand
 from jaxgrasp.interop.isaac_grasp import read_isaac_grasp
+from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mjcf_file import load_mjcf
+from jaxgrasp.interop.mjx_contacts import MjxGrasp, from_mjx
 from jaxgrasp.interop.mujoco_contacts import MujocoGrasp, from_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
 from jaxgrasp.interop.urdf_hand import hand_from_urdf
@@ -18,8 +21,12 @@ from jaxgrasp.interop.urdf_hand import hand_from_urdf
 __all__ = [
     "ContactRecords",
     "GraspPoses",
+    "HandFile",
+    "LeftOut",
+    "MjxGrasp",
     "MujocoGrasp",
     "MujocoHand",
+    "from_mjx",
     "from_mujoco",
     "hand_from_mujoco",
     "hand_from_urdf",
@@ -32,6 +39,7 @@ __all__ = [
     "read_graspgen",
     "read_graspit",
     "read_isaac_grasp",
+    "read_hand",
 ]
 
 

@@ -1,28 +1,35 @@
 """MJCF files of hands as data sets carry them: made for older MuJoCos, and without all of their meshes.
 
 A hand needs joints and what touches. What only pictures and solvers need is left out where a file is not accepted as
-it is: options, sizes, textures, materials, and geoms whose mesh is not there.
+it is: options, sizes, textures, materials, and geoms whose mesh is not there; motors and tendons where that is not
+enough.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
     import mujoco
 
-NEEDLESS = ("option", "size", "visual", "statistic", "sensor", "actuator", "tendon", "equality", "contact", "keyframe")
+NEEDLESS = ("option", "size", "visual", "statistic", "sensor", "contact", "keyframe")
 """Elements of a file that say nothing of joints and shapes."""
+MOTORS = ("actuator", "tendon", "equality")
+"""Those that say how joints are driven and coupled: left out only where the file is not accepted with them."""
 
 
 @checked
 def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
     """The model in an MJCF file, without what this MuJoCo does not know or find, where there is such.
+
+    What was left out, [`jaxgrasp.interop.read_hand`][] says.
 
     Args:
         path: of the file.
@@ -34,22 +41,28 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
         ValueError: for a file that is no model even so.
         OSError: for a file that cannot be read.
     """
-    mujoco = import_mujoco("load_mjcf")
-    text = Path(path).read_bytes()
+    return read_mjcf(import_mujoco("load_mjcf"), Path(path), capsules)[0]
+
+
+def read_mjcf(mujoco: Any, path: Path, capsules: bool = False) -> tuple[mujoco.MjModel, tuple[LeftOut, ...]]:
+    """The model, and what was left out of it."""
+    text = path.read_bytes()
     try:
-        return _compiled(mujoco, mujoco.MjSpec.from_file(str(path)), capsules)
-    except ValueError:
-        pass
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ValueError(f"{path} is no MJCF: {error}") from None
-    _strip(root, Path(path).parent)
-    try:
-        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
-        return _compiled(mujoco, spec, capsules)
+        return _compiled(mujoco, mujoco.MjSpec.from_file(str(path)), capsules), ()
     except ValueError as error:
-        raise ValueError(f"{path} is no model that MuJoCo takes: {error}") from None
+        refused = " ".join(str(error).split())
+    for needless in (NEEDLESS, (*NEEDLESS, *MOTORS)):
+        try:
+            root = ElementTree.fromstring(text)
+        except ElementTree.ParseError as error:
+            raise ValueError(f"{path} is no MJCF: {error}") from None
+        left_out = _strip(root, path.parent, needless, refused)
+        try:
+            spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+            return _compiled(mujoco, spec, capsules), left_out
+        except ValueError as error:
+            said = " ".join(str(error).split())
+    raise ValueError(f"{path} is no model that MuJoCo takes: {said}")
 
 
 def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjModel:
@@ -61,9 +74,13 @@ def _compiled(mujoco: Any, spec: mujoco.MjSpec, capsules: bool) -> mujoco.MjMode
     return spec.compile()
 
 
-def _strip(root: ElementTree.Element, folder: Path) -> None:
-    for element in [one for one in root if one.tag in NEEDLESS]:
+def _strip(root: ElementTree.Element, folder: Path, needless: tuple[str, ...], refused: str) -> tuple[LeftOut, ...]:
+    """Take out of a file what it can do without; what went is said, but for what only pictures need."""
+    taken = [one for one in root if one.tag in needless]
+    for element in taken:
         root.remove(element)
+    tags = list(dict.fromkeys(element.tag for element in taken))
+    found = [LeftOut(f"elements {', '.join(tags)}", f"MuJoCo refuses the file as it is: {refused}")] if tags else []
     compiler = root.find("compiler")
     meshes = folder
     if compiler is not None:
@@ -78,10 +95,33 @@ def _strip(root: ElementTree.Element, folder: Path) -> None:
                 there.add(element.get("name") or file.stem)
             else:
                 asset.remove(element)
+                if element.tag == "mesh":
+                    part = f"mesh {element.get('name') or file.stem!r}"
+                    found.append(LeftOut(part, f"there is no file {str(file)!r}", missing=True))
+    return (*found, *_strip_geoms(root, there), *_strip_motors(root))
+
+
+def _strip_geoms(root: ElementTree.Element, meshes: set[str]) -> Iterator[LeftOut]:
+    """Take out geoms without their mesh, and sites; materials are no longer there."""
     for parent in list(root.iter()):
         for geom in parent.findall("geom"):
             geom.attrib.pop("material", None)
-            if geom.get("mesh", "") not in there | {""} or (geom.get("type") == "mesh" and geom.get("mesh") is None):
+            mesh = geom.get("mesh", "")
+            # A class of defaults may say "mesh" for all of its geoms, each of which then names its own.
+            absent = mesh not in meshes | {""} or (geom.get("type") == "mesh" and not mesh)
+            if absent and parent.tag != "default":
                 parent.remove(geom)
+                name = f"geom {geom.get('name', '')!r} of {parent.tag} {parent.get('name', '')!r}"
+                yield LeftOut(name, f"its mesh {mesh!r} is missing")
         for site in parent.findall("site"):
             parent.remove(site)
+
+
+def _strip_motors(root: ElementTree.Element) -> Iterator[LeftOut]:
+    """Take out motors of joints that the file has no longer."""
+    joints = {joint.get("name") for joint in root.iterfind(".//joint")}
+    for actuator in root.findall("actuator"):
+        for motor in list(actuator):
+            if motor.get("joint") is not None and motor.get("joint") not in joints:
+                actuator.remove(motor)
+                yield LeftOut(f"motor {motor.get('name', '')!r}", f"the file has no joint {motor.get('joint')!r}")

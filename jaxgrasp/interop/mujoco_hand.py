@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.interop.mujoco_couplings import couplings
+from jaxgrasp.interop.mujoco_motors import largest_torques
 from jaxgrasp.model.hand import Hand, Link, padded
 from jaxgrasp.validation.checked import checked
 
@@ -37,7 +40,10 @@ class MujocoHand:
     rotations: np.ndarray
     """``(L, 3, 3)``: of the body's frame in the link's."""
     left_out: tuple[str, ...]
-    """Collision geoms that are no sphere, capsule, cylinder, ellipsoid or box, and so touch nothing here."""
+    """Collision geoms that are no sphere, capsule, cylinder, ellipsoid or box, and so touch nothing here; of a URDF
+    that was read with ``keep_going``, links' meshes that are missing too."""
+    coupled: tuple[LeftOut, ...] = ()
+    """Couplings of joints, such as URDF's ``mimic``, which a Hand does not have: its joints move each by itself."""
 
 
 @dataclass
@@ -72,6 +78,7 @@ def hand_from_mujoco(
 
     Returns:
         The Hand: every joint below the wrist that is not locked, and a link for every body with collision geoms.
+        Its largest torques are those of the motors, as far as the model limits them.
 
     Raises:
         ImportError: without MuJoCo.
@@ -145,7 +152,7 @@ def _finish(
     links, spheres, kept, left_out = [], [], [], []
     for body, place in carriers.items():
         first = int(model.body_geomadr[body])
-        geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if _collides(model, g)]
+        geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if collides(model, g)]
         parts = []
         for geom in geoms:
             row = _spheres(mujoco, model, geom, place)
@@ -165,6 +172,7 @@ def _finish(
     slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     # Limits that the model does not have are a whole turn.
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.pi, np.pi])
+    torque_max = largest_torques(mujoco, model, joints)
     hand = Hand(
         jnp.array(tree.origins),
         jnp.array(tree.rests),
@@ -176,6 +184,7 @@ def _finish(
         tuple(model.joint(j).name for j in joints),
         tuple(links),
         tuple(model.joint(j).name for j in joints[slides]),
+        None if np.isinf(torque_max).all() else jnp.array(torque_max),
     )
     return MujocoHand(
         hand=hand,
@@ -186,10 +195,11 @@ def _finish(
         positions=np.array([carriers[body].position for body in kept]),
         rotations=np.array([carriers[body].rotation for body in kept]),
         left_out=tuple(left_out),
+        coupled=couplings(mujoco, model, tree.joints),
     )
 
 
-def _collides(model: mujoco.MjModel, geom: int) -> bool:
+def collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, hand_from_mujoco
 from jaxgrasp.validation.checked import checked
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     import mujoco
 
 PACKAGE = "package://"
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 COMPILER = {
     "strippath": "false",
     "meshdir": "",
@@ -36,6 +39,7 @@ def hand_from_urdf(
     *,
     locked: Mapping[str, float] | None = None,
     names: Mapping[str, tuple[str, str]] | None = None,
+    keep_going: bool = False,
 ) -> MujocoHand:
     """The hand that hangs on a link of a URDF file.
 
@@ -48,24 +52,52 @@ def hand_from_urdf(
         wrist: name of the link that is the wrist; its frame is the Hand's.
         locked: joints that stay at an angle [rad] or a place [m], by name.
         names: finger and phalanx of a link, by its name, such as ``{"link_3.0": ("index", "distal")}``.
+        keep_going: leave out shapes whose mesh is missing, instead of stopping at the first.
 
     Returns:
-        The Hand, and the MuJoCo model that it came from.
+        The Hand, and the MuJoCo model that it came from. Its largest torques are the joints' ``effort``; one of zero
+        says nothing, as in most files that have it.
 
     Raises:
         ImportError: without MuJoCo.
-        ValueError: for a file or a mesh that is not there, or that MuJoCo cannot read, and as
-            [`jaxgrasp.interop.hand_from_mujoco`][] does.
+        ValueError: for a file or a mesh that is not there, a kind of joint that URDF does not have, what MuJoCo
+            cannot read, and as [`jaxgrasp.interop.hand_from_mujoco`][] does.
     """
     mujoco = import_mujoco("hand_from_urdf")
-    return hand_from_mujoco(_compiled(mujoco, Path(path)), wrist, locked=locked, names=names)
+    model, notes = compile_urdf(mujoco, Path(path), keep_going)
+    found = hand_from_mujoco(model, wrist, locked=locked, names=names)
+    return replace(found, left_out=(*(note.part for note in notes if note.missing), *found.left_out))
 
 
-def _compiled(mujoco: Any, path: Path) -> mujoco.MjModel:
+def compile_urdf(mujoco: Any, path: Path, keep_going: bool) -> tuple[mujoco.MjModel, tuple[LeftOut, ...]]:
+    """The file's model, and what became of its meshes; those that are missing may be left out."""
     robot = _read(path)
-    for element in robot.iterfind("link"):
-        for mesh in element.iterfind("collision/geometry/mesh"):
-            mesh.set("filename", str(_mesh_file(path, element.get("name", ""), mesh.get("filename", ""))))
+    for joint in robot.iterfind("joint"):
+        if joint.get("type") not in KINDS:
+            raise ValueError(
+                f"path is {str(path)!r}: joint {joint.get('name', '')!r} has the type {joint.get('type')!r}: "
+                f"expected one of {', '.join(KINDS)}"
+            )
+    notes = [note for link in robot.iterfind("link") for note in _find_meshes(path, link, keep_going)]
+    return _model(mujoco, path, robot), tuple(notes)
+
+
+def _find_meshes(path: Path, link: ElementTree.Element, keep_going: bool) -> Iterator[LeftOut]:
+    """Write into a link where its meshes are, and say of each what becomes of it."""
+    for collision in link.findall("collision"):
+        for mesh in collision.iterfind("geometry/mesh"):
+            part = f"mesh {mesh.get('filename', '')!r} of link {link.get('name', '')!r}"
+            try:
+                mesh.set("filename", str(_mesh_file(path, link.get("name", ""), mesh.get("filename", ""))))
+                yield LeftOut(part, "touches as a capsule of the same inertia")
+            except ValueError as error:
+                if not keep_going:
+                    raise
+                link.remove(collision)
+                yield LeftOut(part, str(error).rpartition(": ")[2], missing=True)
+
+
+def _model(mujoco: Any, path: Path, robot: ElementTree.Element) -> mujoco.MjModel:
     extension = _child(robot, "mujoco")
     _child(extension, "compiler").attrib.update(COMPILER)
     try:

@@ -74,6 +74,9 @@ class Hand(eqx.Module):
     links: tuple[Link, ...] = eqx.field(static=True)
     sliding: tuple[str, ...] = eqx.field(static=True, default=())
     """Names of those joints that slide; the others are hinges."""
+    torque_max: Float[AnyArray, "J"] | None = None
+    """Largest torque of each joint, in either direction [N.m, or N of those that slide]; inf of those of which it is
+    not known, and None where it is of none."""
 
     @property
     def slides(self) -> np.ndarray:

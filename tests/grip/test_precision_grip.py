@@ -88,7 +88,11 @@ def test_bad_arguments_are_named(arguments, said):
 
 def test_a_hand_of_another_make_is_refused():
     hand = human_hand()
-    strange = Hand(**{**vars(hand), "joints": tuple(name.replace("thumb", "claw") for name in hand.joints)})
+    strange = Hand(**{**vars(hand), "links": tuple(link._replace(finger="claw", phalanx="") for link in hand.links)})
     for grip in (power_grip, precision_grip):
-        with pytest.raises(ValueError, match="hand is not a human one"):
+        with pytest.raises(ValueError, match="hand has no palm: expected links named by finger and phalanx"):
             grip(strange, Sphere(0.03))
+    links = tuple(link._replace(finger=link.finger.replace("thumb", "claw")) for link in hand.links)
+    headless = Hand(**{**vars(hand), "links": links, "joints": tuple(map(str, range(19)))})
+    with pytest.raises(ValueError, match="hand has no link thumb distal: expected links named as name_fingers does"):
+        precision_grip(headless, Sphere(0.03))

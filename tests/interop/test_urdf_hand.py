@@ -127,7 +127,10 @@ def test_allegro_stands_where_its_file_puts_it():
     [
         ("<robot", "path is '.*gripper.urdf': expected a URDF file, but it is no XML: "),
         ("<mujoco/>", "path is .* whose root is <robot>, not <mujoco>"),
-        (GRIPPER.replace('type="revolute"', 'type="odd"'), "path is .* that MuJoCo can read; it says: .*joint type"),
+        (
+            GRIPPER.replace('type="revolute"', 'type="odd"'),
+            "joint 'knuckle' has the type 'odd': expected one of revolute",
+        ),
         (GRIPPER.replace("MESH", "a.stl"), "link 'tip' has the mesh 'a.stl': expected that file beside the URDF, but"),
         (
             GRIPPER.replace("MESH", "package://other/a.stl"),

@@ -1,0 +1,56 @@
+"""``jaxgrasp hand``: what of a hand's file is in the hand."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from jaxgrasp.cli.hand_arguments import CheckHand
+from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.printable import printable
+from jaxgrasp.interop.hand_file import USED, HandFile, JointEntry, read_hand
+
+
+def check_command(arguments: CheckHand) -> int:
+    """Show what a file holds; 1 where shapes are missing without which no reader takes it, 0 otherwise."""
+    read = read_hand(arguments.file, arguments.wrist, keep_going=True)
+    show(f"{read.format}, wrist {printable(read.wrist)}")
+    for lines in (_joints(read), _links(read)):
+        for line in _aligned(lines):
+            show(line)
+    missing = [note for note in read.left_out if note.missing]
+    for title, notes in (("left out or changed", set(read.left_out) - set(missing)), ("missing", missing)):
+        for note in (one for one in read.left_out if one in notes):
+            show(f"{title}: {printable(note)}")
+    used = sum(joint.use == USED for joint in read.joints)
+    show(f"{used} of {len(read.joints)} joints used, {len(read.links)} links can touch, {len(missing)} meshes missing")
+    return int(bool(missing) and read.format == "URDF")
+
+
+def _joints(read: HandFile) -> Iterator[Sequence[str]]:
+    yield "joint", "kind", "from", "to", "torque", "use"
+    for joint in read.joints:
+        yield printable(joint.name), joint.kind, *_numbers(joint), joint.use
+
+
+def _numbers(joint: JointEntry) -> tuple[str, str, str]:
+    """Limits and torque of a joint, with their units."""
+    way, push = ("m", "N") if joint.kind == "slide" else ("rad", "N.m")
+    low, high = ("no limit", "") if joint.limits is None else (f"{joint.limits[0]:.4g}", f"{joint.limits[1]:.4g} {way}")
+    return low, high, f"{joint.torque_max:.4g} {push}" if np.isfinite(joint.torque_max) else "not known"
+
+
+def _links(read: HandFile) -> Iterator[Sequence[str]]:
+    yield "link", "shapes", "spheres"
+    for link in read.links:
+        counts = Counter(link.shapes)
+        shapes = ", ".join(f"{count} {kind}" if count > 1 else kind for kind, count in counts.items())
+        yield printable(link.name), shapes, str(link.spheres)
+
+
+def _aligned(lines: Iterator[Sequence[str]]) -> Iterator[str]:
+    """Lines whose columns stand below one another."""
+    rows = list(lines)
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()

@@ -1,0 +1,179 @@
+"""How a hand closes: which way each joint goes, where the palm looks, and where an object lies in it."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxgrasp.hand.human_hand import is_human, open_angles
+from jaxgrasp.hand.kinematics import ancestry, pose_hand
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.validation.checked import checked
+
+FINGERS = ("index", "middle", "ring", "little")
+ACROSS = 0.7
+"""Cosine of the angle between a finger's joint and the line of the knuckles, from which the joint flexes."""
+
+
+class ClosingWay(NamedTuple):
+    """An open hand, a closed one, and the palm between them."""
+
+    open: Float[AnyArray, "J"]
+    """Angles of the open hand, the thumb opposite the fingers [rad]."""
+    closed: Float[AnyArray, "J"]
+    """Angles at the end of an unhindered way; as open where a joint takes no part [rad]."""
+    frame: Float[AnyArray, "3 3"]
+    """Axes of the palm in the wrist's frame, as columns: x towards the fingers, z out of the back of the hand."""
+    seat: Float[AnyArray, "3"]
+    """A point of the palm's skin under the knuckles, in the wrist's frame [m]: an object lies there."""
+
+
+@checked
+def closing_way(
+    hand: Hand, *, open: Mapping[str, float] | None = None, closed: Mapping[str, float] | None = None
+) -> ClosingWay:
+    """The way in which a hand with named fingers closes.
+
+    A human hand's is its own. Of others it is found where the hand is open, every angle as near to zero as its limits
+    let it. The fingers' joints that are about parallel to the line of the knuckles flex, to that limit which is further
+    away; the thumb's last two joints do, to that which brings its tip nearer to the knuckles. The palm looks where the
+    fingertips go to. How a thumb comes to stand opposite the fingers differs from hand to hand: ``open`` says it.
+
+    Args:
+        hand: links named as by [`jaxgrasp.hand.human_hand`][], such as [`jaxgrasp.hand.name_fingers`][] names them: a
+            palm, and two fingers at least, with a proximal and a distal link each.
+        open: angles of joints where the hand is open, by name, for those that should not be at zero [rad].
+        closed: angles of joints at the end of their way, by name, for those that should not be at their limit [rad].
+
+    Raises:
+        ValueError: for a joint that the hand lacks, an angle beyond its limits, or a hand without palm and fingers.
+    """
+    start = open_angles(hand) if is_human(hand) else np.clip(0.0, np.asarray(hand.lower), np.asarray(hand.upper))
+    start = _changed(hand, "open", start, open)
+    if is_human(hand):
+        flexes = np.array(["abduction" not in name for name in hand.joints])
+        end = _changed(hand, "closed", np.where(flexes, np.asarray(hand.upper), start), closed)
+        return ClosingWay(start, end, np.eye(3), _human_seat(hand))
+    palm, fingers = _palm(hand), [finger for finger in FINGERS if _has(hand, finger)]
+    if not palm or len(fingers) < 2:
+        missing = "no palm" if not palm else f"{len(fingers)} fingers with a proximal and a distal link"
+        raise ValueError(
+            f"hand has {missing}: expected links named by finger and phalanx, as name_fingers does, of a palm and two "
+            "fingers at least"
+        )
+    still = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(start))
+    frames = jax.device_get(pose_hand(hand, still))
+    end = _flexed(hand, start, frames, fingers)
+    for joint in _thumbs_last(hand).tolist():
+        end[joint] = _nearer(hand, start, joint, _knuckles(hand, frames, fingers).mean(0))
+    frame = _frame(hand, frames, fingers, np.sign(end - start))
+    return ClosingWay(start, _changed(hand, "closed", end, closed), frame, _seat(hand, frames, fingers, palm, frame))
+
+
+def _changed(hand: Hand, field: str, angles: np.ndarray, given: Mapping[str, float] | None) -> np.ndarray:
+    lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
+    angles = angles.copy()
+    for name, angle in (given or {}).items():
+        if name not in hand.joints:
+            raise ValueError(f"{field} has {name!r}: expected joints of the hand, such as {', '.join(hand.joints[:5])}")
+        joint = hand.joints.index(name)
+        if not lower[joint] <= angle <= upper[joint]:
+            raise ValueError(f"{field}[{name!r}] is {angle}: expected {lower[joint]:.6g} to {upper[joint]:.6g}")
+        angles[joint] = angle
+    return angles
+
+
+def _has(hand: Hand, finger: str) -> bool:
+    found = {link.phalanx for link in hand.links if link.finger == finger and link.joint >= 0}
+    return {"proximal", "distal"} <= found
+
+
+def _palm(hand: Hand) -> list[int]:
+    return [i for i, link in enumerate(hand.links) if link.phalanx == "palm"]
+
+
+def _link(hand: Hand, finger: str, phalanx: str) -> int:
+    return next(i for i, link in enumerate(hand.links) if (link.finger, link.phalanx) == (finger, phalanx))
+
+
+def _knuckles(hand: Hand, frames: HandFrames, fingers: list[str]) -> np.ndarray:
+    """``(F, 3)``"""
+    joints = [hand.links[_link(hand, finger, "proximal")].joint for finger in fingers]
+    return np.asarray(frames.joints.origin)[joints]
+
+
+def _centers(hand: Hand, frames: HandFrames, link: int) -> tuple[np.ndarray, np.ndarray]:
+    """Centres ``(m, 3)`` and radii ``(m,)`` of the spheres that a link has."""
+    radii = np.asarray(hand.skin.radii[link])
+    rotation, origin = np.asarray(frames.links.rotation)[link], np.asarray(frames.links.origin)[link]
+    centers = origin + np.asarray(hand.skin.centers[link]) @ rotation.T
+    return centers[radii > 0], radii[radii > 0]
+
+
+def _tips(hand: Hand, frames: HandFrames, fingers: list[str]) -> np.ndarray:
+    """``(F, 3)`` Middles of the distal links' spheres."""
+    return np.array([_centers(hand, frames, _link(hand, finger, "distal"))[0].mean(0) for finger in fingers])
+
+
+def _flexed(hand: Hand, start: np.ndarray, frames: HandFrames, fingers: list[str]) -> np.ndarray:
+    """``(J,)`` Angles where the fingers' flexions are at that limit which is further away."""
+    knuckles, moves = _knuckles(hand, frames, fingers), ancestry(hand)
+    line = _unit(knuckles[-1] - knuckles[0])
+    flexes = np.zeros(len(hand.joints), bool)
+    for finger in fingers:
+        chain = moves[_link(hand, finger, "distal")] & ~hand.slides
+        flexes |= chain & (np.abs(np.asarray(frames.axes) @ line) >= ACROSS)
+    lower, upper = np.asarray(hand.lower), np.asarray(hand.upper)
+    return np.where(flexes, np.where(upper - start >= start - lower, upper, lower), start)
+
+
+def _thumbs_last(hand: Hand) -> np.ndarray:
+    """The last two joints of the thumb; none where there is no thumb."""
+    names = [(link.finger, link.phalanx) for link in hand.links]
+    if ("thumb", "distal") not in names:
+        return np.zeros(0, int)
+    return np.flatnonzero(ancestry(hand)[names.index(("thumb", "distal"))])[-2:]
+
+
+def _nearer(hand: Hand, start: np.ndarray, joint: int, point: np.ndarray) -> float:
+    """That limit of a joint of the thumb at which its tip is nearer to a point."""
+    limits = np.array([np.asarray(hand.lower)[joint], np.asarray(hand.upper)[joint]])
+    angles = np.stack([start, start])
+    angles[:, joint] = limits
+    frames = jax.device_get(pose_hand(hand, Posture(Pose(jnp.zeros(3), jnp.eye(3)), angles)))
+    tips = [_tips(hand, jax.tree.map(lambda x, i=i: x[i], frames), ["thumb"])[0] for i in range(2)]
+    return float(limits[np.argmin(np.linalg.norm(np.array(tips) - point, axis=-1))])
+
+
+def _frame(hand: Hand, frames: HandFrames, fingers: list[str], signs: np.ndarray) -> np.ndarray:
+    """The palm's axes: fingers point along x, and their tips go along -z as they flex."""
+    tips, knuckles, moves = _tips(hand, frames, fingers), _knuckles(hand, frames, fingers), ancestry(hand)
+    x = _unit(np.mean([_unit(tip - knuckle) for tip, knuckle in zip(tips, knuckles, strict=True)], 0))
+    ways = []
+    for finger, tip in zip(fingers, tips, strict=True):
+        for joint in np.flatnonzero(moves[_link(hand, finger, "distal")] & (signs != 0)):
+            ways.append(signs[joint] * np.cross(frames.axes[joint], tip - frames.joints.origin[joint]))
+    towards = np.mean(ways, 0)
+    z = -_unit(towards - (towards @ x) * x)
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def _seat(hand: Hand, frames: HandFrames, fingers: list[str], palm: list[int], frame: np.ndarray) -> np.ndarray:
+    """Under the knuckles, in the middle of their line, as far out as the palm's skin is."""
+    spheres = [_centers(hand, frames, link) for link in palm]
+    centers, radii = (np.concatenate(parts) for parts in zip(*spheres, strict=True))
+    own, knuckles = centers @ frame, _knuckles(hand, frames, fingers) @ frame
+    return frame @ np.array([knuckles[:, 0].max(), knuckles[:, 1].mean(), (own[:, 2] - radii).min()])
+
+
+def _human_seat(hand: Hand) -> np.ndarray:
+    knuckles = [hand.joints.index(name) for name in ("index abduction", "little abduction")]
+    palm = [link.name for link in hand.links].index("middle palm")
+    return np.array([float(np.asarray(hand.origins)[knuckles, 0].max()), 0.0, -float(hand.skin.radii[palm, -1])])
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

@@ -1,0 +1,81 @@
+"""Which finger and phalanx a link is: by the user's word, or by its own name where that is clear."""
+
+import re
+from collections.abc import Mapping
+
+from jaxgrasp.model.hand import Hand, Link
+from jaxgrasp.validation.checked import checked
+
+FINGERS = {
+    "thumb": ("thumb", "th"),
+    "index": ("index", "ff"),
+    "middle": ("middle", "mf"),
+    "ring": ("ring", "rf"),
+    "little": ("little", "pinky", "pinkie", "lf"),
+}
+"""What files call them; the letters are Shadow's: first, middle, ring and little finger, and thumb."""
+PHALANGES = {
+    "palm": ("metacarpal", "palm"),
+    "proximal": ("proximal",),
+    "middle": ("middle", "medial", "intermediate"),
+    "distal": ("distal",),
+}
+PALM = ("middle", "palm")
+"""What a palm that is one body is taken for."""
+
+
+def _one_of(words: Mapping[str, tuple[str, ...]], group: str) -> str:
+    return f"(?P<{group}>{'|'.join(word for each in words.values() for word in each)})"
+
+
+_LINK = re.compile(rf"{_one_of(FINGERS, 'finger')}[ _.-]?{_one_of(PHALANGES, 'phalanx')}(?:[ _.-]?link)?")
+_PALM = re.compile(r"palm(?:[ _.-]?link)?")
+
+
+@checked
+def name_fingers(hand: Hand, names: Mapping[str, tuple[str, str]] | None = None) -> Hand:
+    """The hand with its links called by finger and phalanx, as grips and their contributions ask for them.
+
+    Where ``names`` does not say it, names such as ``robot0:ffproximal``, ``index_distal_link`` or ``palm`` do; a
+    thumb of three phalanges has a metacarpal, a proximal and a distal one. Other links keep their names, and take part
+    in no grip that knows fingers.
+
+    Args:
+        hand: such as [`jaxgrasp.interop.hand_from_mujoco`][] reads.
+        names: finger (thumb, index, middle, ring, little) and phalanx (palm, metacarpal, proximal, middle, distal) by
+            the link's present name, such as ``{"link_3.0": ("index", "distal")}``.
+
+    Raises:
+        ValueError: for a name that the hand lacks, or a finger or phalanx that there is none of.
+    """
+    own = [link.name for link in hand.links]
+    given = dict(names or {})
+    for name, (finger, phalanx) in given.items():
+        if name not in own:
+            raise ValueError(f"names has {name!r}: expected links of the hand, such as {', '.join(own[:5])}")
+        if finger not in FINGERS or phalanx not in (*PHALANGES, "metacarpal"):
+            raise ValueError(
+                f"names[{name!r}] is {(finger, phalanx)}: expected one of {', '.join(FINGERS)}, "
+                f"and one of {', '.join((*PHALANGES, 'metacarpal'))}"
+            )
+    read = {name: given.get(name) or _read(name) for name in own}
+    if ("thumb", "middle") in read.values():
+        shifted = {("thumb", "proximal"): ("thumb", "metacarpal"), ("thumb", "middle"): ("thumb", "proximal")}
+        read = {name: pair if name in given or pair is None else shifted.get(pair, pair) for name, pair in read.items()}
+    links = tuple(link if (pair := read[link.name]) is None else Link(*pair, link.joint) for link in hand.links)
+    return Hand(**{**vars(hand), "links": links})
+
+
+def _read(name: str) -> tuple[str, str] | None:
+    """Finger and phalanx by a link's name, or None where it does not tell."""
+    text = name.rpartition(":")[2].lower().strip()
+    if _PALM.fullmatch(text):
+        return PALM
+    found = _LINK.fullmatch(text)
+    if found is None:
+        return None
+    finger, phalanx = (
+        next(key for key, words in kinds.items() if found[group] in words)
+        for group, kinds in (("finger", FINGERS), ("phalanx", PHALANGES))
+    )
+    return finger, "metacarpal" if (finger, phalanx) == ("thumb", "palm") else phalanx

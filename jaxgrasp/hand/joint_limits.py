@@ -1,0 +1,46 @@
+"""What a hand's joints can exert, as limits of the forces of a grip."""
+
+import jax.numpy as jnp
+
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.kinematics import contact_jacobian, pose_hand
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Hand, Posture
+from jaxgrasp.model.limits import Limits
+from jaxgrasp.validation.checked import checked
+
+
+@checked
+def torque_limits(
+    hand: Hand, posture: Posture, contacts: Contacts, torque_max: Float[AnyArray, "J"] | None = None
+) -> Limits:
+    """The limits that a hand's joints set to the forces of a posture's contacts.
+
+    The torques are those that the contact forces put on the joints; what lifts the hand's own links is not in them.
+
+    Args:
+        hand: whose joints hold.
+        posture: any leading axes.
+        contacts: of that posture, in the world, one for each link.
+        torque_max: of each joint [N.m, or N of those that slide], inf where there is none; the hand's own where not
+            given.
+
+    Returns:
+        For [`jaxgrasp.constrained_optimum`][] and its like, of the grasp that
+        [`jaxgrasp.hand.grasp_from_contacts`][] makes of the same contacts.
+
+    Raises:
+        ValueError: where neither the hand nor the caller says how strong its joints are.
+    """
+    largest, count = hand.torque_max if torque_max is None else torque_max, len(hand.joints)
+    if largest is None:
+        raise ValueError(
+            "torque_max is None, and the hand does not say how strong its joints are: expected a torque for each"
+        )
+    if jnp.shape(largest) != (count,):
+        raise ValueError(f"torque_max has shape {jnp.shape(largest)}: expected ({count},), one for each joint")
+    jacobian = contact_jacobian(hand, pose_hand(hand, posture), contacts.points)
+    return Limits(
+        torque_map=jacobian,
+        torque_max=jnp.broadcast_to(jnp.asarray(largest, jacobian.dtype), (*jacobian.shape[:-3], count)),
+    )

@@ -1,0 +1,197 @@
+"""A hand's file, URDF or MJCF, and what of it is in the Hand: nothing is left out in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.mjcf_file import read_mjcf
+from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.interop.mujoco_hand import MujocoHand, collides, hand_from_mujoco
+from jaxgrasp.interop.urdf_hand import compile_urdf
+from jaxgrasp.validation.checked import checked
+
+if TYPE_CHECKING:
+    import mujoco
+
+FORMATS = {"robot": "URDF", "mujoco": "MJCF"}
+"""By the file's root element."""
+USED = "used"
+
+
+@dataclass(frozen=True)
+class JointEntry:
+    """A joint of the file."""
+
+    name: str
+    kind: str
+    """hinge or slide, or free or ball, which no Hand has."""
+    limits: tuple[float, float] | None
+    """[rad], or [m] of one that slides; None where the file has none."""
+    torque_max: float
+    """[N.m], or [N] of one that slides; inf where it is not known."""
+    use: str
+    """``used``, or why not."""
+
+
+@dataclass(frozen=True)
+class LinkEntry:
+    """A link of the Hand."""
+
+    name: str
+    shapes: tuple[str, ...]
+    """Kinds of its shapes."""
+    spheres: int
+    """What stands for them."""
+
+
+@dataclass(frozen=True)
+class HandFile:
+    """A hand, and what its file holds."""
+
+    format: str
+    """URDF or MJCF."""
+    wrist: str
+    """The body whose frame is the Hand's."""
+    found: MujocoHand
+    joints: tuple[JointEntry, ...]
+    links: tuple[LinkEntry, ...]
+    left_out: tuple[LeftOut, ...]
+    """What is not in the Hand, or not as the file has it."""
+
+
+@checked
+def read_hand(
+    path: str | Path,
+    wrist: str | None = None,
+    *,
+    locked: Mapping[str, float] | None = None,
+    names: Mapping[str, tuple[str, str]] | None = None,
+    keep_going: bool = False,
+) -> HandFile:
+    """The hand in a URDF or MJCF file, and an account of what was used, what was left out and why.
+
+    Args:
+        path: of the file.
+        wrist: name of the body that is the wrist; where not given, the last one that all joints hang on.
+        locked, names: as [`jaxgrasp.interop.hand_from_mujoco`][] takes them.
+        keep_going: leave out shapes of a URDF whose mesh is missing, instead of stopping at the first.
+
+    Raises:
+        ImportError: without MuJoCo.
+        ValueError: for what is no URDF or MJCF, is not there, or holds no hand.
+        OSError: for a file that cannot be read.
+    """
+    mujoco, path = import_mujoco("read_hand"), Path(path)
+    kind = _format(path)
+    model, notes = compile_urdf(mujoco, path, keep_going) if kind == "URDF" else read_mjcf(mujoco, path)
+    if wrist is None:
+        wrist = _carrying_all(mujoco, model, path)
+    found = hand_from_mujoco(model, wrist, locked=locked, names=names)
+    account = _Account(mujoco, model, found, wrist, dict(locked or {}))
+    return HandFile(
+        format=kind,
+        wrist=wrist,
+        found=found,
+        joints=tuple(account.joint(i) for i in range(model.njnt)),
+        links=tuple(account.link(i) for i in range(len(found.bodies))),
+        left_out=(*notes, *found.coupled, *account.bare_bodies(), *account.geoms()),
+    )
+
+
+def _format(path: Path) -> str:
+    if not path.is_file():
+        raise ValueError(f"path is {str(path)!r}: expected a URDF or MJCF file, but there is none")
+    try:
+        tag = ElementTree.fromstring(path.read_bytes()).tag
+    except ElementTree.ParseError as error:
+        raise ValueError(f"path is {str(path)!r}: expected a URDF or MJCF file, but it is no XML: {error}") from None
+    if tag not in FORMATS:
+        raise ValueError(
+            f"path is {str(path)!r}: expected a URDF or MJCF file, whose root is <robot> or <mujoco>, not <{tag}>"
+        )
+    return FORMATS[tag]
+
+
+def _carriers(model: mujoco.MjModel, body: int) -> set[int]:
+    """The bodies that a body hangs on, the world among them."""
+    found = set()
+    while body > 0:
+        body = int(model.body_parentid[body])
+        found.add(body)
+    return found
+
+
+def _carrying_all(mujoco: Any, model: mujoco.MjModel, path: Path) -> str:
+    """The last body that everything which turns or slides hangs on."""
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    moved = [int(model.jnt_bodyid[joint]) for joint in range(model.njnt) if model.jnt_type[joint] in kinds]
+    if not moved:
+        raise ValueError(f"path is {str(path)!r}: expected a hand, but it has no joint that turns or slides")
+    # Bodies are numbered from the world outwards.
+    return model.body(max(set.intersection(*(_carriers(model, body) for body in moved)))).name
+
+
+class _Account:
+    """What became of the parts of a model."""
+
+    def __init__(self, mujoco: Any, model: mujoco.MjModel, found: MujocoHand, wrist: str, locked: dict[str, float]):
+        self.mujoco, self.model, self.found, self.locked = mujoco, model, found, locked
+        root = model.body(wrist).id
+        self.below = {body for body in range(model.nbody) if body == root or root in _carriers(model, body)}
+        hand = found.hand
+        known = [np.inf] * len(hand.joints) if hand.torque_max is None else np.asarray(hand.torque_max).tolist()
+        self.torques = dict(zip(hand.joints, known, strict=True))
+
+    def joint(self, joint: int) -> JointEntry:
+        model, name = self.model, self.model.joint(joint).name
+        kind = self.mujoco.mjtJoint(int(model.jnt_type[joint])).name.removeprefix("mjJNT_").lower()
+        low, high = map(float, model.jnt_range[joint])
+        limits = (low, high) if model.jnt_limited[joint] else None
+        use = USED
+        if name in self.locked:
+            use = f"locked at {self.locked[name]:g}"
+        elif name not in self.torques:
+            use = "not below the wrist"
+        return JointEntry(name, kind, limits, self.torques.get(name, np.inf), use)
+
+    def link(self, link: int) -> LinkEntry:
+        model, body = self.model, int(self.found.bodies[link])
+        first = int(model.body_geomadr[body])
+        geoms = [g for g in range(first, first + int(model.body_geomnum[body])) if collides(model, g)]
+        used = tuple(self._kind(geom) for geom in geoms if self._name(geom) not in self.found.left_out)
+        hand = self.found.hand
+        return LinkEntry(hand.links[link].name, used, int((np.asarray(hand.skin.radii[link]) > 0).sum()))
+
+    def bare_bodies(self) -> Iterator[LeftOut]:
+        """Bodies of the hand that nothing can touch."""
+        for body in sorted(self.below - set(self.found.bodies.tolist())):
+            yield LeftOut(f"body {self.model.body(body).name!r}", "it has no shape that can touch, and is no link")
+
+    def geoms(self) -> Iterator[LeftOut]:
+        """Shapes that are in no link."""
+        model, seen = self.model, 0
+        for geom in range(model.ngeom):
+            body = int(model.geom_bodyid[geom])
+            part = f"{self._kind(geom)} {self._name(geom)!r} of body {model.body(body).name!r}"
+            if not collides(model, geom):
+                seen += 1
+            elif body not in self.below:
+                yield LeftOut(part, "not below the wrist")
+            elif self._name(geom) in self.found.left_out:
+                only = "of an MJCF file, touches only as a sphere, capsule, cylinder, ellipsoid or box"
+                yield LeftOut(part, f"{only}; load_mjcf can make capsules of meshes")
+        if seen:
+            yield LeftOut(f"{seen} shape{'s' * (seen > 1)}", "touch nothing in the file, as it says")
+
+    def _kind(self, geom: int) -> str:
+        return self.mujoco.mjtGeom(int(self.model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+
+    def _name(self, geom: int) -> str:
+        return self.model.geom(geom).name or f"geom {geom}"

@@ -1,0 +1,16 @@
+"""What a reader of hands could not use, and why: nothing of a file goes by in silence."""
+
+from typing import NamedTuple
+
+
+class LeftOut(NamedTuple):
+    """A part of a file that is not in the Hand, or not as the file has it."""
+
+    part: str
+    """What it is, with its name, such as ``geom 'shell' of body 'palm'``."""
+    why: str
+    missing: bool = False
+    """Whether it is a file that is not there."""
+
+    def __str__(self) -> str:
+        return f"{self.part}: {self.why}"

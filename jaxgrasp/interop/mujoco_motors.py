@@ -1,0 +1,66 @@
+"""How strong the joints of a MuJoCo model are: what its motors, and the limits of its joints, allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import mujoco
+
+UNLIMITED = np.array([-np.inf, np.inf])
+
+
+def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+    """``(J,)`` The torque [N.m], or force [N], that each of these joints can exert both ways; inf where not known.
+
+    A motor's range is its ``forcerange``, or else what its ``ctrlrange`` makes of a plain motor; times its gear. The
+    ranges of a joint's motors add up, and the joint's own ``actuatorfrcrange``, which a URDF's ``effort`` becomes,
+    caps the sum. A motor at a fixed tendon counts at each joint of it by that joint's coefficient, as if it were alone.
+    Not known is a joint without a motor, one whose motor is of another kind or has no limit, and one that is driven one
+    way alone: a bound has to be right for both.
+    """
+    ranges, driven = np.zeros((model.njnt, 2)), np.zeros(model.njnt, bool)
+    for motor in range(model.nu):
+        for joint, lever in _levers(mujoco, model, motor):
+            driven[joint] = True
+            ranges[joint] += _times(lever, _range(mujoco, model, motor))
+    ranges[~driven] = UNLIMITED
+    own = np.where(model.jnt_actfrclimited.astype(bool)[:, None], model.jnt_actfrcrange, UNLIMITED)
+    low, high = np.maximum(ranges[:, 0], own[:, 0]), np.minimum(ranges[:, 1], own[:, 1])
+    return np.where((low < 0) & (high > 0), np.minimum(-low, high), np.inf)[joints]
+
+
+def _times(lever: float, reach: np.ndarray) -> np.ndarray:
+    """A range by a lever, which may turn it about; by none, nothing."""
+    return np.sort(lever * reach) if lever else np.zeros(2)
+
+
+def _levers(mujoco: Any, model: mujoco.MjModel, motor: int) -> Iterator[tuple[int, float]]:
+    """The joints that a motor drives, and their torque for a unit of its force."""
+    kinds, target = mujoco.mjtTrn, int(model.actuator_trnid[motor, 0])
+    gear = float(model.actuator_gear[motor, 0])
+    kind = model.actuator_trntype[motor]
+    if kind in (int(kinds.mjTRN_JOINT), int(kinds.mjTRN_JOINTINPARENT)):
+        yield target, gear
+    elif kind == int(kinds.mjTRN_TENDON):
+        first = int(model.tendon_adr[target])
+        for wrap in range(first, first + int(model.tendon_num[target])):
+            if model.wrap_type[wrap] == int(mujoco.mjtWrap.mjWRAP_JOINT):
+                yield int(model.wrap_objid[wrap]), gear * float(model.wrap_prm[wrap])
+
+
+def _range(mujoco: Any, model: mujoco.MjModel, motor: int) -> np.ndarray:
+    """Least and largest force of a motor."""
+    if model.actuator_forcelimited[motor]:
+        return model.actuator_forcerange[motor].copy()
+    plain = (
+        model.actuator_gaintype[motor] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        and model.actuator_biastype[motor] == int(mujoco.mjtBias.mjBIAS_NONE)
+        and model.actuator_dyntype[motor] == int(mujoco.mjtDyn.mjDYN_NONE)
+    )
+    if plain and model.actuator_ctrllimited[motor]:
+        return _times(float(model.actuator_gainprm[motor, 0]), model.actuator_ctrlrange[motor])
+    return UNLIMITED

@@ -1,0 +1,232 @@
+"""PyTorch has JAX's forces, margins and derivatives, in shared memory; PyTorch's own finite differences judge them."""
+
+import builtins
+import subprocess
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrasp
+from jaxgrasp import Grasp, Verdict
+from jaxgrasp.interop import torch as grasp_torch
+
+torch = pytest.importorskip("torch")
+KINDS = pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
+GRAVITY = 9.81
+
+
+def pinch(dtype=torch.float64, batch: tuple[int, ...] = (), seed: int = 0) -> dict:
+    """Three fingers around a cylinder, a little different each, that hold 300 g; cones are active."""
+    rng = np.random.default_rng(seed)
+    angles = np.array([0.0, 2.1, 4.2]) + 0.05 * rng.normal(size=(*batch, 3))
+    outward = np.stack([np.cos(angles), np.sin(angles), 0 * angles], -1)
+    given = {
+        "points": 0.05 * outward + 0.002 * rng.normal(size=(*batch, 3, 3)),
+        "normals": -outward,
+        "friction": 0.28 + 0.05 * rng.uniform(size=(*batch, 3)),
+        "squeeze": np.broadcast_to([4.0, 3.0, 3.0], (*batch, 3)) + 0.1 * rng.normal(size=(*batch, 3)),
+        "wrench": np.broadcast_to([0.0, 0.0, 0.3 * GRAVITY, 0.0, 0.0, 0.0], (*batch, 6)) + 0.0,
+    }
+    return {name: torch.tensor(value, dtype=dtype) for name, value in given.items()}
+
+
+def arrays(given: dict) -> tuple[Grasp, jnp.ndarray]:
+    own = {name: jnp.asarray(value.numpy()) for name, value in given.items()}
+    wrench = own.pop("wrench")
+    return Grasp(**own), wrench
+
+
+@pytest.mark.parametrize(("dtype", "batch"), [(torch.float64, ()), (torch.float32, (2, 2))], ids=str)
+@pytest.mark.parametrize("method", ["constrained_optimum", "closed_form"])
+def test_forces_are_jaxgrasps(dtype, batch, method):
+    given = pinch(dtype, batch)
+    found = getattr(grasp_torch, method)(**given)
+    assert found.forces.dtype == dtype and found.forces.shape == (*batch, 3, 3) and found.verdict.shape == batch
+    grasp, wrench = arrays(given)
+    expected = getattr(jaxgrasp, method)(grasp, wrench)
+    tolerance = 1e-9 if dtype == torch.float64 else 2e-4
+    np.testing.assert_allclose(found.forces, expected.forces, atol=tolerance)
+    np.testing.assert_array_equal(found.verdict, expected.verdict)
+    # By a sum of our own, they exert the wrench.
+    exerted = torch.cat([found.forces.sum(-2), torch.linalg.cross(given["points"], found.forces).sum(-2)], -1)
+    torch.testing.assert_close(exerted, given["wrench"], atol=tolerance, rtol=0)
+
+
+@pytest.mark.parametrize("method", ["constrained_optimum", "closed_form"])
+def test_gradients_of_forces_by_pytorchs_own_check(method):
+    given = {name: value.requires_grad_() for name, value in pinch(batch=(2,)).items()}
+    found = getattr(grasp_torch, method)(**given)
+    assert (found.verdict <= int(Verdict.OPTIMAL) if method == "constrained_optimum" else found.verdict >= 0).all()
+    if method == "constrained_optimum":
+        apart = torch.linalg.vector_norm(found.forces - grasp_torch.closed_form(**given).forces)
+        assert apart > 0.1  # Cones are active, or this would be the closed form's derivative.
+
+    def forces(points, normals, *others):
+        # A unit normal has to stay one, as PyTorch moves its entries one by one.
+        unit = normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
+        return getattr(grasp_torch, method)(points, unit, *others).forces
+
+    assert torch.autograd.gradcheck(forces, tuple(given.values()), eps=1e-6, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_gradients_of_margins_by_pytorchs_own_check():
+    """Low friction and normals that all lean one way, so that how far a wrench may go is bounded by the cones."""
+    given = pinch(batch=(2,))
+    points, friction = given["points"].requires_grad_(), (0.2 * given["friction"]).requires_grad_()
+    leaning = given["normals"] + torch.tensor([0.0, 0.0, -0.6], dtype=torch.float64)
+    normals = leaning / torch.linalg.vector_norm(leaning, dim=-1, keepdim=True)
+    pushes = torch.tensor([3.0, 1.0, 2.0], dtype=torch.float64)[:, None] * normals
+    torques = torch.linalg.cross(points.detach(), pushes)
+    wrench = torch.cat([pushes.sum(-2), torques.sum(-2)], -1).requires_grad_()
+    direction = torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], dtype=torch.float64).repeat(2, 1)
+
+    def margin(points, friction, wrench):
+        return grasp_torch.wrench_margin(points, normals, friction, wrench, direction)
+
+    own = [jnp.asarray(each.detach().numpy()) for each in (points, normals, friction, 1 + 0 * friction)]
+    expected = jaxgrasp.wrench_margin(Grasp(*own), wrench.detach().numpy(), direction.numpy())
+    assert (np.isfinite(expected) & (expected > 0)).all()
+    np.testing.assert_allclose(margin(points, friction, wrench).detach(), expected, rtol=1e-9)
+    assert torch.autograd.gradcheck(margin, (points, friction, wrench), eps=1e-6, atol=1e-5, rtol=1e-4)
+
+
+def test_the_papers_margin_is_the_angle_that_is_left():
+    given = pinch(batch=(2,))
+    turn = torch.tensor([0.1, 0.3, 0.7], dtype=torch.float64)
+    across = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    forces = 2 * (torch.cos(turn)[:, None] * given["normals"] + torch.sin(turn)[:, None] * across)
+    found = grasp_torch.stability_margin(given["normals"], forces)
+    torch.testing.assert_close(found, (torch.pi / 2 - turn).expand(2, 3))
+    assert torch.autograd.gradcheck(
+        lambda forces: grasp_torch.stability_margin(given["normals"], forces), (forces.requires_grad_(),), atol=1e-5
+    )
+
+
+def test_only_what_asks_for_a_gradient_has_one_and_numbers_do_for_tensors():
+    given = pinch()
+    given["squeeze"].requires_grad_()
+    given["friction"] = 0.3
+    found = grasp_torch.constrained_optimum(**given)
+    found.forces.square().sum().backward()
+    assert given["squeeze"].grad.shape == (3,) and given["points"].grad is None
+    assert not found.verdict.requires_grad
+    full = {**pinch(), "friction": torch.full((3,), 0.3, dtype=torch.float64)}
+    torch.testing.assert_close(found.forces.detach(), grasp_torch.constrained_optimum(**full).forces)
+
+
+def test_a_loss_that_masks_what_has_no_forces_has_finite_gradients():
+    given = pinch(batch=(2,))
+    given["friction"][1] = 0.0
+    given["squeeze"].requires_grad_()
+    found = grasp_torch.constrained_optimum(**given)
+    assert found.verdict.tolist() == [int(Verdict.OPTIMAL), int(Verdict.INFEASIBLE)]
+    found.forces.square().sum((-2, -1))[found.verdict < 2].sum().backward()
+    assert given["squeeze"].grad.isfinite().all() and given["squeeze"].grad[0].any()
+    assert not given["squeeze"].grad[1].any()
+
+
+def test_absent_contacts_exert_nothing():
+    given = pinch()
+    present = torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64)
+    padded = {
+        name: value if name == "wrench" else torch.cat([value, torch.zeros_like(value[:1])])
+        for name, value in given.items()
+    }
+    padded["normals"][3, 2] = 1.0
+    found = grasp_torch.closed_form(**padded, present=present)
+    assert not found.forces[3].any()
+    torch.testing.assert_close(found.forces[:3], grasp_torch.closed_form(**given).forces)
+
+
+@KINDS
+def test_memory_is_shared(dtype):
+    tensor = torch.arange(96, dtype=dtype).reshape(32, 3)
+    array = grasp_torch.to_jax(tensor)
+    assert array.unsafe_buffer_pointer() == tensor.data_ptr()
+    assert grasp_torch.to_torch(array).data_ptr() == tensor.data_ptr()
+    # What is strided, or starts where XLA does not read, comes as a copy with the same numbers.
+    np.testing.assert_array_equal(grasp_torch.to_jax(tensor.T), tensor.numpy().T)
+    np.testing.assert_array_equal(grasp_torch.to_jax(tensor[1:]), tensor.numpy()[1:])
+
+
+def test_what_was_written_over_since_has_no_gradient_rather_than_a_wrong_one():
+    double = grasp_torch.from_jax(lambda x: (x**2, jnp.arange(3)))
+    x = torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64, requires_grad=True)
+    squares, counts = double(x)
+    squares.sum().backward()
+    torch.testing.assert_close(x.grad, 2 * x.detach())
+    assert counts.tolist() == [0, 1, 2] and not counts.requires_grad
+    squares, _ = double(x)
+    with torch.no_grad():
+        x.mul_(2.0)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        squares.sum().backward()
+
+
+def test_what_a_function_hands_through_has_memory_of_its_own():
+    x = torch.ones(16, dtype=torch.float64)
+    same = grasp_torch.from_jax(lambda x: x)(x)
+    assert same.data_ptr() != x.data_ptr()
+    torch.testing.assert_close(same, x)
+
+
+def test_it_trains():
+    """Squeezing forces that make the optimum's forces small, by PyTorch's optimiser."""
+    given = pinch()
+    squeeze = given.pop("squeeze").requires_grad_()
+    optimiser = torch.optim.SGD([squeeze], lr=0.01)
+    sizes = []
+    for _ in range(20):
+        optimiser.zero_grad()
+        size = grasp_torch.constrained_optimum(squeeze=squeeze, **given).forces.square().sum()
+        size.backward()
+        optimiser.step()
+        sizes.append(size.detach().item())
+    assert (np.diff(sizes) < 0).all() and sizes[-1] < 0.99 * sizes[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "message"),
+    [
+        ({"points": [[0.0]]}, TypeError, "points is of type list: expected a torch tensor"),
+        ({"wrench": np.zeros(6)}, TypeError, "an argument is of type ndarray: expected torch tensors"),
+        ({"squeeze": "4"}, TypeError, "squeeze is of type str: expected a torch tensor"),
+        (
+            {"wrench": torch.zeros(6)},
+            TypeError,
+            "torch.float32 on cpu and torch.float64 on cpu: expected",
+        ),
+        ({"sharing": "all"}, ValueError, "sharing is 'all': expected 'squeeze' or 'uniform'"),
+        ({"friction": torch.ones(2, dtype=torch.float64)}, ValueError, "friction"),
+    ],
+)
+def test_wrong_arguments_are_named(unchecked, change, kind, message):
+    with pytest.raises(kind, match=message):
+        grasp_torch.constrained_optimum(**pinch() | change)
+
+
+def test_doubles_without_jaxs_64_bit_mode_are_refused_and_pytorch_is_imported_late():
+    code = (
+        "import sys, jaxgrasp.interop.torch as t; assert 'torch' not in sys.modules\n"
+        "import torch\n"
+        "try: t.to_jax(torch.zeros(3, dtype=torch.float64))\n"
+        "except ValueError as error: assert \"jax.config.update('jax_enable_x64', True)\" in str(error)\n"
+        "else: raise SystemExit('float64 was taken')\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_without_pytorch_one_line_says_what_to_install(monkeypatch):
+    real = builtins.__import__
+
+    def missing(name, *rest, **more):
+        if name == "torch":
+            raise ImportError(name)
+        return real(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[torch\]'"):
+        grasp_torch.from_jax(lambda x: x)

@@ -59,15 +59,13 @@ def run_command(arguments: RunExperiment) -> int:
 
 def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Person, arm: Arm) -> int:
     """A trial whose stimulus was lost is asked again, once the person has armed the glove anew."""
-    resume = arguments.resume
-    while True:
-        try:
-            return run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=resume)
-        except StimulusLostError as error:
-            show(f"\n{error}: this trial does not count")
-            if not isinstance(error, NotFeltError):
-                arm()
-            resume = True
+
+    def lost(error: StimulusLostError) -> None:
+        show(f"\n{error}: this trial does not count")
+        if not isinstance(error, NotFeltError):
+            arm()
+
+    return run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=arguments.resume, lost=lost)
 
 
 def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
@@ -103,15 +101,20 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     accepted = typed("") if acceptance else ""
 
     def arm(scale: float, words: str) -> None:
-        typed(words)
+        # What is typed for an answer must not arm it.
+        while typed(words).strip().lower() != "arm":
+            pass
         glove.disarm()
         glove.rescale(scale)
         _until_it_does(lambda: glove.arm(accepted))
         stimulus.wait_until_armed(PATIENCE)
 
-    arm(FIRST, "Enter arms the glove at a twentieth of its torque ")
-    arm(FULL, "Enter arms it at all ")
-    return stimulus, lambda: arm(FULL, "Enter arms it again ")
+    def arm_both() -> None:
+        arm(FIRST, "type arm for a twentieth of the glove's torque: ")
+        arm(FULL, "feel it, and type arm for all of it: ")
+
+    arm_both()
+    return stimulus, arm_both
 
 
 def _check_linked(glove: GloveProcess, port: str) -> None:

@@ -79,7 +79,7 @@ class GloveStimulus(PredictedGloveStimulus):
             found, armed = Rendered(self._intensity, self._intensity * self._share, self._most, self._cut), self._armed
             self._intensity = 0.0
         if not (armed and self._holds()):
-            raise StimulusLostError("the glove let go while it was felt")
+            raise StimulusLostError(f"the glove let go while it was felt{self._why()}")
         if found.intensity > 0 and not found.torque > 0:
             raise NotFeltError("no finger has felt it")
         return found
@@ -110,7 +110,7 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _check_armed(self) -> None:
         if not self._holds():
-            raise StimulusLostError("the glove is not armed")
+            raise StimulusLostError(f"the glove is not armed{self._why()}")
 
     def _holds(self) -> bool:
         """Whether laws go out and someone who is there says that they are followed."""
@@ -118,6 +118,14 @@ class GloveStimulus(PredictedGloveStimulus):
         if state is None or not (self._thread.is_alive() and self._glove.is_alive()):
             return False
         return _is_armed(state) and time.perf_counter() - state.at < FRESH
+
+    def _why(self) -> str:
+        """Why it let go last, as its guard or its line has it."""
+        if not self._glove.is_alive():
+            return ": the process that owned its line has ended"
+        events = self._glove.events()
+        cause = next((event["cause"] or event["trouble"] for event in reversed(events) if event["cause"]), "")
+        return f": {cause}" if cause else ""
 
     def _run(self) -> None:
         run_loop(

@@ -17,6 +17,7 @@ from jaxgrasp.psychophysics.trial import intensity
 from jaxgrasp.validation.checked import checked
 
 MOST_TRIALS = 100_000
+MOST_INTERVAL = 60.0
 METHODS: dict[str, type[Settings]] = {
     "constant-stimuli": ConstantStimuli,
     "matching": Matching,
@@ -78,6 +79,8 @@ class SessionPlan:
     """Trials before the first session, at its largest level, with feedback."""
     break_every: int = 40
     """Trials after which a person is asked to rest."""
+    least_interval: float = 0.5
+    """Time for which a person has to feel each stimulus of a trial [s]; a shorter trial is asked again."""
 
     def __post_init__(self):
         if not self.references:
@@ -87,6 +90,8 @@ class SessionPlan:
                 check_level(f"references[{k}]", reference)
             if reference in self.references[:k]:
                 raise ValueError(f"references[{k}] is {reference:g} again: expected each once")
+        if not 0 <= self.least_interval <= MOST_INTERVAL:
+            raise ValueError(f"least_interval is {self.least_interval}: expected 0 to {MOST_INTERVAL:g} s")
         for name, least in (("sessions", 1), ("practice", 0), ("break_every", 1)):
             check_count(name, getattr(self, name), least)
 

@@ -29,6 +29,7 @@ kind = "torque"
 references = [0.05]
 practice = 1
 break_every = 5
+least_interval = 0.0
 [procedure]
 levels = [0.2, 0.4]
 series = 1
@@ -182,13 +183,14 @@ def test_in_a_glove(folder):
             # Not before it asks: what is typed ahead would be answered without having been felt.
             while "torques up to" not in process.stdout.readline():
                 pass
-            # Enter arms, feels and rests, and is asked again where a number is wanted.
-            end, lines = time.perf_counter() + 120, itertools.cycle(["", "1", "", "2"])
+            # Armed in so many words; then Enter feels and rests, and is asked again where a number is wanted.
+            lines = itertools.chain(["", "1", "arm", "arm"], itertools.cycle(["", "1", "", "2"]))
+            end = time.perf_counter() + 120
             with contextlib.suppress(BrokenPipeError):
                 while process.poll() is None and time.perf_counter() < end:
                     process.stdin.write(next(lines) + "\n")
                     process.stdin.flush()
-                    time.sleep(0.3)
+                    time.sleep(0.7)
                 process.stdin.close()
             process.wait(60)
         glove.terminate()

@@ -6,6 +6,7 @@ import random
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records
 from jaxgrasp.psychophysics.running.session import run_experiment
 from jaxgrasp.psychophysics.schedule import Schedule
-from jaxgrasp.psychophysics.stimulus import IdealStimulus, PredictedStimulus, Rendered
+from jaxgrasp.psychophysics.stimulus import IdealStimulus, NotFeltError, PredictedStimulus, Rendered
 
 SHORT = Plan(session=SessionPlan(references=(1.0, 3.0), practice=2, break_every=7), procedure=ConstantStimuli(series=1))
 
@@ -164,6 +165,37 @@ def test_what_saturates_is_flagged(folder):
         assert one["saturated"] == (max(one["first"], one["second"]) > 3.2) and max(one["felt"]) <= 3.2
 
 
+class Hasty(Watched):
+    """A person, whose second trial's second interval is too short the first time."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan)
+        self.observer, self.felt = None, []
+
+    def feel(self, trial, interval):
+        self.felt.append((trial.number, interval))
+        hurries = trial.number == 2 and self.felt.count((2, 2)) == 1 and interval == 2
+        time.sleep(0.0 if hurries else 0.03)
+
+
+def test_a_trial_that_was_too_short_is_discarded_on_record_and_asked_again(folder):
+    plan = replace(SHORT, session=replace(SHORT.session, least_interval=0.02))
+    with pytest.raises(NotFeltError, match=r"felt for 0.0\d s: take 0.02 s at least"):
+        run(plan, folder, Hasty(plan))
+    (folder / "S1.jsonl").unlink()
+    told, hasty = [], Hasty(plan)
+    count = run(plan, folder, hasty, lost=lambda error: told.append(str(error)))
+    assert len(told) == 1 and hasty.felt[2:6] == [(2, 1), (2, 2), (2, 1), (2, 2)]
+    records = read_records(folder / "S1.jsonl")[0]
+    kinds = [record["record"] for record in records]
+    assert kinds == ["begun", "trial", "discarded", *["trial"] * (count - 1)]
+    discarded, again = records[2:4]
+    assert discarded["cause"] == told[0] and discarded["seconds"] > 0.02
+    assert all(discarded[key] == again[key] for key in ("number", "level", "first", "second"))
+    assert min(min(one["durations"]) for one in records if one["record"] == "trial") >= 0.02
+    assert [one["number"] for one in lasting(folder)] == list(range(1, count + 1))
+
+
 def test_refusals(folder, unchecked):
     for subject in ("", "Jane Doe", "a/b", "x" * 33):
         with pytest.raises(ValueError, match="expected a code of letters"):
@@ -263,15 +295,16 @@ def test_lines_through_answers_that_chose_their_levels(folder):
 
 
 def test_what_was_too_brief_to_be_felt_is_said(folder):
-    person = Watched(SHORT)
+    plan = replace(SHORT, session=replace(SHORT.session, least_interval=0.0))
+    person = Watched(plan)
     person.observer = None
-    run(SHORT, folder, person)
+    run(plan, folder, person)
     with pytest.raises(RecordError, match="was begun by a person, and now it is a simulated observer"):
-        run(SHORT, folder, resume=True)
+        run(plan, folder, resume=True)
     notes = analyse(load_experiment(folder)).notes
     assert any("S1: 16 trials had an interval of less than 0.3 s" in note for note in notes)
     (folder / "S1.jsonl").unlink()
-    run(SHORT, folder)
+    run(plan, folder)
     assert any("S1: answers of a simulated observer" in note for note in analyse(load_experiment(folder)).notes)
 
 

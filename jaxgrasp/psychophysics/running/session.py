@@ -18,7 +18,7 @@ from jaxgrasp.psychophysics.running.person import Person
 from jaxgrasp.psychophysics.running.recorded_trials import check_other, check_plan, replay
 from jaxgrasp.psychophysics.running.records import FORMAT, SUFFIX, Journal, read_records, subjects
 from jaxgrasp.psychophysics.schedule import Schedule
-from jaxgrasp.psychophysics.stimulus import Rendered, Stimulus, StimulusLostError
+from jaxgrasp.psychophysics.stimulus import NotFeltError, Rendered, Stimulus, StimulusLostError
 from jaxgrasp.psychophysics.trial import Trial, intensity, level_of
 from jaxgrasp.validation.checked import checked
 
@@ -37,6 +37,7 @@ def run_experiment(
     *,
     resume: bool = False,
     recorded: Callable[[Trial], None] = lambda trial: None,
+    lost: Callable[[StimulusLostError], None] | None = None,
 ) -> int:
     """Ask all that the plan asks of a person; what is on record is not asked again.
 
@@ -48,6 +49,8 @@ def run_experiment(
         person: who answers.
         resume: go on where the records of this person end; begin where there are none.
         recorded: called with each trial once it is on disk.
+        lost: called where a stimulus was not felt as it should have been; when it returns, that trial is asked again.
+            Without one the error is raised.
 
     Returns:
         How many trials are on record.
@@ -55,7 +58,8 @@ def run_experiment(
     Raises:
         ValueError: for a code that is none, or records of this person without ``resume``.
         RecordError: for records that cannot be read, or that another plan made.
-        StimulusLostError: where a stimulus was not felt as it should have been; that trial is not on record.
+        StimulusLostError: where a stimulus was not felt as it should have been; on record is that the trial was
+            discarded, and why.
         OSError: for records that cannot be written.
     """
     folder = Path(folder)
@@ -71,7 +75,7 @@ def run_experiment(
         while (trial := schedule.next()) is not None:
             if done and done > plan.session.practice and (done - plan.session.practice) % plan.session.break_every == 0:
                 person.rest(done, plan.most_trials())
-            score, record = _asked(trial, plan, stimulus, person)
+            score, record = _asked_until_felt(trial, plan, stimulus, person, journal, lost)
             journal.append(record)
             schedule.score(score)
             done += 1
@@ -104,6 +108,29 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, obser
     return path
 
 
+def _asked_until_felt(
+    trial: Trial,
+    plan: Plan,
+    stimulus: Stimulus,
+    person: Person,
+    journal: Journal,
+    lost: Callable[[StimulusLostError], None] | None,
+) -> tuple[float, dict[str, Any]]:
+    """As ``_asked``; each time that does not count has a record of its own."""
+    while True:
+        begun = time.perf_counter()
+        try:
+            return _asked(trial, plan, stimulus, person)
+        except StimulusLostError as error:
+            seconds = round(time.perf_counter() - begun, 3)
+            journal.append(
+                {"record": "discarded", **asdict(trial), "cause": str(error), "seconds": seconds, "at": _now()}
+            )
+            if lost is None:
+                raise
+            lost(error)
+
+
 def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tuple[float, dict[str, Any]]:
     """Present a trial, and what came of it: its score and its record."""
     begun = time.perf_counter()
@@ -112,7 +139,9 @@ def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tupl
         score = level_of(trial.reference, setting)
         answer: dict[str, Any] = {"setting": setting}
     else:
-        intervals = _felt(trial, 1, stimulus, person), _felt(trial, 2, stimulus, person)
+        # An observer who is simulated needs no time.
+        least = plan.session.least_interval if person.observer is None else 0.0
+        intervals = _felt(trial, 1, stimulus, person, least), _felt(trial, 2, stimulus, person, least)
         rendered, durations = (intervals[0][0], intervals[1][0]), (intervals[0][1], intervals[1][1])
         choice = person.choose(trial, rendered)
         if choice not in (1, 2):
@@ -133,13 +162,18 @@ def _asked(trial: Trial, plan: Plan, stimulus: Stimulus, person: Person) -> tupl
     return score, record
 
 
-def _felt(trial: Trial, interval: int, stimulus: Stimulus, person: Person) -> tuple[Rendered, float]:
-    """What came of one interval, and how long it was felt [s]."""
+def _felt(
+    trial: Trial, interval: int, stimulus: Stimulus, person: Person, least: float = 0.0
+) -> tuple[Rendered, float]:
+    """What came of one interval, and how long it was felt [s]: ``least`` at least, or it does not count."""
     begun = time.perf_counter()
     stimulus.begin(trial.first if interval == 1 else trial.second)
     with _let_go_of(stimulus):
         person.feel(trial, interval)
-    return stimulus.end(), time.perf_counter() - begun
+    rendered, lasted = stimulus.end(), time.perf_counter() - begun
+    if lasted < least:
+        raise NotFeltError(f"it was felt for {lasted:.2f} s: take {least:g} s at least")
+    return rendered, lasted
 
 
 @contextlib.contextmanager

@@ -178,6 +178,8 @@ class ColumnarGrasps:
                 for name in missing
                 if name in ("friction", "squeeze")
             )
+            if "wrench" in missing:
+                hint += "; wrench is what the hand must exert (N, 6), such as jaxgrasp.weight_wrench gives"
             held = ", ".join(self.names)[:LARGEST] or "nothing"
             raise GraspFileError(self.path, f"it lacks {', '.join(map(repr, missing))} and holds {held}{hint}")
 

@@ -37,7 +37,8 @@ def hints(source: GraspSource, plan: StreamPlan, summary: Summary) -> list[str]:
         found.append(
             f"{count:,} of {summary.problems:,} cannot hold because all contacts lie on one line, as those of a "
             "parallel jaw do: hard fingers resist no torque about the line between them, however hard they squeeze. "
-            "If yours are wide or soft, say so: --torsion 0.005 (metres) gives every contact torsional friction."
+            "If yours press along that line and are wide or soft, say so: --torsion 0.005 (metres) gives every contact "
+            "torsional friction."
         )
     return found
 

@@ -24,9 +24,15 @@ class Ranking:
     """The two ends of an order: cases as ``cases_of`` makes them, with their ``value``."""
 
     best: list[dict] = field(default_factory=list)
-    """Best first."""
+    """Best first, of those that hold."""
     worst: list[dict] = field(default_factory=list)
-    """Worst first."""
+    """Worst first, whether or not they hold."""
+
+    def ends(self) -> tuple[tuple[str, list[dict]], ...]:
+        """Both ends with their names; of few grasps none stands at both."""
+        best = {(case["grasp"], case["wrench_number"]) for case in self.best}
+        worst = [case for case in self.worst if (case["grasp"], case["wrench_number"]) not in best]
+        return ("best", self.best), ("worst", worst)
 
     def merged(self, other: "Ranking", sign: float) -> "Ranking":
         """``sign`` is 1 where larger is better, and -1 where smaller is."""
@@ -82,12 +88,14 @@ def rank(
         for reason in Reason
         if reason and (why == reason).any()
     }
-    rankings = {}
+    rankings, holds = {}, why.ravel() == Reason.HOLDS
     for label, (method, values) in _orders(sets, results, quality, least_friction, name[0]).items():
         flat = np.asarray(values, float).ravel() * _sign(label)
         ranked = np.flatnonzero(np.isfinite(flat))
         ranked = ranked[np.argsort(flat[ranked], kind="stable")]
-        ends = (ranked[::-1][:RANKED], ranked[:RANKED])
+        # Of equal ones the first of the input comes first at either end.
+        down = ranked[np.argsort(-flat[ranked], kind="stable")]
+        ends = (down[holds[down]][:RANKED], ranked[:RANKED])
         best, worst = (
             [
                 case | {"value": float(flat[problem] * _sign(label))}

@@ -25,13 +25,14 @@ class Reason(IntEnum):
         1,
         "no torque about the line through its contacts",
         "All contacts lie on one line, as those of a parallel jaw do, and hard fingers resist no torque about it, "
-        "however hard they squeeze. Soft fingers do where they press along the line: give them torsion "
-        "(--torsion 0.005).",
+        "however hard they squeeze. Where they press along the line, as a jaw's do, soft fingers resist it: give them "
+        "torsion (--torsion 0.005). Elsewhere only a contact beside the line helps.",
     )
     POINT = (
         2,
         "no torque about its one point of contact",
-        "All contacts lie at one point, about which hard fingers resist no torque. Add a contact, or give --torsion.",
+        "All contacts lie at one point, about which hard fingers resist no torque. Add a contact; torsion (--torsion) "
+        "helps about their normals alone.",
     )
     PULL = (
         3,

@@ -73,7 +73,7 @@ def _which_hold(summary: Summary) -> list[str]:
         lines.append(f"  {count:,} not: {reason.title} ({names}{more})")
     for name, ranking in ranked.rankings.items():
         by_wrench = several and name in (MARGIN, LEAST_FRICTION)
-        for end, cases in (("best", ranking.best), ("worst", ranking.worst)):
+        for end, cases in ranking.ends():
             shown = "; ".join(
                 f"{printable(case_title(case, by_wrench))} {ranked_value(name, case['value'])}"
                 for case in cases[:SHOWN]

@@ -78,23 +78,25 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
             outcome = evaluate_stream(source, plan, folder, bar.update, announce)
         show(summary_text(outcome.summary, outcome.times, outcome.seconds))
-        for hint in hints(source, plan, outcome.summary):
+        doubts = hints(source, plan, outcome.summary)
+        for hint in doubts:
             show(f"hint: {hint}")
         # A resumed evaluation that was finished already has nothing new to say, and no times.
         if outcome.times.problems or not (out / "summary.json").exists():
-            _write_summary(out / "summary.json", outcome, arguments)
+            _write_summary(out / "summary.json", outcome, arguments, doubts)
         _write_table(folder, outcome.summary.problems, arguments.table)
         show(f"results: {out}")
         if arguments.report:
-            _write_report(out / "report.html", path, outcome, arguments, folder)
+            _write_report(out / "report.html", path, outcome, arguments, folder, doubts)
 
 
-def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate) -> None:
+def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate, doubts: list[str]) -> None:
     content = {
         "summary": to_json(outcome.summary),
         "times": asdict(outcome.times),
         "seconds": outcome.seconds,
         "details": _details(arguments),
+        "hints": doubts,
     }
     replace_file(path, lambda stream: stream.write(json.dumps(content).encode()))
 
@@ -110,13 +112,16 @@ def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:
     show(f"table:   {path}")
 
 
-def _write_report(path: Path, data: Path, outcome: StreamResult, arguments: Evaluate, folder: ResultFolder) -> None:
+def _write_report(
+    path: Path, data: Path, outcome: StreamResult, arguments: Evaluate, folder: ResultFolder, doubts: list[str]
+) -> None:
     from jaxgrasp.report.grasp_table import MOST_ROWS
     from jaxgrasp.report.page import write_report
 
     rows = first_rows(folder.shards(), MOST_ROWS)
+    details = _details(arguments)
     try:
-        write_report(path, outcome.summary, outcome.times, title=data.name, details=_details(arguments), rows=rows)
+        write_report(path, outcome.summary, outcome.times, title=data.name, details=details, rows=rows, hints=doubts)
     except ImportError as error:
         show(f"no report: {error}")
     else:

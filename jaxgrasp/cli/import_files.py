@@ -31,7 +31,7 @@ def check_import(arguments: ImportGrasps, *needed: Path) -> None:
         raise ValueError(f"out is {arguments.out}: expected a file that ends in .npz or .csv")
     for path in (*arguments.files, *needed):
         if not path.is_file():
-            raise ValueError(f"{path} is no file")
+            raise ValueError(f"{path} is no file" if path.exists() else f"{path}: no such file")
 
 
 def read_files(arguments: ImportGrasps, read: Callable[[Path], Read]) -> list[Read]:

@@ -1,5 +1,6 @@
 """Entry point of the command ``jaxgrasp``."""
 
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -97,6 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
     try:
         return run(command)
+    except BrokenPipeError:
+        # Whoever read what is shown has enough of it; what is in files is whole.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (ValueError, OSError, ImportError) as error:
         announce(f"jaxgrasp: {message_line(error)}")
         return 1

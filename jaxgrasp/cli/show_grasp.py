@@ -42,17 +42,23 @@ def show_command(arguments: Show) -> int:
 def _chosen(arguments: Show, adjustments: Adjustments) -> tuple[ContactSets, int]:
     """The grasp of that name, or else of that number."""
     wanted, first, names = arguments.grasp, 0, list[str]()
-    by_number = None
+    by_name = by_number = None
     with opened(arguments, adjustments) as source:
         for raw in source.chunks(CHUNK):
             if "name" in raw.labels:
                 found = np.flatnonzero(raw.labels["name"] == wanted)
+                numbers = [first + int(k) for k in found] + ([] if by_name is None else [by_name[1]])
+                if len(numbers) > 1:
+                    some = " and ".join(map(str, sorted(numbers)[:2]))
+                    raise ValueError(f"grasps {some} are both named {shortened(wanted)}: give a number")
                 if len(found):
-                    return adjustments.apply(raw.rows(found[:1])), first + int(found[0])
+                    by_name = adjustments.apply(raw.rows(found)), first + int(found[0])
                 names += raw.labels["name"][: 1000 - len(names)].tolist()
             if wanted.isdecimal() and first <= int(wanted) < first + len(raw):
                 by_number = adjustments.apply(raw.rows(np.array([int(wanted) - first]))), int(wanted)
             first += len(raw)
+    if by_name is not None:
+        return by_name
     if by_number is None:
         hint = nearest(wanted, names) if names and not wanted.isdecimal() else f": expected 0 to {first - 1}"
         raise ValueError(f"{data_path(arguments)} holds no grasp {shortened(wanted)}{hint[:300]}")

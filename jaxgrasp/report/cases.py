@@ -46,7 +46,7 @@ class DrawnCases:
                 for case in summary.ranked.examples.get(reason.name, []):
                     drawn.add(case, f"does not hold: {reason.title}")
             for name, ranking in summary.ranked.rankings.items():
-                for end, cases in (("best", ranking.best), ("worst", ranking.worst)):
+                for end, cases in ranking.ends():
                     for case in cases:
                         drawn.add(case, f"{end} by {name}")
         for case in summary.worst:

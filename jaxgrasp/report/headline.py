@@ -4,10 +4,12 @@ import math
 from dataclasses import dataclass
 
 from jaxgrasp.batch.histogram import LogHistogram
+from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, share, short_percentage, swatch, whole
 
+WHATEVER_THE_FRICTION = (Reason.LINE, Reason.POINT, Reason.PULL, Reason.NO_CONTACTS)
 SOLVED = (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
 
@@ -148,9 +150,8 @@ def _infeasible(summary: Summary) -> list[Tile]:
     )
     if proved == 0:
         sentence = f"No {unit(summary)} was proved to have no allowed forces."
-    closed = summary.methods.get(name[0])
-    if proved and closed is not None:
-        beyond = closed.count(Verdict.INFEASIBLE, Verdict.NO_CONTACTS)
+    if proved and summary.ranked is not None:
+        beyond = int(sum(summary.ranked.counts[reason] for reason in WHATEVER_THE_FRICTION))
         sentence += f" {whole(beyond)} of them stay out of reach whatever the friction."
     if math.isfinite(own.least_force_bound):
         sentence += f" What is proven reaches to {own.least_force_bound:.2g} N of normal force in all, at least."

@@ -1,7 +1,7 @@
 """Writes the report of an evaluation: one HTML file that opens offline, whatever the size of the data."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ def write_report(
     title: str,
     details: dict[str, str],
     rows: Mapping[str, np.ndarray] | None = None,
+    hints: Sequence[str] = (),
 ) -> None:
     """Write the report of an evaluation, whole or not at all.
 
@@ -38,11 +39,12 @@ def write_report(
         title: the page's heading.
         details: names and texts that say where the numbers come from: input, versions, date, command.
         rows: every grasp, or the first ones, by columns as ``Evaluation.table()`` has them.
+        hints: what may be wrong with the data, in sentences.
 
     Raises:
         ImportError: plotly is not installed.
     """
-    page = report_html(summary, times, title=title, details=details, rows=rows)
+    page = report_html(summary, times, title=title, details=details, rows=rows, hints=hints)
     replace_file(Path(path), lambda stream: stream.write(page.encode()))
 
 
@@ -53,12 +55,13 @@ def report_html(
     title: str,
     details: dict[str, str],
     rows: Mapping[str, np.ndarray] | None = None,
+    hints: Sequence[str] = (),
 ) -> str:
     """The page as text: which grasps are good first, then closed forms against their optima."""
     drawn = DrawnCases.of(summary)
     comparison = tiles_html(comparing_tiles(summary)) + f'<p class="note">{WHAT_A_AND_B_ARE}</p>'
     parts = (
-        ("good", "Which grasps hold, and which are the best", which_hold_html(summary, drawn)),
+        ("good", "Which grasps hold, and which are the best", which_hold_html(summary, drawn, hints)),
         ("cases", "One grasp at a time", cases_html(drawn)),
         ("all", "All grasps", grasp_table_html(rows, summary.problems, drawn)),
         ("quality", "Quality", sections.qualities_html(summary)),

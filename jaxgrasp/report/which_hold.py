@@ -1,5 +1,7 @@
 """Which grasps are good: how many hold, why the others do not, and the best and the worst, each by its own name."""
 
+from collections.abc import Sequence
+
 from jaxgrasp.batch.rankings import MARGIN, Ranked
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.report.cases import DrawnCases
@@ -7,12 +9,13 @@ from jaxgrasp.report.look import counted, degrees, method_title, number, share, 
 
 MEANINGS = {
     MARGIN: "friction angle less slip angle of the closed form's worst contact; below zero it slips",
-    "least friction": "the share of its friction that is just enough, by the normal forces that it means to exert",
+    "least friction": "the share of its friction that is just enough, if it exerts the normal forces that it means to "
+    "exert, all together; above 1 it has to press harder than that",
 }
 
 
-def which_hold_html(summary: Summary, drawn: DrawnCases) -> str:
-    """The whole section."""
+def which_hold_html(summary: Summary, drawn: DrawnCases, hints: Sequence[str] = ()) -> str:
+    """The whole section; ``hints`` say what may be wrong with the data."""
     ranked = summary.ranked
     if ranked is None or not summary.problems:
         return "<p class='note'>Nothing was evaluated.</p>"
@@ -22,7 +25,8 @@ def which_hold_html(summary: Summary, drawn: DrawnCases) -> str:
         f"({share(ranked.holds, summary.problems)}), as {text(method_title(ranked.judge))} says. "
         "A button shows its grasp below.</p>"
     )
-    return lead + _failing(ranked, summary, drawn) + _rankings(ranked, drawn)
+    doubts = "".join(f'<p class="note"><b>Hint:</b> {text(hint)}</p>' for hint in hints)
+    return lead + doubts + _failing(ranked, summary, drawn) + _rankings(ranked, drawn)
 
 
 def _failing(ranked: Ranked, summary: Summary, drawn: DrawnCases) -> str:
@@ -44,13 +48,14 @@ def _failing(ranked: Ranked, summary: Summary, drawn: DrawnCases) -> str:
 def _rankings(ranked: Ranked, drawn: DrawnCases) -> str:
     parts = []
     for name, ranking in ranked.rankings.items():
-        if not ranking.best:
+        ends = [cases for _, cases in ranking.ends()]
+        if not any(ends):
             continue
-        places = max(len(ranking.best), len(ranking.worst))
+        places = max(map(len, ends))
         rows = []
         for k in range(places):
             row = [str(k + 1)]
-            for end in (ranking.best, ranking.worst):
+            for end in ends:
                 row += [drawn.pick(end[k]), ranked_value(name, end[k]["value"])] if k < len(end) else ["", ""]
             rows.append(row)
         meaning = f'<p class="note">{text(MEANINGS[name])}</p>' if name in MEANINGS else ""

@@ -1,11 +1,13 @@
 """Pickled files of data sets: plain ones are read as NumPy reads them, and nothing else is ever run."""
 
+import io
 import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from jaxgrasp.files import plain_pickle
 from jaxgrasp.files.plain_pickle import load_plain
 
 
@@ -76,3 +78,68 @@ def test_files_of_another_kind_are_refused(folder):
     (folder / "file.npy").write_text("not at all")
     with pytest.raises(ValueError, match="no plain file"):
         load_plain("file.npy")
+
+
+HEADER = io.BytesIO()
+np.lib.format.write_array_header_1_0(HEADER, {"descr": "|O", "fortran_order": False, "shape": ()})
+HEADER = HEADER.getvalue()
+
+
+def said(value) -> bytes:
+    """The opcodes of a plain value."""
+    return pickle.dumps(value, 2)[2:-1]
+
+
+def called(module: str, name: str) -> bytes:
+    return f"c{module}\n{name}\n".encode()
+
+
+def kind_with(spelled: str, flags: int, size: int = -1) -> bytes:
+    made = called("numpy", "dtype") + said((spelled, False, True)) + b"R"
+    return made + said((3, "|", None, None, None, size, size, flags)) + b"b"
+
+
+def array_of(shape: tuple, kind: bytes, data) -> bytes:
+    array = called("numpy", "ndarray") + said((0,)) + said(b"b")
+    begun = called("numpy.core.multiarray", "_reconstruct") + b"(" + array + b"tR"
+    return begun + b"(" + said(1) + said(shape) + kind + said(False) + said(data) + b"tb"
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        array_of((2,), kind_with("O8", 0), b"A" * 16),
+        array_of((2,), kind_with("S8", 63, 8), [1, 2]),
+        array_of((2,), kind_with("f8", 63), [1, 2]),
+        array_of((1,), kind_with("S8", 0, 10**9), b"A" * 16),
+        array_of((-1,), kind_with("f8", 0), b"A" * 8),
+        array_of((2**39, 2**39), kind_with("f8", 0), b"A" * 8),
+        called("numpy", "dtype") + said(({"names": ["a"], "formats": ["O"]},)) + b"R",
+        called("numpy", "dtype") + said(("O",)) + b"R",
+        called("numpy.core.multiarray", "scalar") + said((None, {"__defaults__": (7,), "__doc__": "x"})) + b"b",
+        called("numpy.core.multiarray", "scalar") + said({"_call": print}["_call"].__name__) + b"b",
+        called("numpy.core.multiarray", "scalar") + said((None, {"_call": 3})) + b"b",
+        called("numpy", "ndarray") + said((2,)) + b"R",
+        called("numpy", "ndarray"),
+        b"]q\x00(h\x00e",
+    ],
+)
+def test_no_program_gets_hold_of_anything_but_records(folder, program):
+    """Objects as raw bytes, flags of kinds, functions' own parts, lists in themselves: one line, nothing changed."""
+    before = plain_pickle._scalar.__defaults__, {name: one._call for name, one in plain_pickle.KNOWN.items()}
+    (folder / "some.npy").write_bytes(HEADER + b"\x80\x02" + program + b".")
+    with pytest.raises(ValueError, match="some.npy is no plain file of NumPy's: "):
+        load_plain(folder / "some.npy")
+    assert before == (plain_pickle._scalar.__defaults__, {n: one._call for n, one in plain_pickle.KNOWN.items()})
+
+
+def test_few_bytes_do_not_become_many_numbers(folder):
+    many = [1.0]
+    for _ in range(60):
+        many = [many, many]
+    np.save(folder / "many.npy", np.array({"a": many}, dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="holds more than 50,000,000 numbers in lists"):
+        load_plain(folder / "many.npy")
+    shared = [1.0, 2.0]
+    np.save(folder / "few.npy", np.array({"a": [shared] * 50}, dtype=object), allow_pickle=True)
+    assert load_plain(folder / "few.npy") == {"a": [shared] * 50}

@@ -112,7 +112,7 @@ def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):
     written(folder / "some.npy", record(0.1, 0.2))
     (folder / "cube.stl").write_text("solid nothing\nendsolid nothing\n")
     for hand, mesh, said in (
-        ("nowhere.xml", "cube.stl", "nowhere.xml is no file"),
+        ("nowhere.xml", "cube.stl", "nowhere.xml: no such file"),
         ("broken.xml", "cube.stl", "broken.xml is no MJCF"),
         ("hand.xml", "cube.stl", "cube.stl"),
     ):

@@ -116,9 +116,17 @@ class GloveDevice(ABC):
     def close(self, now: float) -> None:
         """A command of zero, if the line takes it, and no line."""
 
+    @property
+    def is_free(self) -> bool:
+        """Whether the device resists nothing for all that it was told; of one that does not outlive its host, yes."""
+        return True
+
     @staticmethod
-    def free(line: Line) -> None:
+    def free(line: Line) -> bool:
         """Say on a line, of which no more is known, that nothing is resisted: of a device that outlives its host.
+
+        Returns:
+            Whether the line took it.
 
         Raises:
             LineError: if the line is gone.

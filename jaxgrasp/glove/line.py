@@ -60,15 +60,15 @@ class Line(ABC):
 class SerialLine(Line):
     """A serial port, or a pseudo-terminal that is one for the programs that open it."""
 
-    def __init__(self, port: str, baud: int) -> None:
-        """An open port, for this program alone where the system can.
+    def __init__(self, port: str, baud: int, *, exclusive: bool = True) -> None:
+        """An open port, for this program alone where the system can, unless it need not be ``exclusive``.
 
         Raises:
             LineError: if it cannot be opened.
         """
         self.port = port
         try:
-            self._serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=True)
+            self._serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_TIMEOUT, exclusive=exclusive)
         except _GONE as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error)

@@ -1,8 +1,10 @@
 """A device without a watchdog is freed whoever dies: real processes, on a pseudo-terminal, with the firmware's ways."""
 
+import contextlib
 import os
 import re
 import signal
+import subprocess
 import threading
 import time
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.glove.glove_device import LinkState
+from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import lucidgloves
@@ -27,13 +30,19 @@ class Firmware(threading.Thread):
         super().__init__(daemon=True)
         self.terminal = PseudoTerminal(path, 115_200)
         self.terminal.plug()
-        self.servos, self.over = [0] * 5, False
+        self.servos, self.over, self.plugged = [0] * 5, False, True
         self.held_at = 0.0
 
     def run(self) -> None:
         kept, waits = b"", False
         while not self.over:
             now = time.perf_counter()
+            if not self.plugged:
+                self.terminal.unplug()
+                while not self.plugged and not self.over:
+                    time.sleep(0.001)
+                self.terminal.plug()
+                kept, waits = b"", True
             if not waits:
                 self.terminal.queue(b"A2047B2047C2047D2047E2047\n")
                 waits = True
@@ -60,7 +69,7 @@ def firmware(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.always
-@pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "engine", "close"])
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "SIGSTOP", "engine", "close", "release", "release and SIGKILL"])
 def test_it_is_freed_whoever_ends(firmware, end):
     model = lucidgloves()
     glove = GloveProcess(str(firmware.terminal.link), 5, device="lucidgloves", scale=1.0, ramp=0.2)
@@ -85,13 +94,55 @@ def test_it_is_freed_whoever_ends(firmware, end):
         glove.arm(ACCEPTANCE)
         assert push(lambda _: min(firmware.servos) > 0)
         since = time.perf_counter()
-        if end.startswith("SIG"):
-            glove.child.process.send_signal(getattr(signal, end))
+        if end.startswith("release"):
+            subprocess.run(["pkill", "-9", "-f", f"loop.release.*{firmware.terminal.link}"], check=True)
+            push(lambda _: False, 0.3)
+        if "SIG" in end:
+            glove.child.process.send_signal(getattr(signal, end.split()[-1]))
         elif end == "close":
             glove.close()
         time.sleep(1.0)
         assert firmware.servos == [0] * 5
-        assert firmware.held_at - since < 0.055 + 0.1, "a tenth of a second for processes that must wait their turn"
+        allowed = 0.055 + (0.1 if end == "SIGSTOP" else 0.0)
+        assert firmware.held_at - since < allowed + 0.1, "a tenth of a second for processes that must wait their turn"
+        if end == "SIGSTOP":
+            glove.child.process.send_signal(signal.SIGCONT)
+            push(lambda _: False, 0.5)
+            assert firmware.servos == [0] * 5 and glove.state().guard == GuardState.LATCHED
     finally:
         if end != "close":
             glove.close()
+
+
+@pytest.mark.slow
+@pytest.mark.always
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGHUP", "SIGKILL", "close"])
+def test_what_ends_while_the_cable_is_out_is_freed_once_it_is_back(firmware, end):
+    glove = GloveProcess(str(firmware.terminal.link), 5, device="lucidgloves", scale=1.0, ramp=0.2)
+    give_up, armed = time.perf_counter() + 10, False
+    while min(firmware.servos) == 0 and time.perf_counter() < give_up:
+        state = glove.state()
+        if state is not None and np.all(np.isfinite(state.angles)):
+            glove.write(TorqueLaw(time.perf_counter(), True, state.angles, np.full(5, 0.1), np.eye(5)))
+            if not armed:
+                time.sleep(0.02)
+                with contextlib.suppress(ValueError):
+                    glove.arm(ACCEPTANCE)
+                    armed = True
+        time.sleep(0.005)
+    assert min(firmware.servos) > 0
+    firmware.plugged = False
+    time.sleep(0.3)
+    if end == "close":
+        glove.close()
+    else:
+        glove.child.process.send_signal(getattr(signal, end))
+    time.sleep(0.3)
+    assert min(firmware.servos) > 0, "nobody can reach it"
+    firmware.plugged = True
+    give_up = time.perf_counter() + 5
+    while any(firmware.servos) and time.perf_counter() < give_up:
+        time.sleep(0.05)
+    assert firmware.servos == [0] * 5
+    if end != "close":
+        glove.close()

@@ -34,6 +34,7 @@ OPTIONS = {
 }
 ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end it: asked, interrupted, its terminal closed."""
+UNFREED = "nobody would free it if this program died"
 FIRST_SCALE = 0.05
 """Share of all torques that is let through, unless it is told otherwise: for the first time that power is on."""
 
@@ -57,7 +58,7 @@ def main() -> None:
         rendering.host.close(time.perf_counter())
         rendering.peer.close()
         if release is not None:
-            release.close()
+            release.close(is_free=rendering.host.is_free)
         tell({"summary": times.summary() | rendering.host.report()})
 
 
@@ -98,6 +99,8 @@ def run(
             if order is None:
                 return
             _obey(rendering, release, json.loads(order))
+        if release is not None and not release.is_told():
+            rendering.host.guard.trip(UNFREED)
         begun = time.perf_counter()
         rendering.turn(begun)
         host = rendering.host
@@ -130,8 +133,8 @@ def _obey(rendering: Rendering, release: Release | None, order: dict[str, Any]) 
     try:
         match order:
             case {"arm": accepted}:
-                if release is not None and not release.is_there():
-                    raise ValueError("the glove cannot be armed: nobody would free it if this program died")
+                if release is not None and not release.is_told():
+                    raise ValueError(f"the glove cannot be armed: {UNFREED}")
                 rendering.arm(now, accepted)
             case {"disarm": _}:
                 rendering.host.disarm()

@@ -1,12 +1,15 @@
-"""Frees a glove whose host has died: ``python -m jaxgrasp.glove.loop.release``.
+"""Frees a glove whose host has died or hangs: ``python -m jaxgrasp.glove.loop.release``.
 
 A device without a watchdog goes on doing what it was told last. So a host of one starts this program beside it, in a
-session of its own, and holds the other end of its standard input. The end of that input, which no death can keep from
-coming, makes it open the port and say that nothing is resisted, unless a line before it said that all is done.
+session of its own, and says at each turn that it is alive. When it falls silent, or its end of the pipe closes, which
+no death can keep from happening, this program opens the port and says that nothing is resisted, again and again; a
+port that is gone it waits for. It goes when it is told that the glove is free.
 """
 
 import contextlib
 import json
+import os
+import select
 import subprocess
 import sys
 import time
@@ -15,14 +18,15 @@ from typing import Any
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import LineError, SerialLine
 
-DONE = "done"
-READY = "ready"
+ALIVE, DONE, READY = b".", b"!", "ready"
+SILENT = 0.1
+"""Time without a word after which its host counts as hung [s]."""
 AGAIN = 0.02
 """Time between two attempts [s]."""
 TIMES = 25
-"""How often it is said: a device may be busy, or wait for its turn."""
-LAST = 5.0
-"""Time after which a port that cannot be opened is given up [s]."""
+"""How often it is said after the host's end: a device may be busy, or wait for its turn."""
+LAST = 300.0
+"""Time after which a port that cannot be opened is given up [s]: long enough to plug a cable in again."""
 
 
 class Release:
@@ -39,47 +43,66 @@ class Release:
         """
         command = [sys.executable, "-m", "jaxgrasp.glove.loop.release", json.dumps(options)]
         self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, bufsize=0
         )
-        assert self.process.stdout is not None
-        if self.process.stdout.readline().strip() != READY:
+        assert self.process.stdout is not None and self.process.stdin is not None
+        if self.process.stdout.readline().decode().strip() != READY:
             raise OSError("the program that frees a glove of a dead host did not start")
+        os.set_blocking(self.process.stdin.fileno(), False)
 
-    def is_there(self) -> bool:
-        """Whether it would notice."""
-        return self.process.poll() is None
+    def is_told(self) -> bool:
+        """Say that the host is alive; whether there is someone who hears it."""
+        return self._say(ALIVE)
 
-    def close(self) -> None:
-        """Let it go: the glove is free."""
+    def close(self, *, is_free: bool) -> None:
+        """Let it go, at once if the glove is free, and else once it has freed it."""
         assert self.process.stdin is not None and self.process.stdout is not None
-        with contextlib.suppress(OSError):
-            self.process.stdin.write(DONE + "\n")
-            self.process.stdin.close()
-        self.process.wait(LAST)
+        if is_free:
+            self._say(DONE)
+        self.process.stdin.close()
         self.process.stdout.close()
+
+    def _say(self, word: bytes) -> bool:
+        assert self.process.stdin is not None
+        try:
+            # A pipe that is full is one that nobody reads.
+            return self.process.poll() is None and bool(self.process.stdin.write(word))
+        except OSError:
+            return False
 
 
 def main() -> None:
-    """Wait for the end of the input, and free the glove."""
+    """Listen, and free the glove where that is due."""
     options = json.loads(sys.argv[1])
-    kind = device_kind(options["device"])
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
-    if sys.stdin.read().strip() == DONE:
-        return
-    end = time.perf_counter() + LAST
-    said = 0
-    while said < TIMES and time.perf_counter() < end:
-        try:
-            line = SerialLine(options["port"], options["baud"])
-            try:
-                kind.free(line)
-                said += 1
-            finally:
-                line.close()
-        except LineError:
-            pass
+    heard = False
+    while True:
+        if not select.select([0], [], [], SILENT)[0]:
+            if heard:
+                _free(options)
+            continue
+        said = os.read(0, 65536)
+        heard = heard or bool(said)
+        if said.endswith(DONE):
+            return
+        if not said:
+            break
+    end, freed = time.perf_counter() + LAST, 0
+    while freed < TIMES and time.perf_counter() < end:
+        freed += _free(options)
         time.sleep(AGAIN)
+
+
+def _free(options: dict[str, Any]) -> bool:
+    """Whether the glove was told that nothing is resisted; beside a host that hangs and still has the port."""
+    with contextlib.suppress(LineError):
+        line = SerialLine(options["port"], options["baud"], exclusive=False)
+        try:
+            return device_kind(options["device"]).free(line)
+        finally:
+            line.close()
+    return False
 
 
 if __name__ == "__main__":

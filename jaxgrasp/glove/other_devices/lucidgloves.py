@@ -44,6 +44,8 @@ SILENCE = 0.25
 """How long it may say nothing before it counts as gone [s]."""
 REOPEN = 0.25
 """Time between attempts to open a port [s]."""
+HELD_UP = 0.1
+"""Time between two turns after which nothing goes on as it was [s]: the glove may have been freed meanwhile."""
 DEEPEST = 0.2
 """How far from a finger its resistance may begin at most [rad]: the law's slope is followed no farther."""
 _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]|P)(\d{1,5})|([H-O])(?!\d)")
@@ -167,7 +169,7 @@ class LucidHost(GloveDevice):
         """Those that are to hold from now on."""
         self.refused = self.links = 0
         """Lines that said nothing; how often it began to speak."""
-        self._open, self._next = open_line, -math.inf
+        self._open, self._next, self._sent_at = open_line, -math.inf, math.inf
         self._line: Line | None = None
         self._spans, self._full_scale, self._give = np.array(model.spans), full_scale, give
         self._kept = b""
@@ -204,6 +206,9 @@ class LucidHost(GloveDevice):
         Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
         answer may have been lost, and then the glove holds them and waits.
         """
+        if now - self._sent_at > HELD_UP:
+            self.guard.trip(f"this program was held up for {now - self._sent_at:.1f} s")
+        self._sent_at = now
         output = self.guard.step(now, wanted, measured_at)
         if output.state != GuardState.ARMED:
             self.state = min(self.state, LinkState.LINKED)
@@ -219,20 +224,24 @@ class LucidHost(GloveDevice):
     def close(self, now: float) -> None:
         """Free all fingers, if the line still is there, and let go of it."""
         self.disarm()
-        if self._line is None:
-            return
-        try:
-            self.free(self._line)
-        except LineError as error:
-            self.trouble = str(error)
-            _log.error("the glove could not be freed: %s; take its power away", error)
-        self._line.close()
-        self._line, self.state = None, LinkState.CLOSED
+        if self._line is not None:
+            try:
+                self._holds = not self.free(self._line)
+            except LineError as error:
+                self.trouble = str(error)
+            self._line.close()
+            self._line, self.state = None, LinkState.CLOSED
+        if self._holds:
+            _log.error("the glove could not be freed: %s; plug it in again, or take its power away", self.trouble)
+
+    @property
+    def is_free(self) -> bool:
+        return not self._holds
 
     @staticmethod
-    def free(line: Line) -> None:
-        for _ in range(SEVERAL):
-            line.write(b"\n" + FREE)
+    def free(line: Line) -> bool:
+        taken = [line.write(b"\n" + FREE) for _ in range(SEVERAL)]
+        return all(taken)
 
     def also_says(self) -> str:
         return "" if self.said is None else ", ".join(sorted(self.said.buttons))

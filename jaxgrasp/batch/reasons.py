@@ -1,8 +1,10 @@
 """Whether a grasp holds its wrench and, where it does not, why: out of verdicts and the proofs that come with them."""
 
+from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
+from scipy.optimize import nnls
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
@@ -12,6 +14,10 @@ from jaxgrasp.model.solution import Verdict
 
 JUDGES = ("A-optimum", "B-optimum", "A", "B")
 """Methods by how well they say what holds: by uniform sharing every contact may carry a force."""
+
+
+STILL = 1e-10
+"""Of the squared velocities of contacts: what is less, beside the largest, slides nowhere."""
 
 
 class Reason(IntEnum):
@@ -97,12 +103,13 @@ def reasons(sets: ContactSets, results: dict[str, MethodResult]) -> np.ndarray:
         # What the closed form proves, it proves of contacts that may push and pull as they like.
         beyond = closed.verdict[grasps, wrenches] == Verdict.INFEASIBLE
         certificate = np.where(beyond[:, None], closed.certificate[grasps, wrenches], certificate)
-    found[grasps, wrenches] = _why_infeasible(sets.rows(grasps), certificate, own.sharing)
+    failing = replace(sets.rows(grasps), wrench=sets.wrench[grasps, wrenches][:, None])
+    found[grasps, wrenches] = _why_infeasible(failing, certificate, own.sharing)
     return found
 
 
 def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) -> np.ndarray:
-    """What the certificate ``(N, 6)`` of each of the sets shows, by how it moves their contacts."""
+    """For one wrench each: what the certificate ``(N, 6)`` of a set shows, by how it moves the set's contacts."""
     small = float(np.finfo(certificate.dtype).eps) ** 0.5
     owner, starts = np.repeat(np.arange(len(sets)), sets.sizes), sets.offsets[:-1]
     linear, angular = certificate[owner, :3], certificate[owner, 3:]
@@ -114,14 +121,70 @@ def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) ->
     if sets.torsion is not None:
         radius = np.divide(sets.torsion, sets.friction, out=np.zeros_like(sets.torsion), where=sets.friction > 0)
         across = np.hypot(across, radius * np.einsum("ci,ci->c", angular, sets.normals))
-    carries = np.ones(len(owner), bool) if sharing == "uniform" else sets.squeeze > 0
+    carries = _carries(sets, sharing)
     across_only = np.logical_and.reduceat(~carries | (across <= small * size), starts)
     at_rest = across_only & np.logical_and.reduceat(~carries | (np.abs(along) <= small * size), starts)
     pushes = np.logical_or.reduceat(carries & (along + sets.friction * across > small * size), starts)
     limited = any(getattr(sets, name) is not None for name in BOUNDS)
-    apart = np.maximum.reduceat(np.linalg.norm(sets.towards_middle(), axis=1), starts) > small * (
-        np.maximum.reduceat(reach, starts)
-    )
+    middle = _middle(sets, carries)
+    from_middle = np.where(carries, np.linalg.norm(sets.points - middle[owner], axis=1), 0)
+    apart = np.maximum.reduceat(from_middle, starts) > small * np.maximum.reduceat(reach, starts)
+    # A proof may use friction where another one would do without.
+    slides = ~across_only
+    across_only[slides] = _escapes_straight(sets.rows(np.flatnonzero(slides)), sharing)
     why = np.where(across_only, Reason.PULL, Reason.FRICTION)
     why = np.where(at_rest, np.where(apart, Reason.LINE, Reason.POINT), why)
-    return np.where(limited & pushes, Reason.LIMITS, why).astype(np.int8)
+    return np.where(limited & pushes & ~(slides & across_only), Reason.LIMITS, why).astype(np.int8)
+
+
+def _carries(sets: ContactSets, sharing: str) -> np.ndarray:
+    """Which contacts may carry a force ``(M,)``."""
+    return np.ones(len(sets.points), bool) if sharing == "uniform" else sets.squeeze > 0
+
+
+def _middle(sets: ContactSets, carries: np.ndarray) -> np.ndarray:
+    """Of each set's contacts that carry a force ``(N, 3)``."""
+    starts = sets.offsets[:-1]
+    count = np.add.reduceat(carries.astype(float), starts)
+    return np.add.reduceat(sets.points * carries[:, None], starts) / np.maximum(count, 1)[:, None]
+
+
+def _escapes_straight(sets: ContactSets, sharing: str) -> np.ndarray:
+    """Whether a motion that the load drives takes each set's object straight away from its contacts ``(N,)``.
+
+    Such a motion slides along no contact, so that no friction resists it (Farkas: of the motions z that slide nowhere,
+    those with A z <= 0 at all contacts do no work against the load c exactly where c = A^T y with y >= 0).
+    """
+    if not len(sets):
+        return np.zeros(0, bool)
+    carries = _carries(sets, sharing)
+    owner, starts = np.repeat(np.arange(len(sets)), sets.sizes), sets.offsets[:-1]
+    middle = _middle(sets, carries)
+    arms = sets.points - middle[owner]
+    reach = np.maximum.reduceat(np.where(carries, np.linalg.norm(arms, axis=1), 0), starts)
+    unit = np.where(reach > 0, reach, 1.0)
+    arms = (arms / unit[owner, None]).astype(float)
+    normals = sets.normals.astype(float)
+    # Velocities of the contacts ``(M, 3, 6)`` for motions about the middle, turns times the reach.
+    turning = np.zeros((len(owner), 3, 3))
+    x, y, z = arms.T
+    turning[:, 0, 1], turning[:, 0, 2], turning[:, 1, 2] = z, -y, x
+    turning -= turning.transpose(0, 2, 1)
+    velocity = np.concatenate([np.broadcast_to(np.eye(3), turning.shape), turning], 2)
+    away = np.einsum("ci,cij->cj", normals, velocity)
+    slides = velocity - normals[:, :, None] * away[:, None]
+    squares = np.einsum("cij,cik->cjk", slides, slides) * carries[:, None, None]
+    if sets.torsion is not None:
+        squares[:, 3:, 3:] += (carries & (sets.torsion > 0))[:, None, None] * normals[:, :, None] * normals[:, None]
+    sizes, motions = np.linalg.eigh(np.add.reduceat(squares, starts))
+    free = sizes <= STILL * np.maximum(sizes[:, -1:], 1)
+    force = sets.wrench[:, 0, :3].astype(float)
+    torque = (sets.wrench[:, 0, 3:] - np.cross(middle, force)) / unit[:, None]
+    load = np.concatenate([force, torque], 1)
+    found = np.zeros(len(sets), bool)
+    for k in np.flatnonzero(free.any(1)):
+        own, own_contacts = motions[k][:, free[k]], slice(sets.offsets[k], sets.offsets[k + 1])
+        at_contacts = away[own_contacts][carries[own_contacts]] @ own
+        _, missed = nnls(at_contacts.T, own.T @ load[k])
+        found[k] = missed > STILL**0.5 * np.linalg.norm(load[k])
+    return found

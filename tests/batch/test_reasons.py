@@ -1,7 +1,10 @@
 """Why a grasp does not hold is what its proof shows, on grasps that are made to fail for one reason alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 import jaxgrasp
@@ -66,3 +69,68 @@ def test_a_closed_form_alone_does_not_say_that_nothing_holds():
     found = jaxgrasp.evaluate(grasps(WRENCH[Reason.FRICTION]), methods=("A",))
     assert found.why.item() == Reason.SLIPS
     assert found.table()["holds"].tolist() == ["unknown"]
+
+
+def holds_by_any_friction(points, normals, wrench) -> bool:
+    """Whether forces that push, in whatever direction, give the wrench: a linear program."""
+    n = len(points)
+    balance = np.zeros((6, 3 * n))
+    for i, point in enumerate(points):
+        balance[:3, 3 * i : 3 * i + 3] = np.eye(3)
+        balance[3:, 3 * i : 3 * i + 3] = np.cross(np.eye(3), point).T @ -np.eye(3)
+    push = np.zeros((n, 3 * n))
+    for i, normal in enumerate(normals):
+        push[i, 3 * i : 3 * i + 3] = -normal
+    made = linprog(np.zeros(3 * n), push, np.zeros(n), balance, wrench, bounds=(None, None), method="highs")
+    return made.status == 0
+
+
+@pytest.mark.parametrize("kind", ["tray", "sphere", "box"])
+def test_friction_is_blamed_where_more_of_it_would_hold_and_nowhere_else(kind):
+    rng = np.random.default_rng(len(kind))
+    each = []
+    for _ in range(60):
+        n = int(rng.integers(2, 6))
+        points = rng.normal(size=(n, 3))
+        if kind == "tray":
+            points[:, 2], normals = 0, np.tile(Z, (n, 1))
+        elif kind == "sphere":
+            points /= np.linalg.norm(points, axis=1, keepdims=True)
+            normals = -points
+        else:
+            normals = np.sign(rng.normal(size=(n, 1))) * np.eye(3)[rng.integers(0, 3, n)]
+        each.append((0.05 * points, normals, np.append(rng.normal(size=3), 0.05 * rng.normal(size=3))))
+    sets = grasps(*each, friction=0.3, turn=False)
+    found = jaxgrasp.evaluate(sets, methods=("A-optimum",)).why[:, 0]
+    seen = set()
+    for (points, normals, _), code, wrench in zip(each, found, sets.wrench[:, 0]):
+        reason = Reason(int(code))
+        seen.add(reason)
+        away = np.array([0.2, -0.1, 0.4])
+        any_friction = holds_by_any_friction(np.array(points) + away, normals, wrench)
+        if reason in (Reason.FRICTION, Reason.HOLDS):
+            assert any_friction
+        elif reason in (Reason.PULL, Reason.LINE, Reason.POINT):
+            assert not any_friction
+    assert Reason.FRICTION in seen and (Reason.PULL in seen or kind != "tray")
+
+
+def test_a_tray_that_is_pulled_down_and_aside_would_have_to_pull():
+    tray = ([np.zeros(3), 0.03 * X + 0.01 * Y, 0.03 * Y], [Z, Z, Z], np.array([1.0, 0, -1, 0, 0, 0]))
+    for limits in ({}, {"normal_max": 10.0}):
+        found = jaxgrasp.evaluate(grasps(tray, **limits), methods=("A-optimum",))
+        assert found.why.item() == Reason.PULL
+
+
+def test_contacts_that_carry_nothing_are_on_no_line():
+    sets = grasps((*JAW, np.array([0, 0, 0, 0, 0, 0.1])))
+    sets = replace(sets, squeeze=np.array([10.0, 0.0]))
+    assert jaxgrasp.evaluate(sets, methods=("B-optimum",)).why.item() == Reason.POINT
+
+
+def test_each_wrench_of_a_grasp_has_its_own_reason():
+    one = grasps(WRENCH[Reason.FRICTION], turn=False)
+    down = one.wrench.copy()
+    down[0, 0] = np.concatenate([-Z, np.cross([0.2, -0.1, 0.4], -Z)])
+    both = replace(one, wrench=np.concatenate([one.wrench, down], 1))
+    assert jaxgrasp.evaluate(both, methods=("A-optimum",)).why.tolist() == [[Reason.FRICTION, Reason.PULL]]

@@ -6,13 +6,14 @@ MISSING = "Parquet files need pyarrow: pip install 'jaxgrasp[table]'"
 
 
 def arrow_library() -> Any:
-    """pyarrow with its Parquet module.
+    """pyarrow with its modules for Parquet and for computing.
 
     Raises:
         ImportError: where it is not installed, with the command that does it.
     """
     try:
         import pyarrow
+        import pyarrow.compute
         import pyarrow.parquet
     except ImportError:
         raise ImportError(MISSING) from None

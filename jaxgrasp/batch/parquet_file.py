@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.batch.arrow import arrow_library
-from jaxgrasp.batch.columnar import BY_CONTACT, KNOWN, LABELS, ColumnarGrasps
+from jaxgrasp.batch.columnar import BY_CONTACT, KNOWN, LABELS, LONGEST_LABEL, ColumnarGrasps
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.files.replace import replace_file
@@ -52,6 +52,9 @@ class ParquetArchive:
         try:
             with arrow.parquet.ParquetFile(path) as file:
                 names = [name for name in file.schema_arrow.names if name in KNOWN and name != "offsets"]
+                twice = next((name for name in names if names.count(name) > 1), None)
+                if twice is not None:
+                    raise GraspFileError(path, f"it has the column {twice!r} twice")
                 for name in names:
                     # One at a time, since joining its pieces takes its size once more.
                     self._arrays[name] = self._flat(arrow, name, file.read(columns=[name])[name].combine_chunks())
@@ -63,6 +66,8 @@ class ParquetArchive:
         """A column as an array, by contact where it belongs to contacts; the first of these gives the offsets."""
         if values.null_count:
             raise GraspFileError(self.path, f"{name} has {values.null_count:,} empty cells: expected a value in each")
+        if name in LABELS:
+            return self._text(arrow, name, values)
         sides: list[int] = []
         if name in BY_CONTACT:
             if not self._is_list(arrow, values.type):
@@ -84,11 +89,24 @@ class ParquetArchive:
                 raise GraspFileError(self.path, f"{name} holds lists of different lengths: expected one length")
             sides.append(int(lengths[0]) if len(lengths) else 0)
             values = values.flatten()
-        if name in LABELS:
-            return np.asarray(values.to_pylist(), str) if rows else np.zeros(0, "U1")
         if values.null_count or not (arrow.types.is_floating(values.type) or arrow.types.is_integer(values.type)):
             raise GraspFileError(self.path, f"{name} holds {values.type} or empty cells: expected numbers")
         return values.to_numpy(zero_copy_only=False).reshape(rows, *sides)
+
+    def _text(self, arrow: Any, name: str, values: Any) -> np.ndarray:
+        if arrow.types.is_dictionary(values.type):
+            values = values.dictionary_decode()
+        if not (arrow.types.is_string(values.type) or arrow.types.is_large_string(values.type)):
+            raise GraspFileError(self.path, f"{name} holds {values.type}: expected text")
+        if not len(values):
+            return np.zeros(0, "U1")
+        # Every text of an array takes as much memory as the longest.
+        longest = arrow.compute.max(arrow.compute.utf8_length(values)).as_py()
+        if longest > LONGEST_LABEL:
+            raise GraspFileError(
+                self.path, f"{name} holds text of {longest:,} characters: expected {LONGEST_LABEL:,} at most"
+            )
+        return np.asarray(values.to_pylist(), str)
 
     @staticmethod
     def _is_list(arrow: Any, kind: Any) -> bool:

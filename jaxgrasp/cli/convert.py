@@ -16,6 +16,8 @@ def convert_command(arguments: Convert) -> int:
     adjustments = Adjustments(arguments.normals == "outward")
     with open_source(arguments.file, adjustments) as source:
         sets = adjustments.apply(next(source.chunks(max(1, len(source)))))
+        for fault in sets.faults():
+            raise ValueError(f"{arguments.file}: {fault}")
         save_grasps(arguments.out, sets)
     show(f"{arguments.out}: {len(sets):,} grasps, {len(sets.points):,} contacts")
     return 0

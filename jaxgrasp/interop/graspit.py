@@ -72,7 +72,7 @@ def _root(path: str | Path) -> ElementTree.Element:
         raise ValueError(f"{path} defines entities: expected a world of GraspIt!, which has none")
     try:
         root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no XML: {error}") from None
     if root.tag != "world":
         raise ValueError(f"{path} is <{root.tag[:40]}>: expected <world>, a world of GraspIt!")

@@ -110,7 +110,7 @@ def _format(path: Path) -> str:
         raise ValueError(f"path is {str(path)!r}: expected a URDF or MJCF file, but there is none")
     try:
         tag = ElementTree.fromstring(path.read_bytes()).tag
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, RecursionError) as error:
         raise ValueError(f"path is {str(path)!r}: expected a URDF or MJCF file, but it is no XML: {error}") from None
     if tag not in FORMATS:
         raise ValueError(

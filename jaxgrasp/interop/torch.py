@@ -194,12 +194,16 @@ def _grasp_tensors(points: Any, normals: Any, friction: Any, squeeze: Any, prese
         raise TypeError(f"points is of type {type(points).__name__}: expected a torch tensor")
     given = {"points": points, "normals": normals, "friction": friction, "squeeze": squeeze, "present": present}
     given = {name: value for name, value in given.items() if value is not None}
+    if not points.is_floating_point():
+        raise TypeError(f"points is of {points.dtype}: expected floats")
     for name in ("friction", "squeeze"):
         if isinstance(given[name], (int, float)):
             given[name] = points.new_full(points.shape[:-1], float(given[name]))
     for name, value in given.items():
         if not isinstance(value, torch.Tensor):
             raise TypeError(f"{name} is of type {type(value).__name__}: expected a torch tensor")
+        if name != "present" and not value.is_floating_point():
+            raise TypeError(f"{name} is of {value.dtype}: expected floats")
     return given
 
 

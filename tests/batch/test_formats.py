@@ -168,3 +168,39 @@ def test_hostile_parquet_is_one_line(folder, changed, message):
     parquet.write_table(table, "bad.parquet")
     with pytest.raises(GraspFileError, match=re.escape(message)):
         jaxgrasp.load_grasps("bad.parquet")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (["x" * 100_000, "short"], "name holds text of 100,000 characters: expected 1,000 at most"),
+        ([1, 2], "name holds int64: expected text"),
+        ([b"\xff", b"a"], "name holds binary: expected text"),
+        ([["a"], ["b"]], "name holds list<"),
+    ],
+    ids=["long", "numbers", "bytes", "lists"],
+)
+def test_names_in_parquet_are_text_of_bounded_length(folder, values, message):
+    arrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    jaxgrasp.save_grasps("bad.parquet", make_sets([2, 2]))
+    table = parquet.read_table("bad.parquet")
+    table = table.drop_columns([name for name in table.column_names if name == "name"])
+    parquet.write_table(table.append_column("name", arrow.array(values)), "bad.parquet")
+    with pytest.raises(GraspFileError, match=re.escape(message)):
+        jaxgrasp.load_grasps("bad.parquet")
+
+
+def test_names_as_categories_and_columns_that_come_twice(folder):
+    arrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    jaxgrasp.save_grasps("some.parquet", make_sets([2, 2]))
+    table = parquet.read_table("some.parquet")
+    table = table.drop_columns([name for name in table.column_names if name == "name"])
+    named = table.append_column("name", arrow.array(["cup", "cup"]).dictionary_encode())
+    parquet.write_table(named, "named.parquet")
+    assert jaxgrasp.load_grasps("named.parquet").labels["name"].tolist() == ["cup", "cup"]
+    twice = arrow.table([*table.columns, table["friction"]], names=[*table.column_names, "friction"])
+    parquet.write_table(twice, "twice.parquet")
+    with pytest.raises(GraspFileError, match="twice.parquet: it has the column 'friction' twice"):
+        jaxgrasp.load_grasps("twice.parquet")

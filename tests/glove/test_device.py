@@ -88,8 +88,12 @@ def test_the_watchdog_latches_in_its_time_whatever_the_clock(start):
     assert device.state == DeviceState.LATCHED, "another session's"
     host.arm(device, start + 64 * MS, nonce=device.nonce + 1)
     assert device.state == DeviceState.LATCHED, "not the device's own number"
+    nonce = device.nonce
     host.arm(device, start + 65 * MS)
     assert device.state == DeviceState.ARMED
+    device.receive(start + 66 * MS, host.line(start + 66 * MS, Kind.COMMAND, flags=Flag(0)))
+    host.arm(device, start + 67 * MS, nonce=nonce)
+    assert device.state == DeviceState.IDLE, "a number that has armed it once"
 
 
 def test_what_zeroes_at_once():

@@ -230,3 +230,13 @@ def test_without_pytorch_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", missing)
     with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[torch\]'"):
         grasp_torch.from_jax(lambda x: x)
+
+
+def test_whole_numbers_are_no_lengths():
+    """Friction and squeeze of their kind would be zero."""
+    points = torch.tensor([[1, 0, 0], [-1, 0, 0]], dtype=torch.int32)
+    wrench = torch.tensor([0.0, 0, 1, 0, 0, 0])
+    with pytest.raises(TypeError, match="points is of torch.int32: expected floats"):
+        grasp_torch.constrained_optimum(points, -points, 0.5, 10.0, wrench)
+    with pytest.raises(TypeError, match="squeeze is of torch.int64: expected floats"):
+        grasp_torch.closed_form(points.float(), -points.float(), 0.5, torch.tensor([10, 10]), wrench)

@@ -93,10 +93,10 @@ class Device:
         self._heard = self._stepped = self._peer_clock = 0
         self._credit = 0
         self._answers = False
-        self._sent = self._greeted = 0
+        self._sent = self._drawn = 0
         self._seed = seed
         self.nonce = 0
-        """What ARM must repeat, since the last HELLO."""
+        """What ARM must repeat, drawn at each HELLO and each ARM."""
 
     def receive(self, now: int, data: bytes) -> None:
         """Bytes from the line."""
@@ -161,8 +161,11 @@ class Device:
         self.order = Sequence(frame.sequence, WINDOW)
         self._peer_clock = frame.clock
         self.accepted = 0
-        self._greeted += 1
-        self.nonce = _signed(zlib.crc32(struct.pack("<3I", self._seed, now, self._greeted)) % SEQUENCES)
+        self._draw(now)
+
+    def _draw(self, now: int) -> None:
+        self._drawn += 1
+        self.nonce = _signed(zlib.crc32(struct.pack("<3I", self._seed, now % TICKS, self._drawn)) % SEQUENCES)
 
     def _is_new(self, frame: Frame) -> bool:
         """Newer than the last by number and by clock: what an older session left on the line is neither."""
@@ -190,6 +193,8 @@ class Device:
             if frame.values[:2] == (self.session, self.nonce):
                 self._drop()
                 self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, frame.echo
+                # It is good for one ARM.
+                self._draw(now)
         elif self.state == DeviceState.ARMED:
             self._heard = frame.echo
             asked = (min(max(value, 0), self._most) for value in frame.values)

@@ -69,19 +69,23 @@ void glove_trip(struct glove_device *device, enum glove_cause cause) {
     drop(device);
 }
 
+/* Another number that ARM must repeat, good for one. */
+static void draw(struct glove_device *device, uint32_t now) {
+    uint8_t from[12];
+    put32(from, device->limits.seed);
+    put32(from + 4, now);
+    put32(from + 8, ++device->drawn);
+    device->nonce = (int16_t)(uint16_t)crc32(from, sizeof from);
+}
+
 static void greet(struct glove_device *device, uint32_t now, const uint8_t *data) {
-    uint8_t drawn[12];
     if (device->state == GLOVE_ARMED) glove_trip(device, GLOVE_GREETED);
     device->newest = get16(data + 2);
     device->peer_clock = get32(data + 4);
     device->session = (int16_t)get16(data + VALUES);
     device->accepted = device->missing = device->stale = 0;
-    device->greeted++;
-    device->answers = true;
-    put32(drawn, device->limits.seed);
-    put32(drawn + 4, now);
-    put32(drawn + 8, device->greeted);
-    device->nonce = (int16_t)(uint16_t)crc32(drawn, sizeof drawn);
+    device->greeted = device->answers = true;
+    draw(device, now);
 }
 
 /* Newer than the last by clock and by number: what an older session left on the line is neither. */
@@ -120,6 +124,7 @@ static void obey(struct glove_device *device, uint32_t now, const uint8_t *data)
         device->state = GLOVE_ARMED;
         device->cause = GLOVE_NO_CAUSE;
         device->heard = echo;
+        draw(device, now);
     } else if (device->state == GLOVE_ARMED) {
         device->heard = echo;
         for (int k = 0; k < device->limits.channels; k++) {
@@ -139,7 +144,7 @@ static void handle(struct glove_device *device, uint32_t now) {
         device->refused++;
     } else if (kind == GLOVE_HELLO) {
         greet(device, now, data);
-    } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted > 0 && is_new(device, data)) {
+    } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted && is_new(device, data)) {
         obey(device, now, data);
     }
 }

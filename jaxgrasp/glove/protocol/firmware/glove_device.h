@@ -53,9 +53,9 @@ struct glove_device {
     int16_t wanted[GLOVE_CHANNELS];
     uint8_t kept[GLOVE_LINE];
     size_t length;
-    bool overflown, answers;
+    bool overflown, greeted, answers;
     int16_t session, nonce;
-    uint32_t greeted;
+    uint32_t drawn;
     uint16_t newest, sent;
     uint32_t peer_clock, heard, stepped, credit;
 };

@@ -86,7 +86,7 @@ class _Table(NamedTuple):
     grasps: list[str]
     """What the column ``grasp`` calls each."""
     labels: dict[str, list[str]]
-    """Of each grasp."""
+    """What each grasp is called, by the label's name."""
 
 
 def _check_header(path: Path, header: list[str], fill: dict[str, float]) -> None:

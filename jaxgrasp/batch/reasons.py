@@ -17,7 +17,7 @@ JUDGES = ("A-optimum", "B-optimum", "A", "B")
 
 
 STILL = 1e-10
-"""Of the squared velocities of contacts: what is less, beside the largest, slides nowhere."""
+"""Part of the largest squared velocity of contacts: what is less slides nowhere."""
 
 
 class Reason(IntEnum):
@@ -143,7 +143,7 @@ def _carries(sets: ContactSets, sharing: str) -> np.ndarray:
 
 
 def _middle(sets: ContactSets, carries: np.ndarray) -> np.ndarray:
-    """Of each set's contacts that carry a force ``(N, 3)``."""
+    """Middle of each set's contacts that carry a force ``(N, 3)``."""
     starts = sets.offsets[:-1]
     count = np.add.reduceat(carries.astype(float), starts)
     return np.add.reduceat(sets.points * carries[:, None], starts) / np.maximum(count, 1)[:, None]

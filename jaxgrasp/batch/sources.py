@@ -27,7 +27,7 @@ POINT_AWAY = "most normals point away from the middle of their grasp"
 MOSTLY = 0.8
 """Share of grasps from which all are suspected."""
 ROUNDING = 1e-3
-"""Of the distances: as far as normals out of files may be off."""
+"""Part of the distances: as far as normals out of files may be off."""
 MILLIMETRES_LIKELY = 2.0
 """A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
 

@@ -137,7 +137,7 @@ class _Chunk:
     start: int
     stop: int
     arrays: dict[str, np.ndarray]
-    """Of its shard."""
+    """The arrays of its shard."""
     summary: Summary
 
 

@@ -159,7 +159,7 @@ def _import(
 
 
 def _object_name(path: Path) -> str:
-    """Of the mesh's file; where that is one in each object's folder, of the folder."""
+    """The name of the mesh's file; where that is one in each object's folder, of the folder."""
     return path.parent.parent.name if path.parent.name == "mesh" else path.stem
 
 

@@ -42,7 +42,7 @@ class PlacedGrasps:
     """``(N, 6)``"""
 
     def posture(self, hand: Hand, own: np.ndarray) -> Posture:
-        """Of some grasps; open where the hand is to close."""
+        """Postures of some grasps; open where the hand is to close."""
         open_ = jnp.clip(jnp.zeros(len(hand.joints)), hand.lower, hand.upper)
         angles = jnp.broadcast_to(open_, (len(own), len(open_))) if self.angles is None else self.angles[own]
         return Posture(_pose(self.transforms[own]), jnp.asarray(angles))

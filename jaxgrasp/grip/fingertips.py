@@ -48,7 +48,7 @@ class FingertipTask(eqx.Module):
     joints: tuple[int, ...] = eqx.field(static=True)
     """Those that carry the fingertips."""
     flexions: tuple[tuple[int, ...], ...] = eqx.field(static=True)
-    """Of each finger the joints that close it, from the palm outwards."""
+    """The joints that close each finger, from the palm outwards."""
 
     @property
     def wrist(self) -> Pose:

@@ -40,7 +40,7 @@ class SolidEntry:
     radius: float = 0.03
     """[m]; of a box half the edge."""
     height: float = 0.12
-    """Of a cylinder, of a capsule's straight part, or of a box [m]."""
+    """Height of a cylinder, of a capsule's straight part, or of a box [m]."""
     size: tuple[float, ...] | None = None
     """A box's edges [m], instead of radius and height."""
 
@@ -95,9 +95,9 @@ class ObstacleEntry(SolidEntry):
     """A table ``[[obstacle]]``: what stands in the object's way; the hand goes through it."""
 
     at: tuple[float, ...]
-    """Of its centre, from the object's at first, along the world's axes [m]."""
+    """Place of its centre, from the object's at first, along the world's axes [m]."""
     turn: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """Of the shape: an axis in the world, as long as the angle [rad]."""
+    """Turn of the shape: an axis in the world, as long as the angle [rad]."""
     stiffness: float = 2000.0
     """K of eq. 1, of each part of the object that touches [N/m]."""
 
@@ -150,7 +150,7 @@ class GripEntry:
     depth: float = 1e-3
     """How far the links press into the object [m]."""
     contributions: Literal["table", "balanced"] = "table"
-    """Of the links: the paper's Table I, or the nearest to it by which the squeezing forces balance."""
+    """Contributions of the links: the paper's Table I, or the nearest to it by which the squeezing forces balance."""
     law: Law = "optimum"
     """Which forces the hand applies."""
 

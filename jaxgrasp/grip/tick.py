@@ -34,7 +34,7 @@ class Tick(eqx.Module):
     inertial: Float[Array, "*batch 6"]
     """What of it accelerates the object."""
     assessment: Assessment
-    """Of the hand alone, as if the object were clear of the table."""
+    """What the hand alone is worth, as if the object were clear of the table."""
     support: Float[Array, "*batch 6"]
     """What of the wrench the table exerts [N, N.m]; zero where the object is clear of it."""
     rests: Bool[Array, "*batch"]

@@ -23,7 +23,7 @@ import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
 from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
-from jaxgrasp.interop.records import field, numbers, pose, read_each, rigid_axes
+from jaxgrasp.interop.file_records import field, numbers, pose, read_each, rigid_axes
 from jaxgrasp.validation.checked import checked
 
 

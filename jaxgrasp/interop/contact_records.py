@@ -22,7 +22,7 @@ class ContactRecords:
 
     path: Path
     names: tuple[str, ...]
-    """Of each grasp in its file."""
+    """Each grasp's name in its file."""
     points: Float[np.ndarray, "M 3"]
     """[m]"""
     normals: Float[np.ndarray, "M 3"]

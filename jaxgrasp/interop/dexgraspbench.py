@@ -19,8 +19,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
+from jaxgrasp.interop.file_records import by_order, field, numbers, pose, positive, read_each
 from jaxgrasp.interop.grasp_poses import GraspPoses
-from jaxgrasp.interop.records import by_order, field, numbers, pose, positive, read_each
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 

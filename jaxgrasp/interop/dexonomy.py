@@ -24,7 +24,7 @@ import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
 from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
-from jaxgrasp.interop.records import directions, field, numbers, read_each
+from jaxgrasp.interop.file_records import directions, field, numbers, read_each
 from jaxgrasp.validation.checked import checked
 
 TIMES = 10.0

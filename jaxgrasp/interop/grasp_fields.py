@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxgrasp.interop.file_records import ROUNDING, numbers
 from jaxgrasp.interop.grasp_poses import GraspPoses
-from jaxgrasp.interop.records import ROUNDING, numbers
 from jaxgrasp.model.faults import entries
 from jaxgrasp.numerics.rotation import is_rotation
 

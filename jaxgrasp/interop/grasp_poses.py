@@ -17,10 +17,10 @@ class GraspPoses:
 
     path: Path
     names: tuple[str, ...]
-    """Of each grasp in its file, or its number there."""
+    """Each grasp's name in its file, or its number there."""
     transforms: Float[np.ndarray, "N 4 4"]
-    """Of the wrist or the gripper; in the mesh's frame, or where ``objects`` is given in the one that both stand in.
-    Lengths in metres."""
+    """Poses of the wrist or the gripper; in the mesh's frame, or where ``objects`` is given in the one that both stand
+    in. Lengths in metres."""
     angles: Float[np.ndarray, "N J"] | None = None
     """By the hand's joints [rad, m]; None of a hand that is to close."""
     scales: Float[np.ndarray, "N"] | None = None

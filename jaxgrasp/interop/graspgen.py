@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
+from jaxgrasp.interop.file_records import field, positive, read_each, read_text, transform
 from jaxgrasp.interop.grasp_poses import GraspPoses
-from jaxgrasp.interop.records import field, positive, read_each, read_text, transform
 from jaxgrasp.validation.checked import checked
 
 

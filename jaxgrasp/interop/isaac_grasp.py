@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
+from jaxgrasp.interop.file_records import by_name, field, frame, numbers, read_each, read_text, rotation
 from jaxgrasp.interop.grasp_poses import GraspPoses
-from jaxgrasp.interop.records import by_name, field, frame, numbers, read_each, read_text, rotation
 from jaxgrasp.validation.checked import checked
 
 MISSING = "isaac_grasp files need PyYAML: pip install 'jaxgrasp[mesh]'"

@@ -115,7 +115,7 @@ def _read(
     stiffness: float,
     most: int | None,
 ) -> MjxGrasp:
-    """Of one state."""
+    """The grasp of one state."""
     contact = data._impl.contact
     bodies = jnp.asarray(model.geom_bodyid)[contact.geom]
     own = jnp.asarray(parts)[bodies]

@@ -27,7 +27,7 @@ class FollowedGrip(NamedTuple):
     kind: Int[Array, ""]
     """Code of the grip whose contributions count."""
     seen: Int[Array, ""]
-    """Of the grip that was seen last."""
+    """Kind of the grip that was seen last."""
     since: Float[Array, ""]
     """How long it has been seen [s]."""
     contributions: Float[Array, "L"]

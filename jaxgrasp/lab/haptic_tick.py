@@ -31,9 +31,9 @@ class HapticState(NamedTuple):
 
     carried: CarryState
     frames: HandFrames
-    """Of the hand, as the glove read it."""
+    """The hand's frames, as the glove read it."""
     contacts: Contacts
-    """Of the hand in those frames with the object, where it now is."""
+    """Contacts of the hand in those frames with the object, where it now is."""
     grasp: Grasp
     inertial: Float[Array, "6"]
     """Wrench that accelerates the object, as it is felt [N, N.m]."""

@@ -47,7 +47,7 @@ class ProximalState(NamedTuple):
     """NOT_CONVERGED for those that are not decided."""
     steps: Array
     certificate: Certificate
-    """Of as many rows as the point has."""
+    """It has as many rows as the point has."""
     decided: Array
     loosely_optimal: Array
     """Whether the point is the optimum within ``LOOSE_FACTOR`` times the tolerances."""

@@ -29,7 +29,7 @@ class Problems(NamedTuple):
     """Allowed forces ``(B, n, 3)`` that the wrench was made of, where there are any."""
 
     def cast(self, dtype: type) -> "Problems":
-        """The same problems rounded to ``dtype``: other problems, strictly speaking, and so without a witness."""
+        """These problems rounded to ``dtype``: other problems, strictly speaking, and so without a witness."""
         arrays = {name: getattr(self, name).astype(dtype) for name in (*Contacts._fields, "wrench")}
         return self._replace(**arrays, witness=None)
 

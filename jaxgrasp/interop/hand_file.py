@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,11 @@ def read_hand(
     """
     mujoco, path = import_mujoco("read_hand"), Path(path)
     kind = _format(path)
-    model, notes = compile_urdf(mujoco, path, keep_going) if kind == "URDF" else read_mjcf(mujoco, path)
+    if kind == "URDF":
+        model, notes = compile_urdf(mujoco, path, keep_going)
+        notes = (*notes, *_odd_limits(path))
+    else:
+        model, notes = read_mjcf(mujoco, path)
     if wrist is None:
         wrist = _carrying_all(mujoco, model, path)
     found = hand_from_mujoco(model, wrist, locked=locked, names=names)
@@ -117,6 +122,29 @@ def _format(path: Path) -> str:
             f"path is {str(path)!r}: expected a URDF or MJCF file, whose root is <robot> or <mujoco>, not <{tag}>"
         )
     return FORMATS[tag]
+
+
+def _odd_limits(path: Path) -> Iterator[LeftOut]:
+    """Limits of a URDF's joints that are none: MuJoCo drops those the wrong way round, and takes the effort's size."""
+    for joint in ElementTree.fromstring(path.read_bytes()).iter("joint"):
+        limit = joint.find("limit")
+        if limit is None:
+            continue
+        name = str(joint.get("name"))[:80]
+        low, high, effort = (_number(limit.get(key, "0")) for key in ("lower", "upper", "effort"))
+        if low > high:
+            yield LeftOut(
+                f"limits of joint {name!r}", f"lower, {low:g}, is above upper, {high:g}: it has no limits here"
+            )
+        if effort < 0:
+            yield LeftOut(f"effort of joint {name!r}", f"it is {effort:g}, below zero: its size counts here")
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _carriers(model: mujoco.MjModel, body: int) -> set[int]:

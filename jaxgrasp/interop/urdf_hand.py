@@ -79,7 +79,10 @@ def compile_urdf(mujoco: Any, path: Path, keep_going: bool) -> tuple[mujoco.MjMo
                 f"expected one of {', '.join(KINDS)}"
             )
     notes = [note for link in robot.iterfind("link") for note in _find_meshes(path, link, keep_going)]
-    return _model(mujoco, path, robot), tuple(notes)
+    try:
+        return _model(mujoco, path, robot), tuple(notes)
+    except RecursionError:
+        raise ValueError(f"path is {str(path)!r}: its elements are nested too deeply for a hand") from None
 
 
 def _find_meshes(path: Path, link: ElementTree.Element, keep_going: bool) -> Iterator[LeftOut]:

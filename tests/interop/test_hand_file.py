@@ -174,3 +174,19 @@ def test_a_data_sets_shadow_hand_keeps_its_torques():
     known = {joint.name: joint.torque_max for joint in read.joints}
     assert known["robot0:FFJ2"] == 0.9 and known["robot0:FFJ0"] == np.inf
     assert sum(note.part.startswith("coupling") for note in read.left_out) == 4
+
+
+def test_limits_that_contradict_themselves_are_said(folder):
+    odd = URDF.replace('lower="0" upper="1.5" effort="2"', 'lower="2" upper="1" effort="-3"')
+    (folder / "claw.urdf").write_text(odd)
+    said = parts(read_hand("claw.urdf", "palm", keep_going=True))
+    assert "limits of joint 'knuckle': lower, 2, is above upper, 1: it has no limits here" in said
+    assert "effort of joint 'knuckle': it is -3, below zero: its size counts here" in said
+    (folder / "claw.urdf").write_text(URDF)
+    assert "limits of joint" not in parts(read_hand("claw.urdf", "palm", keep_going=True))
+
+
+def test_a_file_that_is_nested_without_end_is_one_line(folder):
+    (folder / "deep.urdf").write_text("<robot>" + "<a>" * 300_000 + "</a>" * 300_000 + "</robot>")
+    with pytest.raises(ValueError, match="deep.urdf"):
+        read_hand("deep.urdf")

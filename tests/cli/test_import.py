@@ -50,13 +50,13 @@ def test_an_unknown_format_is_told_the_known_ones(capsys):
     "words, said",
     [
         (("dexonomy",), "files are none: expected one at least"),
-        (("dexonomy", "nowhere.npy"), "nowhere.npy is no file"),
+        (("dexonomy", "nowhere.npy"), "nowhere.npy: no such file"),
         (("dexonomy", "some.npy", "--out", "some.json"), "out is some.json: expected a file that ends in .npz or .csv"),
         (("dexonomy", "some.npy", "--friction", "-1"), "friction is -1.0: expected a finite number, 0 or more"),
         (("dexonomy", "some.npy", "--mass", "nan"), "mass is nan: expected a finite number, 0 or more"),
         (("dexonomy", "some.npy", "--center", "nan", "0", "0"), "center is (nan, 0.0, 0.0): expected finite numbers"),
         (("dexonomy", "some.npy", "--gravity", "0", "0", "inf"), "gravity is (0.0, 0.0, inf): expected finite numbers"),
-        (("bodex", "some.npy", "--object", "nowhere"), "nowhere is no file"),
+        (("bodex", "some.npy", "--object", "nowhere"), "nowhere: no such file"),
         (
             ("dexgraspbench", "some.npy", "--hand", "hand.xml"),
             "names the mesh 'far/cube/mesh/simplified.obj'",

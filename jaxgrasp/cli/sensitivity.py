@@ -13,15 +13,15 @@ from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task
 from jaxgrasp.sensitivity.study import Study, rankings, spells, study
+from jaxgrasp.sensitivity.task_file import NamedTask, load_task
 from jaxgrasp.validation.fields import check_positive
 
-LABELS: Labels = dict.fromkeys(
-    ("azimuths", "contributions", "depths", "friction", "heights", "stiffness", "slip_angle"), FINGERS
-)
+BY_CONTACT = ("azimuths", "contributions", "depths", "friction", "heights", "points", "normals", "stiffness")
 SAID = 5
 """Parameters of a ranking that are said; the file has them all."""
 MOST_VALUES = 4
@@ -34,13 +34,19 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
     methods = [method.name for method in methods_named(arguments.methods)]
     if len(arguments.values) > MOST_VALUES:
         raise ValueError(f"values are {len(arguments.values)}: expected at most {MOST_VALUES}, which a figure can show")
+    if arguments.task != "cylinder" and not Path(arguments.task).is_file():
+        raise ValueError(f"task is {arguments.task!r}: expected a TOML file, or cylinder")
     set_up_jax("float64")
+    task, fingers = NamedTask(cylinder_task(), FINGERS) if arguments.task == "cylinder" else load_task(arguments.task)
+    if arguments.finger not in fingers:
+        raise ValueError(f"finger is {arguments.finger!r}{nearest(arguments.finger, fingers)}")
+    labels: Labels = dict.fromkeys((*BY_CONTACT, "slip_angle"), fingers)
     show("compiling the task and its derivatives, which takes minutes the first time")
-    found = study(cylinder_task(), times, methods, arguments.by, arguments.vary, arguments.values, LABELS)
+    found = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    _write_table(arguments.out / "sensitivity.csv", _curves(found))
+    _write_table(arguments.out / "sensitivity.csv", _curves(found, fingers))
     _write_table(arguments.out / "ranking.csv", _rankings(found))
-    show("\n".join(_said(found, arguments.finger)))
+    show("\n".join(_said(found, fingers, arguments.finger)))
     show(f"written: {arguments.out / 'sensitivity.csv'}, {arguments.out / 'ranking.csv'}")
     if arguments.report:
         from jaxgrasp.report.sensitivity_picture import write_sensitivity_picture
@@ -60,14 +66,14 @@ def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
     replace_file(path, lambda stream: stream.write(text.getvalue().encode()))
 
 
-def _curves(found: Study) -> Iterable[Sequence]:
+def _curves(found: Study, fingers: Sequence[str]) -> Iterable[Sequence]:
     """A row for each method, finger and instant."""
     first = next(iter(found.slips.values())).matrix
     units = [f"d slip_angle / d {one.label} [rad{f'/({one.unit})' if one.unit else ''}]" for one in first.parameters]
     yield ["method", "finger", "time [s]", "slip_angle [rad]", *units]
     for method, trajectory in found.slips.items():
         matrix = trajectory.matrix
-        for k, finger in enumerate(FINGERS):
+        for k, finger in enumerate(fingers):
             for t, time in enumerate(np.asarray(trajectory.times)):
                 row = np.asarray(matrix.derivatives)[t, k]
                 yield [method, finger, f"{time:.6g}", *(f"{value:.9g}" for value in (matrix.nominal[t, k], *row))]
@@ -83,9 +89,9 @@ def _rankings(found: Study) -> Iterable[Sequence]:
             yield [name, one.label, unit, f"{value:.9g}", f"{one.size:.6g}"]
 
 
-def _said(found: Study, finger: str) -> list[str]:
+def _said(found: Study, fingers: Sequence[str], finger: str) -> list[str]:
     """What a person asks first."""
-    lines, k = [], FINGERS.index(finger)
+    lines, k = [], fingers.index(finger)
     for method, trajectory in found.slips.items():
         times, slips = np.asarray(trajectory.times), np.degrees(trajectory.matrix.nominal)
         pulled = ", ".join(f"{begin:.2f} to {end:.2f} s" for begin, end in spells(times, slips[:, k] > 90))

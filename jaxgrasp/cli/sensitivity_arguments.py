@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from jaxgrasp.cli.evaluate_arguments import MethodName
 
@@ -17,13 +16,14 @@ class FollowSensitivity:
     margin left.
     """
 
-    task: Literal["cylinder"] = "cylinder"
-    """The paper's (section II-G.3): five fingertips turn a cylinder of 10 N at pi rad/s, there and back."""
+    task: str = "cylinder"
+    """TOML file of a task, or the paper's (section II-G.3): five fingertips turn a cylinder of 10 N at pi rad/s, there
+    and back."""
     methods: tuple[MethodName, ...] = ("A", "B", "B-optimum")
     """Methods by which forces are distributed."""
     by: tuple[str, ...] = ("contributions", "friction", "depths", "stiffness", "azimuths", "radius", "mass", "speed")
     """The parameters to differentiate by: whole arrays, or entries such as contributions[index]."""
-    finger: Literal["thumb", "index", "middle", "ring", "little"] = "index"
+    finger: str = "index"
     """Finger whose slip angle the figure shows."""
     vary: str = "contributions[index]"
     """The parameter that the figure varies."""

@@ -40,7 +40,8 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
     task, fingers = NamedTask(cylinder_task(), FINGERS) if arguments.task == "cylinder" else load_task(arguments.task)
     if arguments.finger not in fingers:
         raise ValueError(f"finger is {arguments.finger!r}{nearest(arguments.finger, fingers)}")
-    labels: Labels = dict.fromkeys((*BY_CONTACT, "slip_angle"), fingers)
+    there = [name for name in BY_CONTACT if hasattr(task.parameters.held, name)]
+    labels: Labels = dict.fromkeys((*there, "slip_angle"), fingers)
     show("compiling the task and its derivatives, which takes minutes the first time")
     found = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -35,6 +35,8 @@ class Evaluation:
 
     sets: ContactSets
     results: dict[str, MethodResult]
+    why: np.ndarray
+    """Codes of [`Reason`][jaxgrasp.batch.reasons.Reason], ``(N, W)``: 0 where a grasp holds, else why not."""
     summary: Summary
     times: Times
     quality: dict[str, np.ndarray]
@@ -50,17 +52,12 @@ class Evaluation:
         holds = f", {ranked.holds:,} hold" if ranked else ""
         return f"Evaluation({len(self.sets):,} grasps{wrenches} by {methods}{holds}; print it for more)"
 
-    @property
-    def why(self) -> np.ndarray:
-        """Codes of [`Reason`][jaxgrasp.batch.reasons.Reason], ``(N, W)``: 0 where a grasp holds, else why not."""
-        return reasons(self.sets, self.results)
-
     def table(self) -> dict[str, np.ndarray]:
         """One row for each grasp and wrench, by columns: what ``jaxgrasp evaluate`` writes as ``results.csv``.
 
         ``pandas.DataFrame(found.table())`` makes a data frame of it.
         """
-        arrays = arrays_of(self.sets, self.results, self.numbers, self.quality, self.least_friction)
+        arrays = arrays_of(self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction)
         return table_columns(arrays)
 
     def __str__(self) -> str:
@@ -105,13 +102,15 @@ def evaluate(
     good, kept = usable(sets, skip_bad)
     results, columns = run(engine, good), measure_all(measures, good)
     friction = least_friction_of(good) if least_friction else None
-    summary = summarise_all(good, results, measures, columns, friction, kept, set_aside=len(sets) - len(kept))
-    return Evaluation(good, results, summary, engine.times, columns, kept, friction)
+    why = reasons(good, results)
+    summary = summarise_all(good, results, why, measures, columns, friction, kept, set_aside=len(sets) - len(kept))
+    return Evaluation(good, results, why, summary, engine.times, columns, kept, friction)
 
 
 def summarise_all(
     sets: ContactSets,
     results: dict[str, MethodResult],
+    why: np.ndarray,
     measures: tuple[Measure, ...],
     quality: Columns,
     least_friction: np.ndarray | None,
@@ -123,7 +122,7 @@ def summarise_all(
     return replace(
         summarise(sets, results, numbers=numbers, set_aside=set_aside),
         qualities=summarise_qualities(measures, quality),
-        ranked=rank(sets, results, quality, least_friction, numbers),
+        ranked=rank(sets, results, why, quality, least_friction, numbers),
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.qualities import Columns
-from jaxgrasp.batch.reasons import Reason, judge, reasons
+from jaxgrasp.batch.reasons import Reason, judge
 from jaxgrasp.batch.worst import cases_of
 from jaxgrasp.model.solution import is_balanced
 
@@ -77,12 +77,13 @@ class Ranked:
 def rank(
     sets: ContactSets,
     results: dict[str, MethodResult],
+    why: np.ndarray,
     quality: Columns,
     least_friction: np.ndarray | None,
     numbers: np.ndarray,
 ) -> Ranked:
-    """What one chunk adds, whose grasps have these ``numbers`` in the input."""
-    why, name = reasons(sets, results), judge(results)
+    """What one chunk adds, whose grasps hold or do not for these reasons, and have these ``numbers`` in the input."""
+    name = judge(results)
     examples = {
         reason.name: cases_of(sets, results, name[0], np.flatnonzero(why.ravel() == reason)[:EXAMPLES], numbers)
         for reason in Reason

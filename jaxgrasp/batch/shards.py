@@ -23,7 +23,6 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.npz_file import save_arrays
-from jaxgrasp.batch.reasons import reasons
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
@@ -222,12 +221,13 @@ def _is_whole(path: Path, entry: dict) -> bool:
 def arrays_of(
     sets: ContactSets,
     results: dict[str, MethodResult],
+    why: np.ndarray,
     numbers: np.ndarray,
     quality: dict[str, np.ndarray],
     least_friction: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """The results of some sets as the arrays of a shard; ``numbers`` are the grasps' in the input."""
-    arrays = {"grasp": numbers, "offsets": sets.offsets, "why": reasons(sets, results)}
+    arrays = {"grasp": numbers, "offsets": sets.offsets, "why": why}
     if "name" in sets.labels:
         arrays["name"] = np.asarray(sets.labels["name"], str)
     if least_friction is not None:

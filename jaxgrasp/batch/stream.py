@@ -13,6 +13,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, Times
 from jaxgrasp.batch.evaluation import run, summarise_all, usable
 from jaxgrasp.batch.qualities import least_friction_of, measure_all
+from jaxgrasp.batch.reasons import reasons
 from jaxgrasp.batch.shards import ResultFolder, arrays_of
 from jaxgrasp.batch.sources import Adjustments, GraspSource
 from jaxgrasp.batch.summary import Summary
@@ -157,8 +158,9 @@ def _evaluate_chunk(
     numbers = start + kept
     results, columns = run(engine, sets, rows_per_shape), measure_all(measures, sets)
     friction = least_friction_of(sets) if plan.least_friction else None
-    summary = summarise_all(sets, results, measures, columns, friction, numbers, set_aside=len(raw) - len(kept))
-    arrays = arrays_of(sets, results, numbers, columns, friction)
+    why = reasons(sets, results)
+    summary = summarise_all(sets, results, why, measures, columns, friction, numbers, set_aside=len(raw) - len(kept))
+    arrays = arrays_of(sets, results, why, numbers, columns, friction)
     return _Chunk(start, start + len(raw), arrays, summary)
 
 

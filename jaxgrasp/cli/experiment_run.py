@@ -8,20 +8,23 @@ from typing import Any
 from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson
 from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
+from jaxgrasp.cli.glove import which_glove
+from jaxgrasp.cli.glove_arguments import GloveDriven
+from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, until_armed
 from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show, typed
-from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.line import check_port
 from jaxgrasp.glove.loop.glove_process import GloveProcess
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import check_records, run_experiment
 from jaxgrasp.psychophysics.stimulus import NotFeltError, Stimulus, StimulusLostError
 from jaxgrasp.validation.fields import check_positive
 
-FIRST, FULL = 0.05, 1.0
 PATIENCE = 5.0
 """How long a glove may take to link and to arm [s]."""
 Arm = Callable[[], None]
@@ -69,7 +72,7 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
 
 
 def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
-    model, _ = load_model({"model": arguments.glove})
+    _, model, _ = _glove(arguments)
     stimulus = predicted_stimulus(plan, model)
     warnings = [line for line in predicted(plan, stimulus) if line.startswith("WARNING")]
     show("\n".join([*warnings, "a simulated observer answers"]))
@@ -84,10 +87,7 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.stimuli import GloveStimulus
 
-    files = {"model": arguments.glove, "calibration": arguments.calibration}
-    options: dict[str, Any] = {name: str(one.resolve()) for name, one in files.items() if one is not None}
-    options |= {name: getattr(arguments, name) for name in ("device", "full_scale", "baud")}
-    model, _ = load_model(options)
+    options, model, _ = _glove(arguments)
     glove = stack.enter_context(GloveProcess(arguments.port or "", len(model.joints), **options, scale=FIRST))
     _check_linked(glove, arguments.port or "")
     show("compiling")
@@ -97,7 +97,7 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     show("\n".join(predicted(plan, stimulus)))
 
     if acceptance:
-        show(f"this glove goes on with what it was told last when its line is cut; to go on, type: {acceptance}")
+        show(f"{GOES_ON}; to go on, type: {acceptance}")
     accepted = typed("") if acceptance else ""
 
     def arm(scale: float, words: str) -> None:
@@ -106,7 +106,7 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
             pass
         glove.disarm()
         glove.rescale(scale)
-        _until_it_does(lambda: glove.arm(accepted))
+        until_armed(glove, accepted, PATIENCE)
         stimulus.wait_until_armed(PATIENCE)
 
     def arm_both() -> None:
@@ -117,6 +117,12 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     return stimulus, arm_both
 
 
+def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:
+    """As [`which_glove`][jaxgrasp.cli.glove.which_glove] has it."""
+    named = ("calibration", "baud", "device", "full_scale")
+    return which_glove(GloveDriven(model=arguments.glove, **{name: getattr(arguments, name) for name in named}))
+
+
 def _check_linked(glove: GloveProcess, port: str) -> None:
     """Before anything takes long: raise OSError unless a glove answers there."""
     end = time.perf_counter() + PATIENCE
@@ -125,16 +131,3 @@ def _check_linked(glove: GloveProcess, port: str) -> None:
             why = next((event["trouble"] for event in reversed(glove.events()) if event["trouble"]), "it says nothing")
             raise OSError(f"no glove answers at {port}: {why}; `jaxgrasp glove ports` lists the ports")
         time.sleep(0.02)
-
-
-def _until_it_does(arm: Callable[[], None]) -> None:
-    """Until there is a link and a law to follow, or nobody waits any longer."""
-    end = time.perf_counter() + PATIENCE
-    while True:
-        try:
-            arm()
-            return
-        except ValueError:
-            if time.perf_counter() > end:
-                raise
-            time.sleep(0.1)

@@ -12,12 +12,35 @@ from jaxgrasp.glove.loop.glove_process import GloveProcess
 
 FULL = 1.0
 FIRST = 0.05
+GOES_ON = "this glove goes on with what it was told last when its line is cut"
 LOOKS_EVERY = 0.05
 """Time between two looks at what happened to the glove [s]."""
 AGREES = 1.0
 """How long a glove may take to say that it is armed [s]."""
 FRESH = 0.5
 """How long an order to arm waits for forces that are fresh [s]: the first ones, or after a pause of the machine."""
+
+
+def until_armed(glove: GloveProcess, accepted: str, patience: float) -> None:
+    """Ask for torque until it is not refused: there may be no link yet, or no fresh law.
+
+    Args:
+        glove: to be armed.
+        accepted: what the user said, of a device that needs words.
+        patience: how long [s].
+
+    Raises:
+        ValueError: where it is refused still.
+        OSError: where the process has ended.
+    """
+    end = time.perf_counter() + patience
+    while True:
+        try:
+            return glove.arm(accepted)
+        except ValueError:
+            if time.perf_counter() > end:
+                raise
+            time.sleep(LOOKS_EVERY)
 
 
 class Orders:
@@ -73,7 +96,7 @@ class Orders:
 
     def _arm(self, scale: float) -> str:
         if self._accepted != self._acceptance:
-            return f"this glove goes on with what it was told last when its line is cut; type: {self._acceptance}"
+            return f"{GOES_ON}; type: {self._acceptance}"
         if scale == FULL and not self._felt_first:
             return "the first time power is on, it is a twentieth: arm, feel it, and then say full"
         with self._asked:
@@ -86,14 +109,7 @@ class Orders:
 
     def _arm_soon(self) -> None:
         begun = time.perf_counter()
-        while True:
-            try:
-                self._glove.arm(self._accepted)
-                break
-            except ValueError:
-                if time.perf_counter() > begun + FRESH:
-                    raise
-                time.sleep(LOOKS_EVERY)
+        until_armed(self._glove, self._accepted, FRESH)
         end = time.perf_counter() + AGREES
         while not any(
             event["at"] >= begun and event["guard"] == GuardState.ARMED.name for event in self._glove.events()

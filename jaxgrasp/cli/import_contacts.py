@@ -9,7 +9,7 @@ from jaxgrasp.cli.contacts_found import write_contacts
 from jaxgrasp.cli.import_arguments import BODex, ImportContacts
 from jaxgrasp.cli.import_files import FRICTION, MASS, check_import, read_files
 from jaxgrasp.cli.machine import set_up_jax
-from jaxgrasp.cli.posed_contacts import joined_sets, weights
+from jaxgrasp.cli.posed_contacts import in_world, joined_sets, weights
 from jaxgrasp.hand.mesh import load_mesh, mass_properties
 from jaxgrasp.interop.bodex import read_bodex
 from jaxgrasp.interop.contact_records import ContactRecords
@@ -70,4 +70,4 @@ def _centers(arguments: ImportContacts, records: ContactRecords, object_: Path |
         options = "--center or its mesh by --object" if isinstance(arguments, BODex) else "--center"
         raise ValueError(f"{records.path} does not say the object's centre of mass: give it by {options}")
     middle = records.scales * mass_properties(load_mesh(mesh)).center
-    return records.objects[:, :3, 3] + np.einsum("nij,nj->ni", records.objects[:, :3, :3], middle)
+    return in_world(records.objects, middle)

@@ -88,8 +88,13 @@ def weights(
 ) -> np.ndarray:
     """The wrenches ``(N, 6)`` that hold objects whose centres of mass ``(N, 3)`` are given in their meshes' frames."""
     if objects is not None:
-        centers = objects[:, :3, 3] + np.einsum("nij,nj->ni", objects[:, :3, :3], centers)
+        centers = in_world(objects, centers)
     return np.asarray(weight_wrench(mass, jnp.asarray(centers), jnp.asarray(gravity)))
+
+
+def in_world(objects: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points ``(N, 3)``, one in the frame of each mesh ``(N, 4, 4)``, in the world."""
+    return objects[:, :3, 3] + np.einsum("nij,nj->ni", objects[:, :3, :3], points)
 
 
 def touch(hand: Hand, tree: SphereTree, grasps: PlacedGrasps, how: Touching) -> Touched:

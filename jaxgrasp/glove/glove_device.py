@@ -12,6 +12,11 @@ from jaxgrasp.glove.guard import Guard, GuardOutput
 from jaxgrasp.glove.line import Line
 from jaxgrasp.glove.model import GloveModel
 
+REOPEN = 0.25
+"""Time between attempts to open a port [s]."""
+SILENCE = 0.25
+"""How long a device may say nothing before it counts as gone [s]."""
+
 
 class LinkState(IntEnum):
     """How far a host has come with its device."""
@@ -78,6 +83,10 @@ class GloveDevice(ABC):
     trouble: str
     """Why there is no link."""
     reading: Reading
+    _line: Line | None
+    """None while the port is not open."""
+    _next: float
+    """When there is something to do again: to open the port, or to greet [s]."""
 
     @abstractmethod
     def arm(self, now: float, accepted: str = "") -> None:
@@ -91,9 +100,10 @@ class GloveDevice(ABC):
             ValueError: without a link, without fresh angles, and without these words.
         """
 
-    @abstractmethod
     def disarm(self) -> None:
         """No torque from the next command on."""
+        self.guard.disarm()
+        self.state = min(self.state, LinkState.LINKED)
 
     @abstractmethod
     def poll(self, now: float) -> Reading:
@@ -115,6 +125,14 @@ class GloveDevice(ABC):
     @abstractmethod
     def close(self, now: float) -> None:
         """A command of zero, if the line takes it, and no line."""
+
+    def _lose(self, now: float, trouble: str) -> None:
+        """Without a line nothing flows until a person arms it again; the port is tried anew a little later."""
+        self.guard.trip(trouble)
+        self.trouble = trouble
+        if self._line is not None:
+            self._line.close()
+        self._line, self.state, self._next = None, LinkState.CLOSED, now + REOPEN
 
     @property
     def is_free(self) -> bool:

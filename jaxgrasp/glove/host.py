@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.glove.encoder_watch import EncoderWatch
-from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
+from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
@@ -30,8 +30,6 @@ from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.tension import TensionWatch
 
-REOPEN = 0.25
-"""Time between attempts to open a port [s]."""
 REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""
 ARMING = 0.5
@@ -42,8 +40,6 @@ LONGEST_WATCHDOG = 50
 """Longest watchdog time of a device that may be armed [ms]."""
 LONGEST_WAIT = 0.015
 """How long a frame and its answer may wait on their way, beside the time that they take [s]."""
-SILENCE = 0.25
-"""How long a device may say nothing before it is greeted again [s]."""
 SESSIONS = 2**15
 SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
 """What only a device says: a line that echoes brings the host's own frames back."""
@@ -135,10 +131,6 @@ class GloveHost(GloveDevice):
         self._watch.forget()
         self._encoder_watch.forget()
 
-    def disarm(self) -> None:
-        self.guard.disarm()
-        self.state = min(self.state, LinkState.LINKED)
-
     def poll(self, now: float) -> Reading:
         try:
             self._connect(now)
@@ -224,13 +216,6 @@ class GloveHost(GloveDevice):
             self._session = random.randrange(SESSIONS)
         self._next = now + self._repeat
         self._greet(now)
-
-    def _lose(self, now: float, trouble: str) -> None:
-        self.guard.trip(trouble)
-        self.trouble = trouble
-        if self._line is not None:
-            self._line.close()
-        self._line, self.state, self._next = None, LinkState.CLOSED, now + REOPEN
 
     def _send(self, now: float, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> bool:
         """Whether the line took a frame; what it is too busy for is not kept."""

@@ -15,7 +15,7 @@ from jaxgrasp.hand.mesh import load_mesh, principal_frame
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.numerics.rotation import rotation_by
-from jaxgrasp.validation.fields import check_finite, check_not_negative, check_positive
+from jaxgrasp.validation.fields import check_directions, check_finite, check_not_negative, check_positive, check_vectors
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class ObstacleEntry(SolidEntry):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_not_negative(self, "stiffness")
-        _check_vectors(self, "at", "turn")
+        check_vectors(self, "at", "turn")
 
     def rotation(self) -> Array:
         """Its axes in the world, as columns."""
@@ -124,10 +124,9 @@ class GuideEntry:
     """Way along the axis with a radian of turn, of a screw [m/rad]."""
 
     def __post_init__(self) -> None:
-        _check_vectors(self, "axis", "through")
+        check_directions(self, "axis")
+        check_vectors(self, "through")
         check_finite(self, "pitch")
-        if not any(self.axis):
-            raise ValueError(f"axis is {list(self.axis)}: expected a direction, not all zeros")
         if self.pitch != 0 and self.kind != "screw":
             raise ValueError(f"pitch is {self.pitch}: expected none of a {self.kind}")
 
@@ -179,12 +178,4 @@ class WorldEntry:
     """[m/s^2]"""
 
     def __post_init__(self) -> None:
-        _check_vectors(self, "gravity")
-
-
-def _check_vectors(entry: object, *names: str) -> None:
-    """Raise ValueError at the first of these that is not three finite numbers."""
-    for name in names:
-        value = getattr(entry, name)
-        if len(value) != 3 or not all(map(math.isfinite, value)):
-            raise ValueError(f"{name} is {list(value)}: expected three finite numbers")
+        check_vectors(self, "gravity")

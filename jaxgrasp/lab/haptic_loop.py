@@ -20,6 +20,7 @@ from jaxgrasp.lab.glove_hand import glove_hand
 from jaxgrasp.lab.haptic_tick import HapticTick, Passed
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.numerics.rotation import is_rotation
 from jaxgrasp.validation.checked import checked
 
 LONGEST = 0.05
@@ -104,8 +105,7 @@ def _is_a_hands(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:
     """Whether a hand can be there: what cannot be must not move the object, finite or not."""
     # A comparison with NaN is false.
     bent, far = np.max(np.abs(angles), initial=0), np.max(np.abs(np.asarray(wrist.origin)))
-    turn = np.asarray(wrist.rotation)
-    return bool(bent <= MOST_BENT and far <= FARTHEST and np.all(np.abs(turn @ turn.T - np.eye(3)) <= OFF_ROTATION))
+    return bool(bent <= MOST_BENT and far <= FARTHEST and is_rotation(np.asarray(wrist.rotation), OFF_ROTATION))
 
 
 def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array, Array]) -> TorqueLaw:

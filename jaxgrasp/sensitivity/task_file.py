@@ -13,7 +13,7 @@ from jaxgrasp.model.held import Held, HeldCylinder, HeldObject
 from jaxgrasp.model.paths import Lift, Shake, Turn
 from jaxgrasp.model.task import GRAVITY, Task, carrying
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.validation.fields import check_finite, check_not_negative, check_positive
+from jaxgrasp.validation.fields import check_directions, check_finite, check_not_negative, check_positive, check_vectors
 
 Numbers = tuple[float, ...]
 BY_CONTACT = ("friction", "contributions", "stiffness", "depths")
@@ -43,7 +43,7 @@ class _HeldEntry:
 
     def __post_init__(self) -> None:
         check_positive(self, "mass")
-        _check_vector(self, "center_of_mass")
+        check_vectors(self, "center_of_mass")
         for name in BY_CONTACT:
             for k, value in enumerate(getattr(self, name)):
                 if not (np.isfinite(value) and value >= 0):
@@ -120,7 +120,7 @@ class TurnEntry:
     """How long it goes one way before it goes the other [s]."""
 
     def __post_init__(self) -> None:
-        _check_vector(self, "axis", direction=True)
+        check_directions(self, "axis")
         check_finite(self, "speed")
         check_positive(self, "reversal")
 
@@ -141,7 +141,7 @@ class LiftEntry:
     """[s]"""
 
     def __post_init__(self) -> None:
-        _check_vector(self, "direction", direction=True)
+        check_directions(self, "direction")
         check_finite(self, "height")
         check_positive(self, "duration")
 
@@ -162,7 +162,7 @@ class ShakeEntry:
     """[Hz]"""
 
     def __post_init__(self) -> None:
-        _check_vector(self, "direction", direction=True)
+        check_directions(self, "direction")
         check_not_negative(self, "amplitude", "frequency")
 
     def made(self) -> Shake:
@@ -209,10 +209,3 @@ def _entry(name: str, table: Any, kinds: dict[str, Any]) -> Any:
     if kind not in kinds:
         raise ValueError(f"{name}.kind is {kind!r}{nearest(str(kind), list(kinds))}")
     return made_from(kinds[kind], table, name)
-
-
-def _check_vector(entry: object, name: str, *, direction: bool = False) -> None:
-    value = getattr(entry, name)
-    if len(value) != 3 or not np.all(np.isfinite(value)) or (direction and not any(value)):
-        expected = "a direction of three numbers" if direction else "three finite numbers"
-        raise ValueError(f"{name} is {list(value)}: expected {expected}")

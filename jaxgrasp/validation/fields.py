@@ -24,5 +24,21 @@ def check_not_negative(arguments: object, *names: str) -> None:
             raise ValueError(f"{name} is {value}: expected a finite number, 0 or more")
 
 
+def check_vectors(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is not three finite numbers."""
+    for name in names:
+        value = getattr(arguments, name)
+        if len(value) != 3 or not all(map(math.isfinite, value)):
+            raise ValueError(f"{name} is {list(value)}: expected three finite numbers")
+
+
+def check_directions(arguments: object, *names: str) -> None:
+    """Raise ValueError at the first of these that is not three finite numbers, or all zeros."""
+    check_vectors(arguments, *names)
+    for name in names:
+        if not any(value := getattr(arguments, name)):
+            raise ValueError(f"{name} is {list(value)}: expected a direction, not all zeros")
+
+
 def _given(arguments: object, names: tuple[str, ...]) -> list[tuple[str, float | int]]:
     return [(name, value) for name in names if (value := getattr(arguments, name)) is not None]

@@ -24,7 +24,7 @@ def found(request):
 
 
 def shard(found) -> dict:
-    return arrays_of(found.sets, found.results, found.numbers, found.quality)
+    return arrays_of(found.sets, found.results, found.why, found.numbers, found.quality)
 
 
 def test_a_row_for_each_grasp_and_wrench(found):

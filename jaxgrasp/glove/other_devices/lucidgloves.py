@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
+from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, GloveModel
@@ -40,10 +40,6 @@ LONGEST = 511
 """Bytes of a line that are kept at most."""
 SEVERAL = 3
 """How often what frees all fingers is said, since no check sum guards it."""
-SILENCE = 0.25
-"""How long it may say nothing before it counts as gone [s]."""
-REOPEN = 0.25
-"""Time between attempts to open a port [s]."""
 HELD_UP = 0.1
 """Time between two turns after which nothing goes on as it was [s]: the glove may have been freed meanwhile."""
 DEEPEST = 0.2
@@ -184,10 +180,6 @@ class LucidHost(GloveDevice):
         self.guard.arm(now)
         self.state = LinkState.ARMED
 
-    def disarm(self) -> None:
-        self.guard.disarm()
-        self.state = min(self.state, LinkState.LINKED)
-
     def poll(self, now: float) -> Reading:
         try:
             self._connect(now)
@@ -297,10 +289,3 @@ class LucidHost(GloveDevice):
         self._was_cut = not line.write(begin + text.encode() + b"\n")
         if self._owed and not self._was_cut:
             self._holds, self._owed = any(self.limits), False
-
-    def _lose(self, now: float, trouble: str) -> None:
-        self.guard.trip(trouble)
-        self.trouble = trouble
-        if self._line is not None:
-            self._line.close()
-        self._line, self.state, self._next = None, LinkState.CLOSED, now + REOPEN

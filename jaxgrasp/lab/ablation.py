@@ -47,15 +47,15 @@ def joint_losses(made: GrippedScene, model: GloveModel) -> list[JointLoss]:
     Raises:
         ValueError: for a hand without one of the glove's joints.
     """
-    places = np.array(model.places(made.scene.hand.joints))
+    joints = made.scene.hand.joints
+    follows = model.transmission(joints) != 0
     whole = np.asarray(made.closed.angles)
-    angles = np.tile(whole, (len(places) + 1, 1))
-    angles[np.arange(len(places)) + 1, places] = open_angles(made.scene.hand)[places]
+    angles = np.concatenate([whole[None], np.where(follows, open_angles(made.scene.hand), whole)])
     scene = eqx.tree_at(lambda s: s.table.origin, made.scene, made.scene.table.origin - jnp.array([0.0, 0.0, CLEAR]))
     wrist = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(angles), *jnp.shape(x))), made.closed.wrist)
     placed = Pose(*(jnp.broadcast_to(x, (len(angles), *x.shape)) for x in (made.placed.origin, made.placed.rotation)))
     tick: Tick = jax.device_get(observe(scene, Posture(wrist, angles), placed, law=made.law))
-    torques = -tick.torques[0, places]
+    torques = model.resisting(joints, np.asarray(tick.torques[0]))
     present = np.asarray(tick.contacts.present)
     squeeze = np.sum(np.asarray(tick.grasp.squeeze) * present, -1)
     count, held = present.sum(-1), np.asarray(tick.assessment.hold) == Hold.STABLE

@@ -85,7 +85,9 @@ def power_command(arguments: Power) -> int:
         between=between,
         most_subjects=arguments.most_subjects,
     )
-    show("\n".join(line for line in predicted(plan, predicted_stimulus(plan, lrp_hand_master())) if "WARNING" in line))
+    for line in predicted(plan, predicted_stimulus(plan, lrp_hand_master())):
+        if "WARNING" in line:
+            show(line)
     if not found:
         show(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
         return 0

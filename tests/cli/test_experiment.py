@@ -92,7 +92,8 @@ def test_an_observer_is_run_and_analysed(folder, plan, capsys):
 
 @pytest.mark.slow
 def test_power(folder, capsys):
-    assert main(["experiment", "power", "--wanted", "0.03"]) == 0
+    (folder / "fig8.toml").write_text('[stimulus]\nfingers = ["index", "middle"]\n')
+    assert main(["experiment", "power", "fig8.toml", "--wanted", "0.03"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "WARNING: 5 of 15 stimuli need more torque" in lines[1]
     totals = [int(line.split()[2]) for line in lines[3:]]

@@ -67,7 +67,7 @@ def _part(config: pytest.Config) -> int | None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    if config.option.markexpr == "slow":
+    if config.option.markexpr.startswith("slow"):
         part = _part(config)
         which = "all" if part is None else f"part {part + 1} of {PARTS}; all with JAXGRASP_TEST_ALL=1"
         terminalreporter.write_line(f"long tests: {which}")

@@ -171,6 +171,7 @@ def test_a_person_matches(folder, monkeypatch, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
 def test_in_a_glove(folder):
     """A whole experiment through a simulated glove: armed at a twentieth, then at all, and each answer typed."""

@@ -18,6 +18,7 @@ from jaxgrasp.glove.simulated.simulator import Simulator, read_record
 
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.realtime,
     pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals"),
 ]
 

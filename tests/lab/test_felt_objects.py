@@ -146,6 +146,7 @@ def test_felt_in_a_glove():
 
 
 @pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
 def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
     """At whatever angles its person bends to, the glove holds the torques of the work that lifts it; at rest, none."""

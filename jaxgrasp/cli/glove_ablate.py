@@ -8,8 +8,9 @@ from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
-from jaxgrasp.grip.scene_file import gripped_scene, load_scene, scene_path
+from jaxgrasp.grip.scene_file import load_scene, scene_path
 from jaxgrasp.lab.ablation import JointLoss, joint_losses
+from jaxgrasp.lab.loaded_scene import loaded_scene
 
 
 def ablate_command(arguments: Ablate) -> int:
@@ -18,7 +19,7 @@ def ablate_command(arguments: Ablate) -> int:
     model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
     set_up_jax("float64")
     say_compiling("the hand and its contacts")
-    made = gripped_scene(file)
+    made = loaded_scene(file)
     losses = joint_losses(made, model)
     show(f"{file.name}: without one of the glove's joints")
     show(f"{'joint':18s} {'mN m not felt':>14s} {'of what is felt':>16s} {'contacts':>9s} {'squeeze':>8s}  holds")

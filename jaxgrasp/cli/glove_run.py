@@ -23,9 +23,10 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, scene_path
+from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
+from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
 from jaxgrasp.validation.fields import check_positive
@@ -75,7 +76,7 @@ def _check_ends(arguments: Run) -> Alignment | None:
 
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     show("compiling, and playing the whole story: a minute or two")
-    story = grasp_and_lift(model, arguments.law, gripped_scene(file))
+    story = grasp_and_lift(model, arguments.law, loaded_scene(file))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
@@ -135,7 +136,7 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
 
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
-    made = gripped_scene(file)
+    made = loaded_scene(file)
     law = arguments.law or made.law
     angles = np.asarray(made.closed.angles)
     haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)

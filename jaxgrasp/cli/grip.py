@@ -7,7 +7,6 @@ from dataclasses import fields
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.cli.grip_arguments import Grip
@@ -20,9 +19,9 @@ from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry, TableEntry
-from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, scene_path
+from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
 from jaxgrasp.hand.grip_type import GripType, grip_type
-from jaxgrasp.hand.human_hand import open_angles
+from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.grip_over_time import History, history
 from jaxgrasp.validation.fields import check_finite, check_positive
@@ -41,7 +40,7 @@ def grip_command(arguments: Grip) -> int:
     file = _scene_of(arguments) if arguments.scene is None else load_scene(scene_path(arguments.scene))
     set_up_jax("float64")
     say_compiling("the hand, its contacts and both laws", "minutes")
-    made = gripped_scene(file)
+    made = loaded_scene(file)
     hand, closed = made.scene.hand, made.closed
     show(f"closed on the {_solid(file)}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
     postures = lift_and_turn(
@@ -50,7 +49,7 @@ def grip_command(arguments: Grip) -> int:
         lift=arguments.lift,
         turn=math.radians(arguments.turn),
         axis=np.array([1.0, 0.0, 0.0]),
-        release=Posture(closed.wrist, jnp.asarray(open_angles(hand))) if arguments.release else None,
+        release=Posture(closed.wrist, made.open) if arguments.release else None,
     )
     record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -141,7 +140,7 @@ def _solid(file: SceneFile) -> str:
 
 def _title(file: SceneFile) -> str:
     hand, held = file.hand, file.object
-    hand_words = f"a {hand.side} hand of {1000 * hand.length:g} mm"
+    hand_words = f"a {hand.side} hand of {1000 * hand.length:g} mm" if hand.file is None else Path(hand.file).stem
     return f"A {file.grip.kind} grip of a {_solid(file)} of {1000 * held.mass:g} g in {hand_words}"
 
 

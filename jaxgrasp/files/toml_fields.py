@@ -39,7 +39,7 @@ def nearest(name: str, known: Sequence[str]) -> str:
 
 
 def made_from(kind: type[Made], table: Any, where: str) -> Made:
-    """A dataclass of numbers, texts, flags, tuples of these, and literals, from a table of its fields.
+    """A dataclass of numbers, texts, flags, tuples and tables of these, and literals, from a table of its fields.
 
     Args:
         kind: the dataclass.
@@ -83,6 +83,10 @@ def _value(name: str, value: Any, hint: Any) -> Any:
         if not isinstance(value, list):
             raise ValueError(f"{name} is {value!r}: expected a list")
         return tuple(_value(f"{name}[{k}]", one, arguments[0]) for k, one in enumerate(value))
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ValueError(f"{name} is {value!r}: expected a table")
+        return {key: _value(f"{name}.{key}", one, arguments[1]) for key, one in value.items()}
     if origin in (Union, UnionType):
         return _value(name, value, next(one for one in arguments if one is not type(None)))
     if isinstance(hint, type) and issubclass(hint, StrEnum):

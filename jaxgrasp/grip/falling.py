@@ -102,11 +102,11 @@ def spun(body: Body, rotation: AnyArray, angular: AnyArray, dt: float | AnyArray
 
     Euler's equations by an implicit step in the body's own axes, where the inertia stays: it gains no energy.
     """
-    inertia = jnp.stack(jnp.broadcast_arrays(*body.shape._moments()))
+    inertia = body.inertia_matrix() / body.mass
     own = jnp.asarray(rotation).T @ angular
 
     def rest(spin: Array) -> Array:
-        return inertia * (spin - own) + dt * jnp.cross(spin, inertia * spin)
+        return inertia @ (spin - own) + dt * jnp.cross(spin, inertia @ spin)
 
     spin = own
     for _ in range(NEWTON_STEPS):

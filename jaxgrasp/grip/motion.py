@@ -21,11 +21,21 @@ PAD = 2e-3
 
 
 class Body(eqx.Module):
-    """A rigid object of uniform density, its centre of mass at its frame's origin."""
+    """A rigid object, its centre of mass at its frame's origin."""
 
     shape: Shape
+    """About the centre of mass: [`jaxgrasp.hand.Shifted`][] where that is not its middle."""
     mass: float | AnyArray
     """[kg]"""
+    inertia: Float[AnyArray, "3 3"] | None = None
+    """About the centre of mass, along the frame's axes [kg.m^2]; of uniform density where not given."""
+
+    def inertia_matrix(self) -> Float[Array, "3 3"]:
+        """About the centre of mass, along the frame's axes [kg.m^2]."""
+        if self.inertia is not None:
+            return jnp.asarray(self.inertia)
+        moments = jnp.stack(jnp.broadcast_arrays(*self.shape._moments()))
+        return jnp.asarray(self.mass) * jnp.diag(moments)
 
 
 class Motion(NamedTuple):
@@ -39,8 +49,7 @@ class Motion(NamedTuple):
 
 def spatial_inertia(body: Body, rotation: Float[AnyArray, "3 3"]) -> Float[Array, "6 6"]:
     """Mass, and moments about the body's origin along the world's axes [kg, kg.m^2]."""
-    moments = jnp.diag(jnp.stack(jnp.broadcast_arrays(*body.shape._moments())))
-    turned = body.mass * rotation @ moments @ rotation.T
+    turned = rotation @ body.inertia_matrix() @ rotation.T
     zero = jnp.zeros((3, 3))
     return jnp.block([[body.mass * jnp.eye(3), zero], [zero, turned]])
 

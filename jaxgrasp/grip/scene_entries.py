@@ -1,7 +1,7 @@
 """The tables of a scene file, each checked as it is made."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import jax.numpy as jnp
@@ -9,10 +9,12 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.motion import Body
 from jaxgrasp.hand.filling import sphere_tree
 from jaxgrasp.hand.human_hand import LENGTH
 from jaxgrasp.hand.mesh import load_mesh, principal_frame
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.task import GRAVITY
 from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.validation.fields import check_directions, check_finite, check_not_negative, check_positive, check_vectors
@@ -20,16 +22,37 @@ from jaxgrasp.validation.fields import check_directions, check_finite, check_not
 
 @dataclass(frozen=True)
 class HandEntry:
-    """The table ``[hand]``: a human hand by its sizes."""
+    """The table ``[hand]``: a human hand by its sizes, or one out of a file."""
 
     length: float = LENGTH
-    """From the wrist to the middle finger's tip [m]."""
+    """From the wrist to the middle finger's tip, of a human hand [m]."""
     breadth: float | None = None
-    """Across the knuckles [m]; in proportion where not given."""
+    """Across the knuckles, of a human hand [m]; in proportion where not given."""
     side: Literal["right", "left"] = "right"
+    """Of a human hand."""
+    file: str | None = None
+    """A URDF or MJCF file, from the scene's own folder (the extra ``hands``)."""
+    wrist: str | None = None
+    """Body of the file that is the wrist; where not given, the last one that all joints hang on."""
+    links: dict[str, str] = field(default_factory=dict)
+    """Finger and phalanx of the file's links whose names do not tell, such as ``"index distal"``."""
+    open: dict[str, float] = field(default_factory=dict)
+    """Angles of the file's joints where the hand is open, as of a thumb opposite the fingers [rad]; 0 of the others."""
+    closed: dict[str, float] = field(default_factory=dict)
+    """Angles of the file's joints where they end as the hand closes [rad]; the limit that flexes, of the others."""
 
     def __post_init__(self) -> None:
         check_positive(self, "length", "breadth")
+        for key in ("wrist", "links", "open", "closed"):
+            if self.file is None and getattr(self, key):
+                raise ValueError(f"{key} is {getattr(self, key)!r}: expected none of a human hand, which has no file")
+        for link, said in self.links.items():
+            if len(said.split()) != 2:
+                raise ValueError(f"links[{link!r}] is {said!r}: expected a finger and a phalanx, as in 'index distal'")
+
+    def names(self) -> dict[str, tuple[str, str]]:
+        """Finger and phalanx by link, as [`jaxgrasp.hand.name_fingers`][] takes them."""
+        return {link: (said.split()[0], said.split()[1]) for link, said in self.links.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +87,7 @@ class SolidEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectEntry(SolidEntry):
-    """The table ``[object]``: a solid of uniform density."""
+    """The table ``[object]``: a solid, of uniform density where nothing else is said."""
 
     mesh: str | None = None
     """File of a closed surface, from the scene's own folder, instead of a shape; its longest axis goes across the
@@ -73,6 +96,11 @@ class ObjectEntry(SolidEntry):
     """Metres of a unit of the mesh's."""
     mass: float = 0.15
     """[kg]"""
+    centre_of_mass: tuple[float, ...] | None = None
+    """In the shape's frame, or the mesh file's [m]; where not given, that of a uniform density."""
+    inertia: tuple[float, ...] | None = None
+    """About the centre of mass, along the axes of that frame [kg.m^2]: xx, yy, zz, and xy, xz, yz where they are not
+    zero; where not given, that of a uniform density about its own centre."""
     friction: float = 0.6
     """Coulomb's coefficient between hand and object."""
     stiffness: float = 400.0
@@ -82,12 +110,46 @@ class ObjectEntry(SolidEntry):
         super().__post_init__()
         check_positive(self, "mass", "scale")
         check_not_negative(self, "friction", "stiffness")
+        check_vectors(self, "centre_of_mass")
+        if self.inertia is not None:
+            _check_inertia(self.inertia)
 
     def solid(self) -> Shape:
         """The object's shape; of a mesh its balls, in the frame of its principal axes."""
+        return self.body()[0].shape
+
+    def body(self) -> tuple[Body, np.ndarray]:
+        """The object about its shape's own origin, of a mesh in the frame of its principal axes; and where its centre
+        of mass is there [m]."""
         if self.mesh is None:
-            return super().solid()
-        return sphere_tree(principal_frame(load_mesh(self.mesh, self.scale))[0])
+            shape, frame = super().solid(), Pose(np.zeros(3), np.eye(3))
+        else:
+            mesh, frame = principal_frame(load_mesh(self.mesh, self.scale))
+            shape = sphere_tree(mesh)
+        uniform, back = Body(shape, self.mass), np.asarray(frame.rotation).T
+        inertia = None if self.inertia is None else back @ _inertia_matrix(self.inertia) @ back.T
+        if self.centre_of_mass is None:
+            return Body(shape, self.mass, inertia), np.zeros(3)
+        # About another place the shape's own moments are not the object's.
+        inertia = uniform.inertia_matrix() if inertia is None else inertia
+        return Body(shape, self.mass, inertia), back @ (np.array(self.centre_of_mass) - np.asarray(frame.origin))
+
+
+def _inertia_matrix(numbers: tuple[float, ...]) -> np.ndarray:
+    xx, yy, zz, xy, xz, yz = (*numbers, 0.0, 0.0, 0.0)[:6]
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _check_inertia(numbers: tuple[float, ...]) -> None:
+    """Raise ValueError for what no solid has: none of its principal moments exceeds the sum of the others."""
+    if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"inertia is {list(numbers)}: expected xx, yy, zz, or these and xy, xz, yz [kg.m^2]")
+    least, middle, most = np.linalg.eigvalsh(_inertia_matrix(numbers))
+    if not (least > 0 and most <= (least + middle) * (1 + 1e-9)):
+        raise ValueError(
+            f"inertia is {list(numbers)}: expected positive principal moments, none above the sum of the other two, "
+            f"not {least:.3g}, {middle:.3g}, {most:.3g} kg.m^2"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -25,13 +26,16 @@ from jaxgrasp.grip.scene_entries import (
     WorldEntry,
 )
 from jaxgrasp.hand.balanced_contributions import balanced_contributions
+from jaxgrasp.hand.closing_way import ClosingWay, closing_way
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.filling import sphere_tree
+from jaxgrasp.hand.finger_names import name_fingers
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.hand.human_hand import human_hand
-from jaxgrasp.hand.shapes import Shape
+from jaxgrasp.hand.shapes import Shape, Shifted
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.world import rigid_body, world_contacts
+from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
@@ -66,7 +70,10 @@ class GrippedScene(NamedTuple):
 
     scene: Scene
     closed: Posture
+    open: Float[AnyArray, "J"]
+    """Angles of the open hand [rad]."""
     placed: Pose
+    """Where the object's centre of mass is, and its axes."""
     contacts: Contacts
     kind: GripType
     law: Law
@@ -119,7 +126,11 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         guide=made_from(GuideEntry, given["guide"], "guide") if "guide" in given else None,
         obstacle=_obstacles(given.get("obstacle", [])),
     )
-    return replace(found, object=_with_mesh(found.object, Path(path).parent))
+    folder = Path(path).parent
+    mesh, hand = (
+        _existing(*one, folder) for one in (("object.mesh", found.object.mesh), ("hand.file", found.hand.file))
+    )
+    return replace(found, object=replace(found.object, mesh=mesh), hand=replace(found.hand, file=hand))
 
 
 def _obstacles(given: object) -> tuple[ObstacleEntry, ...]:
@@ -128,43 +139,56 @@ def _obstacles(given: object) -> tuple[ObstacleEntry, ...]:
     return tuple(made_from(ObstacleEntry, one, f"obstacle[{k}]") for k, one in enumerate(given))
 
 
-def _with_mesh(entry: ObjectEntry, folder: Path) -> ObjectEntry:
-    """The entry whose mesh, if it has one, is a file that is there."""
-    if entry.mesh is None:
-        return entry
-    mesh = folder / entry.mesh
+def _existing(name: str, given: str | None, folder: Path) -> str | None:
+    """Path of a file that an entry names, if it names one."""
+    if given is None:
+        return None
+    path = folder / given
     try:
-        there = mesh.is_file()
+        there = path.is_file()
     except OSError:
         there = False
     if not there:
-        raise ValueError(f"object.mesh is {entry.mesh[:80]!r}: there is no such file")
-    return replace(entry, mesh=str(mesh))
+        raise ValueError(f"{name} is {given[:80]!r}: there is no such file")
+    return str(path)
 
 
 @checked
-def gripped_scene(file: SceneFile) -> GrippedScene:
+def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
     """The hand closed on the object, which stands on the table.
 
+    Args:
+        file: what the scene is.
+        hand: the one in the file that the scene names; a human one where it names none.
+
     Raises:
-        ValueError: for a mesh that is no closed surface, an object that the hand cannot grip so, and an obstacle that
-            begins inside the object.
+        ValueError: for a mesh that is no closed surface, a hand without palm and fingers, an object that the hand
+            cannot grip so, and an obstacle that begins inside the object.
         ImportError: for a mesh without the extra `mesh`.
     """
-    hand, shape = human_hand(file.hand.length, file.hand.breadth, file.hand.side), file.object.solid()
-    closed, placed, contacts = _closed(file.grip, hand, shape)
+    if (hand is None) != (file.hand.file is None):
+        raise ValueError(f"hand is {'None' if hand is None else 'given'}: expected the one in {file.hand.file!r}")
+    if hand is None:
+        hand = human_hand(file.hand.length, file.hand.breadth, file.hand.side)
+    else:
+        hand = name_fingers(hand, file.hand.names())
+    way = closing_way(hand, open=file.hand.open, closed=file.hand.closed)
+    body, centre = file.object.body()
+    closed, placed, contacts = _closed(file.grip, hand, body.shape, way)
     kind = GripType(int(grip_type(hand, closed, contacts)))
     contributions = contributions_of(hand, kind)
     if file.grip.contributions == "balanced":
         contributions = balanced_contributions(contacts, contributions, placed.origin)
     origin = jnp.asarray(placed.origin)
     placed = Pose(origin, jnp.asarray(placed.rotation))
-    obstacles, outline = _in_the_way(file, shape, placed)
+    obstacles, outline = _in_the_way(file, body.shape, placed)
     ground = Pose(jnp.zeros(3), jnp.eye(3))
-    top = height_above(ground, shape, placed) - file.table.below
+    top = height_above(ground, body.shape, placed) - file.table.below
+    if centre.any():
+        body, placed, outline = _about(centre, body, placed, outline)
     scene = Scene(
         hand=hand,
-        body=Body(shape, file.object.mass),
+        body=body,
         table=Pose(origin.at[2].set(top), jnp.eye(3)),
         friction=file.object.friction,
         stiffness=file.object.stiffness,
@@ -175,7 +199,16 @@ def gripped_scene(file: SceneFile) -> GrippedScene:
         outline=outline,
         table_friction=file.table.friction,
     )
-    return GrippedScene(scene, closed, placed, contacts, kind, file.grip.law)
+    return GrippedScene(scene, closed, jnp.asarray(way.open), placed, contacts, kind, file.grip.law)
+
+
+def _about(centre: np.ndarray, body: Body, placed: Pose, outline: Hand | None) -> tuple[Body, Pose, Hand | None]:
+    """An object whose frame's origin is its centre of mass, where that is given in the frame that it had."""
+    there = Pose(placed.origin + placed.rotation @ centre, placed.rotation)
+    shifted = Body(Shifted(body.shape, *(-centre).tolist()), body.mass, body.inertia)
+    if outline is not None:
+        outline = eqx.tree_at(lambda hand: hand.skin.centers, outline, outline.skin.centers - centre)
+    return shifted, there, outline
 
 
 def _in_the_way(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obstacle, ...], Hand | None]:
@@ -194,7 +227,7 @@ def _in_the_way(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obst
     return tuple(found), outline
 
 
-def _closed(grip: GripEntry, hand: Hand, shape: Shape) -> tuple[Posture, Pose, Contacts]:
+def _closed(grip: GripEntry, hand: Hand, shape: Shape, way: ClosingWay) -> tuple[Posture, Pose, Contacts]:
     if grip.kind == "power":
-        return power_grip(hand, shape, grip.depth)
-    return precision_grip(hand, shape, int(grip.kind.removeprefix("precision-")), grip.depth)
+        return power_grip(hand, shape, grip.depth, way)
+    return precision_grip(hand, shape, int(grip.kind.removeprefix("precision-")), grip.depth, way)

@@ -12,7 +12,7 @@ from jaxgrasp.hand.kinematics import contact_jacobian, joint_torques, pose_hand
 from jaxgrasp.hand.mesh import Mesh, check_mesh, load_mesh, principal_frame
 from jaxgrasp.hand.parallel_jaw import parallel_jaw
 from jaxgrasp.hand.posture_limits import check_clear, check_pose, check_posture, clamp_posture
-from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
+from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Shifted, Sphere, check_shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_from_contacts, link_contributions
 from jaxgrasp.hand.world import rigid_body, spring_wrench, world_contacts
@@ -34,6 +34,7 @@ __all__ = [
     "Pose",
     "Posture",
     "Shape",
+    "Shifted",
     "Sphere",
     "SphereTree",
     "Spheres",

@@ -171,6 +171,42 @@ class Capsule(Shape):
         return side / (straight + ends), side / (straight + ends), axial
 
 
+class Shifted(Shape):
+    """A solid beside its frame's origin, such as one whose centre of mass is not its middle."""
+
+    solid: Shape
+    x: Size
+    """Where the solid's own origin is [m]."""
+    y: Size
+    z: Size
+
+    @property
+    def _sizes(self) -> dict[str, Size]:
+        return self.solid._sizes
+
+    @property
+    def _batch(self) -> tuple[int, ...]:
+        return jnp.broadcast_shapes(self.solid._batch, *map(jnp.shape, (self.x, self.y, self.z)))
+
+    def _flat(self, batch: tuple[int, ...]) -> "Shifted":
+        return Shifted(self.solid._flat(batch), *(shared_or_spread(batch, part) for part in (self.x, self.y, self.z)))
+
+    def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
+        return self.solid._distance(self._own(point))
+
+    def _bound(self, point: Vec3) -> Array:
+        return self.solid._bound(self._own(point))
+
+    def _near(self, centers: Vec3, radii: Array) -> Near:
+        return self.solid._near(self._own(centers), radii)
+
+    def _support(self, direction: Vec3) -> Array:
+        return self.solid._support(direction) + vec3.dot(Vec3(*map(jnp.asarray, (self.x, self.y, self.z))), direction)
+
+    def _own(self, point: Vec3) -> Vec3:
+        return vec3.sub(point, Vec3(*map(jnp.asarray, (self.x, self.y, self.z))))
+
+
 def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
     """Distance and normal where the solid is all that lies below zero in each of these distances."""
     outside = [jnp.maximum(b, 0) for b in beyond]

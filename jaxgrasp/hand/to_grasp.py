@@ -27,16 +27,18 @@ def link_contributions(
         palm: of each finger's part of the palm, likewise.
 
     Returns:
-        ``(L,)``, dimensionless.
+        ``(L,)``, dimensionless; 1 for links that are no phalanx, which no table names.
 
     Raises:
-        KeyError: for a link that is in neither.
+        KeyError: for a phalanx that is in neither.
     """
     if table is None:
         return jnp.ones(len(hand.links))
     values = []
     for link in hand.links:
-        if link.finger not in table.fingers and link.finger == "thumb":
+        if not link.phalanx:
+            values.append(1.0)
+        elif link.finger not in table.fingers and link.finger == "thumb":
             values.append(thumb)
         elif link.phalanx not in table.phalanges and link.phalanx == "palm":
             values.append(palm)

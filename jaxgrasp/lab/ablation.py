@@ -11,7 +11,6 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene_file import GrippedScene
 from jaxgrasp.grip.tick import Tick, observe
-from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.model.hand import Pose, Posture
 
 CLEAR = 1.0
@@ -50,7 +49,7 @@ def joint_losses(made: GrippedScene, model: GloveModel) -> list[JointLoss]:
     joints = made.scene.hand.joints
     follows = model.transmission(joints) != 0
     whole = np.asarray(made.closed.angles)
-    angles = np.concatenate([whole[None], np.where(follows, open_angles(made.scene.hand), whole)])
+    angles = np.concatenate([whole[None], np.where(follows, np.asarray(made.open), whole)])
     scene = eqx.tree_at(lambda s: s.table.origin, made.scene, made.scene.table.origin - jnp.array([0.0, 0.0, CLEAR]))
     wrist = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(angles), *jnp.shape(x))), made.closed.wrist)
     placed = Pose(*(jnp.broadcast_to(x, (len(angles), *x.shape)) for x in (made.placed.origin, made.placed.rotation)))

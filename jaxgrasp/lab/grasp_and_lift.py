@@ -12,7 +12,6 @@ from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import ObjectEntry
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
-from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture
@@ -76,7 +75,7 @@ def grasp_and_lift(model: GloveModel | None = None, law: Law | None = None, scen
     haptics = Haptics(made.scene, model, np.asarray(closed.angles), placed, law or made.law)
     glove = VirtualGlove(model, nominal_sensors(model))
     places = list(model.places(hand.joints))
-    glove.order(bend=np.asarray(open_angles(hand))[places].tolist(), lasts=0.0)
+    glove.order(bend=np.asarray(made.open)[places].tolist(), lasts=0.0)
     script = [
         (CLOSE, lambda: glove.order(bend=(np.asarray(closed.angles)[places] + PRESS).tolist(), lasts=CLOSING)),
         (CLOSE, lambda: glove.rendering.arm(glove.now)),

@@ -25,10 +25,10 @@ def check_not_negative(arguments: object, *names: str) -> None:
 
 
 def check_vectors(arguments: object, *names: str) -> None:
-    """Raise ValueError at the first of these that is not three finite numbers."""
+    """Raise ValueError at the first of these that is given and not three finite numbers."""
     for name in names:
         value = getattr(arguments, name)
-        if len(value) != 3 or not all(map(math.isfinite, value)):
+        if value is not None and (len(value) != 3 or not all(map(math.isfinite, value))):
             raise ValueError(f"{name} is {list(value)}: expected three finite numbers")
 
 

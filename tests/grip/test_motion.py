@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrasp.grip.falling import spun
 from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
 from jaxgrasp.hand import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
 from jaxgrasp.numerics.vec3 import Vec3
@@ -73,3 +74,34 @@ def test_a_table_lifts_what_sinks_into_it_and_leaves_the_rest(shape):
     free, kept, stands = rest_on(WORLD, shape, Pose(np.array([0.3, 0, 0.2]), turn), motion)
     assert not bool(stands) and float(kept.linear[2]) == -1.0
     np.testing.assert_array_equal(free.origin, [0.3, 0, 0.2])
+
+
+def test_a_body_of_any_inertia_keeps_its_momentum_and_gains_no_energy():
+    """Free for a quarter of a second, of a solid whose axes are not its principal ones; errors are as long as steps."""
+    arms = np.random.default_rng(3).normal(scale=0.05, size=(5, 3))
+    arms -= arms.mean(0)
+    second = 0.1 * arms.T @ arms
+    body = Body(Sphere(0.1), 0.5, np.trace(second) * np.eye(3) - second)
+    spin = np.array([3.0, -2.0, 4.0])
+
+    @jax.jit
+    def spun_for(step: float, count: int) -> tuple:
+        def go(_, state: tuple) -> tuple:
+            turn, now = state
+            after = spun(body, turn, now, step)
+            return moved(Pose(jnp.zeros(3), turn), Motion(jnp.zeros(3), after), step).rotation, after
+
+        turn, after = jax.lax.fori_loop(0, count, go, (jnp.eye(3), jnp.asarray(spin)))
+        inertia = spatial_inertia(body, turn)[3:, 3:]
+        return turn, inertia @ after, after @ inertia @ after
+
+    inertia = np.asarray(body.inertia_matrix())
+    momentum, energy = inertia @ spin, spin @ inertia @ spin
+    misses, losses = [], []
+    for step, count in ((2e-4, 1250), (1e-4, 2500)):
+        turn, kept, left = jax.device_get(spun_for(step, count))
+        assert np.abs(turn - np.eye(3)).max() > 0.5 and left <= energy * (1 + 1e-12)
+        misses.append(np.linalg.norm(kept - momentum) / np.linalg.norm(momentum))
+        losses.append(1 - left / energy)
+    assert misses[1] < 2e-3 and misses[1] == pytest.approx(misses[0] / 2, rel=0.05)
+    assert losses[1] < 2e-3 and losses[1] == pytest.approx(losses[0] / 2, rel=0.05)

@@ -1,15 +1,27 @@
 """Scenes in TOML files: what they leave out, what is wrong with them, and that hand and object stand as they say."""
 
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.grip import carry
+from jaxgrasp.grip import Body, GripType, carry, observe, power_grip
 from jaxgrasp.grip.carry import stacked
 from jaxgrasp.grip.lifting import lift_and_turn
-from jaxgrasp.grip.scene_entries import GuideEntry
+from jaxgrasp.grip.scene_entries import GuideEntry, TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, ready_scenes
 from jaxgrasp.grip.table_support import support_points
+from jaxgrasp.hand import Cylinder, closing_way
+from jaxgrasp.lab.loaded_scene import loaded_scene
+from tests.hand.hands import rotations
+from tests.interop.test_mujoco_hand import model_of
+
+
+def ready_scene(name: str) -> SceneFile:
+    return load_scene(ready_scenes()[name])
 
 
 def test_an_empty_file_is_the_ready_cylinder(folder):
@@ -36,6 +48,15 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ("name = 3", "name is 3: expected text"),
         ("[object]\nsize = [1, 1, 1]", "object: size is [1.0, 1.0, 1.0]: expected radius and height"),
         ('[object]\nshape = "box"\nsize = [1, 0, 1]', "object: size is [1.0, 0.0, 1.0]: expected three positive"),
+        ("[object]\ncentre_of_mass = [0, 1]", "object: centre_of_mass is [0.0, 1.0]: expected three finite numbers"),
+        ("[object]\ninertia = [1, 1]", "object: inertia is [1.0, 1.0]: expected xx, yy, zz, or these and xy, xz, yz"),
+        ("[object]\ninertia = [1, 1, 3]", "none above the sum of the other two, not 1, 1, 3 kg.m^2"),
+        ("[object]\ninertia = [1, 1, 1, 2, 0, 0]", "expected positive principal moments"),
+        ('[hand]\nfile = "hand.xml"', "hand.file is 'hand.xml': there is no such file"),
+        ('[hand]\nwrist = "palm"', "hand: wrist is 'palm': expected none of a human hand, which has no file"),
+        ("[hand.open]\nthumb = 1", "hand: open is {'thumb': 1.0}: expected none of a human hand"),
+        ('[hand]\nopen = {thumb = "far"}', "hand.open.thumb is far: expected a number"),
+        ('[hand]\nfile = "x"\nlinks = {palm = "middle"}', "hand: links['palm'] is 'middle': expected a finger and a"),
         ('[object]\nmesh = "cup.stl"', "object.mesh is 'cup.stl': there is no such file"),
         ("[obstacle]\nat = [0, 0, 1]", "obstacle is {'at': [0, 0, 1]}: expected tables [[obstacle]]"),
         ("[[obstacle]]\nradius = 0.1", "obstacle[0] has no 'at'"),
@@ -108,7 +129,7 @@ def test_a_guide_leaves_its_axis_where_it_is():
 @pytest.mark.slow
 def test_a_handle_turns_about_its_hinge_and_goes_nowhere_else(folder):
     """Where the hand takes it, its end stays where the file has it."""
-    file = load_scene(ready_scenes()["door_handle"])
+    file = ready_scene("door_handle")
     made = gripped_scene(file)
     times = np.linspace(0, 1, 21)
     postures = lift_and_turn(made.closed, times, lift=0.02, turn=0.1, axis=np.array([1.0, 0.0, 0.0]))
@@ -135,8 +156,69 @@ def test_a_mesh_is_held_as_the_shape_that_it_is_of(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cylinder", "ball", "box", "door_handle", "peg"])
 def test_the_object_stands_as_far_above_the_table_as_the_file_says(name):
-    file = load_scene(ready_scenes()[name])
+    file = ready_scene(name)
     made = gripped_scene(file)
     _, heights = support_points(made.scene, made.placed)
     np.testing.assert_allclose(heights, file.table.below, atol=1e-5)
     assert made.contacts.present.sum() >= 3 and made.scene.table_friction == file.table.friction
+
+
+@pytest.mark.slow
+def test_an_object_hangs_by_its_centre_of_mass():
+    """The same cylinder and hand; forces in the world balance the weight where the file has it, and nowhere else."""
+    file = replace(ready_scene("cylinder"), table=TableEntry(below=0.1))
+    whole = gripped_scene(file)
+    centre = (0.004, -0.003, 0.02)
+    made = gripped_scene(replace(file, object=replace(file.object, centre_of_mass=centre)))
+    there = whole.placed.origin + whole.placed.rotation @ np.array(centre)
+    np.testing.assert_allclose(made.placed.origin, there, atol=1e-15)
+    np.testing.assert_allclose(made.contacts.points, whole.contacts.points, atol=1e-15)
+    tick = observe(made.scene, made.closed, made.placed, law="optimum")
+    np.testing.assert_allclose(tick.contacts.points, whole.contacts.points, atol=1e-12)
+    np.testing.assert_allclose(tick.exerted.sum(0), [0, 0, 9.81 * file.object.mass], atol=1e-6)
+    np.testing.assert_allclose(np.cross(tick.contacts.points - there, tick.exerted).sum(0), 0, atol=1e-7)
+    np.testing.assert_allclose(
+        made.scene.body.inertia_matrix(), whole.scene.body.inertia_matrix(), rtol=1e-12, atol=1e-18
+    )
+
+
+@pytest.mark.slow
+def test_the_mass_of_a_mesh_lies_in_the_frame_of_its_file(folder):
+    """A box of triangles far from its file's origin, turned; its own data are given there as they would be measured."""
+    trimesh = pytest.importorskip("trimesh")
+    turn = rotations(1, np.random.default_rng(4))[0]
+    box = trimesh.creation.box((0.05, 0.06, 0.12))
+    box.apply_transform(np.block([[turn, np.array([[0.1], [0.2], [0.3]])], [np.zeros((1, 3)), np.ones((1, 1))]]))
+    box.export(folder / "block.stl")
+    moments = 0.15 / 12 * np.array([0.06**2 + 0.12**2, 0.05**2 + 0.12**2, 0.05**2 + 0.06**2])
+    tensor = turn @ np.diag(moments) @ turn.T
+    six = [float(tensor[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    text = f'[object]\nmesh = "block.stl"\ninertia = {six}\ncentre_of_mass = [0.1, 0.2, 0.3]'
+    (folder / "scene.toml").write_text(text)
+    body, centre = load_scene("scene.toml").object.body()
+    np.testing.assert_allclose(centre, 0, atol=1e-6)
+    uniform = Body(body.shape, 0.15)
+    np.testing.assert_allclose(body.inertia_matrix(), uniform.inertia_matrix(), atol=1e-6 * moments.max())
+
+
+@pytest.mark.slow
+def test_a_hand_out_of_a_file_closes_on_the_object(folder, capsys):
+    """The Shadow hand of a MuJoCo file: its own joints and links, and a glove that lacks them is told so."""
+    model_of("shadow")
+    path = Path(importlib.util.find_spec("gymnasium_robotics").origin).parent / "envs" / "assets" / "hand" / "reach.xml"
+    text = f"""
+        object = {{ radius = 0.025 }}
+        hand = {{ file = "{path}", wrist = "robot0:palm", open = {{ "robot0:THJ3" = 1.2 }} }}
+        grip = {{ depth = 0.002 }}"""
+    (folder / "shadow.toml").write_text(text)
+    made = loaded_scene(load_scene("shadow.toml"))
+    hand, way = made.scene.hand, {"open": {"robot0:THJ3": 1.2}}
+    closed, placed, _ = power_grip(hand, Cylinder(0.025, 0.12), 0.002, closing_way(hand, **way))
+    np.testing.assert_array_equal(made.closed.angles, closed.angles)
+    np.testing.assert_array_equal(made.placed.origin, placed.origin)
+    assert made.kind == GripType.CYLINDRICAL_POWER and made.open[hand.joints.index("robot0:THJ3")] == 1.2
+    assert main(["glove", "ablate", "shadow.toml"]) == 1
+    assert "joint" in capsys.readouterr().err.splitlines()[-1]
+    (folder / "shadow.toml").write_text(text.replace("THJ3", "THJ9"))
+    assert main(["grip", "--scene", "shadow.toml"]) == 1
+    assert "robot0:THJ9" in capsys.readouterr().err.splitlines()[-1]

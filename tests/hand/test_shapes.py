@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere, check_shape, signed_distance
+from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Shifted, Sphere, check_shape, signed_distance
 
 SHAPES = [Sphere(0.04), Plane(), Box(0.05, 0.08, 0.03), Cylinder(0.03, 0.1), Capsule(0.02, 0.06)]
 NAMES = [type(shape).__name__ for shape in SHAPES]
@@ -112,3 +112,10 @@ def test_a_shape_of_no_volume_is_refused(shape, said):
 def test_a_sound_shape_passes():
     for shape in SHAPES:
         check_shape(shape)
+
+
+@each_shape
+def test_a_shifted_solid_is_the_solid_elsewhere(shape):
+    shift, at = np.array([0.01, -0.02, 0.03]), points(200)
+    for found, known in zip(signed_distance(Shifted(shape, *shift), at), signed_distance(shape, at - shift)):
+        np.testing.assert_array_equal(found, known)

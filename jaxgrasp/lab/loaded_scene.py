@@ -1,0 +1,19 @@
+"""Scenes whose hand stands in a file of its own."""
+
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
+from jaxgrasp.interop.hand_file import read_hand
+from jaxgrasp.validation.checked import checked
+
+
+@checked
+def loaded_scene(file: SceneFile) -> GrippedScene:
+    """The hand that a scene names, closed on the object, as by ``gripped_scene``.
+
+    Raises:
+        ValueError: as ``gripped_scene`` does, and for a file that holds no hand.
+        ImportError: for a hand out of a file without the extra `hands`, and for a mesh without `mesh`.
+        OSError: for a file that cannot be read.
+    """
+    if file.hand.file is None:
+        return gripped_scene(file)
+    return gripped_scene(file, read_hand(file.hand.file, file.hand.wrist).found.hand)

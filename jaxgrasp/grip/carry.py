@@ -34,9 +34,8 @@ from jaxgrasp.grip.motion import (
     spatial_inertia,
 )
 from jaxgrasp.grip.obstacles import stop
-from jaxgrasp.grip.scene import Scene, check_scene
-from jaxgrasp.grip.tick import Tick, assessed, touched
-from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.grip.scene import Scene, at_time, check_scene
+from jaxgrasp.grip.tick import Tick, Touches, assessed, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -73,6 +72,8 @@ class CarryState(NamedTuple):
     stands: Array
     before: Pose
     """Where that began."""
+    time: Array
+    """Since it was set down [s]."""
 
 
 @checked
@@ -120,7 +121,7 @@ def set_down(scene: Scene, placed: Pose) -> CarryState:
     """An object at rest, before anything happens to it."""
     start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
     still = Motion(jnp.zeros(3), jnp.zeros(3))
-    return CarryState(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start)
+    return CarryState(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start, jnp.zeros(()))
 
 
 def advance(
@@ -158,20 +159,22 @@ def _tick(
     law: Law,
 ) -> tuple[Tick, Motion]:
     """An instant, and the motion that the object's contacts ask of it: its own, where nothing touches."""
-    return led_tick(scene, dt, state, *touched(scene, posture, state.placed), now, later, law)
+    scene = at_time(scene, state.time)
+    return led_tick(scene, dt, state, touched(scene, posture, state.placed), now, later, law)
 
 
 def led_tick(
     scene: Scene,
     dt: float | AnyArray,
     state: CarryState,
-    contacts: Contacts,
-    grasp: Grasp,
+    touches: Touches,
     now: HandFrames,
     later: HandFrames,
     law: Law,
 ) -> tuple[Tick, Motion]:
-    """An instant, and the motion that its contacts ask of the object, for contacts that are known."""
+    """An instant, and the motion that its contacts ask of the object, for contacts that are known, with obstacles as
+    they are in the scene."""
+    contacts, grasp = touches.contacts, touches.grasp
     lost = ~jnp.any(contacts.present > 0)
     weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
     followed = _followed(scene, dt, now, later, contacts.points, weights, state.placed)
@@ -179,7 +182,7 @@ def led_tick(
     gained = jnp.concatenate([(new - own) / dt for own, new in zip(state.motion, led, strict=True)])
     inertia = spatial_inertia(scene.body, state.placed.rotation)
     spin = jnp.append(jnp.zeros(3), jnp.cross(led.angular, inertia[3:, 3:] @ led.angular))
-    return assessed(scene, now, state.placed, contacts, grasp, inertia @ gained + spin, law), led
+    return assessed(scene, now, state.placed, touches, inertia @ gained + spin, law, led), led
 
 
 def _followed(
@@ -221,7 +224,7 @@ def go_on(
     going = gone_on(scene, dt, state.before, state.motion, placed)
     motion, blocked = _either(lost, fallen(scene, dt, placed, going), slid), jnp.asarray(False)
     if scene.obstacles:
-        stopped = stop(scene, placed, motion, dt)
+        stopped = stop(scene, placed, motion, dt, state.time)
         alone = hold != Hold.STABLE
         motion, blocked = _either(alone, stopped.motion, motion), alone & stopped.touches
     if scene.guide is not None:
@@ -229,7 +232,7 @@ def go_on(
     there = moved(placed, motion, dt, scene.guide)
     held = None if scene.guide is None else placed
     there, motion, stands = rest_on(scene.table, scene.body.shape, there, motion, held)
-    return CarryState(there, motion, stands | blocked, placed)
+    return CarryState(there, motion, stands | blocked, placed, state.time + dt)
 
 
 def _either(condition: Array, one: Motion, other: Motion) -> Motion:

@@ -10,6 +10,7 @@ from jax import Array
 
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Body
+from jaxgrasp.grip.scene import ObstaclePath
 from jaxgrasp.hand.filling import sphere_tree
 from jaxgrasp.hand.human_hand import LENGTH
 from jaxgrasp.hand.mesh import load_mesh, principal_frame
@@ -154,7 +155,7 @@ def _check_inertia(numbers: tuple[float, ...]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleEntry(SolidEntry):
-    """A table ``[[obstacle]]``: what stands in the object's way; the hand goes through it."""
+    """A table ``[[obstacle]]``: what stands or moves in the way of object and hand."""
 
     at: tuple[float, ...]
     """Place of its centre, from the object's at first, along the world's axes [m]."""
@@ -162,11 +163,32 @@ class ObstacleEntry(SolidEntry):
     """Turn of the shape: an axis in the world, as long as the angle [rad]."""
     stiffness: float = 2000.0
     """K of eq. 1, of each part of the object that touches [N/m]."""
+    friction: float = 0.0
+    """Coulomb's coefficient between it and a held object that slides along it."""
+    damping: float = 0.0
+    """By which each part of the object is resisted as it goes deeper [N.s/m]."""
+    path: tuple[tuple[float, ...], ...] = ()
+    """Where it goes, whatever it meets: rows of a time [s], its way from ``at`` by then along the world's axes [m], and
+    if it turns, an axis as long as the angle [rad]; straight from each to the next."""
+    touches_hand: bool = True
+    """Whether the hand is stopped by it too, or goes through."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_not_negative(self, "stiffness")
+        check_not_negative(self, "stiffness", "friction", "damping")
         check_vectors(self, "at", "turn")
+        for k, row in enumerate(self.path):
+            if len(row) not in (4, 7) or not all(map(math.isfinite, row)):
+                raise ValueError(f"path[{k}] is {list(row)}: expected a time and three or six finite numbers")
+            if k and row[0] <= self.path[k - 1][0]:
+                raise ValueError(f"path[{k}] begins at {row[0]:g} s: expected later than {self.path[k - 1][0]:g} s")
+
+    def moves(self) -> ObstaclePath | None:
+        """Its path, if it has one."""
+        if not self.path:
+            return None
+        rows = jnp.array([(*row, 0.0, 0.0, 0.0)[:7] for row in self.path])
+        return ObstaclePath(rows[:, 0], rows[:, 1:4], rows[:, 4:])
 
     def rotation(self) -> Array:
         """Its axes in the world, as columns."""
@@ -227,6 +249,8 @@ class TableEntry:
     """How far below the object's lowest place it is [m]."""
     friction: float = 0.5
     """Coulomb's coefficient between object and table."""
+    touches_hand: bool = False
+    """Whether the hand is stopped by it too, or goes through: fingers around what lies on a table would be in it."""
 
     def __post_init__(self) -> None:
         check_not_negative(self, "below", "friction")

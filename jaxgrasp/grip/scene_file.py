@@ -198,6 +198,7 @@ def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
         obstacles=obstacles,
         outline=outline,
         table_friction=file.table.friction,
+        table_touches_hand=file.table.touches_hand,
     )
     return GrippedScene(scene, closed, jnp.asarray(way.open), placed, contacts, kind, file.grip.law)
 
@@ -223,7 +224,8 @@ def _in_the_way(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obst
         inside = float(jnp.max(world_contacts(outline, placed, solid, at).depths))
         if inside > APART:
             raise ValueError(f"obstacle[{k}] begins {1000 * inside:.3g} mm deep in the object: expected it outside")
-        found.append(Obstacle(solid, at, entry.stiffness))
+        laws = (entry.stiffness, entry.friction, entry.damping)
+        found.append(Obstacle(solid, at, *laws, entry.moves(), touches_hand=entry.touches_hand))
     return tuple(found), outline
 
 

@@ -1,13 +1,15 @@
 """One instant of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.grip.monitor import Assessment, Hold, Law
-from jaxgrasp.grip.motion import guide_at
-from jaxgrasp.grip.obstacles import world_wrench
-from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.grip.motion import Motion, guide_at
+from jaxgrasp.grip.obstacles import hand_torques, world_wrench
+from jaxgrasp.grip.scene import Scene, at_time, check_scene
 from jaxgrasp.grip.slipping import cut_to_cones, resultant
 from jaxgrasp.grip.table_support import STANDING, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
@@ -18,6 +20,17 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.validation.checked import checked
+
+
+class Touches(NamedTuple):
+    """What a hand touches. Any leading axes."""
+
+    contacts: Contacts
+    """With the object, in the world."""
+    grasp: Grasp
+    """Of these, in a frame at the object's centre, along the world's axes."""
+    blocked: Float[Array, "*batch J"]
+    """Torques on the joints by the table and obstacles that the hand itself touches [N.m]."""
 
 
 class Tick(eqx.Module):
@@ -44,7 +57,10 @@ class Tick(eqx.Module):
     rests; where it slips, each of them cut to its friction. Where no allowed forces hold,
     [`jaxgrasp.reachable_wrench`][] has those that come closest."""
     torques: Float[Array, "*batch J"]
-    """On the joints, by what the contacts exert [N.m]: negative where they resist a positive angle."""
+    """On the joints, by what the contacts exert [N.m], those with table and obstacles too: negative where they resist a
+    positive angle."""
+    blocked: Float[Array, "*batch J"]
+    """What of them is by table and obstacles [N.m]."""
 
     @property
     def slips(self) -> Bool[Array, "*batch"]:
@@ -64,6 +80,8 @@ def observe(
     inertial: Float[AnyArray, "*#batch 6"] | None = None,
     *,
     law: Law = "closed-form",
+    time: Float[AnyArray, ""] | float = 0.0,
+    motion: Motion | None = None,
 ) -> Tick:
     """One tick of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
 
@@ -73,6 +91,8 @@ def observe(
         placed: where the object stands; leading axes that broadcast.
         inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
         law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
+        time: at which obstacles are where their paths have them [s].
+        motion: of the object, which obstacles with friction or damping resist; at rest where not given.
 
     Returns:
         A Tick: its contacts in the world, its grasp and wrench about the object's centre, along the world's axes.
@@ -81,34 +101,37 @@ def observe(
         ValueError: for a guide that is none, and obstacles without the object's outline.
     """
     check_scene(scene)
-    contacts, grasp = touched(scene, posture, placed)
-    return assessed(scene, pose_hand(scene.hand, posture), placed, contacts, grasp, inertial, law)
+    scene = at_time(scene, time)
+    touches = touched(scene, posture, placed)
+    return assessed(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion)
 
 
-def touched(scene: Scene, posture: Posture, placed: Pose) -> tuple[Contacts, Grasp]:
-    """The contacts, and their Grasp in a frame at the object's centre, along the world's axes."""
+def touched(scene: Scene, posture: Posture, placed: Pose) -> Touches:
+    """What the hand touches, with obstacles as they are in the scene."""
     contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
     world = grasp_from_contacts(contacts, scene.friction, scene.stiffness, scene.contributions)
     points = world.points - jnp.asarray(placed.origin)[..., None, :]
-    return contacts, Grasp(points, world.normals, world.friction, world.squeeze, world.present)
+    grasp = Grasp(points, world.normals, world.friction, world.squeeze, world.present)
+    return Touches(contacts, grasp, hand_torques(scene, posture))
 
 
 def assessed(
     scene: Scene,
     frames: HandFrames,
     placed: Pose,
-    contacts: Contacts,
-    grasp: Grasp,
+    touches: Touches,
     inertial: Float[AnyArray, "*#batch 6"] | None,
     law: Law,
+    motion: Motion | None,
 ) -> Tick:
     """What contacts are worth, once they are known."""
+    contacts, grasp, blocked = touches
     weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
     wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
     inertial = jnp.broadcast_to(jnp.zeros(6) if inertial is None else inertial, wrench.shape)
     wrench = wrench + inertial
     if scene.obstacles:
-        wrench = wrench - world_wrench(scene, placed)
+        wrench = wrench - world_wrench(scene, placed, motion)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law)
     slips = assessment.hold == Hold.SLIPPING
@@ -118,8 +141,8 @@ def assessed(
     lifts = slips & (jnp.sum(alone, -2) @ up > (wrench - inertial)[..., :3] @ up)
     share = jnp.where(lifts, 0, table.share)
     exerted = alone + share[..., None, None] * (table.forces - alone)
-    torques = joint_torques(scene.hand, frames, contacts.points, exerted)
+    torques = joint_torques(scene.hand, frames, contacts.points, exerted) + blocked
     rests = slips & (share > STANDING)
     support = share[..., None] * table.wrench
     stiffness = contacts.present * scene.contributions * scene.stiffness
-    return Tick(contacts, grasp, stiffness, wrench, inertial, assessment, support, rests, exerted, torques)
+    return Tick(contacts, grasp, stiffness, wrench, inertial, assessment, support, rests, exerted, torques, blocked)

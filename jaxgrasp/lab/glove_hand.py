@@ -13,6 +13,8 @@ from jax import Array, lax
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.carry import closest_forces
 from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.motion import Motion
+from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.tick import Tick, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
@@ -103,17 +105,20 @@ def felt(
     wrist: Pose,
     placed: Pose,
     inertial: Float[AnyArray, "6"],
+    motion: Motion | None = None,
     *,
     law: Law,
 ) -> tuple[Felt, Tick]:
     """Torques as by ``resistance`` with their exact derivative, and the instant that they are of.
+
+    ``motion`` is the object's, which obstacles with friction or damping resist.
 
     By the optimum, an object that no allowed forces hold is felt by those that come closest; their slope is that of
     fixed forces.
     """
 
     def both(angles: Array) -> tuple[Array, tuple[Array, Tick]]:
-        tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law)
+        tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law, motion=motion)
         torques = worn.resisting(tick.torques)
         return torques, (torques, tick)
 
@@ -135,8 +140,10 @@ def _by_closest_forces(
     forces = closest_forces(scene, tick.grasp, tick.wrench - tick.support, placed).forces
 
     def torques_at(angles: Array) -> Array:
-        frames = pose_hand(scene.hand, worn.posture(angles, wrist))
-        return worn.resisting(joint_torques(scene.hand, frames, tick.contacts.points, forces))
+        posture = worn.posture(angles, wrist)
+        frames = pose_hand(scene.hand, posture)
+        torques = joint_torques(scene.hand, frames, tick.contacts.points, forces) + hand_torques(scene, posture)
+        return worn.resisting(torques)
 
     return *with_slope(torques_at, jnp.asarray(flexions)), forces
 

@@ -14,14 +14,12 @@ from jax import Array
 
 from jaxgrasp.grip.carry import CarryState, go_on, led_tick, missed_by
 from jaxgrasp.grip.monitor import Hold, Law
-from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.tick import Tick, touched
-from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.grip.scene import Scene, at_time
+from jaxgrasp.grip.tick import Tick, Touches, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
 from jaxgrasp.lab.glove_hand import Felt, GloveHand, felt
 from jaxgrasp.model.arrays import Float
-from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.compiled_code import compile_options
 
@@ -32,9 +30,8 @@ class HapticState(NamedTuple):
     carried: CarryState
     frames: HandFrames
     """The hand's frames, as the glove read it."""
-    contacts: Contacts
-    """Contacts of the hand in those frames with the object, where it now is."""
-    grasp: Grasp
+    touches: Touches
+    """What the hand touches in those frames, the object and all else where they now are."""
     inertial: Float[Array, "6"]
     """Wrench that accelerates the object, as it is felt [N, N.m]."""
     exerted: Float[Array, "L 3"]
@@ -69,13 +66,12 @@ class HapticTick:
         scene, worn, tables = jax.tree.unflatten(self._structure, self._leaves)
         grip = None if tables is None else first_grip(scene.contributions)
 
-        def at_first() -> tuple[HandFrames, Contacts, Grasp]:
+        def at_first() -> tuple[HandFrames, Touches]:
             posture = worn.posture(jnp.zeros(len(worn.places)), carried.placed)
-            return pose_hand(scene.hand, posture), *touched(scene, posture, carried.placed)
+            return pose_hand(scene.hand, posture), touched(scene, posture, carried.placed)
 
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
-        frames, contacts, grasp = nothing
-        return HapticState(carried, frames, contacts, grasp, jnp.zeros(6), jnp.zeros(contacts.points.shape), grip)
+        frames, touches = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
+        return HapticState(carried, frames, touches, jnp.zeros(6), jnp.zeros(touches.contacts.points.shape), grip)
 
     def __call__(
         self, state: HapticState, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
@@ -122,10 +118,12 @@ def _tick(
     )
     grip = state.grip
     if grip is not None:
-        grip = next_grip(grip, tables, scene.hand, posture, state.contacts, passed)
+        grip = next_grip(grip, tables, scene.hand, posture, state.touches.contacts, passed)
         scene = eqx.tree_at(lambda s: s.contributions, scene, grip.contributions)
-    found, now = felt(scene, worn, angles, pose, carried.placed, inertial, law=law)
-    return HapticState(carried, frames, now.contacts, now.grasp, inertial, found.exerted, grip), become, found
+    scene = at_time(scene, carried.time)
+    found, now = felt(scene, worn, angles, pose, carried.placed, inertial, carried.motion, law=law)
+    touches = Touches(now.contacts, now.grasp, now.blocked)
+    return HapticState(carried, frames, touches, inertial, found.exerted, grip), become, found
 
 
 def _since(
@@ -136,7 +134,8 @@ def _since(
     By the optimum, where no allowed forces took the object along, the contacts exerted what was felt of them.
     """
     carried = state.carried
-    tick, led = led_tick(scene, passed, carried, state.contacts, state.grasp, state.frames, frames, law)
+    now = at_time(scene, carried.time)
+    tick, led = led_tick(now, passed, carried, state.touches, state.frames, frames, law)
     hold, exerted, missed = tick.assessment.hold, tick.exerted, missed_by(tick)
     if law == "optimum":
         missed = jnp.where(tick.slips, tick.left_by(state.exerted), missed)

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Shifted, Sphere
+from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.report.grasp_in_3d import across
 
@@ -47,7 +48,7 @@ def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSur
 
 
 def shape_surface(shape: Shape) -> DrawnSurface:
-    """An object's surface.
+    """An object's surface; of a tree of balls their convex hull.
 
     Raises:
         TypeError: for a shape that has no triangles here.
@@ -62,6 +63,11 @@ def shape_surface(shape: Shape) -> DrawnSurface:
         case Box(length=length, width=width, height=height):
             square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
             return _prism(square * [float(length) / 2, float(width) / 2], float(height), 1)
+        case Shifted(solid=solid, x=x, y=y, z=z):
+            own, shift = shape_surface(solid), np.array([x, y, z], float)
+            return own._replace(corners=own.corners + shift, lines=own.lines + shift)
+        case SphereTree(balls=balls):
+            return hull(np.asarray(balls.centers), np.asarray(balls.radii), ROUND // 2)
     raise TypeError(f"a {type(shape).__name__} cannot be drawn")
 
 

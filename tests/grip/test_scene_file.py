@@ -62,6 +62,17 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ("[[obstacle]]\nradius = 0.1", "obstacle[0] has no 'at'"),
         ("[[obstacle]]\nat = [0, 0]", "obstacle[0]: at is [0.0, 0.0]: expected three finite numbers"),
         ("[[obstacle]]\nat = [0, 0, 1]\nstiffness = -1", "obstacle[0]: stiffness is -1.0"),
+        (
+            "[[obstacle]]\nat = [0, 0, 1]\npath = [[0, 1]]",
+            "obstacle[0]: path[0] is [0.0, 1.0]: expected a time and three",
+        ),
+        ("[[obstacle]]\nat = [0, 0, 1]\npath = [0, 1, 2, 3]", "obstacle[0].path[0] is 0: expected a list"),
+        (
+            "[[obstacle]]\nat = [0, 0, 1]\npath = [[1, 0, 0, 0], [1, 0, 0, 1]]",
+            "obstacle[0]: path[1] begins at 1 s: expected later than 1 s",
+        ),
+        ("[[obstacle]]\nat = [0, 0, 1]\ndamping = -1", "obstacle[0]: damping is -1.0: expected a finite number, 0 or"),
+        ("[table]\ntouches_hand = 1", "table.touches_hand is 1: expected true or false"),
         ('[guide]\nkind = "hinge"', "guide has no 'axis'"),
         ('[guide]\nkind = "hinge"\naxis = [0, 0, 0]', "guide: axis is [0.0, 0.0, 0.0]: expected a direction"),
         ('[guide]\nkind = "slide"\naxis = [0, 0, 1]\npitch = 1', "guide: pitch is 1.0: expected none of a slide"),

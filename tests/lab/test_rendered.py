@@ -110,7 +110,7 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
     weight = np.append(-scene[0].body.mass * np.asarray(scene[0].gravity), np.zeros(3))
     gained = np.asarray(haptics.instant.tick.inertial)
     assert gained[2] > 0.1 * weight[2]
-    contacts, grasp = touched(scene[0], posture, haptics.placed)
+    contacts, grasp, _ = touched(scene[0], posture, haptics.placed)
     felt, at_rest = (
         by_work(scene[0], posture, np.asarray(contacts.points), np.asarray(cut_to_cones(grasp, forces)))
         for forces in (closed_by_numpy(grasp, weight + gained), closed_by_numpy(grasp, weight))
@@ -122,7 +122,7 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
 def test_what_is_felt_balances_what_moves_by_the_optimum(scene):
     haptics, torques, heights, angles = lifted(scene, "optimum")
     posture, gained, wrench = last_instant(scene, haptics, heights, angles, 12)
-    contacts, grasp = touched(scene[0], posture, haptics.placed)
+    contacts, grasp, _ = touched(scene[0], posture, haptics.placed)
     held = observe(
         scene[0],
         posture,
@@ -174,7 +174,7 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
     rng = np.random.default_rng(0)
     found = 0
     made, closed, placed = scene
-    contacts, grasp = touched(made, closed, placed)
+    contacts, grasp, _ = touched(made, closed, placed)
     weight = np.append(-made.body.mass * np.asarray(made.gravity), np.zeros(3))
     for _ in range(200):
         wrench = weight + rng.normal(size=6) * (2, 2, 2, 0.02, 0.02, 0.02)

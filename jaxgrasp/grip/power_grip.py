@@ -71,5 +71,7 @@ def power_grip(
     if not is_human(hand):
         # Whether its thumb is out of the way depends on what the caller said of it.
         check_clear(hand, posture, shape, placed, depth + ROUNDING)
-    closed, contacts = close_hand(hand, posture, shape, placed, depth, towards=jnp.asarray(way.closed))
+    closed, contacts = close_hand(
+        hand, posture, shape, placed, depth, towards=jnp.asarray(way.closed), fingers_apart=True
+    )
     return closed, placed, contacts

@@ -1,6 +1,7 @@
 """Closing a hand on an object: every finger flexes until it presses."""
 
 from functools import partial
+from itertools import combinations
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.hand.detection import Contacts, find_contacts
-from jaxgrasp.hand.kinematics import ancestry
+from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
@@ -16,7 +17,7 @@ from jaxgrasp.validation.checked import checked
 
 
 @checked
-@partial(jax.jit, static_argnames="steps")
+@partial(jax.jit, static_argnames=("fingers_apart", "steps"))
 def close_hand(
     hand: Hand,
     posture: Posture,
@@ -25,6 +26,7 @@ def close_hand(
     depth: float | AnyArray = 1e-3,
     *,
     towards: Float[AnyArray, "*#batch J"] | None = None,
+    fingers_apart: bool = False,
     steps: int = 200,
 ) -> tuple[Posture, Contacts]:
     """Turn the joints until the links press into the object.
@@ -41,6 +43,8 @@ def close_hand(
         depth: of penetration at which a link has pressed enough [m].
         towards: angles at the end of an unhindered way [rad]; the flexions' upper limits where not given, the
             other joints as they are.
+        fingers_apart: whether fingers also stop where they meet one another, to within a step; else they pass through.
+            It looks at every pair of spheres, which takes longer than all else.
         steps: of equal size to go there in.
 
     Returns:
@@ -56,12 +60,37 @@ def close_hand(
     def look(angles: Array) -> Contacts:
         return find_contacts(hand, Posture(posture.wrist, angles), shape, placed)
 
+    pairs = _pairs(hand) if fingers_apart else np.zeros((0, 2), int)
+    carried = jnp.asarray(np.asarray(ancestry(hand))[pairs].any(1))
+    at_first = _overlaps(hand, Posture(posture.wrist, start), pairs)
+
     def advance(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
         angles, free = carry
         # A link that presses enough already stops its joints before they move.
         pressed = look(angles).depths >= depth
         free = free & ~jnp.any(moves & pressed[..., None], -2)
+        if len(pairs):
+            met = _overlaps(hand, Posture(posture.wrist, angles), pairs) > jnp.maximum(at_first, 0)
+            free = free & ~jnp.any(carried & met[..., None], -2)
         return (angles + jnp.where(free, stride, 0), free), None
 
     (angles, _), _ = lax.scan(advance, (start, jnp.ones(start.shape, bool)), length=steps)
     return Posture(posture.wrist, angles), look(angles)
+
+
+def _pairs(hand: Hand) -> np.ndarray:
+    """``(P, 2)`` Links of different fingers, which may meet."""
+    bends = [k for k, link in enumerate(hand.links) if link.phalanx and link.joint >= 0]
+    pairs = [(i, j) for i, j in combinations(bends, 2) if hand.links[i].finger != hand.links[j].finger]
+    return np.array(pairs, int).reshape(-1, 2)
+
+
+def _overlaps(hand: Hand, posture: Posture, pairs: np.ndarray) -> Array:
+    """``(..., P)`` How deep the links of each pair are in one another; negative where they are apart [m]."""
+    links, radii = pose_hand(hand, posture).links, jnp.asarray(hand.skin.radii)
+    centers = jnp.einsum("...lij,lmj->...lmi", links.rotation, hand.skin.centers) + links.origin[..., None, :]
+    one, other = pairs.T
+    way = centers[..., one, :, None, :] - centers[..., other, None, :, :]
+    there = (radii[one, :, None] > 0) & (radii[other, None, :] > 0)
+    overlap = radii[one, :, None] + radii[other, None, :] - jnp.sqrt(jnp.sum(way**2, -1))
+    return jnp.max(jnp.where(there, overlap, -jnp.inf), (-2, -1))

@@ -10,9 +10,9 @@ import numpy as np
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.glove_orders import FIRST, Orders
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState
@@ -48,7 +48,6 @@ def run_command(arguments: Run) -> int:
     if arguments.listen:
         return _serve(arguments, model, options)
     set_up_jax("float64")
-    say_compiling(COMPILED)
     if arguments.port is None and arguments.connect is None:
         return _play(arguments, model, file)
     return _render(arguments, model, options, alignment, file)
@@ -74,8 +73,9 @@ def _check_ends(arguments: Run) -> Alignment | None:
 
 
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
-    show("compiling, and playing the whole story: a minute or two")
-    story = grasp_and_lift(model, arguments.law, gripped_scene(file))
+    check_writable(arguments.out)
+    with compiling(f"{COMPILED}, and playing the whole story"):
+        story = grasp_and_lift(model, arguments.law, gripped_scene(file))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
@@ -135,12 +135,12 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
 
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
-    made = gripped_scene(file)
-    law = arguments.law or made.law
-    angles = np.asarray(made.closed.angles)
-    haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
-    show("compiling")
-    warm_up(haptics, pose_at(jnp.zeros(3)))
+    with compiling(COMPILED):
+        made = gripped_scene(file)
+        law = arguments.law or made.law
+        angles = np.asarray(made.closed.angles)
+        haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
+        warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)
     wrist = Wrist(tracker, alignment)
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds

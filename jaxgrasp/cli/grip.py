@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.cli.grip_arguments import Grip
-from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, provenance, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked
 from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
@@ -39,9 +39,10 @@ def grip_command(arguments: Grip) -> int:
     check_finite(arguments, "lift", "turn")
     times = sampled_times(arguments.seconds, arguments.step)
     file = _scene_of(arguments) if arguments.scene is None else load_scene(scene_path(arguments.scene))
+    check_writable(arguments.out)
     set_up_jax("float64")
-    say_compiling("the hand, its contacts and both laws", "minutes")
-    made = gripped_scene(file)
+    with compiling("the hand and its contacts"):
+        made = gripped_scene(file)
     hand, closed = made.scene.hand, made.closed
     show(f"closed on the {_solid(file)}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
     postures = lift_and_turn(
@@ -52,7 +53,8 @@ def grip_command(arguments: Grip) -> int:
         axis=np.array([1.0, 0.0, 0.0]),
         release=Posture(closed.wrist, jnp.asarray(open_angles(hand))) if arguments.release else None,
     )
-    record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
+    with compiling("both laws, and what the object does"):
+        record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
     arguments.out.mkdir(parents=True, exist_ok=True)
     summary = {"grip": _words(made.kind)} | _summary(hand, times, record) | _unbalanced(record)
     _write(arguments.out, hand, times, postures, record, summary)

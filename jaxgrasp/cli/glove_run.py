@@ -11,7 +11,7 @@ from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.glove_orders import FIRST, Orders
 from jaxgrasp.cli.machine import compiling, set_up_jax
-from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import SerialLine, check_port
@@ -23,6 +23,7 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
+from jaxgrasp.grip.human_scale import beyond_human
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
@@ -47,6 +48,8 @@ def run_command(arguments: Run) -> int:
     alignment = _check_ends(arguments)
     if arguments.listen:
         return _serve(arguments, model, options)
+    for line in beyond_human(file):
+        announce(line)
     set_up_jax("float64")
     if arguments.port is None and arguments.connect is None:
         return _play(arguments, model, file)

@@ -13,9 +13,10 @@ import numpy as np
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.machine import compiling, provenance, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
-from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked
+from jaxgrasp.grip.human_scale import beyond_human, too_strong
 from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
@@ -40,6 +41,8 @@ def grip_command(arguments: Grip) -> int:
     times = sampled_times(arguments.seconds, arguments.step)
     file = _scene_of(arguments) if arguments.scene is None else load_scene(scene_path(arguments.scene))
     check_writable(arguments.out)
+    for line in beyond_human(file):
+        announce(line)
     set_up_jax("float64")
     with compiling("the hand and its contacts"):
         made = gripped_scene(file)
@@ -59,6 +62,8 @@ def grip_command(arguments: Grip) -> int:
     summary = {"grip": _words(made.kind)} | _summary(hand, times, record) | _unbalanced(record)
     _write(arguments.out, hand, times, postures, record, summary)
     show(_said(summary))
+    for line in too_strong(summary["largest_resisting_torque_Nm"]):
+        announce(line)
     show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     if arguments.report:
         _write_report(arguments, file, made.scene, history(made.scene, postures, times, record))

@@ -1,5 +1,6 @@
 """Entry point of the command ``jaxgrasp``."""
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ from jaxgrasp.cli.import_arguments import (
     ImportCommand,
     IsaacGrasp,
 )
+from jaxgrasp.cli.optional_arguments import REGISTRY
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.show_arguments import Show
@@ -92,11 +94,15 @@ def run(command: Any) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, run, and turn expected errors into one line on stderr and the exit code 1."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without these letters shows their codes instead.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     arguments = sys.argv[1:] if arguments is None else arguments
     if list(arguments) == ["--version"]:
         show(f"jaxgrasp {version('jaxgrasp')}")
         return 0
-    command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
+    command = tyro.cli(Command, prog="jaxgrasp", args=arguments, registry=REGISTRY)
     try:
         return run(command)
     except BrokenPipeError:

@@ -179,7 +179,7 @@ def test_a_person_matches(folder, monkeypatch, capsys):
     from jaxgrasp.psychophysics.stimulus import IdealStimulus
 
     settings = '[procedure]\nmethod = "matching"\ntrials = 2\nstep = 0.1'
-    (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\n" + settings)
+    (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\nleast_interval = 0.0\n" + settings)
     monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
     assert main(["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere"]) == 0
@@ -215,7 +215,6 @@ def test_a_person_at_a_screen_of_their_own_sees_neither_stimuli_nor_torques(fold
         desk.type("x")
         typing = threading.Thread(target=seat.plays, args=(PERSON,), kwargs={"stops": "that was all"})
         typing.start()
-        desk.type("arm")
         assert desk.plays({prompt.strip(): lambda order=order: order for prompt, order in orders.items()}) == 0
         typing.join()
     assert "Bend your index MP joint to and fro" in seat.screen and "torque" not in seat.screen

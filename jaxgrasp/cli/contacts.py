@@ -7,9 +7,10 @@ import numpy as np
 
 from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.contacts_found import write_contacts
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.posed_contacts import PlacedGrasps, Touching, touch, weights
 from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.replace import check_writable
 from jaxgrasp.hand.filling import cell_size, filling_error, sphere_tree
 from jaxgrasp.hand.human_hand import human_hand
 from jaxgrasp.hand.mesh import load_mesh, mass_properties
@@ -34,6 +35,7 @@ class _Object(NamedTuple):
 def contacts_command(arguments: FindContacts) -> int:
     """Find the contacts, write them, and say what was found."""
     _check(arguments)
+    check_writable(arguments.out.parent)
     poses = _poses(arguments.file)
     set_up_jax("float64")
     hand = _hand(arguments)
@@ -43,7 +45,6 @@ def contacts_command(arguments: FindContacts) -> int:
             f"the joints of the {arguments.hand} hand"
         )
     object_ = _object(arguments, poses)
-    say_compiling("the hand and its contacts")
     count = len(poses)
     grasps = PlacedGrasps(
         poses.transforms,
@@ -53,7 +54,9 @@ def contacts_command(arguments: FindContacts) -> int:
         np.full(count, object_.friction),
         weights(object_.mass, np.tile(object_.center, (count, 1)), arguments.gravity),
     )
-    found = touch(hand, object_.tree, grasps, Touching(arguments.stiffness, arguments.depth, arguments.max_contacts))
+    how = Touching(arguments.stiffness, arguments.depth, arguments.max_contacts)
+    with compiling("the hand and its contacts"):
+        found = touch(hand, object_.tree, grasps, how)
     return write_contacts(
         arguments.out,
         found.sets,

@@ -59,9 +59,16 @@ class RunExperiment:
     """Protocol of the glove: `native`, `lucidgloves`, or MODULE:CLASS, as for `jaxgrasp glove run`."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends."""
+    screen: str | None = None
+    """Terminal of the person, as `jaxgrasp experiment screen` says it there; this one, where not given."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
+
+
+@dataclass(frozen=True)
+class Screen:
+    """Make this terminal that of the person who is asked, and say what it is called; for `run --screen` in another."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +127,7 @@ class Experiment:
         tyro.conf.OmitArgPrefixes[
             Annotated[PlanCommand, tyro.conf.subcommand("plan")]
             | Annotated[RunExperiment, tyro.conf.subcommand("run")]
+            | Annotated[Screen, tyro.conf.subcommand("screen")]
             | Annotated[Analyse, tyro.conf.subcommand("analyse")]
             | Annotated[Paper, tyro.conf.subcommand("paper")]
             | Annotated[Power, tyro.conf.subcommand("power")]

@@ -1,6 +1,8 @@
 """A person at a terminal, who answers by the keyboard."""
 
-from jaxgrasp.cli.terminal import show, typed
+import time
+
+from jaxgrasp.cli.terminal import Terminal
 from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
 from jaxgrasp.psychophysics.running.person import Move, Person
 from jaxgrasp.psychophysics.stimulus import Rendered
@@ -10,37 +12,68 @@ MOVES: dict[str, Move] = {"+": "up", "-": "down", "r": "reference", "c": "compar
 
 
 class TerminalPerson(Person):
-    """Asks by lines of text; the end of the input interrupts the experiment, and nothing is lost."""
+    """Asks by lines of text, which tell neither intensities nor torques.
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan, self._most = plan, plan.most_trials()
+    The end of the input interrupts the experiment, and nothing is lost.
+    """
+
+    def __init__(self, plan: Plan, terminal: Terminal) -> None:
+        self._plan, self._terminal = plan, terminal
+        self._of = f"of {plan.at_most()}"
         self._started = False
 
-    def feel(self, trial: Trial, interval: int) -> None:
+    def instructed(self, text: str) -> None:
+        self._terminal.clear()
+        self._terminal.show(text)
+        self._terminal.typed("\nEnter when you have read this ")
+        self._terminal.clear()
+
+    def ready(self, trial: Trial) -> None:
+        self._numbered(trial)
+        self._terminal.typed("  Enter when you are ready ")
+
+    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
         if interval == 1:
-            what = "practice" if trial.is_practice else f"session {trial.session}"
-            show(f"\ntrial {trial.number} of {self._most} ({what})")
             self._started = False
+            if not lasts:
+                self._numbered(trial)
         name = "reference" if trial.task == "setting" else ("first", "second")[interval - 1]
-        typed(f"  feel the {name} one; Enter when you have ")
+        if lasts:
+            self._terminal.show(f"  feel the {name} one")
+            time.sleep(lasts)
+        else:
+            self._terminal.typed(f"  feel the {name} one; Enter when you have ")
+
+    def waits(self, seconds: float) -> None:
+        self._terminal.show("  wait")
+        time.sleep(seconds)
+
+    def again(self, why: str) -> None:
+        self._terminal.show(f"\nThis trial does not count: {why}")
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
         while True:
-            answer = typed(f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? ").strip()
+            answer = self._terminal.typed(f"  which one was {QUESTIONS[self._plan.stimulus.kind]}, 1 or 2? ").strip()
             if answer in ("1", "2"):
                 return int(answer)
 
     def adjust(self, trial: Trial, setting: float) -> Move:
         if not self._started:
-            show("  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does")
+            self._terminal.show(
+                "  make the other one feel the same: + or -, r for the reference, c to come back, Enter when it does"
+            )
             self._started = True
         while True:
-            answer = typed("  > ").strip().lower()
+            answer = self._terminal.typed("  > ").strip().lower()
             if answer in MOVES:
                 return MOVES[answer]
 
     def told(self, trial: Trial, right: bool) -> None:
-        show("  right" if right else "  wrong")
+        self._terminal.show("  right" if right else "  wrong")
 
     def rest(self, done: int, most: int) -> None:
-        typed(f"\n{done} of at most {most} trials are done. Rest; Enter to go on ")
+        self._terminal.typed(f"\n{done} {self._of} trials are done. Rest; Enter to go on ")
+
+    def _numbered(self, trial: Trial) -> None:
+        what = "practice" if trial.is_practice else f"session {trial.session}"
+        self._terminal.show(f"\ntrial {trial.number} {self._of} ({what})")

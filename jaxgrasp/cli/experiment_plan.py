@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from jaxgrasp.cli.experiment_arguments import ObserverArguments, PlanCommand, Power
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import GloveModel, load_glove, lrp_hand_master
+from jaxgrasp.psychophysics.instructions import instructions
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import FIG_8, Plan, load_plan, plan_toml
 from jaxgrasp.psychophysics.prediction.power import cheapest
@@ -24,6 +25,14 @@ POSTURES = {
     "stiffness": "squeezed by the knuckles to 1 cm",
     "torque": "whatever the posture",
 }
+SELF_PACED = 3.0
+"""Time that persons take to feel a stimulus, where the plan leaves it to them [s]."""
+ANSWERED = 3.0
+"""Time to answer, and until the next trial begins [s]."""
+MATCHED = 6
+"""Stimuli that are felt until one matches."""
+RESTED = 2.0
+"""A break [min]."""
 WANTED = 0.02
 BETWEEN = 0.035
 """Standard deviation of the persons' Weber fractions: what the paper prints at 2 N."""
@@ -38,10 +47,13 @@ def plan_command(arguments: PlanCommand) -> int:
         replace_file(arguments.write, lambda stream: stream.write(plan_toml(plan).encode()))
         show(f"written: {arguments.write}")
     model = load_glove(arguments.glove) if arguments.glove else lrp_hand_master()
-    show("\n".join(summary(plan)))
+    show("\n".join([*summary(plan), *stimuli(plan)]))
+    with compiling("the hand and its torques"):
+        lines = [*predicted(plan, predicted_stimulus(plan, model)), *beside_the_paper(plan, model)]
     show(f"rendered by {model.name}, {POSTURES[plan.stimulus.kind]}:")
-    show("\n".join(predicted(plan, predicted_stimulus(plan, model))))
-    show("\n".join(beside_the_paper(plan, model)))
+    show("\n".join(lines))
+    show("what the person reads first:")
+    show("\n".join(f"  | {line}".rstrip() for line in instructions(plan).split("\n")))
     return 0
 
 
@@ -85,9 +97,10 @@ def power_command(arguments: Power) -> int:
         between=between,
         most_subjects=arguments.most_subjects,
     )
-    for line in predicted(plan, predicted_stimulus(plan, lrp_hand_master())):
-        if "WARNING" in line:
-            show(line)
+    with compiling("the hand and its torques"):
+        lines = predicted(plan, predicted_stimulus(plan, lrp_hand_master()))
+    for line in warnings(lines):
+        show(line)
     if not found:
         show(f"no design with up to 320 trials a level and {arguments.most_subjects} persons reaches it")
         return 0
@@ -128,7 +141,6 @@ def observer_of(arguments: ObserverArguments) -> Observer:
 def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
     """What a glove can render of a plan's stimulus."""
     set_up_jax("float64")
-    say_compiling("the hand and its torques")
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.stimuli import PredictedGloveStimulus
 
@@ -136,18 +148,39 @@ def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
 
 
 def summary(plan: Plan) -> list[str]:
-    """What a plan asks of a person."""
+    """What a plan asks of a person, without what the person must not know."""
+    return [
+        f"{plan.name}: {plan.method}, {plan.session.sessions} session(s) each",
+        f"trials of a person: {plan.at_most()}, {plan.session.practice} of them practice; "
+        f"a break every {plan.session.break_every}; {_lasts(plan)}",
+    ]
+
+
+def _lasts(plan: Plan) -> str:
+    """How long a person takes, roughly: durations where the plan has them, else what persons take."""
+    session = plan.session
+    felt = session.duration or SELF_PACED
+    intervals = MATCHED * felt if plan.method == "matching" else 2 * felt + session.pause
+    minutes = plan.most_trials() * (intervals + ANSWERED) / 60
+    rests = max(0, (plan.most_trials() - session.practice - 1) // session.break_every)
+    return f"{max(1.0, minutes + rests * RESTED):.0f} min or so, with {felt:g} s for each stimulus"
+
+
+def stimuli(plan: Plan) -> list[str]:
+    """What is rendered, and where."""
     unit = plan.stimulus.unit
     where = plan.stimulus.joint if plan.stimulus.kind == "torque" else " and ".join(plan.stimulus.fingers)
     if plan.stimulus.kind == "weight":
         where = f"the {plan.stimulus.phalanx} phalanges of {where}"
     references = ", ".join(f"{one:g}" for one in plan.session.references)
-    task = "detection" if plan.is_detection else f"references {references} {unit}"
     return [
-        f"{plan.name}: {plan.stimulus.kind} on {where}, {task}, {plan.method}, {plan.session.sessions} session(s) each",
-        f"trials of a person: {'at most ' if plan.method == 'staircase' else ''}{plan.most_trials()}, "
-        f"{plan.session.practice} of them practice; a break every {plan.session.break_every}",
+        f"{plan.stimulus.kind} on {where}, {'detection' if plan.is_detection else f'references {references} {unit}'}"
     ]
+
+
+def warnings(lines: list[str]) -> list[str]:
+    """Those of what is predicted."""
+    return [line for line in lines if line.startswith("WARNING")]
 
 
 def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:

@@ -1,18 +1,32 @@
 """``jaxgrasp experiment run``: a person in a glove, or a simulated observer."""
 
+import re
 import time
+from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 from jaxgrasp.cli.experiment_arguments import RunExperiment
 from jaxgrasp.cli.experiment_person import TerminalPerson
-from jaxgrasp.cli.experiment_plan import check_notices, observer_of, predicted, predicted_stimulus, read_plan, summary
+from jaxgrasp.cli.experiment_plan import (
+    check_notices,
+    observer_of,
+    predicted,
+    predicted_stimulus,
+    read_plan,
+    stimuli,
+    summary,
+    warnings,
+)
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import GloveDriven
 from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, until_armed
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
-from jaxgrasp.cli.terminal import show, typed
+from jaxgrasp.cli.machine import compiling, set_up_jax
+from jaxgrasp.cli.other_terminal import OtherTerminal
+from jaxgrasp.cli.terminal import OwnTerminal, Terminal, show, typed
+from jaxgrasp.files.lock import FolderHeldError, locked
+from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.line import check_port
@@ -21,12 +35,15 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
+from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
 from jaxgrasp.psychophysics.running.session import check_records, run_experiment
 from jaxgrasp.psychophysics.stimulus import NotFeltError, Stimulus, StimulusLostError
 from jaxgrasp.validation.fields import check_positive
 
 PATIENCE = 5.0
 """How long a glove may take to link and to arm [s]."""
+NUMBERS = re.compile(r" \(.*?\)")
+"""What differs from time to time in why the glove let go."""
 Arm = Callable[[], None]
 """Asks the person, and arms the glove."""
 
@@ -40,22 +57,39 @@ def run_command(arguments: RunExperiment) -> int:
             "either --port, of the glove in which stimuli are felt, or --simulate, which lets an observer answer: "
             "expected one of them"
         )
+    if arguments.simulate and arguments.screen is not None:
+        raise ValueError("screen is that of a person, and --simulate lets an observer answer: expected one of them")
     plan = read_plan(arguments.file)
-    observer = observer_of(arguments.observer)
-    person: Person = TerminalPerson(plan)
+    with ExitStack() as stack:
+        return _run(arguments, plan, acceptance, stack)
+
+
+def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack) -> int:
+    terminal: Terminal = OwnTerminal()
+    if arguments.screen is not None:
+        terminal = stack.enter_context(closing(OtherTerminal(arguments.screen)))
+    person: Person = TerminalPerson(plan, terminal)
     if arguments.simulate:
+        observer = observer_of(arguments.observer)
         check_notices(observer, plan)
         person = SimulatedPerson(observer, plan.seed, arguments.subject)
     path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, observer=person.observer)
+    check_writable(arguments.out)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    try:
+        stack.enter_context(locked(arguments.out, what=arguments.subject))
+    except FolderHeldError as error:
+        raise OSError(f"{path} is in use: {error}") from None
     show("\n".join(summary(plan)))
     try:
-        with ExitStack() as stack:
-            stimulus, arm = (
-                _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, acceptance, stack)
-            )
-            done = _asked(arguments, plan, stimulus, person, arm)
+        stimulus, arm = _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, acceptance, stack)
+        done = _asked(arguments, plan, stimulus, person, arm)
+        if arguments.screen is not None:
+            terminal.show("\nThank you, that was all.")
     except KeyboardInterrupt:
-        raise InterruptedError(f"stopped; all answers are in {path}, --resume goes on with them") from None
+        raise InterruptedError(
+            f"stopped; all answers are in {path}, --resume goes on with them" if path.exists() else "stopped"
+        ) from None
     show(f"{done} trials are in {path}; `jaxgrasp experiment analyse {arguments.out}` analyses them")
     return 0
 
@@ -63,19 +97,52 @@ def run_command(arguments: RunExperiment) -> int:
 def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Person, arm: Arm) -> int:
     """A trial whose stimulus was lost is asked again, once the person has armed the glove anew."""
 
-    def lost(error: StimulusLostError) -> None:
-        show(f"\n{error}: this trial does not count")
-        if not isinstance(error, NotFeltError):
-            arm()
+    discarded: Counter[str] = Counter()
 
-    return run_experiment(plan, arguments.subject, arguments.out, stimulus, person, resume=arguments.resume, lost=lost)
+    def lost(error: StimulusLostError) -> None:
+        discarded[NUMBERS.sub("", str(error))] += 1
+        if not isinstance(error, NotFeltError):
+            show(f"\n{error}")
+            arm()
+        elif arguments.screen is not None:
+            show(f"asked again: {error}")
+
+    def recorded(record: TrialRecord) -> None:
+        if arguments.screen is not None:
+            show(_said(record, plan.stimulus.unit))
+
+    try:
+        return run_experiment(
+            plan,
+            arguments.subject,
+            arguments.out,
+            stimulus,
+            person,
+            resume=arguments.resume,
+            recorded=recorded,
+            lost=lost,
+        )
+    finally:
+        for cause, count in discarded.most_common():
+            show(f"discarded and asked again, {count} times: {cause}")
+
+
+def _said(record: TrialRecord, unit: str) -> str:
+    """A trial, for the experimenter's eyes alone."""
+    answer = f"set to {record['setting']:.4g} {unit}"
+    if record["task"] == "choice":
+        answer = f"answer {record['answer']}, {'right' if record['right'] else 'wrong'}"
+    first, second = (f"{record[name]:.4g}" for name in ("first", "second"))
+    cut = ", a torque was cut" if record["saturated"] else ""
+    return f"trial {record['number']}: {first} and {second} {unit}: {answer}{cut}"
 
 
 def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
     _, model, _ = _glove(arguments)
-    stimulus = predicted_stimulus(plan, model)
-    warnings = [line for line in predicted(plan, stimulus) if line.startswith("WARNING")]
-    show("\n".join([*warnings, "a simulated observer answers"]))
+    with compiling("the hand and its torques"):
+        stimulus = predicted_stimulus(plan, model)
+        lines = predicted(plan, stimulus)
+    show("\n".join([*warnings(lines), "a simulated observer answers"]))
     return stimulus, lambda: None
 
 
@@ -83,19 +150,21 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
     check_port(arguments.port or "", arguments.baud)
     set_up_jax("float64")
-    say_compiling("the hand and its torques")
-    from jaxgrasp.lab.felt_objects import felt_object
-    from jaxgrasp.lab.stimuli import GloveStimulus
-
     options, model, _ = _glove(arguments)
     glove = stack.enter_context(GloveProcess(arguments.port or "", len(model.joints), **options, scale=FIRST))
     _check_linked(glove, arguments.port or "")
-    show("compiling")
-    felt = felt_object(plan.stimulus, model)
-    stimulus = GloveStimulus(felt, model, glove)
-    stack.callback(stimulus.close)
-    show("\n".join(predicted(plan, stimulus)))
+    with compiling("the hand and its torques"):
+        from jaxgrasp.lab.felt_objects import felt_object
+        from jaxgrasp.lab.stimuli import GloveStimulus
 
+        stimulus = GloveStimulus(felt_object(plan.stimulus, model), model, glove)
+        stack.callback(stimulus.close)
+        lines = predicted(plan, stimulus)
+    if arguments.screen is not None:
+        # Whoever is asked must not see what comes.
+        show("\n".join([*stimuli(plan), *lines]))
+    elif warnings(lines):
+        show("WARNING: some stimuli need more torque than the glove has; `jaxgrasp experiment plan` says which")
     if acceptance:
         show(f"{GOES_ON}; to go on, type: {acceptance}")
     accepted = typed("") if acceptance else ""
@@ -110,9 +179,16 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
         stimulus.wait_until_armed(PATIENCE)
 
     def arm_both() -> None:
-        arm(FIRST, "type arm for a twentieth of the glove's torque: ")
-        arm(FULL, "feel it, and type arm for all of it: ")
+        while True:
+            try:
+                arm(FIRST, "type arm for a twentieth of the glove's torque: ")
+                return arm(FULL, "feel it, and type arm for all of it: ")
+            except (ValueError, OSError) as error:
+                if not glove.is_alive():
+                    raise
+                show(error)
 
+    show("the glove answers, and nothing is armed")
     arm_both()
     return stimulus, arm_both
 

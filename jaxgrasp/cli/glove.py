@@ -2,14 +2,18 @@
 
 import contextlib
 import math
+import os
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxgrasp.cli.glove_arguments import GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
+from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import device_kind, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
@@ -24,6 +28,9 @@ SHOWN_EVERY = 0.1
 """Time between two lines of the monitor [s]."""
 TROUBLE_EVERY = 2.0
 """Time between two complaints [s]."""
+NAMED_EVERY = 10
+"""Lines of the monitor after which a screen is told the channels' names again."""
+DEGREES, MILLI = "\N{DEGREE SIGN}", "[mN\N{MIDDLE DOT}m]"
 TURN = 0.005
 WHERE = "`jaxgrasp glove ports` lists the ports, `jaxgrasp glove simulate` makes one, in the folder where it runs"
 HALF_PERIOD = 2.0
@@ -51,15 +58,27 @@ def simulate_command(arguments: Simulate) -> int:
     options, model, _ = which_glove(arguments)
     if not arguments.port.absolute().parent.is_dir():
         raise ValueError(f"port is {arguments.port}: there is no folder {arguments.port.absolute().parent}")
-    if arguments.port.is_symlink() and not arguments.port.exists():
-        # What a simulated glove that was killed left behind leads nowhere.
-        arguments.port.unlink()
-    if arguments.port.exists():
-        raise ValueError(
-            f"port is {arguments.port}: expected a name that is not there yet; remove it if no simulated glove uses it"
-        )
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(locked(arguments.port.absolute().parent, what=arguments.port.name))
+        except FolderHeldError as error:
+            raise ValueError(f"port is {arguments.port}, which another simulated glove has: {error}") from None
+        if arguments.port.is_symlink() and _is_left_over(arguments.port):
+            arguments.port.unlink()
+        if arguments.port.exists():
+            raise ValueError(f"port is {arguments.port}: expected a name that is not there yet")
+        simulated = Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options)
+        return _simulate(arguments, model, simulated)
+
+
+def _is_left_over(link: Path) -> bool:
+    """Whether a link that no living simulated glove holds is what a killed one left: it leads nowhere, or to a
+    pseudo-terminal that by now is someone else's."""
+    return not link.exists() or os.readlink(link).startswith(("/dev/pts/", "/dev/ttys"))
+
+
+def _simulate(arguments: Simulate, model: GloveModel, simulated: Simulator) -> int:
     end = math.inf if arguments.seconds is None else time.perf_counter() + arguments.seconds
-    simulated = Simulator(port=str(arguments.port.absolute()), friction=arguments.friction, **options)
     with contextlib.suppress(KeyboardInterrupt), simulated as simulator:
         show(f"a simulated glove waits at {arguments.port}")
         if arguments.spoil:
@@ -93,7 +112,14 @@ def monitor_command(arguments: Monitor) -> int:
         linked = linked or host.state >= LinkState.LINKED
 
     try:
-        _watch(arguments, turn, lambda elapsed, now: shown(host, elapsed, now), lambda: host.state >= LinkState.LINKED)
+        named = f"{'[' + DEGREES + ']':>9}  {' '.join(f'{_short(name):>4}' for name in model.joints)}"
+        _watch(
+            arguments,
+            named,
+            turn,
+            lambda elapsed, now: shown(host, elapsed, now),
+            lambda: host.state >= LinkState.LINKED,
+        )
     finally:
         host.close(time.perf_counter())
     if not linked:
@@ -103,6 +129,7 @@ def monitor_command(arguments: Monitor) -> int:
 
 def _watch(
     arguments: Monitor,
+    named: str,
     turn: Callable[[float], None],
     said: Callable[[float, float], str],
     is_there: Callable[[], bool],
@@ -112,28 +139,39 @@ def _watch(
     # An answer takes a moment: nothing is missing before that.
     next_shown = begun + SHOWN_EVERY
     end = math.inf if arguments.seconds is None else begun + arguments.seconds
+    lines = 0
     with contextlib.suppress(KeyboardInterrupt):
         while (now := time.perf_counter()) < end:
             turn(now)
             if now >= next_shown:
                 next_shown = now + (SHOWN_EVERY if is_there() else TROUBLE_EVERY)
+                # On a screen the names do not scroll away; in a file they stand once.
+                if is_there() and (lines == 0 or (sys.stdout.isatty() and lines % NAMED_EVERY == 0)):
+                    show(named)
+                lines += is_there()
                 show(said(now - begun, now))
             time.sleep(TURN)
 
 
 def shown(host: GloveDevice, elapsed: float, now: float) -> str:
-    """A line of what a glove says."""
+    """What a glove says, each in less than 100 columns: angles, and below them torques where it measures any."""
     if host.state < LinkState.LINKED:
         return f"{elapsed:7.1f} s  {host.trouble}"
     reading = host.reading
     angles = " ".join(f"{angle:4.0f}" for angle in np.degrees(reading.angles))
     torques = ""
     if host.capability.measures_torque:
-        torques = f"   [mN\N{MIDDLE DOT}m] {' '.join(f'{1e3 * torque:4.0f}' for torque in reading.torques)}"
+        torques = f"\n{MILLI:>9}  {' '.join(f'{1e3 * torque:4.0f}' for torque in reading.torques)}"
     age = 1e3 * (now - reading.angles_at)
     end = "  a gauge is at its end" if reading.saturated.any() else ""
     also = f"  {host.also_says()}".rstrip()
-    return f"{elapsed:7.1f} s  [\N{DEGREE SIGN}] {angles}{torques}   {age:.0f} ms old{end}{also}"
+    return f"{elapsed:7.1f} s  {angles}   {age:.0f} ms old{end}{also}{torques}"
+
+
+def _short(joint: str) -> str:
+    """A joint's name in four letters: those of a finger differ in their first."""
+    finger, _, kind = joint.partition(" ")
+    return f"{finger[:1]}{kind}" if kind else finger[:4]
 
 
 def ports_command(command: Ports) -> int:

@@ -4,9 +4,9 @@ import csv
 import io
 
 from jaxgrasp.cli.glove_arguments import Ablate
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
 from jaxgrasp.grip.scene_file import load_scene, scene_path
 from jaxgrasp.lab.ablation import JointLoss, joint_losses
@@ -17,10 +17,11 @@ def ablate_command(arguments: Ablate) -> int:
     """A line a joint, and the same as CSV where it is asked for."""
     file = load_scene(scene_path(arguments.scene))
     model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
+    if arguments.out is not None:
+        check_writable(arguments.out.parent)
     set_up_jax("float64")
-    say_compiling("the hand and its contacts")
-    made = loaded_scene(file)
-    losses = joint_losses(made, model)
+    with compiling("the hand and its contacts"):
+        losses = joint_losses(loaded_scene(file), model)
     show(f"{file.name}: without one of the glove's joints")
     show(f"{'joint':18s} {'mN m not felt':>14s} {'of what is felt':>16s} {'contacts':>9s} {'squeeze':>8s}  holds")
     for one in losses:

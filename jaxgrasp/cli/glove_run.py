@@ -10,9 +10,9 @@ import numpy as np
 from jaxgrasp.cli.glove import which_glove
 from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.glove_orders import FIRST, Orders
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
-from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.cli.machine import compiling, set_up_jax
+from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState
@@ -23,6 +23,7 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
+from jaxgrasp.grip.human_scale import beyond_human
 from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
@@ -48,8 +49,9 @@ def run_command(arguments: Run) -> int:
     alignment = _check_ends(arguments)
     if arguments.listen:
         return _serve(arguments, model, options)
+    for line in beyond_human(file):
+        announce(line)
     set_up_jax("float64")
-    say_compiling(COMPILED)
     if arguments.port is None and arguments.connect is None:
         return _play(arguments, model, file)
     return _render(arguments, model, options, alignment, file)
@@ -75,8 +77,9 @@ def _check_ends(arguments: Run) -> Alignment | None:
 
 
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
-    show("compiling, and playing the whole story: a minute or two")
-    story = grasp_and_lift(model, arguments.law, loaded_scene(file))
+    check_writable(arguments.out)
+    with compiling(f"{COMPILED}, and playing the whole story"):
+        story = grasp_and_lift(model, arguments.law, loaded_scene(file))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
@@ -136,12 +139,12 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
 
 def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignment | None, file: SceneFile) -> int:
     """Compute contacts and forces, for a glove here or elsewhere."""
-    made = loaded_scene(file)
-    law = arguments.law or made.law
-    angles = np.asarray(made.closed.angles)
-    haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
-    show("compiling")
-    warm_up(haptics, pose_at(jnp.zeros(3)))
+    with compiling(COMPILED):
+        made = loaded_scene(file)
+        law = arguments.law or made.law
+        angles = np.asarray(made.closed.angles)
+        haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
+        warm_up(haptics, pose_at(jnp.zeros(3)))
     tracker = _tracker(arguments)
     wrist = Wrist(tracker, alignment)
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds

@@ -10,11 +10,12 @@ import jax
 import numpy as np
 
 from jaxgrasp.cli.grip_arguments import Grip
-from jaxgrasp.cli.machine import provenance, say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, provenance, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
-from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.grip.carry import Instant, carry, stacked
+from jaxgrasp.grip.human_scale import beyond_human, too_strong
 from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
@@ -38,9 +39,12 @@ def grip_command(arguments: Grip) -> int:
     check_finite(arguments, "lift", "turn")
     times = sampled_times(arguments.seconds, arguments.step)
     file = _scene_of(arguments) if arguments.scene is None else load_scene(scene_path(arguments.scene))
+    check_writable(arguments.out)
+    for line in beyond_human(file):
+        announce(line)
     set_up_jax("float64")
-    say_compiling("the hand, its contacts and both laws", "minutes")
-    made = loaded_scene(file)
+    with compiling("the hand and its contacts"):
+        made = loaded_scene(file)
     hand, closed = made.scene.hand, made.closed
     show(f"closed on the {_solid(file)}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
     postures = lift_and_turn(
@@ -51,11 +55,14 @@ def grip_command(arguments: Grip) -> int:
         axis=np.array([1.0, 0.0, 0.0]),
         release=Posture(closed.wrist, made.open) if arguments.release else None,
     )
-    record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
+    with compiling("both laws, and what the object does"):
+        record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
     arguments.out.mkdir(parents=True, exist_ok=True)
     summary = {"grip": _words(made.kind)} | _summary(hand, times, record) | _unbalanced(record)
     _write(arguments.out, hand, times, postures, record, summary)
     show(_said(summary))
+    for line in too_strong(summary["largest_resisting_torque_Nm"]):
+        announce(line)
     show(f"written: {arguments.out / 'grip.npz'}, {arguments.out / 'grip.json'}")
     if arguments.report:
         _write_report(arguments, file, made.scene, history(made.scene, postures, times, record))

@@ -19,7 +19,7 @@ from jaxgrasp.cli.import_arguments import (
     ImportPoses,
 )
 from jaxgrasp.cli.import_files import FRICTION, MASS, check_import, read_files
-from jaxgrasp.cli.machine import say_compiling, set_up_jax
+from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.posed_contacts import PlacedGrasps, Touched, Touching, joined_grasps, joined_sets, touch, weights
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.hand.filling import sphere_tree
@@ -137,8 +137,8 @@ def _import(
     arguments: ImportPoses, hand: Hand, by_mesh: dict[Path, list[GraspPoses]], how: Touching, hand_name: str
 ) -> int:
     meshes = {path: load_mesh(path) for path in by_mesh}
-    say_compiling("the hand and its contacts")
-    touched = [_touched(arguments, hand, meshes[path], several, how) for path, several in by_mesh.items()]
+    with compiling("the hand and its contacts"):
+        touched = [_touched(arguments, hand, meshes[path], several, how) for path, several in by_mesh.items()]
     in_order = [(path, poses) for path, several in by_mesh.items() for poses in several]
     names = [f"{poses.path.stem} {name}" for _, poses in in_order for name in poses.names]
     objects = [_object_name(path) for path, poses in in_order for _ in poses.names]

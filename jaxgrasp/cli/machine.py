@@ -3,14 +3,25 @@
 These are global settings, so only a program that owns its process may make them: never a library.
 """
 
+import contextlib
 import platform
+import sys
+import threading
+import time
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 import jax
+from tqdm import tqdm
 
 from jaxgrasp.cli.terminal import announce
 from jaxgrasp.numerics.compiled_code import use_cache
+
+LOWERED, COMPILED = "/jax/core/compile/jaxpr_to_mlir_module_duration", "/jax/core/compile/backend_compile_duration"
+"""What JAX says of a program before it is compiled, and after."""
+TOLD_EVERY = 0.2
+"""Time between two words on what is compiled [s]."""
 
 
 def set_up_jax(dtype: str) -> None:
@@ -22,9 +33,36 @@ def set_up_jax(dtype: str) -> None:
         announce(f"compiled code is not kept: {error}")
 
 
-def say_compiling(what: str, duration: str = "up to a minute") -> None:
-    """What is compiled next, for how long where nothing of it is kept yet."""
-    announce(f"compiling {what}, which takes {duration} the first time ...")
+@contextlib.contextmanager
+def compiling(what: str) -> Iterator[None]:
+    """Where stderr is a terminal, say meanwhile how many programs are compiled, which one is, and for how long."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    begun, over, done, now = time.perf_counter(), threading.Event(), 0, ""
+
+    def heard(event: str, duration_secs: float, **of: str | int) -> None:
+        nonlocal done, now
+        done += event == COMPILED
+        if event == LOWERED:
+            now = f", now {str(of.get('fun_name', '')).removeprefix('jit(').removesuffix(')')}"
+
+    def tell() -> None:
+        while not over.wait(TOLD_EVERY):
+            bar.set_description_str(
+                f"compiling {what}: {done} programs in {time.perf_counter() - begun:.0f} s{now if done else ''}"
+            )
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
+    with tqdm(bar_format="{desc}", file=sys.stderr, leave=False) as bar:
+        teller = threading.Thread(target=tell, daemon=True)
+        teller.start()
+        try:
+            yield
+        finally:
+            over.set()
+            teller.join()
+            jax.monitoring.unregister_event_duration_listener(heard)
 
 
 def provenance() -> dict[str, str]:

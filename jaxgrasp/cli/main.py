@@ -1,5 +1,6 @@
 """Entry point of the command ``jaxgrasp``."""
 
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ import tyro
 from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.data_arguments import Info, Validate
 from jaxgrasp.cli.evaluate_arguments import Evaluate
-from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment
+from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment, Screen
 from jaxgrasp.cli.file_arguments import Convert, Template
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
@@ -28,6 +29,7 @@ from jaxgrasp.cli.import_arguments import (
     ImportCommand,
     IsaacGrasp,
 )
+from jaxgrasp.cli.optional_arguments import REGISTRY
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.show_arguments import Show
@@ -68,6 +70,7 @@ FUNCTIONS: dict[type, str] = {
     ReadyScenes: "scene_check.list_command",
     PlanCommand: "experiment_plan.plan_command",
     RunExperiment: "experiment_run.run_command",
+    Screen: "other_terminal.screen_command",
     Analyse: "experiment_analyse.analyse_command",
     Paper: "experiment_paper.paper_command",
     Power: "experiment_plan.power_command",
@@ -91,11 +94,15 @@ def run(command: Any) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse, run, and turn expected errors into one line on stderr and the exit code 1."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without these letters shows their codes instead.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     arguments = sys.argv[1:] if arguments is None else arguments
     if list(arguments) == ["--version"]:
         show(f"jaxgrasp {version('jaxgrasp')}")
         return 0
-    command = tyro.cli(Command, prog="jaxgrasp", args=arguments)
+    command = tyro.cli(Command, prog="jaxgrasp", args=arguments, registry=REGISTRY)
     try:
         return run(command)
     except BrokenPipeError:

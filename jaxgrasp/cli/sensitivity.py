@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxgrasp.cli.machine import set_up_jax
+from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import replace_file
+from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.naming import Labels
@@ -36,14 +36,15 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
         raise ValueError(f"values are {len(arguments.values)}: expected at most {MOST_VALUES}, which a figure can show")
     if arguments.task != "cylinder" and not Path(arguments.task).is_file():
         raise ValueError(f"task is {arguments.task!r}: expected a TOML file, or cylinder")
+    check_writable(arguments.out)
     set_up_jax("float64")
     task, fingers = NamedTask(cylinder_task(), FINGERS) if arguments.task == "cylinder" else load_task(arguments.task)
     if arguments.finger not in fingers:
         raise ValueError(f"finger is {arguments.finger!r}{nearest(arguments.finger, fingers)}")
     there = [name for name in BY_CONTACT if hasattr(task.parameters.held, name)]
     labels: Labels = dict.fromkeys((*there, "slip_angle"), fingers)
-    show("compiling the task and its derivatives, which takes minutes the first time")
-    found = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
+    with compiling("the task and its derivatives"):
+        found = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
     arguments.out.mkdir(parents=True, exist_ok=True)
     _write_table(arguments.out / "sensitivity.csv", _curves(found, fingers))
     _write_table(arguments.out / "ranking.csv", _rankings(found))

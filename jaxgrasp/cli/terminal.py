@@ -2,34 +2,78 @@
 
 import contextlib
 import sys
+from abc import ABC, abstractmethod
+from typing import Any
 
 from jaxgrasp.files.printable import printable_lines
+
+CLEARED = "\x1b[2J\x1b[3J\x1b[H"
+"""Erases a screen and what scrolled off it, and goes to its first line."""
 
 
 def show(*texts: object) -> None:
     """Print, with control characters escaped; of text from a file the line breaks must have been escaped before."""
-    print(printable_lines(" ".join(map(str, texts))), flush=True)
+    _write(" ".join(map(str, texts)), sys.stdout)
 
 
 def announce(text: object) -> None:
     """A line on stderr: what is being done, since it may take a while, or what went wrong."""
+    _write(text, sys.stderr)
+
+
+def _write(text: object, stream: Any) -> None:
+    """A line, around the bar of progress, where there is one."""
     line = printable_lines(text)
-    # Writes around the bar of progress, where there is one.
     if (bars := sys.modules.get("tqdm")) is not None:
-        bars.tqdm.write(line, file=sys.stderr)
+        bars.tqdm.write(line, file=stream)
+        stream.flush()
     else:
-        print(line, file=sys.stderr, flush=True)
+        print(line, file=stream, flush=True)
+
+
+def forget_typed_ahead(stream: Any) -> None:
+    """What was typed before it was asked for answers nothing."""
+    with contextlib.suppress(ImportError):
+        import termios
+
+        termios.tcflush(stream, termios.TCIFLUSH)
 
 
 def typed(prompt: str) -> str:
     """A line from the keyboard; KeyboardInterrupt where there are no more."""
     if sys.stdin.isatty():
-        with contextlib.suppress(ImportError):
-            import termios
-
-            # What was typed ahead answers nothing that was felt.
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        forget_typed_ahead(sys.stdin)
     try:
         return input(prompt)
     except EOFError:
         raise KeyboardInterrupt from None
+
+
+class Terminal(ABC):
+    """Where a person reads and types."""
+
+    @abstractmethod
+    def show(self, text: str) -> None:
+        """Lines, with control characters escaped."""
+
+    @abstractmethod
+    def typed(self, prompt: str) -> str:
+        """A line from its keyboard; KeyboardInterrupt where there are no more."""
+
+    @abstractmethod
+    def clear(self) -> None:
+        """Leave an empty screen, where it is one."""
+
+
+class OwnTerminal(Terminal):
+    """That of this program."""
+
+    def show(self, text: str) -> None:
+        show(text)
+
+    def typed(self, prompt: str) -> str:
+        return typed(prompt)
+
+    def clear(self) -> None:
+        if sys.stdout.isatty():
+            print(CLEARED, end="", flush=True)

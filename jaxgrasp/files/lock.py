@@ -1,4 +1,4 @@
-"""A folder that one process at a time works in, held by a lock of the operating system's.
+"""A folder, or one thing in it, that one process at a time works in, held by a lock of the operating system's.
 
 The lock is on an open file, so it ends with its process, however that ends. What the file says, the owner's process and
 when it started, is for whoever finds the folder held, or finds that an owner is gone.
@@ -23,18 +23,19 @@ class FolderHeldError(OSError):
 
 
 @contextmanager
-def locked(folder: Path, announce: Callable[[str], None] = lambda text: None) -> Iterator[None]:
+def locked(folder: Path, announce: Callable[[str], None] = lambda text: None, *, what: str = "") -> Iterator[None]:
     """Hold ``folder``, which is there, until the block ends.
 
     Args:
         folder: a folder of any content; the lock is the file ``.lock`` in it, gone when the block ends.
         announce: told of an owner that is gone and left its lock.
+        what: name of the one thing in the folder that is held, where it is not all of it; then ``.WHAT.lock``.
 
     Raises:
         FolderHeldError: where another process, or another thread of this one, holds it; it says which.
         OSError: where no lock can be made there.
     """
-    path = folder / LOCK
+    path = folder / (f".{what}{LOCK}" if what else LOCK)
     descriptor = _acquired(path, announce)
     try:
         yield

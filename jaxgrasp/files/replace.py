@@ -1,6 +1,8 @@
 """A file that replaces another whole, so that no reader and no crash ever meets half of one."""
 
+import contextlib
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO
@@ -17,3 +19,26 @@ def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         os.replace(beside, path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def check_writable(folder: Path, name: str = "out") -> None:
+    """Find out before any work whether files can be written in a folder, which need not be there; leave nothing.
+
+    Args:
+        folder: to be written in, made with the folders above it where it is not there.
+        name: of the argument, for the message.
+
+    Raises:
+        OSError: where they cannot.
+    """
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(f"{name} is {folder}, where nothing can be written: {error.strerror}") from None
+    finally:
+        for one in missing:
+            with contextlib.suppress(OSError):
+                one.rmdir()

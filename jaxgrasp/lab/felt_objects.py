@@ -59,6 +59,14 @@ class FeltObject(eqx.Module):
     def postures(self) -> Float[np.ndarray, "P channels"]:
         """Angles that a person goes through who feels it [rad]."""
 
+    @abstractmethod
+    def channels(self) -> tuple[int, ...]:
+        """Those joints of the glove that move where a person does what it takes to feel it."""
+
+    @abstractmethod
+    def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
+        """How much of the intensity is felt there, from 0 to 1."""
+
     def is_alone(self, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
         """Whether nothing but the intensity is felt there, such as the end of a travel."""
         return jnp.asarray(True)
@@ -81,15 +89,18 @@ class Lifted(FeltObject):
         self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
         frames, points = self._pads(angles)
-        height = self.height(angles)
-        # Smooth, so that the law has a slope wherever the bar is.
-        share = jnp.clip(height / ENGAGED, 0, 1)
-        load = intensity * share**2 * (3 - 2 * share) + STOP * jnp.maximum(height - TRAVEL, 0)
+        load = intensity * self.share(angles) + STOP * jnp.maximum(self.height(angles) - TRAVEL, 0)
         up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), points.shape)
         squeeze = jnp.full(len(self.links), load / len(self.links))
         grasp = Grasp(points, up, jnp.full(len(self.links), FRICTION), squeeze)
         wrench = jnp.zeros(6).at[2].set(load)
         return _resisting(self.hand, self.worn, self.links, frames, grasp, wrench, jnp.eye(6)[:, 2:3])
+
+    def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
+        return _passed_over(self.height(angles))
+
+    def channels(self) -> tuple[int, ...]:
+        return _fingers_channels(self)
 
     def is_alone(self, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
         return self.height(angles) <= TRAVEL
@@ -134,6 +145,13 @@ class Squeezed(FeltObject):
         free = jnp.append(inward, jnp.zeros(3))[:, None]
         return _resisting(self.hand, self.worn, self.links, frames, grasp, jnp.zeros(6), free)
 
+    def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
+        # A stiffness is felt as soon as there is a depth; the force of the first touch tells nothing of it.
+        return _passed_over(jnp.mean(self.depths(angles)))
+
+    def channels(self) -> tuple[int, ...]:
+        return _fingers_channels(self)
+
     def postures(self) -> Float[np.ndarray, "P channels"]:
         return _within(self, lambda angles: (self.depths(angles).mean() > 0) & (self.depths(angles).max() <= SQUEEZED))
 
@@ -154,15 +172,22 @@ class Resisted(FeltObject):
     """A torque [N.m] on one joint, whatever its angle."""
 
     channel: int = eqx.field(static=True)
-    channels: int = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+    """Joints of the glove."""
 
     def resistance(
         self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
-        return jnp.zeros(self.channels).at[self.channel].set(intensity)
+        return jnp.zeros(self.count).at[self.channel].set(intensity)
+
+    def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
+        return jnp.ones(())
+
+    def channels(self) -> tuple[int, ...]:
+        return (self.channel,)
 
     def postures(self) -> Float[np.ndarray, "P channels"]:
-        return np.zeros((1, self.channels))
+        return np.zeros((1, self.count))
 
 
 @checked
@@ -211,9 +236,9 @@ def resistance_and_slope(
 
 
 @jax.jit
-def is_alone(felt: FeltObject, angles: Float[AnyArray, "channels"]) -> Bool[Array, ""]:
-    """Compiled once for all instants."""
-    return felt.is_alone(angles)
+def share_and_alone(felt: FeltObject, angles: Float[AnyArray, "channels"]) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """How much of the intensity is felt, and whether it alone; compiled once for all instants."""
+    return felt.share(angles), felt.is_alone(angles)
 
 
 @jax.jit
@@ -249,12 +274,23 @@ def _resisting(
     return worn.resisting(joint_torques(hand, frames, points, on_links))
 
 
+def _passed_over(way: Float[Array, ""]) -> Float[Array, ""]:
+    """From 0 to 1 over a short way [m]; smooth, so that the law has a slope wherever the hand is."""
+    share = jnp.clip(way / ENGAGED, 0, 1)
+    return share**2 * (3 - 2 * share)
+
+
+def _fingers_channels(felt: "Lifted | Squeezed") -> tuple[int, ...]:
+    """The glove's joints of the fingers that bear it."""
+    fingers = {felt.hand.links[link].finger for link in felt.links}
+    joints = [felt.hand.joints[place] for place in felt.worn.places]
+    return tuple(k for k, joint in enumerate(joints) if joint.partition(" ")[0] in fingers)
+
+
 def _within(felt: "Lifted | Squeezed", is_felt) -> Float[np.ndarray, "P channels"]:
     """Postures on the way as the knuckles of its fingers bend, where it is felt."""
     moved = np.zeros(len(felt.start))
-    fingers = {felt.hand.links[link].finger for link in felt.links}
-    for k, place in enumerate(felt.worn.places):
-        finger, _, kind = felt.hand.joints[place].partition(" ")
-        moved[k] = finger in fingers and kind == "MP"
+    for k in felt.channels():
+        moved[k] = felt.hand.joints[felt.worn.places[k]].endswith(" MP")
     path = np.asarray(felt.start) + np.linspace(0, MOST_BENT, 241)[:, None] * moved
     return path[np.asarray(jax.vmap(is_felt)(jnp.asarray(path)))]

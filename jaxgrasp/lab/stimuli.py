@@ -3,6 +3,7 @@
 import threading
 import time
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -12,13 +13,15 @@ from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.warmth import lasts
-from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, is_alone, resistance_and_slope, resistances
-from jaxgrasp.lab.haptic_loop import law_of, run_loop
+from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, resistance_and_slope, resistances, share_and_alone
+from jaxgrasp.lab.haptic_loop import LONGEST, law_of, run_loop
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 
 RATE = 100.0
 """Frequency at which laws of torque go out to the glove [Hz]."""
+NEARLY_WHOLE = 0.9
+"""Share of an intensity that is felt as all of it."""
 FRESH = 0.1
 """Age of the glove's word beyond which nobody knows what it does [s]."""
 
@@ -53,7 +56,7 @@ class GloveStimulus(PredictedGloveStimulus):
         # All is compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go.
         self.predict(0.0)
         resistance_and_slope(felt, self._postures[0], 0.0)
-        is_alone(felt, self._postures[0])
+        share_and_alone(felt, self._postures[0])
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -76,12 +79,13 @@ class GloveStimulus(PredictedGloveStimulus):
             NotFeltError: where there was something to be felt, and the hand never did what it takes.
         """
         with self._lock:
-            found, armed = Rendered(self._intensity, self._intensity * self._share, self._most, self._cut), self._armed
+            measured, armed = self._measured, self._armed
+            found = measured.rendered(self._intensity)
             self._intensity = 0.0
         if not (armed and self._holds()):
-            raise StimulusLostError(f"the glove let go while it was felt{self._why()}")
+            raise StimulusLostError(f"the glove let go while it was felt{self._why()}", found)
         if found.intensity > 0 and not found.torque > 0:
-            raise NotFeltError("no finger has felt it")
+            raise NotFeltError("no finger has felt it", found)
         return found
 
     def wait_until_armed(self, patience: float) -> None:
@@ -103,10 +107,8 @@ class GloveStimulus(PredictedGloveStimulus):
         self._thread.join()
 
     def _forget(self) -> None:
-        """What came of an intensity: its largest torque, the least share of the torques that was left, whether any was
-        cut, and whether the glove was armed throughout.
-        """
-        self._most, self._share, self._cut, self._armed = 0.0, 1.0, False, True
+        """Nothing is measured yet, and the glove was armed throughout."""
+        self._measured, self._armed = _Measured(list(self._felt.channels())), True
 
     def _check_armed(self) -> None:
         if not self._holds():
@@ -141,14 +143,41 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         with self._lock:
-            intensity = self._intensity
+            intensity, measured = self._intensity, self._measured
         law = law_of(now, angles, resistance_and_slope(self._felt, angles, intensity))
-        if is_alone(self._felt, angles):
-            now_felt = rendered(1.0, law.torques[None], self._model)
-            with self._lock:
-                self._most, self._share = max(self._most, now_felt.torque), min(self._share, now_felt.felt)
-                self._cut = self._cut or now_felt.saturated
+        share, alone = jax.device_get(share_and_alone(self._felt, angles))
+        given = rendered(float(share), law.torques[None], self._model) if alone else None
+        with self._lock:
+            measured.add(now, angles, given)
         return law
+
+
+class _Measured:
+    """What came of one intensity, tick by tick."""
+
+    def __init__(self, channels: list[int]) -> None:
+        """Nothing yet; the channels are those of the joints that feel it."""
+        self._channels = channels
+        self._torque, self._peak, self._whole, self._cut = 0.0, 0.0, 0.0, False
+        self._low, self._high = np.full(len(channels), np.inf), np.full(len(channels), -np.inf)
+        self._before: float | None = None
+
+    def add(self, now: float, angles: Float[np.ndarray, "channels"], given: Rendered | None) -> None:
+        """A tick: the angles, and what was given of an intensity of 1; None where it was not felt alone."""
+        own = angles[self._channels]
+        self._low, self._high = np.minimum(self._low, own), np.maximum(self._high, own)
+        passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
+        self._before = now
+        if given is not None:
+            self._torque, self._peak = max(self._torque, given.torque), max(self._peak, given.felt)
+            self._cut = self._cut or given.saturated
+            self._whole += passed if given.felt >= NEARLY_WHOLE else 0.0
+
+    def rendered(self, intensity: float) -> Rendered:
+        """All of it."""
+        moved = float(np.degrees(np.max(self._high - self._low))) if self._before is not None else 0.0
+        felt = intensity * self._peak
+        return Rendered(intensity, felt, self._torque, self._cut, whole=self._whole, moved=moved)
 
 
 def _is_armed(state: GloveState) -> bool:

@@ -18,6 +18,9 @@ from jaxgrasp.validation.checked import checked
 
 MOST_TRIALS = 100_000
 MOST_INTERVAL = 60.0
+MOST_MOVEMENT = 90.0
+SCREEN = (20, 100)
+"""Lines, and characters of a line, that fit on one screen."""
 METHODS: dict[str, type[Settings]] = {
     "constant-stimuli": ConstantStimuli,
     "matching": Matching,
@@ -79,8 +82,20 @@ class SessionPlan:
     """Trials before the first session, at its largest level, with feedback."""
     break_every: int = 40
     """Trials after which a person is asked to rest."""
+    duration: float = 0.0
+    """Time for which each stimulus of a trial is rendered [s], the same for all; 0: until the person presses Enter."""
+    pause: float = 0.0
+    """Time without a stimulus between the two of a trial [s]."""
     least_interval: float = 0.5
     """Time for which a person has to feel each stimulus of a trial [s]; a shorter trial is asked again."""
+    least_movement: float = 5.0
+    """Angle by which one of the joints that feel a stimulus has to move meanwhile [degrees]; else asked again."""
+    least_whole: float = 0.2
+    """Time for which nine tenths of each stimulus have to be felt [s]; else the trial is asked again."""
+    instructions: str = ""
+    """What a person reads before the first trial, a screen at most; that of the stimulus where it is empty."""
+    hint: str = ""
+    """What a person reads again where a hand did not move; that of the stimulus where it is empty."""
 
     def __post_init__(self):
         if not self.references:
@@ -90,8 +105,16 @@ class SessionPlan:
                 check_level(f"references[{k}]", reference)
             if reference in self.references[:k]:
                 raise ValueError(f"references[{k}] is {reference:g} again: expected each once")
-        if not 0 <= self.least_interval <= MOST_INTERVAL:
-            raise ValueError(f"least_interval is {self.least_interval}: expected 0 to {MOST_INTERVAL:g} s")
+        for name in ("duration", "pause", "least_interval", "least_whole"):
+            if not 0 <= getattr(self, name) <= MOST_INTERVAL:
+                raise ValueError(f"{name} is {getattr(self, name)}: expected 0 to {MOST_INTERVAL:g} s")
+        if not 0 <= self.least_movement <= MOST_MOVEMENT:
+            raise ValueError(f"least_movement is {self.least_movement}: expected 0 to {MOST_MOVEMENT:g} degrees")
+        for name in ("least_interval", "least_whole"):
+            if 0 < self.duration < getattr(self, name):
+                raise ValueError(f"{name} is {getattr(self, name)}: expected at most duration, {self.duration:g} s")
+        for name in ("instructions", "hint"):
+            check_screen(name, getattr(self, name))
         for name, least in (("sessions", 1), ("practice", 0), ("break_every", 1)):
             check_count(name, getattr(self, name), least)
 
@@ -115,6 +138,10 @@ class Plan:
             raise ValueError(
                 f"the plan has {self.most_trials():,} trials of a person: expected {MOST_TRIALS:,} at most"
             )
+        if self.method == "matching" and self.session.duration:
+            raise ValueError(
+                f"session.duration is {self.session.duration:g}, and who matches takes the time it takes: expected 0"
+            )
         if self.is_detection and len(self.session.references) > 1:
             raise ValueError("session.references has 0 beside others: expected detection to be a plan of its own")
 
@@ -135,11 +162,26 @@ class Plan:
         sessions = self.session.sessions * len(self.session.references)
         return self.session.practice + sessions * self.procedure.most_trials()
 
+    def at_most(self) -> str:
+        """How many these are, in words: a staircase may end before."""
+        return f"{'at most ' if self.method == 'staircase' else ''}{self.most_trials()}"
+
     def table(self) -> dict[str, Any]:
         """As a file has it."""
         tables = {"stimulus": _plain(self.stimulus), "session": _plain(self.session)}
         procedure = {"method": self.method, **_plain(self.procedure)}
         return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure}
+
+
+def check_screen(name: str, text: str) -> None:
+    """Raise ValueError for a text that a person would have to scroll."""
+    lines = text.split("\n")
+    most_lines, most_characters = SCREEN
+    if len(lines) > most_lines or max(map(len, lines)) > most_characters:
+        raise ValueError(
+            f"{name} has {len(lines)} lines of up to {max(map(len, lines))} characters: expected one screen, "
+            f"{most_lines} lines of up to {most_characters} characters"
+        )
 
 
 @checked

@@ -5,14 +5,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 
-class StimulusLostError(OSError):
-    """What was to be felt was not, or not all the time: the trial does not count, and is to be asked again."""
-
-
-class NotFeltError(StimulusLostError):
-    """There was something to be felt, and a person did not do what it takes: it is to be asked again."""
-
-
 @dataclass(frozen=True)
 class Rendered:
     """What came of an intensity."""
@@ -20,13 +12,30 @@ class Rendered:
     intensity: float
     """Intensity asked for, in the stimulus' unit."""
     felt: float
-    """What the device could render of it, in the same unit."""
+    """The most of it that was felt, in the same unit; of a prediction, what the device could render."""
     torque: float
     """Largest joint torque that it asks for [N.m]; NaN where nobody knows."""
     saturated: bool
     """Whether any torque was cut: the trial is not what the plan says."""
     lasts: float = math.inf
     """How long a glove whose motors are cold renders it so [s]."""
+    whole: float = math.nan
+    """Time for which nine tenths of it at least were felt [s]; NaN where nobody measured."""
+    moved: float = math.nan
+    """Angle by which that joint moved meanwhile which moved most, of those that feel it [degrees]; NaN likewise."""
+
+
+class StimulusLostError(OSError):
+    """What was to be felt was not, or not all the time: the trial does not count, and is to be asked again."""
+
+    def __init__(self, why: str, rendered: Rendered | None = None) -> None:
+        """``rendered``: what came of it before it was lost, where anything did."""
+        super().__init__(why)
+        self.rendered = rendered
+
+
+class NotFeltError(StimulusLostError):
+    """There was something to be felt, and a person did not do what it takes: it is to be asked again."""
 
 
 class Stimulus(ABC):

@@ -7,12 +7,14 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
 
 from jaxgrasp.cli.main import main
 from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
+from tests.cli.pseudo_terminal import PersonAtTerminal
 
 PLAN = """
 [session]
@@ -30,10 +32,27 @@ references = [0.05]
 practice = 1
 break_every = 5
 least_interval = 0.0
+least_movement = 0.0
+least_whole = 0.0
 [procedure]
 levels = [0.2, 0.4]
 series = 1
 """
+
+
+def _slowly(text: str) -> str:
+    """What a person types who first feels."""
+    time.sleep(1.5)
+    return text
+
+
+PERSON = {
+    "have read this": lambda: "",
+    "first one; Enter when you have": lambda: _slowly(""),
+    "second one; Enter when you have": lambda: _slowly(""),
+    "1 or 2?": lambda: "1",
+    "Enter to go on": lambda: "",
+}
 
 
 @pytest.fixture
@@ -145,12 +164,12 @@ def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
     monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
     command = ["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere", "--resume"]
     # What is no answer is asked again; the input ends in the middle of the third trial.
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n1\n\n\n3\nx\n2\n\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n\n1\n\n\n3\nx\n2\n\n"))
     assert main(command) == 1
     out, err = capsys.readouterr()
     assert "all answers are in" in err and "which one was stronger, 1 or 2?" in out
     assert [one["answer"] for one in read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]] == [1, 2]
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n1\n" * 2 + "\n" + "\n\n1\n" * 4))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n" + "\n\n1\n" * 2 + "\n" + "\n\n1\n" * 4))
     assert main(command) == 0
     assert "5 trials are in" in capsys.readouterr().out
 
@@ -160,9 +179,9 @@ def test_a_person_matches(folder, monkeypatch, capsys):
     from jaxgrasp.psychophysics.stimulus import IdealStimulus
 
     settings = '[procedure]\nmethod = "matching"\ntrials = 2\nstep = 0.1'
-    (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\n" + settings)
+    (folder / "plan.toml").write_text("[session]\nreferences = [2.0]\npractice = 0\nleast_interval = 0.0\n" + settings)
     monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
     assert main(["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere"]) == 0
     first, second = read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]
     assert first["setting"] == pytest.approx(first["second"] + 0.2) and second["setting"] == second["second"]
@@ -170,23 +189,57 @@ def test_a_person_matches(folder, monkeypatch, capsys):
     assert "2 settings, error" in capsys.readouterr().out
 
 
+POSIX = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")
+PROGRAM = [sys.executable, "-m", "jaxgrasp.cli.main"]
+
+
+@POSIX
 @pytest.mark.slow
 @pytest.mark.realtime
-@pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
+def test_a_person_at_a_screen_of_their_own_sees_neither_stimuli_nor_torques(folder):
+    """The experimenter's terminal arms and shows each trial; the person's has instructions, questions and the hint."""
+    (folder / "plan.toml").write_text(TORQUE.replace("least_movement = 0.0", "least_movement = 5.0"))
+    simulated = [*PROGRAM, "glove", "simulate", "--bend", "30", "--port"]
+    run = [*PROGRAM, "experiment", "run", "plan.toml", "--subject", "S1", "--port", "glove"]
+    with contextlib.ExitStack() as opened:
+        glove = opened.enter_context(subprocess.Popen([*simulated, "glove"], stdout=subprocess.PIPE))
+        opened.callback(glove.kill)
+        glove.stdout.readline()
+        seat = opened.enter_context(PersonAtTerminal([*PROGRAM, "experiment", "screen"]))
+        seat.reads("--screen ")
+        device = seat.reads("\n").strip()
+        desk = opened.enter_context(PersonAtTerminal([*run, "--screen", device]))
+        orders = {"of the glove's torque: ": "arm", "for all of it: ": "arm"}
+        desk.reads("nothing is armed")
+        desk.reads("torque: ")
+        desk.type("x")
+        typing = threading.Thread(target=seat.plays, args=(PERSON,), kwargs={"stops": "that was all"})
+        typing.start()
+        assert desk.plays({prompt.strip(): lambda order=order: order for prompt, order in orders.items()}) == 0
+        typing.join()
+    assert "Bend your index MP joint to and fro" in seat.screen and "torque" not in seat.screen
+    assert "0.05" not in seat.screen and "0.06" in desk.screen and "N\N{MIDDLE DOT}m" in desk.screen
+    assert "which one" not in desk.screen and "trial 5: " in desk.screen
+    for one in read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]:
+        assert min(one["moved"]) >= 5 and min(one["durations"]) > 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.realtime
+@POSIX
 def test_in_a_glove(folder):
     """A whole experiment through a simulated glove: armed at a twentieth, then at all, and each answer typed."""
     (folder / "plan.toml").write_text(TORQUE)
-    program = [sys.executable, "-m", "jaxgrasp.cli.main"]
-    simulated = [*program, "glove", "simulate", "--seconds", "300"]
+    simulated = [*PROGRAM, "glove", "simulate", "--seconds", "300"]
     with subprocess.Popen(simulated, stdout=subprocess.PIPE) as glove:
         glove.stdout.readline()
-        run = [*program, "experiment", "run", "plan.toml", "--subject", "S1", "--port", "jaxgrasp-glove"]
+        run = [*PROGRAM, "experiment", "run", "plan.toml", "--subject", "S1", "--port", "jaxgrasp-glove"]
         with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
             # Not before it asks: what is typed ahead would be answered without having been felt.
-            while "torques up to" not in process.stdout.readline():
+            while "nothing is armed" not in process.stdout.readline():
                 pass
             # Armed in so many words; then Enter feels and rests, and is asked again where a number is wanted.
-            lines = itertools.chain(["", "1", "arm", "arm"], itertools.cycle(["", "1", "", "2"]))
+            lines = itertools.chain(["", "1", "arm", "arm", ""], itertools.cycle(["", "1", "", "2"]))
             end = time.perf_counter() + 120
             with contextlib.suppress(BrokenPipeError):
                 while process.poll() is None and time.perf_counter() < end:

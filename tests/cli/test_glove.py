@@ -180,7 +180,7 @@ def test_monitor_lucidgloves(folder, capsys):
 @pytest.mark.realtime
 def test_run_now(bending):
     with Bench("--port", bending) as bench:
-        assert bench.line() == "compiling\n" and "ready" in bench.line()
+        assert "ready" in bench.line()
         assert "the first time power is on, it is a twentieth" in bench.answer("full")
         assert "is no order" in bench.answer("hello")
         bench.insist("arm")
@@ -202,7 +202,7 @@ def test_a_glove_that_dies_is_told_at_once_and_armed_anew_from_a_twentieth(folde
         opened.callback(first.kill)
         assert b"waits" in first.stdout.readline()
         bench = opened.enter_context(Bench("--port", "jaxgrasp-glove"))
-        assert bench.line() == "compiling\n" and "ready" in bench.line()
+        assert "ready" in bench.line()
         bench.insist("arm")
         bench.insist("full")
         first.kill()
@@ -239,7 +239,7 @@ def test_two_hosts(bending):
         assert address in host.line()
         assert "nobody says which torques" in host.answer("arm")
         engine = opened.enter_context(Bench("--connect", address, "--seconds", "60", *keys))
-        assert engine.line() == "compiling\n" and "calls" in engine.line()
+        assert "calls" in engine.line()
         host.insist("arm")
         host.leave()
         again = opened.enter_context(Bench("--port", bending, "--listen", address, *keys))

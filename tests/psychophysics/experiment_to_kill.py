@@ -14,5 +14,5 @@ if __name__ == "__main__":
     folder, subject, series = sys.argv[1:]
     plan = Plan(procedure=ConstantStimuli(series=int(series)))
     person = SimulatedPerson(Observer(), plan.seed, subject)
-    done = lambda trial: print(trial.number, flush=True)  # noqa: E731
+    done = lambda record: print(record["number"], flush=True)  # noqa: E731
     run_experiment(plan, subject, Path(folder), IdealStimulus(), person, resume=True, recorded=done)

@@ -172,7 +172,7 @@ class Hasty(Watched):
         super().__init__(plan)
         self.observer, self.felt = None, []
 
-    def feel(self, trial, interval):
+    def feel(self, trial, interval, lasts):
         self.felt.append((trial.number, interval))
         hurries = trial.number == 2 and self.felt.count((2, 2)) == 1 and interval == 2
         time.sleep(0.0 if hurries else 0.03)
@@ -194,6 +194,73 @@ def test_a_trial_that_was_too_short_is_discarded_on_record_and_asked_again(folde
     assert all(discarded[key] == again[key] for key in ("number", "level", "first", "second"))
     assert min(min(one["durations"]) for one in records if one["record"] == "trial") >= 0.02
     assert [one["number"] for one in lasting(folder)] == list(range(1, count + 1))
+
+
+class Still(PredictedStimulus):
+    """Whose hand does not move, and feels nothing whole, the first time."""
+
+    def __init__(self, **first) -> None:
+        super().__init__()
+        self._left = [first]
+
+    def predict(self, intensity):
+        measured = {"moved": 30.0, "whole": 1.0} | (self._left.pop() if self._left else {})
+        return Rendered(intensity, intensity, intensity, False, **measured)
+
+
+@pytest.mark.parametrize(
+    "first, message",
+    [
+        ({"moved": 1.5}, "the hand moved by 1.5 degrees: expected 5 at least"),
+        ({"whole": 0.1}, "it was felt whole for 0.10 s: expected 0.2 s at least"),
+    ],
+)
+def test_a_still_hand_is_told_what_to_do_and_asked_again(folder, first, message):
+    class Reader(Watched):
+        said = ()
+
+        def instructed(self, text):
+            self.said += (text,)
+
+        def again(self, why):
+            self.said += (why,)
+
+    plan = replace(SHORT, session=replace(SHORT.session, least_interval=0.0, hint="Lift it."))
+    person = Reader(plan)
+    person.observer = None
+    run_experiment(plan, "S1", folder, Still(**first), person, lost=lambda error: None)
+    assert "Bend your fingers at the knuckles to lift" in person.said[0] and "type 1 or 2" in person.said[0]
+    assert person.said[1:] == (f"{message}.\nLift it.",)
+    discarded, trial = read_records(folder / "S1.jsonl")[0][1:3]
+    assert discarded["cause"] == message and discarded["moved"] == [first.get("moved", 30.0)]
+    assert trial["moved"] == [30.0, 30.0] and trial["whole"] == [1.0, 1.0] and trial["number"] == 1
+
+
+def test_stimuli_of_a_fixed_duration(folder):
+    """Each lasts as the plan says, with the pause between, and begins when the person is ready."""
+
+    class Timed(Watched):
+        def __init__(self, plan):
+            super().__init__(plan)
+            self.observer, self.came = None, []
+
+        def ready(self, trial):
+            self.came.append("ready")
+
+        def feel(self, trial, interval, lasts):
+            self.came.append((interval, lasts))
+            time.sleep(lasts)
+
+        def waits(self, seconds):
+            self.came.append(seconds)
+
+    timed = replace(SHORT.session, duration=0.02, pause=0.3, least_interval=0.01, least_whole=0.0, practice=0)
+    plan = replace(SHORT, session=timed)
+    person = Timed(plan)
+    count = run(plan, folder, person)
+    assert person.came == ["ready", (1, 0.02), 0.3, (2, 0.02)] * count
+    for one in read_records(folder / "S1.jsonl")[0][1:]:
+        assert all(0.02 <= lasted < 0.3 for lasted in one["durations"]), "the pause is of neither"
 
 
 def test_refusals(folder, unchecked):

@@ -22,8 +22,27 @@ class Person(ABC):
     """Parameters of a simulated observer, whose answers are nobody's: the records say so."""
 
     @abstractmethod
-    def feel(self, trial: Trial, interval: int) -> None:
-        """Take the time to feel what is rendered in interval 1 or 2; returns when it has been felt."""
+    def instructed(self, text: str) -> None:
+        """Read what is to be done; returns when it has been read."""
+
+    @abstractmethod
+    def ready(self, trial: Trial) -> None:
+        """Before a trial whose stimuli last as long as the plan says; returns when the person wants it to begin."""
+
+    @abstractmethod
+    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
+        """Feel what is rendered in interval 1 or 2.
+
+        Returns after ``lasts`` [s], or where that is 0 when the person has felt it.
+        """
+
+    @abstractmethod
+    def waits(self, seconds: float) -> None:
+        """Nothing is rendered; returns after so long [s]."""
+
+    @abstractmethod
+    def again(self, why: str) -> None:
+        """Told that the trial does not count, and is asked again."""
 
     @abstractmethod
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
@@ -51,7 +70,19 @@ class SimulatedPerson(Person):
         self._adjusting, self._target = 0, 0.0
         self._before: Move = "done"
 
-    def feel(self, trial: Trial, interval: int) -> None:
+    def instructed(self, text: str) -> None:
+        return
+
+    def ready(self, trial: Trial) -> None:
+        return
+
+    def feel(self, trial: Trial, interval: int, lasts: float) -> None:
+        return
+
+    def waits(self, seconds: float) -> None:
+        return
+
+    def again(self, why: str) -> None:
         return
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:

@@ -101,7 +101,9 @@ class Journal:
 
     def close(self) -> None:
         """Let go of the file."""
-        self._stream.close()
+        # What a full disk did not take was never said to be on record.
+        with contextlib.suppress(OSError):
+            self._stream.close()
 
     def __enter__(self) -> "Journal":
         return self
@@ -110,9 +112,15 @@ class Journal:
         self.close()
 
     def _write(self, record: dict[str, Any]) -> None:
-        self._stream.write(_line(record))
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
+        line = _line(record)
+        try:
+            self._stream.write(line)
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+        except OSError as error:
+            raise OSError(
+                f"{self.path} cannot be written: {error.strerror}; all answers before are in it, and --resume goes on"
+            ) from None
 
 
 def subjects(folder: Path) -> Iterator[Path]:

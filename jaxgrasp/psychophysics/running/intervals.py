@@ -1,0 +1,119 @@
+"""The two intervals of a trial: what is rendered in each, for how long, and whether it was felt."""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.procedures.matching import Matching
+from jaxgrasp.psychophysics.running.person import Person
+from jaxgrasp.psychophysics.stimulus import NotFeltError, Rendered, Stimulus, StimulusLostError
+from jaxgrasp.psychophysics.trial import Trial, intensity
+
+
+class Intervals:
+    """Those of one trial, presented once; what came of them is there whether or not the trial counts."""
+
+    def __init__(self, plan: Plan, trial: Trial, stimulus: Stimulus, person: Person) -> None:
+        """Nothing is rendered yet."""
+        self._plan, self._trial, self._stimulus, self._person = plan, trial, stimulus, person
+        self._rendered: list[Rendered] = []
+        self._durations: list[float] = []
+
+    def both(self) -> tuple[Rendered, Rendered]:
+        """Present one after the other.
+
+        Raises:
+            StimulusLostError: where one was not felt as it should have been.
+        """
+        first = self._felt(1)
+        if self._plan.session.pause:
+            self._person.waits(self._plan.session.pause)
+        return first, self._felt(2)
+
+    def set(self) -> float:
+        """Present the reference, and let the person adjust the other one; the setting.
+
+        Raises:
+            StimulusLostError: where either was not felt as it should have been.
+        """
+        procedure = self._plan.procedure
+        assert isinstance(procedure, Matching)
+        self._felt(1)
+        trial, level, begun = self._trial, self._trial.level, time.perf_counter()
+        self._stimulus.begin(trial.second)
+        shows, setting = "comparison", None
+        with self._let_go():
+            while (move := self._person.adjust(trial, intensity(trial.reference, level))) != "done":
+                if move in ("up", "down"):
+                    level = max(level + (procedure.step if move == "up" else -procedure.step), -1.0)
+                ended = self._stimulus.end()
+                setting = ended if shows == "comparison" else setting
+                shows = "reference" if move == "reference" else "comparison"
+                self._stimulus.begin(trial.reference if shows == "reference" else intensity(trial.reference, level))
+        ended = self._stimulus.end()
+        # Who says "done" at the reference means what was last felt beside it.
+        self._add(ended if shows == "comparison" or setting is None else setting, begun)
+        return intensity(trial.reference, level)
+
+    def record(self) -> dict[str, Any]:
+        """What came of the intervals that have ended."""
+        return {
+            "felt": [_known(one.felt) for one in self._rendered],
+            "torque": [_known(one.torque) for one in self._rendered],
+            "saturated": any(one.saturated for one in self._rendered),
+            "whole": [_known(one.whole) for one in self._rendered],
+            "moved": [_known(one.moved) for one in self._rendered],
+            "durations": [round(one, 3) for one in self._durations],
+        }
+
+    def _felt(self, interval: int) -> Rendered:
+        """Render one, and check that it was felt."""
+        begun = time.perf_counter()
+        self._stimulus.begin(self._trial.first if interval == 1 else self._trial.second)
+        with self._let_go():
+            self._person.feel(self._trial, interval, self._plan.session.duration)
+        try:
+            rendered = self._stimulus.end()
+        except StimulusLostError as error:
+            if error.rendered is not None:
+                self._add(error.rendered, begun)
+            raise
+        self._add(rendered, begun)
+        self._check(rendered, self._durations[-1])
+        return rendered
+
+    def _add(self, rendered: Rendered, begun: float) -> None:
+        self._rendered.append(rendered)
+        self._durations.append(time.perf_counter() - begun)
+
+    def _check(self, one: Rendered, lasted: float) -> None:
+        least = self._plan.session
+        # An observer who is simulated needs no time, and moves nothing.
+        if self._person.observer is not None:
+            return
+        if lasted < least.least_interval:
+            raise NotFeltError(f"it was felt for {lasted:.2f} s: take {least.least_interval:g} s at least")
+        # What nobody measured is NaN, which is not less.
+        if one.moved < least.least_movement:
+            raise NotFeltError(
+                f"the hand moved by {one.moved:.1f} degrees: {least.least_movement:g} at least are needed"
+            )
+        if one.intensity > 0 and one.whole < least.least_whole:
+            raise NotFeltError(f"it was felt whole for {one.whole:.2f} s: {least.least_whole:g} s at least are needed")
+
+    @contextlib.contextmanager
+    def _let_go(self) -> Iterator[None]:
+        """End a stimulus where its trial is left by an exception, which is raised even if the stimulus was lost."""
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(StimulusLostError):
+                self._stimulus.end()
+            raise
+
+
+def _known(value: float) -> float | None:
+    return round(value, 9) if math.isfinite(value) else None

@@ -142,9 +142,11 @@ def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
     """What a glove can render of a plan's stimulus."""
     set_up_jax("float64")
     from jaxgrasp.lab.felt_objects import felt_object
+    from jaxgrasp.lab.simulated_weight import rendering_of
     from jaxgrasp.lab.stimuli import PredictedGloveStimulus
 
-    return PredictedGloveStimulus(felt_object(plan.stimulus, model), model)
+    felt = felt_object(plan.stimulus, model)
+    return PredictedGloveStimulus(felt, model, rendering_of(plan.stimulus, felt, model))
 
 
 def summary(plan: Plan) -> list[str]:

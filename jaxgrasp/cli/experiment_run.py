@@ -155,9 +155,11 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     _check_linked(glove, arguments.port or "")
     with compiling("the hand and its torques"):
         from jaxgrasp.lab.felt_objects import felt_object
+        from jaxgrasp.lab.simulated_weight import rendering_of
         from jaxgrasp.lab.stimuli import GloveStimulus
 
-        stimulus = GloveStimulus(felt_object(plan.stimulus, model), model, glove)
+        felt = felt_object(plan.stimulus, model)
+        stimulus = GloveStimulus(felt, model, glove, rendering_of(plan.stimulus, felt, model))
         stack.callback(stimulus.close)
         lines = predicted(plan, stimulus)
     if arguments.screen is not None:

@@ -4,7 +4,8 @@ Each is a law of resistance: torques at the glove's joints from their angles and
 Fig. 8: a bar on the fingers, held to the vertical, in a hand whose palm looks up.
 """
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,11 +15,13 @@ from jax import Array
 from jaxtyping import Bool
 
 from jaxgrasp.force.distribution import closed_form
+from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.slipping import applied_forces
 from jaxgrasp.hand.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
+from jaxgrasp.lab.haptic_loop import law_of
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, HandFrames, Pose
@@ -44,6 +47,32 @@ MOST_BENT = 1.2
 """How far knuckles are bent in search of the whole travel [rad]."""
 
 PALM_UP = Pose(np.zeros(3), np.diag([1.0, -1.0, -1.0]))
+
+
+class FeltTick(NamedTuple):
+    """What is felt of an intensity at one instant."""
+
+    law: TorqueLaw
+    share: float
+    """How much of the intensity is felt, from 0 to 1."""
+    is_alone: bool
+    """Whether nothing but the intensity is felt, such as the end of a travel."""
+
+
+class Rendering(ABC):
+    """How intensities are rendered, one after another, by one thread."""
+
+    @abstractmethod
+    def begin(self, intensity: float) -> None:
+        """Render this one from now on."""
+
+    @abstractmethod
+    def tick(self, now: float, angles: Float[np.ndarray, "channels"]) -> FeltTick:
+        """What the glove is to do, at a time [s] and angles [rad]."""
+
+    @abstractmethod
+    def on_the_way(self, intensity: float) -> Float[np.ndarray, "P channels"]:
+        """Torques that it asks for in all the postures in which a person feels it [N.m]."""
 
 
 class FeltObject(eqx.Module):
@@ -97,7 +126,7 @@ class Lifted(FeltObject):
         return _resisting(self.hand, self.worn, self.links, frames, grasp, wrench, jnp.eye(6)[:, 2:3])
 
     def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
-        return _passed_over(self.height(angles))
+        return passed_over(self.height(angles))
 
     def channels(self) -> tuple[int, ...]:
         return _fingers_channels(self)
@@ -107,6 +136,10 @@ class Lifted(FeltObject):
 
     def postures(self) -> Float[np.ndarray, "P channels"]:
         return _within(self, lambda angles: (self.height(angles) > ENGAGED) & (self.height(angles) <= TRAVEL))
+
+    def tops(self, angles: Float[AnyArray, "channels"]) -> Float[Array, "n 3"]:
+        """Where the bar lies on each of the links [m]."""
+        return self._pads(angles)[1]
 
     def _pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
         frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(angles), PALM_UP))
@@ -147,7 +180,7 @@ class Squeezed(FeltObject):
 
     def share(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
         # A stiffness is felt as soon as there is a depth; the force of the first touch tells nothing of it.
-        return _passed_over(jnp.mean(self.depths(angles)))
+        return passed_over(jnp.mean(self.depths(angles)))
 
     def channels(self) -> tuple[int, ...]:
         return _fingers_channels(self)
@@ -188,6 +221,27 @@ class Resisted(FeltObject):
 
     def postures(self) -> Float[np.ndarray, "P channels"]:
         return np.zeros((1, self.count))
+
+
+class LawOfAngles(Rendering):
+    """A felt object's own law: its torques at the angles of the instant, whatever was before."""
+
+    def __init__(self, felt: FeltObject) -> None:
+        """Compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go."""
+        self._felt, self._intensity = felt, 0.0
+        self._postures = felt.postures()
+        self.tick(0.0, self._postures[0])
+
+    def begin(self, intensity: float) -> None:
+        self._intensity = intensity
+
+    def tick(self, now: float, angles: Float[np.ndarray, "channels"]) -> FeltTick:
+        law = law_of(now, angles, resistance_and_slope(self._felt, angles, self._intensity))
+        share, alone = jax.device_get(share_and_alone(self._felt, angles))
+        return FeltTick(law, float(share), bool(alone))
+
+    def on_the_way(self, intensity: float) -> Float[np.ndarray, "P channels"]:
+        return np.asarray(resistances(self._felt, self._postures, intensity))
 
 
 @checked
@@ -274,7 +328,8 @@ def _resisting(
     return worn.resisting(joint_torques(hand, frames, points, on_links))
 
 
-def _passed_over(way: Float[Array, ""]) -> Float[Array, ""]:
+@jax.jit
+def passed_over(way: Float[Array, ""]) -> Float[Array, ""]:
     """From 0 to 1 over a short way [m]; smooth, so that the law has a slope wherever the hand is."""
     share = jnp.clip(way / ENGAGED, 0, 1)
     return share**2 * (3 - 2 * share)

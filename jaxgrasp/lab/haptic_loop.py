@@ -58,9 +58,16 @@ class Haptics:
         check_scene(self.scene)
         self._worn = glove_hand(self.scene.hand, self.model, self.others)
         self._program = HapticTick(self.scene, self._worn, self.law, self.follows)
-        self._state = self._program.start(set_down(self.scene, self.placed))
+        self._begin = self._state = self._program.start(set_down(self.scene, self.placed))
         self._passed: Passed | None = None
         self._before: float | None = None
+
+    def restart(self, scene: Scene, placed: Pose) -> None:
+        """Another scene of the same kind, its object at rest there; nothing is compiled for other numbers."""
+        self.scene, self.placed = scene, placed
+        self._program = HapticTick(scene, self._worn, self.law, self.follows)
+        self._state = self._begin._replace(carried=set_down(scene, placed))
+        self._passed, self._before = None, None
 
     @property
     def instant(self) -> Instant | None:

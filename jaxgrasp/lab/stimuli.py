@@ -3,7 +3,6 @@
 import threading
 import time
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -13,8 +12,8 @@ from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.warmth import lasts
-from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, resistance_and_slope, resistances, share_and_alone
-from jaxgrasp.lab.haptic_loop import LONGEST, law_of, run_loop
+from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, LawOfAngles, Rendering
+from jaxgrasp.lab.haptic_loop import LONGEST, run_loop
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
 
@@ -29,34 +28,32 @@ FRESH = 0.1
 class PredictedGloveStimulus(PredictedStimulus):
     """What a glove can render of an intensity, over all postures in which it is felt."""
 
-    def __init__(self, felt: FeltObject, model: GloveModel) -> None:
-        """Args: what is felt, and the glove, whose limits count."""
+    def __init__(self, felt: FeltObject, model: GloveModel, rendering: Rendering | None = None) -> None:
+        """Args: what is felt; the glove, whose limits count; and how it is rendered, by its own law if not given."""
         super().__init__()
         self._felt, self._model = felt, model
-        self._postures = felt.postures()
+        self._rendering = LawOfAngles(felt) if rendering is None else rendering
         self._known: dict[float, Rendered] = {}
 
     def predict(self, intensity: float) -> Rendered:
         if intensity not in self._known:
-            asked = np.asarray(resistances(self._felt, self._postures, intensity))
-            self._known[intensity] = rendered(intensity, asked, self._model)
+            self._known[intensity] = rendered(intensity, self._rendering.on_the_way(intensity), self._model)
         return self._known[intensity]
 
 
 class GloveStimulus(PredictedGloveStimulus):
     """An intensity rendered by a real glove: laws go out at a steady rate, from the first until ``close``."""
 
-    def __init__(self, felt: FeltObject, model: GloveModel, glove: GloveProcess) -> None:
+    def __init__(
+        self, felt: FeltObject, model: GloveModel, glove: GloveProcess, rendering: Rendering | None = None
+    ) -> None:
         """A stimulus of no intensity, in a glove that someone arms."""
-        super().__init__(felt, model)
+        super().__init__(felt, model, rendering)
         self._glove = glove
         self._ends = threading.Event()
         self._lock = threading.Lock()
         self._forget()
-        # All is compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go.
-        self.predict(0.0)
-        resistance_and_slope(felt, self._postures[0], 0.0)
-        share_and_alone(felt, self._postures[0])
+        self._rendered: tuple[float, _Measured] | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -144,12 +141,15 @@ class GloveStimulus(PredictedGloveStimulus):
     def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         with self._lock:
             intensity, measured = self._intensity, self._measured
-        law = law_of(now, angles, resistance_and_slope(self._felt, angles, intensity))
-        share, alone = jax.device_get(share_and_alone(self._felt, angles))
-        given = rendered(float(share), law.torques[None], self._model) if alone else None
+        # The thread that ticks is the one that renders: it alone begins another intensity.
+        if self._rendered != (intensity, measured):
+            self._rendering.begin(intensity)
+            self._rendered = intensity, measured
+        felt = self._rendering.tick(now, angles)
+        given = rendered(felt.share, felt.law.torques[None], self._model) if felt.is_alone else None
         with self._lock:
             measured.add(now, angles, given)
-        return law
+        return felt.law
 
 
 class _Measured:

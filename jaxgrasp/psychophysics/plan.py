@@ -47,10 +47,15 @@ class StimulusPlan:
     joints."""
     joint: str = "index MP"
     """Joint that a torque resists."""
+    rendering: Literal["exact", "simulated"] = "exact"
+    """How a weight is rendered: by a law that shares it alike among the fingers; or by the virtual hand's pipeline, as
+    a plate that lies on them, with contacts, depths, and inertia as it is lifted."""
 
     def __post_init__(self):
         if self.phalanx != "distal" and self.kind != "weight":
             raise ValueError(f"phalanx is {self.phalanx!r}: expected 'distal' of a {self.kind}")
+        if self.rendering != "exact" and self.kind != "weight":
+            raise ValueError(f"rendering is {self.rendering!r}: expected 'exact' of a {self.kind}")
         if not self.fingers:
             raise ValueError("fingers is empty: expected one at least")
         for k, finger in enumerate(self.fingers):

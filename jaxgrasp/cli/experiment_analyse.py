@@ -83,10 +83,10 @@ def said(found: Analysis) -> list[str]:
 def _threshold(cell: Cell, unit: str, word: str) -> str:
     one = cell.threshold
     bounds = f"{100 * one.coverage:g}% interval {_number(one.low)} to {_number(one.high)}"
-    if one.finding is Finding.NO_TRIALS and cell.saturated:
-        text = f"no threshold: a torque was cut in all {cell.saturated} trials"
+    if one.finding is Finding.NO_TRIALS:
+        text = f"no threshold: {cell.no_threshold}"
     elif one.finding is not Finding.FOUND:
-        text = f"no threshold ({one.finding}); {bounds}. {one.finding.advice}"
+        text = f"no threshold ({one.finding}); {bounds}. {cell.no_threshold}"
     elif cell.weber is not None:
         text = f"Weber fraction {one.value:.3f}, JND {cell.weber.jnd:.3g} {unit}; {bounds}"
     else:

@@ -54,6 +54,15 @@ class Cell:
     """The threshold with saturated trials where these are left out, and without them where they are not; None where
     there are none."""
 
+    @property
+    def no_threshold(self) -> str:
+        """Why there is no threshold, and what to do; empty where there is one."""
+        if self.threshold.finding is Finding.FOUND:
+            return ""
+        if self.threshold.finding is Finding.NO_TRIALS and self.saturated:
+            return f"A torque was cut in all {self.saturated} trials, which are left out."
+        return self.threshold.finding.advice
+
 
 def suited_shape(plan: Plan) -> PsychometricShape:
     """Shape of the psychometric function, where nobody asks for one."""

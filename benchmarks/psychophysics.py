@@ -108,10 +108,10 @@ def procedures(effort: Effort) -> list[dict]:
 def lapses(effort: Effort) -> list[dict]:
     """What lapses do to thresholds at a hit ratio of 0.75, and what a belief of another shape than the fit's does."""
     rows = []
-    for lapse in (0.0, 0.02, 0.04):
+    for lapse in (0.0, 0.04):
         observer = Observer(WEBER[1], lapse=lapse)
         truth = float(brentq(lambda level, o=observer: o.hit_probability(2.0, 2.0 * (1 + level)) - 0.75, 0.01, 1.0))
-        for trials in (40, 120, 400):
+        for trials in (40, 120):
             plans: dict[str, Settings] = {
                 f"adaptive, believing in {shape}": Adaptive(trials=trials, shape=shape)
                 for shape in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE)

@@ -41,6 +41,8 @@ WIDTHS = {
     PsychometricShape.WEIBULL: 0.8,
     PsychometricShape.DIFFERENCE: 1.0,
 }
+LAPSES = (0.0, 0.04)
+"""Shares of trials answered wrong for want of attention."""
 REAL = 0.10
 """Weber fraction of real weights, as the paper cites it."""
 
@@ -108,7 +110,7 @@ def procedures(effort: Effort) -> list[dict]:
 def lapses(effort: Effort) -> list[dict]:
     """What lapses do to thresholds at a hit ratio of 0.75, and what a belief of another shape than the fit's does."""
     rows = []
-    for lapse in (0.0, 0.04):
+    for lapse in LAPSES:
         observer = Observer(WEBER[1], lapse=lapse)
         truth = float(brentq(lambda level, o=observer: o.hit_probability(2.0, 2.0 * (1 + level)) - 0.75, 0.01, 1.0))
         for trials in (40, 120):

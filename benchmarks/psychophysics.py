@@ -12,6 +12,7 @@ from dataclasses import asdict
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
 
 from benchmarks.page import psychophysics_tables
 from benchmarks.sections import run_sections
@@ -40,6 +41,8 @@ WIDTHS = {
     PsychometricShape.WEIBULL: 0.8,
     PsychometricShape.DIFFERENCE: 1.0,
 }
+LAPSES = (0.0, 0.04)
+"""Shares of trials answered wrong for want of attention."""
 REAL = 0.10
 """Weber fraction of real weights, as the paper cites it."""
 
@@ -100,20 +103,39 @@ def procedures(effort: Effort) -> list[dict]:
             "adaptive (psi)": Adaptive(trials=trials),
         }
         for name, settings in plans.items():
-            found = [_one_person(settings, observer, seed) for seed in range(effort.runs)]
-            estimates = np.array([one.estimate if np.isfinite(one.estimate) else np.inf for one in found])
-            low, middle, high = np.quantile(estimates, [0.1587, 0.5, 0.8413], method="nearest")
-            rows.append(
-                {
-                    "procedure": name,
-                    "trials": trials,
-                    "bias": middle / truth - 1,
-                    "spread": (high - low) / (2 * truth) if np.isfinite(high) else None,
-                    "coverage": float(np.mean([one.low <= truth <= one.high for one in found])),
-                    "none": float(np.mean(~np.isfinite(estimates))),
-                }
-            )
+            rows.append({"procedure": name, "trials": trials, **_many_persons(settings, observer, truth, effort.runs)})
     return rows
+
+
+def lapses(effort: Effort) -> list[dict]:
+    """What lapses do to thresholds at a hit ratio of 0.75, and what a belief of another shape than the fit's does."""
+    rows = []
+    for lapse in LAPSES:
+        observer = Observer(WEBER[1], lapse=lapse)
+        truth = float(brentq(lambda level, o=observer: o.hit_probability(2.0, 2.0 * (1 + level)) - 0.75, 0.01, 1.0))
+        for trials in (40, 120):
+            plans: dict[str, Settings] = {
+                f"adaptive, believing in {shape}": Adaptive(trials=trials, shape=shape)
+                for shape in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE)
+            }
+            plans["staircase, 1 up 2 down"] = Staircase(interleaved=1, reversals=trials, trials=trials)
+            for name, settings in plans.items():
+                found = _many_persons(settings, observer, truth, effort.runs)
+                rows.append({"procedure": name, "lapse": lapse, "trials": trials, **found})
+    return rows
+
+
+def _many_persons(settings: Settings, observer: Observer, truth: float, runs: int) -> dict[str, float | None]:
+    """Bias, spread and coverage of the thresholds of as many simulated sessions."""
+    found = [_one_person(settings, observer, seed) for seed in range(runs)]
+    estimates = np.array([one.estimate if np.isfinite(one.estimate) else np.inf for one in found])
+    low, middle, high = np.quantile(estimates, [0.1587, 0.5, 0.8413], method="nearest")
+    return {
+        "bias": middle / truth - 1,
+        "spread": (high - low) / (2 * truth) if np.isfinite(high) else None,
+        "coverage": float(np.mean([one.low <= truth <= one.high for one in found])),
+        "none": float(np.mean(~np.isfinite(estimates))),
+    }
 
 
 def _one_person(settings: Settings, observer: Observer, seed: int) -> Threshold:
@@ -179,7 +201,14 @@ def _row(method: str, one: Recovery, **where) -> dict:
     }
 
 
-SECTIONS = {"recovery": recovery, "misfit": misfit, "procedures": procedures, "power": power, "device": device}
+SECTIONS = {
+    "recovery": recovery,
+    "misfit": misfit,
+    "procedures": procedures,
+    "lapses": lapses,
+    "power": power,
+    "device": device,
+}
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ def page(report: dict) -> str:
         "recovery": _recovery,
         "misfit": _misfit,
         "procedures": _procedures,
+        "lapses": _lapses,
         "power": _power,
         "device": _device,
     }
@@ -91,6 +92,21 @@ def _procedures(rows: list[dict]) -> str:
         "often answers settle no threshold.\n\n"
     )
     return text + table(["procedure", "trials", "bias", "spread", "coverage", "none"], lines)
+
+
+def _lapses(rows: list[dict]) -> str:
+    lines = [
+        [row["procedure"], f"{100 * row['lapse']:g} %", row["trials"]]
+        + [_percent(row[name], sign) for name, sign in (*NUMBERS, ("none", ""))]
+        for row in rows
+    ]
+    text = (
+        "## Lapses, and beliefs of another shape\n\nThe same observer at 2 N, who errs in some share of all trials for "
+        "want of attention; the truth is where the hit ratio is 0.75, lapses included. All are fitted by the function "
+        "`difference`, lapses free up to 0.05. An adaptive procedure that believes in another function than the fit "
+        "asks where that one tells most.\n\n"
+    )
+    return text + table(["procedure", "lapses", "trials", "bias", "spread", "coverage", "none"], lines)
 
 
 def _power(rows: list[dict]) -> str:

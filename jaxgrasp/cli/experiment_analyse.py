@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.cli.experiment_arguments import Analyse
+from jaxgrasp.cli.experiment_arguments import Analyse, HowAnalysed
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_shape
-from jaxgrasp.psychophysics.analysis.experiment import Analysis, analyse, load_experiment
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_criterion, suited_shape
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.plan import Plan
@@ -22,13 +22,7 @@ from jaxgrasp.psychophysics.running.session import EVERYONE
 
 def analyse_command(arguments: Analyse) -> int:
     """Read, analyse, say, write."""
-    if not 0 <= arguments.lapse < 0.5:
-        raise ValueError(f"lapse is {arguments.lapse}: expected 0 or more, and less than 0.5")
-    answers = load_experiment(arguments.folder)
-    settings = AnalysisSettings(
-        arguments.method, _model(arguments, answers.plan), arguments.interval, saturated=arguments.saturated
-    )
-    found = analyse(answers, settings)
+    found = analysed(arguments)[1]
     show("\n".join(said(found)))
     out = arguments.folder if arguments.out is None else arguments.out
     out.mkdir(parents=True, exist_ok=True)
@@ -40,11 +34,23 @@ def analyse_command(arguments: Analyse) -> int:
     return 0
 
 
-def _model(arguments: Analyse, plan: Plan) -> Model:
+def analysed(arguments: HowAnalysed) -> tuple[Answers, Analysis]:
+    """A folder's answers, and what they say."""
+    if not 0 <= arguments.lapse < 0.5:
+        raise ValueError(f"lapse is {arguments.lapse}: expected 0 or more, and less than 0.5")
+    answers = load_experiment(arguments.folder)
+    settings = AnalysisSettings(
+        arguments.method, _model(arguments, answers.plan), arguments.interval, saturated=arguments.saturated
+    )
+    return answers, analyse(answers, settings)
+
+
+def _model(arguments: HowAnalysed, plan: Plan) -> Model:
     """Lines know nothing of lapses."""
     shape = arguments.shape or suited_shape(plan)
     most = arguments.lapse if arguments.method in ("likelihood", "posterior") else 0.0
-    return Model(PsychometricShape(shape), arguments.criterion, 0.5, (0.0, most))
+    criterion = suited_criterion(plan) if arguments.criterion is None else arguments.criterion
+    return Model(PsychometricShape(shape), criterion, 0.5, (0.0, most))
 
 
 def said(found: Analysis) -> list[str]:
@@ -77,10 +83,10 @@ def said(found: Analysis) -> list[str]:
 def _threshold(cell: Cell, unit: str, word: str) -> str:
     one = cell.threshold
     bounds = f"{100 * one.coverage:g}% interval {_number(one.low)} to {_number(one.high)}"
-    if one.finding is Finding.NO_TRIALS and cell.saturated:
-        text = f"no threshold: a torque was cut in all {cell.saturated} trials"
+    if one.finding is Finding.NO_TRIALS:
+        text = f"no threshold: {cell.no_threshold}"
     elif one.finding is not Finding.FOUND:
-        text = f"no threshold ({one.finding}); {bounds}. {one.finding.advice}"
+        text = f"no threshold ({one.finding}); {bounds}. {cell.no_threshold}"
     elif cell.weber is not None:
         text = f"Weber fraction {one.value:.3f}, JND {cell.weber.jnd:.3g} {unit}; {bounds}"
     else:

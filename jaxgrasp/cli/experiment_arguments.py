@@ -72,8 +72,8 @@ class Screen:
 
 
 @dataclass(frozen=True)
-class Analyse:
-    """Thresholds, Weber fractions and their differences, from a folder of records; with a report."""
+class HowAnalysed:
+    """From which records, and how."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the records."""
@@ -81,19 +81,36 @@ class Analyse:
     """How thresholds are found; `paper`: the line through chance at zero that gives the paper's numbers."""
     shape: Literal["gaussian", "logistic", "weibull", "difference"] | None = None
     """Shape of the psychometric function, for `likelihood` and `posterior`; where not given, `weibull` for constant
-    stimuli, and `difference` where levels follow the answers."""
-    criterion: float = 0.75
-    """Hit ratio at the threshold."""
+    stimuli, `difference` for staircases, and the plan's own for the adaptive method."""
+    criterion: float | None = None
+    """Hit ratio at the threshold; 0.75 where neither this nor an adaptive plan says otherwise."""
     lapse: float = 0.05
     """Largest share of lapses that a fit may find."""
     interval: Literal["profile", "credible", "bootstrap", "bca"] | None = None
     """Kind of interval of each threshold; as the method has it, where not given."""
     saturated: Literal["include", "exclude"] = "exclude"
     """Include or exclude trials in which a torque was cut."""
+
+
+@dataclass(frozen=True)
+class Analyse(HowAnalysed):
+    """Thresholds, Weber fractions and their differences, from a folder of records; with a report."""
+
     out: Path | None = None
     """Folder for analysis.json and report.html; that of the records where not given."""
     report: bool = True
     """Write report.html (needs the extra `report`)."""
+
+
+@dataclass(frozen=True)
+class Export(HowAnalysed):
+    """Write tidy tables for other programs: trials.csv, a row an answer; thresholds.csv; persons.csv; dictionary.csv.
+
+    Units stand in the heads, what each column means in dictionary.csv; yes is 1, no is 0, and what is not known empty.
+    """
+
+    out: Path | None = None
+    """Folder for the tables; `export` in that of the records where not given."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +146,7 @@ class Experiment:
             | Annotated[RunExperiment, tyro.conf.subcommand("run")]
             | Annotated[Screen, tyro.conf.subcommand("screen")]
             | Annotated[Analyse, tyro.conf.subcommand("analyse")]
+            | Annotated[Export, tyro.conf.subcommand("export")]
             | Annotated[Paper, tyro.conf.subcommand("paper")]
             | Annotated[Power, tyro.conf.subcommand("power")]
         ]

@@ -22,6 +22,16 @@ class TerminalPerson(Person):
         self._of = f"of {plan.at_most()}"
         self._started = False
 
+    def consents(self, text: str) -> bool:
+        self._terminal.clear()
+        self._terminal.show(text)
+        while (answer := self._terminal.typed("\nDo you agree? yes or no: ").strip().lower()) not in ("yes", "no"):
+            pass
+        return answer == "yes"
+
+    def tells(self, question: str) -> str:
+        return self._terminal.typed(f"{question.replace('_', ' ')} (Enter for no answer): ").strip()
+
     def instructed(self, text: str) -> None:
         self._terminal.clear()
         self._terminal.show(text)

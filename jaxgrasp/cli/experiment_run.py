@@ -129,9 +129,10 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
 
 def _said(record: TrialRecord, unit: str) -> str:
     """A trial, for the experimenter's eyes alone."""
-    answer = f"set to {record['setting']:.4g} {unit}"
     if record["task"] == "choice":
         answer = f"answer {record['answer']}, {'right' if record['right'] else 'wrong'}"
+    else:
+        answer = f"set to {record['setting']:.4g} {unit}"
     first, second = (f"{record[name]:.4g}" for name in ("first", "second"))
     cut = ", a torque was cut" if record["saturated"] else ""
     return f"trial {record['number']}: {first} and {second} {unit}: {answer}{cut}"

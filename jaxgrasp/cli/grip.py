@@ -29,6 +29,18 @@ from jaxgrasp.validation.fields import check_finite, check_positive
 
 UNBALANCED = 0.2
 """Part of the squeezing forces that may be unbalanced before it is worth a word."""
+UNITS = dict.fromkeys(("length", "breadth", "radius", "height", "size", "depth", "below", "lift", "at"), "m") | {
+    "mass": "kg",
+    "stiffness": "N/m",
+    "gravity": "m/s\N{SUPERSCRIPT TWO}",
+    "turn": "\N{DEGREE SIGN}",
+    "seconds": "s",
+    "step": "s",
+    "scale": "m for each unit of the mesh",
+    "pitch": "m/rad",
+    "through": "m",
+}
+"""Of what the page's details name."""
 BELOW = 0.4
 """How far the table is below the object [m]."""
 
@@ -153,10 +165,21 @@ def _title(file: SceneFile) -> str:
 
 def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
     """What was asked for, and by which versions it was answered."""
-    moves = {name: str(getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
-    tables = file.tables().items()
-    entries = {f"{table} {key}": str(value) for table, said in tables for key, value in said.items()}
+    moves = {name: _in_units(name, getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
+    entries = {
+        f"{table} {key}": f"{_in_units(key, value)}"
+        for table, said in file.tables().items()
+        for key, value in said.items()
+        if not (key == "scale" and file.object.mesh is None)
+    }
     return {"scene": file.name} | entries | moves | provenance()
+
+
+def _in_units(name: str, value: object) -> str:
+    # An obstacle's turn is an axis as long as its angle in radians.
+    unit = "rad" if name == "turn" and isinstance(value, tuple) else UNITS.get(name, "")
+    shown = ", ".join(f"{one:g}" for one in value) if isinstance(value, tuple) else str(value)
+    return f"{shown} {unit}".strip()
 
 
 def _summary(hand: Hand, times: np.ndarray, record: Instant) -> dict:

@@ -13,7 +13,16 @@ import tyro
 from jaxgrasp.cli.contacts_arguments import FindContacts
 from jaxgrasp.cli.data_arguments import Info, Validate
 from jaxgrasp.cli.evaluate_arguments import Evaluate
-from jaxgrasp.cli.experiment_arguments import Analyse, Experiment, Paper, PlanCommand, Power, RunExperiment, Screen
+from jaxgrasp.cli.experiment_arguments import (
+    Analyse,
+    Experiment,
+    Export,
+    Paper,
+    PlanCommand,
+    Power,
+    RunExperiment,
+    Screen,
+)
 from jaxgrasp.cli.file_arguments import Convert, Template
 from jaxgrasp.cli.glove_arguments import Ablate, Align, Calibrate, Glove, Monitor, Ports, Run, Simulate
 from jaxgrasp.cli.grip_arguments import Grip
@@ -72,6 +81,7 @@ FUNCTIONS: dict[type, str] = {
     RunExperiment: "experiment_run.run_command",
     Screen: "other_terminal.screen_command",
     Analyse: "experiment_analyse.analyse_command",
+    Export: "experiment_export.export_command",
     Paper: "experiment_paper.paper_command",
     Power: "experiment_plan.power_command",
     Simulate: "glove.simulate_command",

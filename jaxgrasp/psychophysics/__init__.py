@@ -18,7 +18,9 @@ from jaxgrasp.psychophysics.analysis.goodness import Goodness, goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivity, detection_sensitivity
 from jaxgrasp.psychophysics.analysis.threshold import Threshold, threshold
+from jaxgrasp.psychophysics.analysis.tidy import tidy_tables
 from jaxgrasp.psychophysics.analysis.weber import Weber, WeberLine, weber, weber_line
+from jaxgrasp.psychophysics.latin_square import balanced_latin_square
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import Plan, SessionPlan, StimulusPlan, load_plan
 from jaxgrasp.psychophysics.prediction.power import Precision, cheapest, precision
@@ -30,8 +32,9 @@ from jaxgrasp.psychophysics.procedures.staircase import Staircase
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
 from jaxgrasp.psychophysics.recomputed import recomputed
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
-from jaxgrasp.psychophysics.running.session import run_experiment
+from jaxgrasp.psychophysics.running.session import NoConsentError, run_experiment
 from jaxgrasp.psychophysics.stimulus import IdealStimulus, NotFeltError, Rendered, Stimulus, StimulusLostError
+from jaxgrasp.psychophysics.study import StudyPlan
 
 __all__ = [
     "Adaptive",
@@ -46,6 +49,7 @@ __all__ = [
     "IdealStimulus",
     "Matching",
     "Model",
+    "NoConsentError",
     "NotFeltError",
     "Observer",
     "Person",
@@ -60,10 +64,12 @@ __all__ = [
     "Stimulus",
     "StimulusLostError",
     "StimulusPlan",
+    "StudyPlan",
     "Threshold",
     "Weber",
     "WeberLine",
     "analyse",
+    "balanced_latin_square",
     "cheapest",
     "count",
     "detection_sensitivity",
@@ -81,6 +87,7 @@ __all__ = [
     "rounding_interval",
     "run_experiment",
     "threshold",
+    "tidy_tables",
     "weber",
     "weber_line",
 ]

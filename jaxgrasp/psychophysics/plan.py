@@ -13,14 +13,14 @@ from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
 from jaxgrasp.psychophysics.procedures.procedure import Settings, check_count, check_level
 from jaxgrasp.psychophysics.procedures.staircase import Staircase
+from jaxgrasp.psychophysics.screen import check_screen
+from jaxgrasp.psychophysics.study import StudyPlan
 from jaxgrasp.psychophysics.trial import intensity
 from jaxgrasp.validation.checked import checked
 
 MOST_TRIALS = 100_000
 MOST_INTERVAL = 60.0
 MOST_MOVEMENT = 90.0
-SCREEN = (20, 100)
-"""Lines, and characters of a line, that fit on one screen."""
 METHODS: dict[str, type[Settings]] = {
     "constant-stimuli": ConstantStimuli,
     "matching": Matching,
@@ -79,8 +79,9 @@ class SessionPlan:
     """Reference intensities in the stimulus' unit; zero stands for detection: something against nothing."""
     sessions: int = 1
     """Sessions with each reference."""
-    order: Literal["random", "given"] = "random"
-    """Order of the references."""
+    order: Literal["random", "given", "balanced"] = "random"
+    """Order of the references: random; as given; or counterbalanced over persons by the rows of balanced Latin squares,
+    of which a person's is found by the number that the code ends in: S01, S02, ..."""
     feedback: bool = True
     """Whether a person is told if an answer was right."""
     practice: int = 4
@@ -135,6 +136,7 @@ class Plan:
     session: SessionPlan = field(default_factory=SessionPlan)
     method: str = "constant-stimuli"
     procedure: Settings = field(default_factory=ConstantStimuli)
+    study: StudyPlan = field(default_factory=StudyPlan)
 
     def __post_init__(self):
         if self.method == "matching" and 0 in self.session.references:
@@ -175,18 +177,7 @@ class Plan:
         """As a file has it."""
         tables = {"stimulus": _plain(self.stimulus), "session": _plain(self.session)}
         procedure = {"method": self.method, **_plain(self.procedure)}
-        return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure}
-
-
-def check_screen(name: str, text: str) -> None:
-    """Raise ValueError for a text that a person would have to scroll."""
-    lines = text.split("\n")
-    most_lines, most_characters = SCREEN
-    if len(lines) > most_lines or max(map(len, lines)) > most_characters:
-        raise ValueError(
-            f"{name} has {len(lines)} lines of up to {max(map(len, lines))} characters: expected one screen, "
-            f"{most_lines} lines of up to {most_characters} characters"
-        )
+        return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure, "study": _plain(self.study)}
 
 
 @checked
@@ -221,7 +212,7 @@ def plan_of(given: dict[str, Any], where: str) -> Plan:
         raise ValueError(f"procedure.method is {method!r}{nearest(str(method), list(METHODS))}")
     rest = {key: value for key, value in procedure.items() if key != "method"}
     settings = made_from(METHODS[method], rest, "procedure")
-    return Plan(name, seed, stimulus, session, method, settings)
+    return Plan(name, seed, stimulus, session, method, settings, made_from(StudyPlan, given.get("study", {}), "study"))
 
 
 def plan_toml(plan: Plan) -> str:

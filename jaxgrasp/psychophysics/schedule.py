@@ -1,10 +1,23 @@
 """A person's whole experiment, trial by trial: practice, then a session for each reference."""
 
 import random
+import re
 
+from jaxgrasp.psychophysics.latin_square import balanced_latin_square
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.procedure import Coin, Procedure
 from jaxgrasp.psychophysics.trial import Presentation, Trial, intensity
+
+
+def place_of(subject: str) -> int:
+    """The place of a person among all, from 0, by the number that the code ends in."""
+    number = re.search(r"[0-9]+$", subject)
+    if number is None or int(number.group()) == 0:
+        raise ValueError(
+            f"subject is {subject!r}, and the plan's orders are balanced over persons by number: expected a code that "
+            "ends in one, from 1 on, such as S01"
+        )
+    return int(number.group()) - 1
 
 
 class Schedule:
@@ -16,14 +29,22 @@ class Schedule:
         Args:
             plan: of the experiment.
             subject: code of the person.
+
+        Raises:
+            ValueError: for a code without a number, where orders are counterbalanced by these.
         """
         self._plan, self._subject = plan, subject
         rng = self._generator("sessions")
         references: list[float] = []
-        for _ in range(plan.session.sessions):
+        for turn in range(plan.session.sessions):
             given = list(plan.session.references)
             keys = [rng.random() for _ in given]
-            references += given if plan.session.order == "given" else [r for _, r in sorted(zip(keys, given))]
+            if plan.session.order == "balanced":
+                square = balanced_latin_square(len(given))
+                # Sessions of one person go on through the rows, those of the next begin where they would.
+                references += [given[k] for k in square[(place_of(subject) + turn) % len(square)]]
+            else:
+                references += given if plan.session.order == "given" else [r for _, r in sorted(zip(keys, given))]
         self.references = references
         """References of the sessions, in their order."""
         self._number, self._session = 1, 0

@@ -70,7 +70,7 @@ def page_html(title: str, body: str, *scripts: str) -> str:
 <noscript><p class="note">The figures need JavaScript; the numbers and tables do not.</p></noscript>
 {body}
 <footer>Written by jaxgrasp. Figures by plotly.js, MIT licence, © Plotly, Inc.; it is inside this file, which
-fetches nothing. SI units throughout.</footer>
+fetches nothing. SI units, but for angles that are marked \N{DEGREE SIGN}.</footer>
 </main>
 <script type="text/plain" id="library">{plotly_bundle()}</script>
 <script>

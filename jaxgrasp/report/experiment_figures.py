@@ -12,8 +12,9 @@ from jaxgrasp.report.look import INK, MUTED
 COLOURS = ("#1f5fa8", "#b5541c", "#2f7d4f", "#7a4fa3", "#8a6d1d", "#5a6472")
 """Colours of references, in their order; the last for all others."""
 POINTS = 120
-APART_X, APART_Y = 0.006, 0.012
-"""How far neighbours' intervals are moved from each other: a share of the largest level, and of the hit ratio."""
+APART_X, APART_Y = 0.01, 0.012
+"""How far neighbours' intervals are moved from each other: a share of the largest level, that of a marker, if all of
+them are to stay nearer to their own level than to the next; and of the hit ratio."""
 
 
 def colour(place: int) -> str:
@@ -31,14 +32,14 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
         of_persons: name them by the person.
     """
     traces: list[dict] = []
-    largest = max((cell.counts.levels.max() for cell in cells if len(cell.counts.levels)), default=0.0)
+    step = _apart([cell.counts.levels for cell in cells if len(cell.counts.levels)])
     for k, cell in enumerate(cells):
         if not len(cell.counts.levels):
             continue
         aside = k - (len(cells) - 1) / 2
         name = f"{cell.reference:g} {unit}" if cell.reference > 0 else "detection"
         name = cell.subject if of_persons else name
-        traces.append(_ratios(cell, name, colour(k), APART_X * aside * largest))
+        traces.append(_ratios(cell, name, colour(k), step * aside))
         if cell.threshold.function is not None:
             levels = np.linspace(0, 1.1 * cell.counts.levels.max(), POINTS)
             chances = model.hit_probability(levels, cell.threshold.function)
@@ -56,6 +57,14 @@ def psychometric(cells: tuple[Cell, ...], model: Model, unit: str, *, of_persons
         shapes=[level | {"line": {"color": MUTED, "width": 1, "dash": "dot"}}],
     )
     return {"data": traces, "layout": shape}
+
+
+def _apart(levels: list[np.ndarray]) -> float:
+    """How far a cell's points stand from those of the next, by level."""
+    if not levels:
+        return 0.0
+    every = np.unique(np.concatenate([np.zeros(1), *levels]))
+    return min(APART_X * every[-1], 0.8 * float(np.diff(every).min()) / len(levels))
 
 
 def by_reference(found: Analysis, part: str, unit: str) -> dict | None:

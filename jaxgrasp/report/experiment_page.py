@@ -11,7 +11,7 @@ from jaxgrasp.psychophysics.analysis.experiment import Analysis
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.report import experiment_figures as figures
 from jaxgrasp.report.bundle import page_html
-from jaxgrasp.report.look import counted, number, percentage, table, text
+from jaxgrasp.report.look import NOTHING, counted, number, percentage, table, text
 from jaxgrasp.report.sections import figure_html
 
 
@@ -62,7 +62,7 @@ def _answers(found: Analysis, unit: str) -> str:
     if any(cell.threshold.finding is not Finding.FOUND for cell in cells):
         head.append("what it means")
         rows = [
-            [*row, f'<span class="wide">{text(cell.threshold.finding.advice)}</span>']
+            [*row, f'<span class="wide narrow">{text(cell.no_threshold)}</span>']
             for row, cell in zip(rows, cells, strict=True)
         ]
     about = (
@@ -96,7 +96,7 @@ def _row(cell: Cell) -> list[str]:
         text(cell.subject),
         f"{cell.reference:g}",
         number(one.value),
-        f"{number(one.low)} to {number(one.high)}",
+        NOTHING if one.finding is Finding.NO_TRIALS else f"{number(one.low)} to {number(one.high)}",
         number(cell.weber.jnd) if cell.weber is not None else "",
         str(int(cell.counts.trials.sum())),
         str(cell.saturated or ""),

@@ -136,8 +136,14 @@ def _torques(history: History, colours: dict[str, str]) -> Panel:
 def _margins(history: History, colours: dict[str, str]) -> Panel:
     margins = np.where(history.drawn & np.isfinite(history.margins), np.degrees(history.margins), np.inf)
     smallest = [(finger, margins[:, own].min(1)) for finger, own in _links(history, colours)]
+    # A finger that never touches has no line, and no name beside it.
     lines = [
-        PanelLine(f"{finger}, smallest margin", colours[finger], np.where(np.isfinite(least), least, np.nan), finger)
+        PanelLine(
+            f"{finger}, smallest margin",
+            colours[finger],
+            np.where(np.isfinite(least), least, np.nan),
+            finger if np.isfinite(least).any() else "",
+        )
         for finger, least in smallest
     ]
     return Panel("friction margin [°]", lines, 5.0, "below 0: slides")

@@ -30,8 +30,9 @@ class PersonAtTerminal:
 
     def __exit__(self, *_: object) -> None:
         if self._child:
-            os.kill(self._child, signal.SIGKILL)
-            os.waitpid(self._child, 0)
+            with contextlib.suppress(ProcessLookupError, ChildProcessError):
+                os.kill(self._child, signal.SIGKILL)
+                os.waitpid(self._child, 0)
         os.close(self._terminal)
 
     def type(self, text: str) -> None:

@@ -1,6 +1,7 @@
 """``jaxgrasp experiment``: planned, run by an observer and by a person at a terminal, analysed."""
 
 import contextlib
+import csv
 import io
 import itertools
 import json
@@ -13,6 +14,7 @@ import time
 import pytest
 
 from jaxgrasp.cli.main import main
+from jaxgrasp.psychophysics.running.person import SimulatedPerson
 from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 from tests.cli.pseudo_terminal import PersonAtTerminal
 
@@ -209,13 +211,14 @@ def test_a_person_at_a_screen_of_their_own_sees_neither_stimuli_nor_torques(fold
         seat.reads("--screen ")
         device = seat.reads("\n").strip()
         desk = opened.enter_context(PersonAtTerminal([*run, "--screen", device]))
-        orders = {"of the glove's torque: ": "arm", "for all of it: ": "arm"}
+        orders = {"of the glove's torque:": lambda: "arm", "for all of it:": lambda: "arm"}
         desk.reads("nothing is armed")
         desk.reads("torque: ")
         desk.type("x")
         typing = threading.Thread(target=seat.plays, args=(PERSON,), kwargs={"stops": "that was all"})
         typing.start()
-        assert desk.plays({prompt.strip(): lambda order=order: order for prompt, order in orders.items()}) == 0
+        code = desk.plays(orders)
+        assert code == 0, desk.screen
         typing.join()
     assert "Bend your index MP joint to and fro" in seat.screen and "torque" not in seat.screen
     assert "0.05" not in seat.screen and "0.06" in desk.screen and "N\N{MIDDLE DOT}m" in desk.screen
@@ -253,3 +256,84 @@ def test_in_a_glove(folder):
     assert len(trials) == 5 and not any(one["saturated"] for one in trials)
     for one in trials:
         assert max(one["torque"]) == pytest.approx(max(one["first"], one["second"]))
+
+
+TABLES = ("trials", "thresholds", "persons", "dictionary")
+CHAIN = """
+name = "ten"
+[session]
+references = [1.0, 2.0]
+order = "balanced"
+practice = 2
+[procedure]
+method = "%s"
+%s
+[study]
+title = "Ten observers"
+questions = ["age"]
+"""
+
+
+@pytest.mark.parametrize(
+    "method, settings",
+    [("constant-stimuli", "series = 1"), pytest.param("adaptive", "trials = 30", marks=pytest.mark.slow)],
+)
+def test_ten_observers_through_all_commands(folder, monkeypatch, capsys, method, settings):
+    """Planned, run, one of them interrupted and gone on with, analysed, exported: every answer is in the tables."""
+    (folder / "plan.toml").write_text(CHAIN % (method, settings))
+    assert main(["experiment", "plan", "plan.toml"]) == 0
+    assert "min or so" in capsys.readouterr().out
+    choose, asked = SimulatedPerson.choose, []
+
+    def interrupted(person, trial, rendered):
+        asked.append(trial.number)
+        if len(asked) == 8:
+            raise KeyboardInterrupt
+        return choose(person, trial, rendered)
+
+    for k in range(1, 11):
+        run = [
+            "experiment",
+            "run",
+            "plan.toml",
+            "--subject",
+            f"S{k:02d}",
+            "--simulate",
+            "--weber",
+            f"{0.08 + 0.01 * k}",
+        ]
+        if k == 4:
+            with monkeypatch.context() as patched:
+                patched.setattr(SimulatedPerson, "choose", interrupted)
+                assert main(run) == 1
+            assert "--resume goes on with them" in capsys.readouterr().err
+            assert main(run) == 1 and "is there already" in capsys.readouterr().err
+            run.append("--resume")
+        assert main(run) == 0
+    capsys.readouterr()
+    assert main(["experiment", "analyse", "jaxgrasp-experiment", "--no-report"]) == 0
+    said = capsys.readouterr().out
+    assert "10 person(s)" in said
+    assert main(["experiment", "export", "jaxgrasp-experiment"]) == 0
+    out = folder / "jaxgrasp-experiment" / "export"
+    tables = {name: list(csv.DictReader((out / f"{name}.csv").read_text().splitlines())) for name in TABLES}
+    records = {path.stem: read_experiment(path)[2] for path in (folder / "jaxgrasp-experiment").glob("*.jsonl")}
+    assert [row["trial"] for row in tables["trials"] if row["subject"] == "S04"] == [
+        str(one["number"]) for one in records["S04"]
+    ]
+    for row, one in zip(tables["trials"], (one for who in sorted(records) for one in records[who]), strict=True):
+        assert float(row["first [N]"]) == one["first"] and row["right"] == str(int(one["right"]))
+        assert row["practice"] == str(int(one["is_practice"]))
+    assert [row["resumed"] for row in tables["persons"]] == ["1" if k == 4 else "0" for k in range(1, 11)]
+    found = json.loads((folder / "jaxgrasp-experiment" / "analysis.json").read_text())
+    assert [row["threshold"] for row in tables["thresholds"] if row["subject"] == "S07"] == [
+        ""
+        if cell["threshold"]["estimate"] is None or cell["threshold"]["finding"] != "found"
+        else repr(cell["threshold"]["estimate"])
+        for cell in found["cells"]
+        if cell["subject"] == "S07"
+    ]
+    described = {(row["file"], row["column"]) for row in tables["dictionary"]}
+    assert described == {(f"{name}.csv", head) for name in TABLES[:3] for head in tables[name][0]}
+    first = [next(one["reference"] for one in records[who]) for who in sorted(records)]
+    assert sorted(first) == [1.0] * 5 + [2.0] * 5, "balanced over persons"

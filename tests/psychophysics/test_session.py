@@ -1,5 +1,6 @@
 """Running an experiment: every answer is on disk before the next question, whatever happens to the program."""
 
+import errno
 import json
 import os
 import random
@@ -373,6 +374,25 @@ def test_what_was_too_brief_to_be_felt_is_said(folder):
     (folder / "S1.jsonl").unlink()
     run(plan, folder)
     assert any("S1: answers of a simulated observer" in note for note in analyse(load_experiment(folder)).notes)
+
+
+def test_a_full_disk_is_said_with_the_file_and_what_goes_on(folder, monkeypatch):
+    begun, sync = [], os.fsync
+
+    def full(number):
+        begun.append(number)
+        if len(begun) > 6:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        sync(number)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(
+            OSError, match=r"S1.jsonl cannot be written: No space left .*; all answers before are in it"
+        ):
+            run(SHORT, folder)
+    run(SHORT, folder, resume=True)
+    assert [one["number"] for one in lasting(folder)] == list(range(1, 19))
 
 
 def test_one_program_at_a_time(folder):

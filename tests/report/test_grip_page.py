@@ -249,6 +249,8 @@ def test_panels_sum_up_fingers():
     assert sum(bool(line.label) for line in torque.lines) == 5
     touched = next(line for line in margin.lines if line.label == history.fingers[2])
     np.testing.assert_allclose(touched.values, [*[np.degrees(0.2)] * 4, np.nan])
+    fingers = {history.fingers[link] for link in (2, 5, 9)}
+    assert {line.label for line in margin.lines} == {*fingers, ""}, "who touches nothing has no margin, nor a name at 0"
     assert spells(history) == [(1.0, 1.0, Hold.LOST)]
 
 

@@ -14,6 +14,7 @@ from jaxgrasp.psychophysics.analysis.signal_detection import DetectionSensitivit
 from jaxgrasp.psychophysics.analysis.threshold import Interval, Method, Threshold, threshold
 from jaxgrasp.psychophysics.analysis.weber import Weber, weber
 from jaxgrasp.psychophysics.plan import Plan
+from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
 from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
 
@@ -24,8 +25,8 @@ class AnalysisSettings:
 
     method: Method = "likelihood"
     model: Model | None = None
-    """Where None, a Weibull function; for staircases and adaptive procedures that of an unbiased comparison, since a
-    steepness of its own is biased where levels follow the answers."""
+    """Where None, a Weibull function; of an adaptive procedure its own; for staircases that of an unbiased comparison,
+    since a steepness of its own is biased where levels follow the answers."""
     interval: Interval | None = None
     """Kind of interval; as the method has it, where None."""
     coverage: float = 0.95
@@ -53,11 +54,27 @@ class Cell:
     """The threshold with saturated trials where these are left out, and without them where they are not; None where
     there are none."""
 
+    @property
+    def no_threshold(self) -> str:
+        """Why there is no threshold, and what to do; empty where there is one."""
+        if self.threshold.finding is Finding.FOUND:
+            return ""
+        if self.threshold.finding is Finding.NO_TRIALS and self.saturated:
+            return f"A torque was cut in all {self.saturated} trials, which are left out."
+        return self.threshold.finding.advice
+
 
 def suited_shape(plan: Plan) -> PsychometricShape:
     """Shape of the psychometric function, where nobody asks for one."""
+    if isinstance(plan.procedure, Adaptive):
+        return plan.procedure.shape
     # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
     return PsychometricShape.DIFFERENCE if plan.procedure.follows_answers else PsychometricShape.WEIBULL
+
+
+def suited_criterion(plan: Plan) -> float:
+    """Hit ratio at the threshold, where nobody asks for one."""
+    return plan.procedure.criterion if isinstance(plan.procedure, Adaptive) else Model.criterion
 
 
 def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:

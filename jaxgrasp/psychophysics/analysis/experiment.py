@@ -2,10 +2,10 @@
 
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, cell_of, suited_shape
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, cell_of, suited_criterion, suited_shape
 from jaxgrasp.psychophysics.analysis.comparison import Comparison, Group, comparison_of, group_of, line_of
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.matched_settings import Matched, matched
@@ -14,7 +14,7 @@ from jaxgrasp.psychophysics.analysis.weber import WeberLine
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, read_experiment
-from jaxgrasp.psychophysics.running.records import RecordError, subjects
+from jaxgrasp.psychophysics.running.records import RecordError, read_records, subjects
 from jaxgrasp.psychophysics.running.session import EVERYONE
 from jaxgrasp.validation.checked import checked
 
@@ -28,6 +28,8 @@ class Answers:
     """Trials of each person, as they are on record, practice too."""
     simulated: tuple[str, ...] = ()
     """Codes of simulated observers among the persons."""
+    others: dict[str, list[TrialRecord]] = field(default_factory=dict)
+    """Each person's records that are no trials: how it began, what was agreed to, told and discarded."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,10 @@ def load_experiment(folder: str | os.PathLike) -> Answers:
         ValueError: for a folder without records.
         RecordError: for records that cannot be read, or were made with several plans.
     """
-    plan, trials, simulated = None, {}, []
+    plan, trials, simulated, others = None, {}, [], {}
     for path in subjects(Path(folder)):
         own, observer, trials[path.stem] = read_experiment(path)
+        others[path.stem] = [one for one in read_records(path)[0] if one["record"] != "trial"]
         if plan is not None and own != plan:
             raise RecordError(f"{path} was made with another plan than the others in {folder}")
         plan = own
@@ -85,7 +88,7 @@ def load_experiment(folder: str | os.PathLike) -> Answers:
             simulated.append(path.stem)
     if plan is None:
         raise ValueError(f"{folder} has no records: expected files that `jaxgrasp experiment run` wrote")
-    return Answers(plan, trials, tuple(simulated))
+    return Answers(plan, trials, tuple(simulated), others)
 
 
 @checked
@@ -127,7 +130,7 @@ def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
         )
     if settings.model is not None:
         return settings
-    return replace(settings, model=Model(suited_shape(plan)))
+    return replace(settings, model=Model(suited_shape(plan), suited_criterion(plan)))
 
 
 def _matched(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Matched:

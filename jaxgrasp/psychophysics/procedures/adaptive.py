@@ -32,8 +32,9 @@ class Adaptive(Settings):
     """How many are to choose from."""
     trials: int = 40
     """Trials in a session."""
-    shape: PsychometricShape = PsychometricShape.WEIBULL
-    """Shape of the psychometric function."""
+    shape: PsychometricShape = PsychometricShape.DIFFERENCE
+    """Shape of the psychometric function: of the belief, and by default of the analysis too. A steepness of its own,
+    which other shapes have, is found biased where levels follow the answers."""
     criterion: float = 0.75
     """Hit ratio at the threshold."""
     lapse: float = 0.02

@@ -98,11 +98,9 @@ class Intervals:
             raise NotFeltError(f"it was felt for {lasted:.2f} s: take {least.least_interval:g} s at least")
         # What nobody measured is NaN, which is not less.
         if one.moved < least.least_movement:
-            raise NotFeltError(
-                f"the hand moved by {one.moved:.1f} degrees: {least.least_movement:g} at least are needed"
-            )
+            raise NotFeltError(f"the hand moved by {one.moved:.1f} degrees: expected {least.least_movement:g} at least")
         if one.intensity > 0 and one.whole < least.least_whole:
-            raise NotFeltError(f"it was felt whole for {one.whole:.2f} s: {least.least_whole:g} s at least are needed")
+            raise NotFeltError(f"it was felt whole for {one.whole:.2f} s: expected {least.least_whole:g} s at least")
 
     @contextlib.contextmanager
     def _let_go(self) -> Iterator[None]:

@@ -22,6 +22,14 @@ class Person(ABC):
     """Parameters of a simulated observer, whose answers are nobody's: the records say so."""
 
     @abstractmethod
+    def consents(self, text: str) -> bool:
+        """Read what is to be agreed to, and agree or not."""
+
+    @abstractmethod
+    def tells(self, question: str) -> str:
+        """The answer to a question of the study's, which may be none."""
+
+    @abstractmethod
     def instructed(self, text: str) -> None:
         """Read what is to be done; returns when it has been read."""
 
@@ -69,6 +77,12 @@ class SimulatedPerson(Person):
         self._observer, self._seed, self._subject = observer, seed, subject
         self._adjusting, self._target = 0, 0.0
         self._before: Move = "done"
+
+    def consents(self, text: str) -> bool:
+        return True
+
+    def tells(self, question: str) -> str:
+        return ""
 
     def instructed(self, text: str) -> None:
         return

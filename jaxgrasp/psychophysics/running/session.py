@@ -23,7 +23,13 @@ from jaxgrasp.validation.checked import checked
 
 EVERYONE = "all"
 """Stands for all persons' answers together, where these are analysed."""
+LONGEST_ANSWER = 200
+"""Characters that are kept of what a person tells."""
 CODE = re.compile(r"[A-Za-z0-9_-]{1,32}")
+
+
+class NoConsentError(ValueError):
+    """A person who does not agree to what the study asks; the experiment is over."""
 
 
 @checked
@@ -57,6 +63,7 @@ def run_experiment(
     Raises:
         ValueError: for a code that is none, or records of this person without ``resume``.
         RecordError: for records that cannot be read, or that another plan made.
+        NoConsentError: where the person does not agree to what the plan's study asks.
         StimulusLostError: where a stimulus was not felt as it should have been; on record is that the trial was
             discarded, and why.
         OSError: for records that cannot be written.
@@ -72,6 +79,8 @@ def run_experiment(
         if there:
             journal.append({"record": "resumed", "at": _now(), "trials": done})
         if schedule.next() is not None:
+            if person.observer is None:
+                _introduced(plan, person, journal)
             person.instructed(instructions(plan))
         while (trial := schedule.next()) is not None:
             if done and done > plan.session.practice and (done - plan.session.practice) % plan.session.break_every == 0:
@@ -86,6 +95,23 @@ def run_experiment(
         return done
 
 
+def _introduced(plan: Plan, person: Person, journal: Journal) -> None:
+    """A person's consent and what the study asks, once for all sessions.
+
+    Raises:
+        NoConsentError: where the person does not agree; that is on record.
+    """
+    study, known = plan.study, {one["record"] for one in journal.records if one.get("agreed", True)}
+    if study.consent and "consent" not in known:
+        agreed = person.consents(study.consent)
+        journal.append({"record": "consent", "agreed": agreed, "at": _now()})
+        if not agreed:
+            raise NoConsentError("the person did not agree: nothing was asked")
+    if study.questions and "about" not in known:
+        about = {question: person.tells(question)[:LONGEST_ANSWER] for question in study.questions}
+        journal.append({"record": "about", "answers": about, "at": _now()})
+
+
 def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, observer: dict[str, float] | None) -> Path:
     """The file of a person's records, which are not there, or can be gone on with.
 
@@ -97,6 +123,7 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, obser
         raise ValueError(f"subject is {subject!r}: expected a code of letters, digits, - and _, and no name")
     if subject == EVERYONE:
         raise ValueError(f"subject is {subject!r}, which stands for all persons together: expected another code")
+    schedule = Schedule(plan, subject)
     for other in subjects(folder):
         check_other(other, plan)
     path = folder / f"{subject}{SUFFIX}"
@@ -105,7 +132,7 @@ def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, obser
             raise ValueError(f"{path} is there already: --resume goes on with it; or take another code")
         records = read_records(path)[0]
         check_plan(records, plan, observer, path)
-        replay(Schedule(plan, subject), subject, records, path)
+        replay(schedule, subject, records, path)
     return path
 
 

@@ -1,0 +1,182 @@
+"""An experiment as tidy tables: a row an answer, a threshold, a person, and a table that says what each column is."""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers
+from jaxgrasp.psychophysics.plan import UNITS, Plan
+from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
+
+Row = list[str]
+INTENSITY = "INTENSITY"
+"""Stands for the unit of the stimulus."""
+
+
+class Column(NamedTuple):
+    """A column, and how it comes out of what its row is of."""
+
+    name: str
+    unit: str
+    meaning: str
+    value: Callable[[Any], Any]
+
+
+def _of(name: str) -> Callable[[TrialRecord], Any]:
+    return lambda record: record.get(name)
+
+
+def _told(question: str) -> Callable[[dict[str, Any]], Any]:
+    return lambda person: person["about"].get(question)
+
+
+def _each(name: str, place: int) -> Callable[[TrialRecord], Any]:
+    """One of the two intervals, of records that have them."""
+    return lambda record: dict(enumerate(record.get(name) or ())).get(place)
+
+
+def _pair(name: str, unit: str, meaning: str, key: str = "") -> list[Column]:
+    return [
+        Column(f"{name}_{which}", unit, f"{meaning}, of the {which} interval", _each(key or name, place))
+        for place, which in enumerate(("first", "second"))
+    ]
+
+
+TRIALS = [
+    Column("subject", "", "code of the person", _of("subject")),
+    Column("trial", "", "number of the trial, from 1, practice included", _of("number")),
+    Column("session", "", "number of the session, from 1", _of("session")),
+    Column("series", "", "series or staircase within its session, from 1", _of("series")),
+    Column("practice", "", "1 for practice, which no analysis counts", _of("is_practice")),
+    Column("task", "", "choice of the stronger of two, or setting of one to match the other", _of("task")),
+    Column("reference", INTENSITY, "intensity of the reference; 0 in detection", _of("reference")),
+    Column("level", "", "comparison less reference by reference; in detection its intensity", _of("level")),
+    Column("first", INTENSITY, "intensity asked for in the first interval", _of("first")),
+    Column(
+        "second", INTENSITY, "intensity asked for in the second interval; of a setting, at its start", _of("second")
+    ),
+    Column("answer", "", "1 or 2: which interval was said to be stronger", _of("answer")),
+    Column("right", "", "1 where that is so", _of("right")),
+    Column("setting", INTENSITY, "intensity that was set to match the reference", _of("setting")),
+    *_pair("felt", INTENSITY, "the most that was felt"),
+    *_pair("whole", "s", "time in which nine tenths of the intensity at least were felt"),
+    *_pair("moved", "degrees", "angle by which a joint that feels it moved at most"),
+    *_pair("torque", "N.m", "largest joint torque that it asked for"),
+    *_pair("duration", "s", "how long it was rendered", "durations"),
+    Column("saturated", "", "1 where the device cut a torque", _of("saturated")),
+    Column("seconds", "s", "how long the whole trial took, answer included", _of("seconds")),
+    Column("at", "", "when it was over, ISO 8601 in UTC", _of("at")),
+]
+THRESHOLDS = [
+    Column("subject", "", "code of the person; all: everybody's answers as if one person's", lambda c: c.subject),
+    Column("reference", INTENSITY, "intensity of the reference; 0 in detection", lambda c: c.reference),
+    Column("finding", "", "found, or why there is no threshold", lambda c: str(c.threshold.finding)),
+    Column("threshold", "", "level at the criterion; in detection an intensity", lambda c: c.threshold.value),
+    Column("threshold_low", "", "lower end of its interval", lambda c: c.threshold.low),
+    Column(
+        "threshold_high",
+        "",
+        "upper end of its interval; empty where answers do not bound it",
+        lambda c: c.threshold.high,
+    ),
+    Column("coverage", "", "of the interval", lambda c: c.threshold.coverage),
+    Column("criterion", "", "hit ratio at the threshold", lambda c: c.threshold.criterion),
+    Column("method", "", "how it was found", lambda c: c.threshold.method),
+    Column("interval", "", "kind of the interval", lambda c: c.threshold.interval),
+    Column("jnd", INTENSITY, "just noticeable difference", lambda c: c.weber and c.weber.jnd),
+    Column("jnd_low", INTENSITY, "lower end of its interval", lambda c: c.weber and c.weber.jnd_low),
+    Column("jnd_high", INTENSITY, "upper end of its interval", lambda c: c.weber and c.weber.jnd_high),
+    Column("trials", "", "answers that count", lambda c: int(c.counts.trials.sum())),
+    Column("right", "", "right ones among them", lambda c: int(c.counts.hits.sum())),
+    Column("saturated", "", "trials in which the device cut a torque", lambda c: c.saturated),
+]
+SETTINGS = [
+    Column("subject", "", "code of the person", lambda m: m.subject),
+    Column("reference", INTENSITY, "intensity of the reference", lambda m: m.reference),
+    Column("settings", "", "how many count", lambda m: m.settings),
+    Column("error", INTENSITY, "mean setting less the reference: the constant error", lambda m: m.error),
+    Column("error_low", INTENSITY, "lower end of its interval", lambda m: m.error_low),
+    Column("error_high", INTENSITY, "upper end of its interval", lambda m: m.error_high),
+    Column("deviation", INTENSITY, "standard deviation of the settings: the variable error", lambda m: m.deviation),
+    Column("deviation_low", INTENSITY, "lower end of its interval", lambda m: m.deviation_low),
+    Column("deviation_high", INTENSITY, "upper end of its interval", lambda m: m.deviation_high),
+    Column("jnd", INTENSITY, "difference that three of four choices would tell", lambda m: m.jnd),
+    Column("saturated", "", "settings in which the device cut a torque", lambda m: m.saturated),
+]
+PERSONS = [
+    Column("subject", "", "code of the person", _of("subject")),
+    Column("simulated", "", "1 for an observer who was simulated", _of("simulated")),
+    Column("trials", "", "trials on record, practice included", _of("trials")),
+    Column("discarded", "", "trials that did not count and were asked again", _of("discarded")),
+    Column("resumed", "", "how often the experiment was gone on with after a stop", _of("resumed")),
+    Column(
+        "consent_at", "", "when the person agreed, ISO 8601 in UTC; empty where nothing was asked", _of("consent_at")
+    ),
+    Column("begun_at", "", "when it began, ISO 8601 in UTC", _of("begun_at")),
+]
+
+
+def tidy_tables(answers: Answers, found: Analysis) -> dict[str, list[Row]]:
+    """Tables by the names of their files, each with a head: units in brackets, ratios without.
+
+    Args:
+        answers: of the experiment.
+        found: their analysis.
+    """
+    plan = answers.plan
+    asked = [Column(question, "", "what the person told", _told(question)) for question in plan.study.questions]
+    tables: dict[str, tuple[list[Column], Iterable[Any]]] = {
+        "trials.csv": (TRIALS, ({"subject": who} | one for who, own in answers.trials.items() for one in own)),
+        "thresholds.csv": (SETTINGS, found.matched) if found.matched else (THRESHOLDS, (*found.cells, *found.pooled)),
+        "persons.csv": ([*PERSONS, *asked], (_person(answers, who) for who in answers.trials)),
+    }
+    written = {name: [_head(columns, plan), *_rows(columns, of)] for name, (columns, of) in tables.items()}
+    dictionary = [["file", "column", "unit", "meaning"]]
+    for name, (columns, _) in tables.items():
+        dictionary += [[name, _title(one, plan), _unit(one, plan), one.meaning] for one in columns]
+    return written | {"dictionary.csv": dictionary}
+
+
+def _person(answers: Answers, who: str) -> dict[str, Any]:
+    """A row of persons: what stands in that person's other records."""
+    records = answers.others[who]
+    by_kind = {kind: [one for one in records if one["record"] == kind] for kind in {one["record"] for one in records}}
+    agreed = [one for one in by_kind.get("consent", ()) if one.get("agreed")]
+    told = by_kind.get("about", [{}])[-1].get("answers")
+    return {
+        "subject": who,
+        "simulated": who in answers.simulated,
+        "trials": len(answers.trials[who]),
+        "discarded": len(by_kind.get("discarded", ())),
+        "resumed": len(by_kind.get("resumed", ())),
+        "consent_at": agreed[-1].get("at") if agreed else None,
+        "begun_at": records[0].get("at"),
+        "about": told if isinstance(told, dict) else {},
+    }
+
+
+def _unit(column: Column, plan: Plan) -> str:
+    return UNITS[plan.stimulus.kind] if column.unit == INTENSITY else column.unit
+
+
+def _title(column: Column, plan: Plan) -> str:
+    unit = _unit(column, plan)
+    return f"{column.name} [{unit}]" if unit else column.name
+
+
+def _head(columns: list[Column], plan: Plan) -> Row:
+    return [_title(one, plan) for one in columns]
+
+
+def _rows(columns: list[Column], of: Iterable[Any]) -> Iterable[Row]:
+    for one in of:
+        yield [_cell(column.value(one)) for column in columns]
+
+
+def _cell(value: Any) -> str:
+    """As every program reads it: no value is an empty cell, yes and no are 1 and 0."""
+    if isinstance(value, bool):
+        return str(int(value))
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    return repr(float(value)) if isinstance(value, float) else str(value)

@@ -1,0 +1,37 @@
+"""Whose study it is, what persons agree to, and what is asked of each before the first trial."""
+
+import re
+from dataclasses import dataclass
+
+from jaxgrasp.psychophysics.screen import check_screen
+
+QUESTION = re.compile(r"[a-z][a-z0-9_]{0,31}")
+MOST_QUESTIONS = 20
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """What belongs to every person's records beside the answers."""
+
+    title: str = ""
+    investigator: str = ""
+    institution: str = ""
+    ethics: str = ""
+    """Number of the approval by an ethics committee."""
+    consent: str = ""
+    """What a person has to agree to before anything else, a screen at most; nothing is asked where it is empty."""
+    questions: tuple[str, ...] = ()
+    """What is asked of each person and kept beside the answers, such as `age` or `hand`: names of columns; no name of
+    a person belongs there."""
+
+    def __post_init__(self):
+        check_screen("consent", self.consent)
+        if len(self.questions) > MOST_QUESTIONS:
+            raise ValueError(f"questions has {len(self.questions)}: expected {MOST_QUESTIONS} at most")
+        for k, question in enumerate(self.questions):
+            if not QUESTION.fullmatch(question):
+                raise ValueError(
+                    f"questions[{k}] is {question!r}: expected a column's name of small letters, digits and _"
+                )
+            if question in self.questions[:k]:
+                raise ValueError(f"questions[{k}] is {question!r} again: expected each once")

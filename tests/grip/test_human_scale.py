@@ -1,0 +1,30 @@
+"""What is out of human scale is warned of, and nothing else."""
+
+import pytest
+
+from jaxgrasp.grip.human_scale import TORQUE, beyond_human, too_strong
+from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry
+from jaxgrasp.grip.scene_file import SceneFile, load_scene, ready_scenes, scene_path
+
+
+@pytest.mark.parametrize(
+    "entries, words",
+    [
+        ({"object": ObjectEntry(shape="sphere", radius=3.0)}, "radius or half its edge is 3 m, out of human scale"),
+        ({"object": ObjectEntry(shape="box", size=(50.0, 30.0, 2.0))}, "half its edge is 25 m"),
+        ({"object": ObjectEntry(mass=400.0)}, "mass is 400 kg, out of human scale, 0.001 to 20 kg: is it in kg?"),
+        ({"hand": HandEntry(length=19.0)}, "the hand's length is 19 m"),
+        ({"grip": GripEntry(depth=2.0)}, "press is 2 m"),
+    ],
+)
+def test_another_unit_is_suspected(entries, words):
+    (line,) = beyond_human(SceneFile(**{"name": "a scene"} | entries))
+    assert line.startswith("WARNING: ") and words in line
+
+
+def test_the_ready_scenes_are_of_human_scale():
+    assert not [line for name in ready_scenes() for line in beyond_human(load_scene(scene_path(name)))]
+
+
+def test_torques_of_no_finger():
+    assert not too_strong(TORQUE) and "57.1 N.m" in too_strong(57.1)[0]

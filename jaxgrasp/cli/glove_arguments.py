@@ -95,8 +95,9 @@ class Run(GloveDriven):
     """Be the glove's host for an engine elsewhere: HOST:PORT to be called at (UDP)."""
     connect: str | None = None
     """Be the engine for a glove elsewhere: its host's HOST:PORT."""
-    key: str = ""
-    """Key that host and engine share, in hexadecimal; without one, anyone on the network can speak."""
+    key_file: Path | None = None
+    """File of the key that host and engine share, 32 to 128 hexadecimal digits, readable by its owner alone; the
+    environment's JAXGRASP_GLOVE_KEY where not given. Without a key anyone on the network can speak."""
     out: Path = Path("jaxgrasp-glove-run")
     """Folder for what happened, without a port."""
 

@@ -22,7 +22,7 @@ class GloveProcess:
                 ``MODULE:CLASS``) and its ``full_scale``, ``rate`` [Hz], ``scale`` (of all torques, 0.05 if left out),
                 ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s];
                 ``listen`` (host and port) for an engine elsewhere in place of ``write`` and ``state``, with
-                ``transport`` and ``key``.
+                ``transport`` and ``key_file`` (or the environment's ``JAXGRASP_GLOVE_KEY``).
 
         Raises:
             OSError: if it does not come to listen.

@@ -26,11 +26,12 @@ from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.network.link_key import load_key
 from jaxgrasp.glove.tension import TensionControl
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
-    *("slots", "listen", "transport", "key", "device", "full_scale"),
+    *("slots", "listen", "transport", "key_file", "device", "full_scale"),
 }
 ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end it: asked, interrupted, its terminal closed."""
@@ -119,7 +120,7 @@ def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
     channels = len(model.joints)
     if options.get("listen"):
         host, port = options["listen"]
-        key = bytes.fromhex(options.get("key", ""))
+        key = load_key(options.get("key_file"))
         transport = options.get("transport", "udp")
         size = TorqueLaw.size(channels)
         link = NetworkLink(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)

@@ -62,7 +62,8 @@ class Run(GloveDriven):
 
     Without a port, all of it happens in virtual time, on a simulated glove whose cable is cut: glove.csv and glove.png
     show it. With one, it happens now; orders are typed: `arm` (at 5 % of the torque), `full` (all of it), `disarm`,
-    `quit`. A device without a watchdog, as LucidGloves, is armed by a sentence that it asks for.
+    `stop` (emergency stop, here and in the glove), `quit`. A device without a watchdog, as LucidGloves, is armed by a
+    sentence that it asks for.
     """
 
     scene: tyro.conf.Positional[str] = "cylinder"

@@ -127,7 +127,7 @@ def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     if arguments.key_file is not None:
         extra["key_file"] = str(arguments.key_file.resolve())
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
-        show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit")
+        show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, stop, quit")
         orders = Orders(glove, device_kind(arguments.device).acceptance)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
@@ -155,7 +155,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         else:
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
-                show("ready; orders: arm, full, disarm, quit")
+                show("ready; orders: arm, full, disarm, stop, quit")
                 orders = Orders(glove, device_kind(arguments.device).acceptance)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
                 times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)

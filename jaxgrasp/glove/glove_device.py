@@ -16,6 +16,7 @@ REOPEN = 0.25
 """Time between attempts to open a port [s]."""
 SILENCE = 0.25
 """How long a device may say nothing before it counts as gone [s]."""
+STOPPED_HERE = "emergency stop: asked for at the host"
 
 
 class LinkState(IntEnum):
@@ -103,6 +104,11 @@ class GloveDevice(ABC):
     def disarm(self) -> None:
         """No torque from the next command on."""
         self.guard.disarm()
+        self.state = min(self.state, LinkState.LINKED)
+
+    def stop(self, now: float) -> None:
+        """Emergency stop: no torque from the next command on, and latched, whatever the state; it raises nothing."""
+        self.guard.stop(STOPPED_HERE)
         self.state = min(self.state, LinkState.LINKED)
 
     @abstractmethod

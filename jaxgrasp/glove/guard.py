@@ -128,6 +128,11 @@ class Guard:
             self.state, self.cause = GuardState.LATCHED, cause
         self._level[:] = 0
 
+    def stop(self, cause: str) -> None:
+        """Zero and latched, whatever its state: an emergency stop."""
+        self.state, self.cause = GuardState.LATCHED, cause
+        self._level[:] = 0
+
     def step(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
         """What may leave at a time.
 

@@ -12,7 +12,7 @@ from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.protocol.device import Cause, DeviceState
+from jaxgrasp.glove.protocol.device import REASONS, Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
     LINE_SIZE,
@@ -114,8 +114,8 @@ class GloveHost(GloveDevice):
         self._longest_trip = 2 * self._pace.frame_time + longest_wait
         self._heard_clock = 0
         self._next = self._asked_at = self._heard_at = -np.inf
-        self._is_greeted = False
-        self._flags = NO_FLAGS
+        self._is_greeted = self._stops = False
+        self._flags, self._cause = NO_FLAGS, int(Cause.NONE)
         self._was_cut = False
 
     def arm(self, now: float, accepted: str = "") -> None:
@@ -125,11 +125,20 @@ class GloveHost(GloveDevice):
             raise ValueError("the glove cannot be armed: its encoders say nothing")
         if not now - self.reading.torques_at <= ARMING:
             raise ValueError("the glove cannot be armed: its strain gauges say nothing")
+        if Flag.PRESSED in self._flags:
+            raise ValueError("the glove cannot be armed: its emergency stop is pressed")
         self.state, self._asked_at, self._next, self._is_greeted = LinkState.ARMING, now, now, False
+        self._stops = False
         self._session = random.randrange(SESSIONS)
         self.guard.disarm()
         self._watch.forget()
         self._encoder_watch.forget()
+
+    def stop(self, now: float) -> None:
+        """Emergency stop: said to the device, too, until it says that it holds nothing for that."""
+        super().stop(now)
+        self._stops = True
+        self._send(now, Kind.STOP, ())
 
     def poll(self, now: float) -> Reading:
         try:
@@ -150,6 +159,9 @@ class GloveHost(GloveDevice):
             self.state = LinkState.LINKED
         if self.state == LinkState.ARMING:
             self._ask(now)
+        elif self._stops:
+            # However often it takes: a device stops where it hears it, whatever else is on the line.
+            self._send(now, Kind.STOP, ())
         elif self.state >= LinkState.LINKED:
             self._command(now, output)
         return output
@@ -269,7 +281,8 @@ class GloveHost(GloveDevice):
                 self.state = LinkState.LINKED
                 self.counts.links += 1
             # Whatever the device said before, it has no torque now; an answer to ARM can only come after this.
-            self.trouble, self._is_greeted, self._flags = "", True, NO_FLAGS
+            self.trouble, self._is_greeted = "", True
+            self._flags = frame.flags & Flag.PRESSED
             self._heard_at = self._next = now
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
@@ -282,7 +295,7 @@ class GloveHost(GloveDevice):
         self.round_trip.add(now, trip)
         sent_at = self._clock.sent_at(frame.clock, now, trip)
         self._heard_at, self._heard_clock = now, frame.clock
-        self._flags = frame.flags
+        self._flags, self._cause = frame.flags, frame.cause
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
             self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
@@ -300,12 +313,22 @@ class GloveHost(GloveDevice):
     def _follow(self, now: float) -> None:
         """The device's own state decides whether torque may flow."""
         enabled = Flag.ENABLE in self._flags
+        stopped = Flag.LATCHED in self._flags and self._cause == Cause.STOPPED
+        self._stops = self._stops and not stopped
         if self.state == LinkState.ARMING and enabled and self._is_greeted:
             self.state = LinkState.ARMED
             self.guard.arm(now)
         elif self.state == LinkState.ARMED and not enabled:
-            self.guard.trip("the device latched" if Flag.LATCHED in self._flags else "the device is not armed")
+            self.guard.trip(self._why_not_enabled())
             self.state = LinkState.LINKED
+        elif stopped and Flag.PRESSED in self._flags and self.guard.state != GuardState.LATCHED:
+            self.guard.stop(self._why_not_enabled())
+
+    def _why_not_enabled(self) -> str:
+        if Flag.LATCHED not in self._flags:
+            return "the device is not armed"
+        known = self._cause in Cause._value2member_map_
+        return f"the device latched: {REASONS[Cause(self._cause)] if known else f'cause {self._cause}'}"
 
     def _check_link(self, now: float) -> None:
         """Trip where the device's words are there, but late, or lack something."""

@@ -112,6 +112,46 @@ def test_what_zeroes_at_once():
         assert not any(map(any, run(device, 9 * MS, 20 * MS)))
 
 
+def test_the_emergency_stop_latches_whatever_its_state_and_no_arm_helps_while_it_is_pressed(firmware):
+    for device in (Device(seed=77), Compiled(firmware)):
+        host, drawn = Host(), Device(seed=77)
+        device.press(True)
+        assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.STOPPED), "before any host"
+        for now, pressed, state in ((0, True, DeviceState.LATCHED), (10 * MS, False, DeviceState.ARMED)):
+            device.press(pressed)
+            line = host.line(now, Kind.HELLO, (7,))
+            for one in (device, drawn):
+                one.receive(now, line)
+                one.step(now)
+            device.receive(now + 1, host.line(now + 1, Kind.ARM, (7, drawn.nonce)))
+            device.receive(now + 2, host.line(now + 2, Kind.COMMAND, (500,)))
+            assert device.state == state
+        assert any(device.step(12 * MS))
+        device.press(True)
+        assert device.state == DeviceState.LATCHED and not any(device.counts) and not any(device.step(13 * MS))
+
+
+@pytest.mark.parametrize("late", [0, 3, -2_000_000])
+def test_a_hosts_stop_is_obeyed_whatever_its_age_and_number(firmware, late):
+    for device in (Device(), Compiled(firmware)):
+        old = Host().line(5, Kind.STOP, echo=late)
+        device.step(0)
+        host = Host(number=20_000)
+        device.receive(0, host.line(0, Kind.HELLO, (7,)))
+        device.receive(0, old)
+        assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.STOPPED)
+        assert not any(device.step(MS))
+
+
+def test_frames_say_what_the_device_gave_up_for(firmware):
+    for device in (Device(), Compiled(firmware)):
+        device.press(True)
+        status = device.status(5)
+        frame = status if isinstance(status, Frame) else FrameReader().feed(status)[0]
+        assert frame.flags == Flag.LATCHED | Flag.PRESSED and frame.cause == Cause.STOPPED
+        assert frame.values[1:3] == (DeviceState.LATCHED, Cause.STOPPED)
+
+
 def test_a_fault_of_its_own_latches_whatever_its_state():
     device = Device()
     device.trip(Cause.WATCHDOG)
@@ -196,6 +236,7 @@ def firmware(tmp_path_factory):
     subprocess.run([compiler, "-std=c99", *warnings, "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
     loaded = ctypes.CDLL(str(library))
     loaded.glove_answer.restype = ctypes.c_bool
+    loaded.glove_press.argtypes = (ctypes.c_void_p, ctypes.c_bool)
     return loaded
 
 
@@ -218,6 +259,9 @@ class Compiled:
     def step(self, now: int) -> list[int]:
         self.library.glove_step(self.memory, ctypes.c_uint32(now))
         return list(self.counts)
+
+    def press(self, is_pressed: bool) -> None:
+        self.library.glove_press(self.memory, is_pressed)
 
     def answer(self, now: int) -> bytes | None:
         return bytes(self.line) if self.library.glove_answer(self.memory, ctypes.c_uint32(now), self.line) else None
@@ -259,12 +303,12 @@ def test_the_c_program_does_the_same(firmware, seed):
     now = rng.randrange(TICKS)
     for one in (ours, theirs):
         one.step(now)
-    armed = 0
+    armed, pressed = 0, False
     for _ in range(1500):
         passed = rng.choice((300, MS, MS, MS, 5 * MS, rng.randrange(60 * MS)))
         now = (now + passed) % TICKS
         values = tuple(rng.randrange(-2000, 14_000) for _ in range(CHANNELS))
-        kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES), (20, 2, 1, 1))[0]
+        kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES, Kind.STOP), (200, 22, 9, 9, 1))[0]
         if kind in (Kind.HELLO, Kind.ARM):
             nonce = ours.nonce if rng.random() < 0.9 else rng.randrange(2**15)
             values = (host.session if rng.random() < 0.9 else 3, nonce)
@@ -272,8 +316,10 @@ def test_the_c_program_does_the_same(firmware, seed):
         line = host.line(now, kind, values, Flag(rng.choice((1, 1, 1, 0))), answers)
         if rng.random() < 0.2:
             line = spoilt(line, rng)
+        pressed = rng.random() < (0.8 if pressed else 0.005)
         for one in (ours, theirs):
             one.receive(now, line)
+            one.press(pressed)
         assert ours.step(now) == theirs.step(now)
         assert (ours.state, ours.cause) == (theirs.state, theirs.cause)
         answer = ours.answer(now)

@@ -160,6 +160,67 @@ def test_a_device_that_is_at_fault_is_not_armed():
     assert world.host.guard.state != GuardState.ARMED and not any(counts.any() for _, counts in world.history)
 
 
+def test_the_emergency_stop_at_the_device():
+    """Its button: no torque in the next millisecond, and none again before it is released and armed."""
+    world = World().armed()
+    world.simulation.obey({"press": True}, world.now)
+    since = world.now
+    world.run(0.3)
+    assert world.zero_after(since) <= 0.001
+    assert world.host.guard.state == GuardState.LATCHED
+    assert world.host.guard.cause == "the device latched: its emergency stop was pressed"
+    with pytest.raises(ValueError, match="its emergency stop is pressed"):
+        world.host.arm(world.now)
+    world.simulation.obey({"press": False}, world.now)
+    world.run(0.1)
+    assert not any(world.device.counts)
+    world.host.arm(world.now)
+    world.run(0.6)
+    assert min(world.device.counts) > 3000
+
+
+def test_a_pressed_stop_latches_a_host_that_is_not_armed():
+    world = World()
+    world.run(0.5)
+    world.simulation.obey({"press": True}, world.now)
+    world.run(0.1)
+    assert world.host.guard.state == GuardState.LATCHED and "emergency stop" in world.host.guard.cause
+
+
+@pytest.mark.parametrize("trouble", ["none", "late", "lost", "spoilt"])
+def test_the_emergency_stop_at_the_host(trouble):
+    """It is said until the device says that it holds nothing for that, on a line that is late or loses the first."""
+    world = World().armed()
+    if trouble == "late":
+        world.line.outward = lambda now: 0.3
+    elif trouble == "lost":
+        world.simulation.obey({"cut": 0.2}, world.now)
+    elif trouble == "spoilt":
+        world.simulation.obey({"spoil": 0.7, "seed": 1}, world.now)
+    world.host.stop(world.now)
+    since = world.now
+    world.run(1.5)
+    assert world.zero_after(since) <= 0.055
+    assert world.host.guard.state == GuardState.LATCHED and "emergency stop" in world.host.guard.cause
+    assert (world.device.state, world.device.cause) == (DeviceState.LATCHED, Cause.STOPPED)
+    assert not world.host._stops
+    commands = world.host.counts.commands
+    world.run(0.1)
+    assert world.host.counts.commands > commands, "and then it goes on listening"
+
+
+def test_a_stop_before_any_link_is_kept():
+    world = World()
+    world.host.stop(world.now)
+    assert world.host.guard.state == GuardState.LATCHED
+    world.run(0.5)
+    assert world.device.cause == Cause.STOPPED
+    world.bend(0.6)
+    world.host.arm(world.now)
+    world.run(0.8)
+    assert min(world.device.counts) > 3000
+
+
 def test_an_echo_is_no_device():
     world = World()
     world.run(0.2)

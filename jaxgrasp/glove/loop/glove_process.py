@@ -68,6 +68,14 @@ class GloveProcess:
         """No torque."""
         self._order({"disarm": True})
 
+    def stop(self) -> None:
+        """Emergency stop: no torque, and latched, here and in the device, whatever the state.
+
+        Raises:
+            OSError: if it has ended.
+        """
+        self._order({"stop": True})
+
     def rescale(self, scale: float) -> None:
         """Another scale of all torques, while it is not armed.
 

@@ -1,8 +1,8 @@
 """The process that owns the glove's line: ``python -m jaxgrasp.glove.loop.io_process``; it never imports JAX.
 
-Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``scale``) as lines of JSON on its standard
-input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero behind,
-and the device's own watchdog does not depend on that.
+Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``stop``, ``scale``) as lines of JSON on its
+standard input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero
+behind, and the device's own watchdog does not depend on that.
 """
 
 import json
@@ -139,13 +139,15 @@ def _obey(rendering: Rendering, release: Release | None, order: dict[str, Any]) 
                 rendering.arm(now, accepted)
             case {"disarm": _}:
                 rendering.host.disarm()
+            case {"stop": _}:
+                rendering.host.stop(now)
             case {"scale": scale}:
                 rendering.host.guard.rescale(scale)
             case {"report": _}:
                 tell({"report": rendering.host.report()})
                 return
             case _:
-                raise ValueError(f"order {order} is none of arm, disarm, scale, report")
+                raise ValueError(f"order {order} is none of arm, disarm, stop, scale, report")
     except (ValueError, TypeError) as error:
         tell({"refused": str(error), "at": now})
     else:

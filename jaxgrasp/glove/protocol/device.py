@@ -44,7 +44,21 @@ class Cause(IntEnum):
     GREETED = 2
     """A host began anew."""
     OWN = 3
-    """A fault of its own: a sensor, a motor, an emergency stop."""
+    """A fault of its own: a sensor, a motor."""
+    STOPPED = 4
+    """The emergency stop: its own button, or a host's STOP."""
+
+
+REASONS = {
+    Cause.NONE: "nothing",
+    Cause.WATCHDOG: "no command came in time",
+    Cause.GREETED: "a host began anew",
+    Cause.OWN: "a fault of its own",
+    Cause.STOPPED: "its emergency stop was pressed",
+}
+"""What a person is told."""
+LASTING = (Cause.OWN, Cause.STOPPED)
+"""Causes that latch whatever the state."""
 
 
 class Device:
@@ -97,6 +111,7 @@ class Device:
         self._seed = seed
         self.nonce = 0
         """What ARM must repeat, drawn at each HELLO and each ARM."""
+        self._is_pressed = False
 
     def receive(self, now: int, data: bytes) -> None:
         """Bytes from the line."""
@@ -105,6 +120,16 @@ class Device:
                 self._greet(now, frame)
             elif frame.kind in (Kind.ARM, Kind.COMMAND) and self.session is not None and self._is_new(frame):
                 self._obey(now, frame)
+            elif frame.kind == Kind.STOP:
+                self.trip(Cause.STOPPED)
+                if self.session is not None:
+                    self.accepted += self._is_new(frame)
+
+    def press(self, is_pressed: bool) -> None:
+        """The line of its emergency stop's button: what it says now."""
+        self._is_pressed = is_pressed
+        if is_pressed:
+            self.trip(Cause.STOPPED)
 
     def step(self, now: int) -> list[int]:
         """What it holds from now on [counts]."""
@@ -125,7 +150,7 @@ class Device:
 
     def trip(self, cause: Cause) -> None:
         """Zero at once, and latched: if it was armed, or for a fault of its own, called for as long as that lasts."""
-        if self.state == DeviceState.ARMED or cause == Cause.OWN:
+        if self.state == DeviceState.ARMED or cause in LASTING:
             self.state, self.cause = DeviceState.LATCHED, cause
         self._drop()
 
@@ -135,8 +160,11 @@ class Device:
             flags |= Flag.ENABLE
         elif self.state == DeviceState.LATCHED:
             flags |= Flag.LATCHED
+        if self._is_pressed:
+            flags |= Flag.PRESSED
         self._sent = (self._sent + 1) % SEQUENCES
-        return Frame(kind, self._sent, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags, self._peer_clock)
+        padded = values + (0,) * (CHANNELS - len(values))
+        return Frame(kind, self._sent, now % TICKS, padded, flags, self._peer_clock, self.cause)
 
     def answer(self, now: int) -> Frame | None:
         """Its CAPABILITY, once after each HELLO."""
@@ -190,7 +218,7 @@ class Device:
             return
         self.accepted += 1
         if frame.kind == Kind.ARM:
-            if frame.values[:2] == (self.session, self.nonce):
+            if frame.values[:2] == (self.session, self.nonce) and not self._is_pressed:
                 self._drop()
                 self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, frame.echo
                 # It is good for one ARM.

@@ -62,11 +62,16 @@ void glove_init(struct glove_device *device, struct glove_limits limits) {
 }
 
 void glove_trip(struct glove_device *device, enum glove_cause cause) {
-    if (device->state == GLOVE_ARMED || cause == GLOVE_OWN) {
+    if (device->state == GLOVE_ARMED || cause == GLOVE_OWN || cause == GLOVE_STOPPED) {
         device->state = GLOVE_LATCHED;
         device->cause = cause;
     }
     drop(device);
+}
+
+void glove_press(struct glove_device *device, bool pressed) {
+    device->pressed = pressed;
+    if (pressed) glove_trip(device, GLOVE_STOPPED);
 }
 
 /* Another number that ARM must repeat, good for one. */
@@ -119,7 +124,7 @@ static void obey(struct glove_device *device, uint32_t now, const uint8_t *data)
     device->accepted++;
     if (arms) {
         if ((int16_t)get16(data + VALUES) != device->session) return;
-        if ((int16_t)get16(data + VALUES + 2) != device->nonce) return;
+        if ((int16_t)get16(data + VALUES + 2) != device->nonce || device->pressed) return;
         drop(device);
         device->state = GLOVE_ARMED;
         device->cause = GLOVE_NO_CAUSE;
@@ -140,12 +145,16 @@ static void handle(struct glove_device *device, uint32_t now) {
     bool good = !device->overflown && unstuff(device->kept, device->length, data) &&
                 crc32(data, BODY) == get32(data + BODY) && data[0] >> 4 == GLOVE_VERSION;
     kind = good ? data[0] & 15 : 0;
-    if (kind < GLOVE_HELLO || kind > GLOVE_STATUS) {
+    if (kind < GLOVE_HELLO || kind > GLOVE_STOP) {
         device->refused++;
     } else if (kind == GLOVE_HELLO) {
         greet(device, now, data);
     } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted && is_new(device, data)) {
         obey(device, now, data);
+    } else if (kind == GLOVE_STOP) {
+        /* Whatever its age: an old one can do no harm. */
+        glove_trip(device, GLOVE_STOPPED);
+        if (device->greeted && is_new(device, data)) device->accepted++;
     }
 }
 
@@ -188,8 +197,9 @@ void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind
     uint8_t data[GLOVE_FRAME];
     if (device->state == GLOVE_ARMED) flags |= GLOVE_ENABLE;
     if (device->state == GLOVE_LATCHED) flags |= GLOVE_LATCHED_FLAG;
+    if (device->pressed) flags |= GLOVE_PRESSED;
     data[0] = (uint8_t)(GLOVE_VERSION << 4 | kind);
-    data[1] = flags;
+    data[1] = (uint8_t)(flags | device->cause << 4);
     put16(data + 2, ++device->sent);
     put32(data + 4, now);
     put32(data + 8, device->peer_clock);

@@ -3,9 +3,9 @@
  *
  * Call glove_receive for each byte that the line brings, glove_step about every millisecond, and drive the motors by
  * `counts` after each step. Times are a free-running clock in microseconds that may wrap, and none is before the last
- * one given: one that is counts as a wrap, and latches. All calls come from one context, or with interrupts off; an
- * emergency stop that cannot wait cuts the motors' power itself, and calls glove_trip from that context for as long as
- * it lasts.
+ * one given: one that is counts as a wrap, and latches. All calls come from one context, or with interrupts off. Call
+ * glove_press with what the line of the emergency stop's button says, at each step or when it changes; a button that
+ * cannot wait for that cuts the motors' power itself.
  */
 #ifndef GLOVE_DEVICE_H
 #define GLOVE_DEVICE_H
@@ -26,11 +26,18 @@ enum glove_kind {
     GLOVE_ANGLES = 4,
     GLOVE_TENSIONS = 5,
     GLOVE_ARM = 6,
-    GLOVE_STATUS = 7
+    GLOVE_STATUS = 7,
+    GLOVE_STOP = 8
 };
-enum glove_flag { GLOVE_ENABLE = 1, GLOVE_LATCHED_FLAG = 2, GLOVE_SATURATED = 4 };
+enum glove_flag { GLOVE_ENABLE = 1, GLOVE_LATCHED_FLAG = 2, GLOVE_SATURATED = 4, GLOVE_PRESSED = 8 };
 enum glove_state { GLOVE_IDLE = 0, GLOVE_ARMED = 1, GLOVE_LATCHED = 2 };
-enum glove_cause { GLOVE_NO_CAUSE = 0, GLOVE_WATCHDOG = 1, GLOVE_GREETED = 2, GLOVE_OWN = 3 };
+enum glove_cause {
+    GLOVE_NO_CAUSE = 0,
+    GLOVE_WATCHDOG = 1,
+    GLOVE_GREETED = 2,
+    GLOVE_OWN = 3,
+    GLOVE_STOPPED = 4
+};
 
 /* What the motors and the line allow: set before glove_init. */
 struct glove_limits {
@@ -53,7 +60,7 @@ struct glove_device {
     int16_t wanted[GLOVE_CHANNELS];
     uint8_t kept[GLOVE_LINE];
     size_t length;
-    bool overflown, greeted, answers;
+    bool overflown, greeted, answers, pressed;
     int16_t session, nonce;
     uint32_t drawn;
     uint16_t newest, sent;
@@ -64,6 +71,7 @@ void glove_init(struct glove_device *device, struct glove_limits limits);
 void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte);
 void glove_step(struct glove_device *device, uint32_t now);
 void glove_trip(struct glove_device *device, enum glove_cause cause);
+void glove_press(struct glove_device *device, bool pressed);
 
 /* A frame to send, numbered and with the device's state among its flags; `line` holds GLOVE_LINE bytes. */
 void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind,

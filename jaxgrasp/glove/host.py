@@ -41,6 +41,8 @@ LONGEST_WATCHDOG = 50
 LONGEST_WAIT = 0.015
 """How long a frame and its answer may wait on their way, beside the time that they take [s]."""
 SESSIONS = 2**15
+BOUNDS = (Kind.LIMITS, Kind.CONTINUOUS)
+"""What follows a CAPABILITY, before a device may be armed."""
 SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
 """What only a device says: a line that echoes brings the host's own frames back."""
 
@@ -102,12 +104,13 @@ class GloveHost(GloveDevice):
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
         self._encoder_watch = EncoderWatch(model.joints)
         self._pace = Pace(baud, LINE_SIZE)
-        # There and back, each after a frame that is already on its way.
-        self._repeat = max(REPEAT, 5 * self._pace.frame_time)
+        # There, and three frames back, each way after a frame that is already on it, and a turn.
+        self._repeat = max(REPEAT, 7 * self._pace.frame_time)
         self._patience = max(ARMING, 4 * self._repeat)
         self._line: Line | None = None
         self._number, self._ticks = random.randrange(SEQUENCES), 0
         self._session = self._nonce = 0
+        self._unsaid: list[Kind] = []
         self._clock = PeerClock(self._pace.frame_time)
         self.round_trip = RoundTrip()
         """Time until a frame of the device answers ours."""
@@ -257,12 +260,15 @@ class GloveHost(GloveDevice):
     def _take(self, now: float, frame: Frame) -> None:
         if frame.kind == Kind.CAPABILITY:
             self._greeted(now, frame)
+        elif frame.kind in self._unsaid and self.order.is_new(frame.sequence):
+            self._bounded(now, frame)
         elif self.state >= LinkState.LINKED and frame.kind in SPOKEN and self.order.is_new(frame.sequence):
             self._hear(now, frame)
 
     def _greeted(self, now: float, frame: Frame) -> None:
         """A device that answers, if it is the one that the model describes."""
-        session, channels, watchdog, quantum, most, slew, nonce = frame.values[:7]
+        session, channels, watchdog, quantum, most, slew, nonce, heating = frame.values[:8]
+        self._unsaid = []
         if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
             return
         expected = round(self.model.quantum * 1e7)
@@ -276,19 +282,39 @@ class GloveHost(GloveDevice):
             self.trouble = f"the device goes to {most} counts: expected {max(self.model.most_counts)} at most"
         elif not 0 < slew <= round(self.model.rate / self.model.quantum / 1000):
             self.trouble = f"the device changes by {slew} counts/ms: expected {self.model.rate:g} N.m/s at most"
+        elif self.model.continuous is not None and not 0 < heating % SEQUENCES <= round(100 * self.model.heating):
+            self.trouble = (
+                f"the device's motors warm in {heating % SEQUENCES / 100:g} s: expected {self.model.heating:g}"
+            )
         else:
-            if self.state == LinkState.GREETING:
-                self.state = LinkState.LINKED
-                self.counts.links += 1
-            # Whatever the device said before, it has no torque now; an answer to ARM can only come after this.
-            self.trouble, self._is_greeted = "", True
+            self.trouble, self._unsaid = "the device has not said all of its bounds", list(BOUNDS)
             self._flags = frame.flags & Flag.PRESSED
-            self._heard_at = self._next = now
+            self._heard_at = now
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
             self._clock = PeerClock(self._pace.frame_time)
             self.round_trip = RoundTrip()
             self._nonce, self._heard_clock = nonce, frame.clock
+
+    def _bounded(self, now: float, frame: Frame) -> None:
+        """Each channel's own bounds, after which nothing more is to be said."""
+        self._unsaid.remove(frame.kind)
+        peak = frame.kind == Kind.LIMITS
+        bounds = self.model.most_counts if peak or self.model.continuous is None else self.model.continuous_counts
+        for joint, count, most in zip(self.model.joints, frame.values, bounds, strict=False):
+            if not 0 <= count <= most:
+                for_ever = "" if peak else " for ever"
+                self.trouble = f"the device goes to {count} counts{for_ever} at {joint}: expected {most} at most"
+                self._unsaid = []
+                return
+        self._heard_at, self._heard_clock = now, frame.clock
+        if self._unsaid:
+            return
+        if self.state == LinkState.GREETING:
+            self.state = LinkState.LINKED
+            self.counts.links += 1
+        # Whatever the device said before, it has no torque now; an answer to ARM can only come after this.
+        self.trouble, self._is_greeted, self._next = "", True, now
 
     def _hear(self, now: float, frame: Frame) -> None:
         trip = (int(now * 1e6) - frame.echo) % TICKS * 1e-6
@@ -308,6 +334,8 @@ class GloveHost(GloveDevice):
                 self._check_tension(sent_at)
         elif frame.kind == Kind.STATUS:
             self.counts.status = read_status(frame.values)
+            channel, warmth = frame.values[12:]
+            self.guard.is_warm(channel, warmth / 1000)
         self._follow(now)
 
     def _follow(self, now: float) -> None:

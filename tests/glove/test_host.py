@@ -1,5 +1,7 @@
 """Host and device together: torque only while both are well, on a line that is as slow and as bad as it may be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -12,7 +14,7 @@ from jaxgrasp.glove.protocol.device import Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import Kind
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.tension import TensionWatch
-from tests.glove.virtual import MODEL, World
+from tests.glove.virtual import MODEL, SENSORS, World
 
 
 def test_it_greets_arms_and_renders_a_spring():
@@ -332,3 +334,52 @@ def test_arming_needs_a_link_and_angles():
     world.run(0.5)
     with pytest.raises(ValueError, match="encoders say nothing"):
         world.host.arm(world.now + 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "trouble"),
+    [
+        (
+            {"limits": (*(0.12,) * 3, 0.1, *(0.12,) * 10)},
+            "the device goes to 11999 counts at index PIP: expected 10000 at",
+        ),
+        (
+            {"continuous": (0.12,) * 13 + (0.06,)},
+            "the device goes to 11999 counts for ever at little DIP: expected 5999",
+        ),
+        ({"continuous": (0.12,) * 14, "heating": 10.0}, "the device's motors warm in 30 s: expected 10"),
+        ({"continuous": (0.12,) * 14, "heating": 31.0}, ""),
+    ],
+)
+def test_a_device_with_other_bounds_of_a_joint_is_not_linked(change, trouble):
+    model = replace(MODEL, **change)
+    world = World()
+    world.host = GloveHost(model, SENSORS, lambda: world.line, Guard(model))
+    world.run(0.5)
+    assert world.host.trouble.startswith(trouble) if trouble else world.host.trouble == ""
+    assert (world.host.state == LinkState.LINKED) == (not trouble)
+
+
+def test_a_device_that_says_no_bounds_is_not_linked():
+    world = World()
+    answer = world.device.answer
+    world.device.answer = lambda now: found if (found := answer(now)) and found.kind == Kind.CAPABILITY else None
+    world.run(0.5)
+    assert world.host.state == LinkState.GREETING and "has not said all of its bounds" in world.host.trouble
+
+
+def test_a_new_host_learns_how_warm_the_motors_are():
+    """Which the device knows: both fade alike, and nothing looks like a broken cable."""
+    model = replace(MODEL, continuous=(0.03,) * 14, heating=3.0)
+    world = World(model)
+    world.stiffness = 1.0
+    world.armed()
+    world.run(4.0)
+    assert max(world.device.counts) < 3200, "faded"
+    world.host = GloveHost(model, SENSORS, lambda: world.line, Guard(model, ramp=0.2))
+    world.run(2.0)
+    world.host.arm(world.now)
+    world.run(1.0)
+    assert world.host.guard.state == GuardState.ARMED
+    commanded = np.array([torques for _, torques in world.host._watch._commands])[-1]
+    np.testing.assert_allclose(np.array(world.device.counts) * MODEL.quantum, commanded, atol=4e-3)

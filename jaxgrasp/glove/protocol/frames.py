@@ -47,7 +47,7 @@ class Kind(IntEnum):
     """Host to device: session, a number the host draws. A device gives up all torque at it, and answers."""
     CAPABILITY = 2
     """Device to host: session, channels, watchdog [ms], torque of a count [1e-7 N.m], largest count, largest change
-    of a torque [counts/ms], and a number that the device draws, which ARM must repeat."""
+    of a torque [counts/ms], a number that the device draws, which ARM must repeat, and its motors' heating [10 ms]."""
     COMMAND = 3
     """Host to device: torques [counts]."""
     ANGLES = 4
@@ -58,9 +58,14 @@ class Kind(IntEnum):
     """Host to device: session, and the device's number. What alone lets torques through and ends a latch."""
     STATUS = 7
     """Device to host: session, state, cause; then four numbers of 32 bits, low half first: commands accepted,
-    missing, stale, frames refused; and the newest sequence number."""
+    missing, stale, frames refused; the newest sequence number; and of one channel after the other its index and its
+    motor's warmth [1/1000 of what it bears for ever]."""
     STOP = 8
     """Host to device: emergency stop, acted on whatever its age and number."""
+    LIMITS = 9
+    """Device to host, after CAPABILITY: largest counts, by channel."""
+    CONTINUOUS = 10
+    """Device to host, after LIMITS: largest counts that the motors bear for ever, by channel."""
 
 
 class Flag(IntFlag):

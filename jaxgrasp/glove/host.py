@@ -12,6 +12,7 @@ from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.passivity import PassivityWatch
 from jaxgrasp.glove.protocol.device import REASONS, Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
@@ -104,6 +105,7 @@ class GloveHost(GloveDevice):
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
         self._encoder_watch = EncoderWatch(model.joints)
         self._pace = Pace(baud, LINE_SIZE)
+        self._passivity = PassivityWatch(model, 1.5 * self._pace.frame_time)
         # There, and three frames back, each way after a frame that is already on it, and a turn.
         self._repeat = max(REPEAT, 7 * self._pace.frame_time)
         self._patience = max(ARMING, 4 * self._repeat)
@@ -136,6 +138,7 @@ class GloveHost(GloveDevice):
         self.guard.disarm()
         self._watch.forget()
         self._encoder_watch.forget()
+        self._passivity.forget()
 
     def stop(self, now: float) -> None:
         """Emergency stop: said to the device, too, until it says that it holds nothing for that."""
@@ -157,7 +160,7 @@ class GloveHost(GloveDevice):
         return self.reading
 
     def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
-        output = self.guard.step(now, wanted, measured_at)
+        output = self.guard.step(now, self._passivity.damped(wanted), measured_at)
         if self.guard.state != GuardState.ARMED and self.state == LinkState.ARMED:
             self.state = LinkState.LINKED
         if self.state == LinkState.ARMING:
@@ -220,6 +223,7 @@ class GloveHost(GloveDevice):
             self.counts.commands += 1
             if armed:
                 self._watch.commanded(now, output.torques)
+                self._passivity.commanded(now, output.torques)
 
     def _connect(self, now: float) -> None:
         if self.state > LinkState.GREETING or now < self._next:
@@ -325,8 +329,8 @@ class GloveHost(GloveDevice):
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
             self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
-            if self.state == LinkState.ARMED and (fault := self._encoder_watch.fault(sent_at, self.reading.angles)):
-                self.guard.trip(fault)
+            if self.state == LinkState.ARMED:
+                self._check_angles(sent_at)
         elif frame.kind == Kind.TENSIONS:
             self.reading.torques, self.reading.saturated = self._sensors.gauges.torques(counts)
             self.reading.torques_at = sent_at
@@ -367,6 +371,12 @@ class GloveHost(GloveDevice):
             self.guard.trip(
                 f"the line takes {1e3 * trip:.0f} ms there and back: {1e3 * self._longest_trip:.0f} at most"
             )
+
+    def _check_angles(self, at: float) -> None:
+        angles = self.reading.angles
+        fault = self._encoder_watch.fault(at, angles) or self._passivity.moved(at, angles)
+        if fault:
+            self.guard.trip(fault)
 
     def _check_tension(self, at: float) -> None:
         torques = self.reading.torques

@@ -75,6 +75,20 @@ def test_faults_zero_both_sides_in_time_and_stay_until_armed():
         assert min(world.device.counts) > 3000
 
 
+@pytest.mark.parametrize("stiffness", [0.02, 0.06])
+def test_a_cable_that_comes_off_under_a_weak_torque_latches(stiffness):
+    world = World()
+    world.stiffness = stiffness
+    world.bend(0.6)
+    world.run(0.5)
+    world.host.arm(world.now)
+    world.run(1.0)
+    assert world.host.guard.state == GuardState.ARMED and max(world.device.counts) < 4000
+    world.simulation.obey({"slack": 3}, world.now)
+    world.run(1.2)
+    assert world.host.guard.state == GuardState.LATCHED and "its cable is slack" in world.host.guard.cause
+
+
 @pytest.mark.parametrize("counts", [32767, -32768, 8000, -3000])
 def test_encoders_that_jump_latch_before_their_angle_is_acted_on(counts):
     world = World().armed()

@@ -59,6 +59,8 @@ class RunExperiment:
     """Protocol of the glove: `native`, `lucidgloves`, or MODULE:CLASS, as for `jaxgrasp glove run`."""
     full_scale: int = 4095
     """Largest number that a LucidGloves sends."""
+    log: Path | None = None
+    """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()

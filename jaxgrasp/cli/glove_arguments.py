@@ -31,6 +31,14 @@ class GloveDriven(GloveFiles):
 
 
 @dataclass(frozen=True)
+class GloveArmed(GloveDriven):
+    """Which glove, how it is spoken to, and where it is on record why it let go."""
+
+    log: Path | None = None
+    """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
+
+
+@dataclass(frozen=True)
 class Simulate(GloveFiles):
     """Run a simulated glove behind a pseudo-terminal as slow as a serial line, until interrupted (Linux, macOS)."""
 
@@ -57,7 +65,7 @@ class Monitor(GloveDriven):
 
 
 @dataclass(frozen=True)
-class Run(GloveDriven):
+class Run(GloveArmed):
     """Let a hand in a glove feel an object that it grasps and lifts.
 
     Without a port, all of it happens in virtual time, on a simulated glove whose cable is cut: glove.csv and glove.png

@@ -59,7 +59,7 @@ def run_command(arguments: Run) -> int:
 def _check_ends(arguments: Run) -> Alignment | None:
     """What is at both ends is there and can be used, before anything compiles; the tracker's alignment."""
     if arguments.port is None and arguments.connect is None:
-        for name in ("seconds", "control", "tracker", "alignment"):
+        for name in ("seconds", "control", "tracker", "alignment", "log"):
             if getattr(arguments, name):
                 raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
         if arguments.device != "native":

@@ -161,6 +161,10 @@ class GloveDevice(ABC):
         """What the glove says besides, such as its buttons, for a person who watches."""
         return ""
 
+    def last_frames(self) -> list[dict[str, Any]]:
+        """What went to and fro last, oldest first, for a record of why torque ended; of a device that keeps it."""
+        return []
+
     @abstractmethod
     def report(self) -> dict[str, Any]:
         """What it has counted, for a summary in JSON."""

@@ -1,6 +1,7 @@
 """The host's side of the native protocol: greet, arm, command, read; and zero whenever something is wrong."""
 
 import random
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -42,6 +43,8 @@ LONGEST_WATCHDOG = 50
 LONGEST_WAIT = 0.015
 """How long a frame and its answer may wait on their way, beside the time that they take [s]."""
 SESSIONS = 2**15
+KEPT = 100
+"""Last frames that are kept, of both ways together: a quarter of a second."""
 BOUNDS = (Kind.LIMITS, Kind.CONTINUOUS)
 """What follows a CAPABILITY, before a device may be armed."""
 SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
@@ -122,6 +125,7 @@ class GloveHost(GloveDevice):
         self._is_greeted = self._stops = False
         self._flags, self._cause = NO_FLAGS, int(Cause.NONE)
         self._was_cut = False
+        self._last: deque[tuple[float, str, Frame]] = deque(maxlen=KEPT)
 
     def arm(self, now: float, accepted: str = "") -> None:
         if self.state < LinkState.LINKED:
@@ -191,6 +195,12 @@ class GloveHost(GloveDevice):
         heard = {"heard": self.reader.accepted, "missing": self.counts.missing + self.order.missing, "refused": refused}
         return counts | heard | {"links": self.counts.links, "device": self.counts.status}
 
+    def last_frames(self) -> list[dict[str, Any]]:
+        return [
+            {"at": at, "way": way, **vars(frame), "kind": frame.kind.name, "flags": int(frame.flags)}
+            for at, way, frame in self._last
+        ]
+
     def _ask(self, now: float) -> None:
         """Ask for torque, in a new session: however many frames were lost before, the device counts anew."""
         if now < self._next:
@@ -259,9 +269,12 @@ class GloveHost(GloveDevice):
         # Two frames of one instant would be one and the same to a device.
         self._ticks = max(int(now * 1e6), self._ticks + 1)
         padded = values + (0,) * (CHANNELS - len(values))
-        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags, self._heard_clock))
+        frame = Frame(kind, self._number, self._ticks % TICKS, padded, flags, self._heard_clock)
+        self._last.append((now, "out", frame))
+        return encode(frame)
 
     def _take(self, now: float, frame: Frame) -> None:
+        self._last.append((now, "in", frame))
         if frame.kind == Kind.CAPABILITY:
             self._greeted(now, frame)
         elif frame.kind in self._unsaid and self.order.is_new(frame.sequence):

@@ -12,6 +12,7 @@ import pytest
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.latch_log import read_latches
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
@@ -92,6 +93,29 @@ def test_torque_is_gone_in_time(simulator, tmp_path, end):
         engine.hold()
     assert last_torque(tmp_path / "record") > latched
     assert glove.summary["turns"] > 100
+
+
+def test_each_latch_is_on_record(simulator, tmp_path):
+    path = tmp_path / "latches.jsonl"
+    with GloveProcess(simulator.port, 14, scale=1.0, ramp=0.2, log=str(path)) as glove:
+        engine = Engine(glove)
+        for order in ({"cut": 0.3}, {"press": True}):
+            engine.hold()
+            simulator.order(**order)
+            engine.run(1.0, lambda state: state.guard == GuardState.LATCHED)
+            engine.run(0.5)
+        simulator.order(press=False)
+        engine.run(0.3)
+        engine.hold()
+        glove.stop()
+        engine.run(0.3)
+    causes = [event["cause"] for event in glove.events() if event["guard"] == "LATCHED"]
+    found = read_latches(path)
+    assert "its emergency stop was pressed" in found[-2]["cause"] and "asked for at the host" in found[-1]["cause"]
+    assert len(found) >= 3 and all(one["cause"] in causes for one in found)
+    for one in found:
+        assert one["turns"] > 0 and one["overruns"] >= 0 and one["counts"]["heard"] > 0 and len(one["frames"]) > 50
+        assert one["frames"][-1]["at"] <= one["at"] + 1e-6
 
 
 def test_what_cannot_be_done_is_said(simulator):

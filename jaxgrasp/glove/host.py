@@ -36,6 +36,10 @@ REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""
 ARMING = 0.5
 """How long a device may take to say that it is armed [s]."""
+SILENT = 0.025
+"""How long no angles may come [s], on a fast line: with what is on its way then, torque ends in 55 ms."""
+SILENT_FRAMES = 6
+"""The same in frames of a slow line: between two of angles there are two others at most."""
 OLDEST_TENSION = 0.15
 """Age of the tensions beyond which nobody knows what the cables do [s]."""
 LONGEST_WATCHDOG = 50
@@ -121,7 +125,8 @@ class GloveHost(GloveDevice):
         """Time until a frame of the device answers ours."""
         self._longest_trip = 2 * self._pace.frame_time + longest_wait
         self._heard_clock = 0
-        self._next = self._asked_at = self._heard_at = -np.inf
+        self._silent = max(SILENT, SILENT_FRAMES * self._pace.frame_time)
+        self._next = self._asked_at = self._heard_at = self._angles_came = -np.inf
         self._is_greeted = self._stops = False
         self._flags, self._cause = NO_FLAGS, int(Cause.NONE)
         self._was_cut = False
@@ -341,6 +346,7 @@ class GloveHost(GloveDevice):
         self._flags, self._cause = frame.flags, frame.cause
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
+            self._angles_came = now
             self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
             if self.state == LinkState.ARMED:
                 self._check_angles(sent_at)
@@ -363,6 +369,8 @@ class GloveHost(GloveDevice):
         if self.state == LinkState.ARMING and enabled and self._is_greeted:
             self.state = LinkState.ARMED
             self.guard.arm(now)
+            # Its answers to a greeting took the place of angles.
+            self._angles_came = now
         elif self.state == LinkState.ARMED and not enabled:
             self.guard.trip(self._why_not_enabled())
             self.state = LinkState.LINKED
@@ -376,7 +384,10 @@ class GloveHost(GloveDevice):
         return f"the device latched: {REASONS[Cause(self._cause)] if known else f'cause {self._cause}'}"
 
     def _check_link(self, now: float) -> None:
-        """Trip where the device's words are there, but late, or lack something."""
+        """Trip where the device's words are late, or lack something."""
+        if now - self._angles_came > self._silent:
+            alone = now - self._heard_at <= self._silent
+            self.guard.trip("the encoders fell silent" if alone else "the device fell silent")
         if now - self.reading.torques_at > OLDEST_TENSION:
             self.guard.trip("the strain gauges fell silent")
         trip = self.round_trip.least(now)

@@ -123,7 +123,7 @@ class Bench:
         """What is said to an order; not what may come between, that it let go while the machine was busy."""
         self.process.stdin.write(order + "\n")
         self.process.stdin.flush()
-        while "forces come too late" in (said := self.line()) or "says that they are not valid" in said:
+        while "torque is zero" in (said := self.line()):
             pass
         return said
 

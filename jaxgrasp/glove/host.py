@@ -358,7 +358,7 @@ class GloveHost(GloveDevice):
         elif frame.kind == Kind.STATUS:
             self.counts.status = read_status(frame.values)
             channel, warmth = frame.values[12:]
-            self.guard.is_warm(channel, warmth / 1000)
+            self.guard.learn_warmth(channel, warmth / 1000)
         self._follow(now)
 
     def _follow(self, now: float) -> None:

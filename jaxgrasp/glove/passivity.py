@@ -1,8 +1,8 @@
 """Whether a glove gives a hand more energy than it took: what springs that answer late do, and what shakes.
 
 The time-domain passivity observer and controller of Hannaford and Ryu [1], a channel each: energy is counted where
-torque and angle meet; where more came out than a joint may give back, torque is added against its speed; where that is
-not enough, torque is to end.
+torque and angle meet; where a joint has little left to give back, its torque is lowered, and added to against its
+speed, since a glove's torques change too slowly for damping alone; where that is not enough, torque is to end.
 
 [1] B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Transactions on Robotics and
 Automation 18(1), 2002.
@@ -77,15 +77,17 @@ class PassivityWatch:
         return f"{self._joints[int(np.argmax(lost))]} gives the hand more energy than it took: it shakes, or pushes"
 
     def damped(self, wanted: Any) -> Any:
-        """Torques that are asked for [N.m], and what damps where a joint gave more than it may; others as they are."""
+        """Torques that are asked for [N.m], less of them and damped where a joint has little left to give.
+
+        What are no torques stay what they are, for the guard to refuse.
+        """
         share = np.clip(1 - self.energy / (LOW * self._limits), 0, 1)
         if not share.any():
             return wanted
-        damping = DAMPING * share * self._limits
         try:
-            asked = np.asarray(wanted, float)
-        except (TypeError, ValueError):
+            asked = np.asarray(wanted)
+        except ValueError:
             return wanted
-        if asked.shape != damping.shape:
+        if asked.dtype.kind not in "fiu" or asked.shape != share.shape:
             return wanted
-        return asked * (1 - share) + damping * self._speeds
+        return asked * (1 - share) + DAMPING * share * self._limits * self._speeds

@@ -26,7 +26,7 @@ class Warmth:
         self._squares = np.zeros(len(model.limits))
         self._at = math.inf
 
-    def is_at_least(self, channel: int, share: float) -> None:
+    def raise_to(self, channel: int, share: float) -> None:
         """A motor is known to be as warm as a share of what it bears for ever, or warmer: the device says so."""
         if self._continuous is not None and 0 <= channel < len(self._squares):
             self._squares[channel] = max(self._squares[channel], share * self._continuous[channel] ** 2)

@@ -129,7 +129,7 @@ def test_it_damps_against_the_speed_and_passes_on_what_is_no_torque():
     assert (watch.energy < 0).all() and fault == ""
     wanted = np.full(14, 0.1)
     assert np.all(watch.damped(wanted) < 0)
-    for bad in (None, "torque", [1.0], np.full(14, np.nan), [[0], [0, 0]]):
+    for bad in (None, "torque", [1.0], np.full(14, np.nan), [[0], [0, 0]], ["0.1"] * 14, [1j] * 14):
         assert watch.damped(bad) is bad or np.all(np.isnan(watch.damped(bad)))
     for k in range(30, 60):
         fault = fault or watch.moved(0.01 * k, np.full(14, -0.02 * k))

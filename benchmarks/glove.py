@@ -181,6 +181,24 @@ def zero_times(plan: Plan) -> list[dict]:
     return [*rows, network_cut(plan)]
 
 
+def drifting_faults(plan: Plan) -> list[dict]:
+    """How long a device that shares no code with the host holds torque after a fault, while delays drift [ms]."""
+    from tests.glove.independent_rig import FAULTS, WAYS, one_fault
+
+    rng = random.Random(4)
+    return [
+        {
+            "fault": name,
+            "milliseconds": [
+                1e3 * one_fault(name, way, rng.randrange(2**30), rng.uniform(-0.005, 0.005), rng.uniform(0.2, 1.2))
+                for _ in range(max(plan.trials // 4, 1))
+                for way in WAYS
+            ],
+        }
+        for name in FAULTS
+    ]
+
+
 def stall(seconds: float) -> None:
     """Hold the interpreter's lock, as a long call of a library in C would."""
     ctypes.PyDLL(None).usleep(ctypes.c_uint(int(1e6 * seconds)))
@@ -352,6 +370,7 @@ SECTIONS: dict[str, Callable[[Plan], Any]] = {
     "frames": frames,
     "rubbish": rubbish,
     "zero_times": zero_times,
+    "drifting_faults": drifting_faults,
     "relinks": relinks,
     "ticks": ticks,
     "long_run": long_run,

@@ -61,6 +61,8 @@ class RunExperiment:
     """Largest number that a LucidGloves sends."""
     screen: str | None = None
     """Terminal of the person, as `jaxgrasp experiment screen` says it there; this one, where not given."""
+    log: Path | None = None
+    """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()

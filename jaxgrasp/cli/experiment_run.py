@@ -20,7 +20,7 @@ from jaxgrasp.cli.experiment_plan import (
     warnings,
 )
 from jaxgrasp.cli.glove import which_glove
-from jaxgrasp.cli.glove_arguments import GloveDriven
+from jaxgrasp.cli.glove_arguments import GloveArmed
 from jaxgrasp.cli.glove_orders import FIRST, FULL, GOES_ON, until_armed
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.other_terminal import OtherTerminal
@@ -198,8 +198,8 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
 
 def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:
     """As [`which_glove`][jaxgrasp.cli.glove.which_glove] has it."""
-    named = ("calibration", "baud", "device", "full_scale")
-    return which_glove(GloveDriven(model=arguments.glove, **{name: getattr(arguments, name) for name in named}))
+    named = ("calibration", "baud", "device", "full_scale", "log")
+    return which_glove(GloveArmed(model=arguments.glove, **{name: getattr(arguments, name) for name in named}))
 
 
 def _check_linked(glove: GloveProcess, port: str) -> None:

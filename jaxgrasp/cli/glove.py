@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.cli.glove_arguments import GloveDriven, GloveFiles, Monitor, Ports, Simulate
+from jaxgrasp.cli.glove_arguments import GloveArmed, GloveDriven, GloveFiles, Monitor, Ports, Simulate
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.lock import FolderHeldError, locked
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import device_kind, make_device
 from jaxgrasp.glove.glove_device import GloveDevice, LinkState
 from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.latch_log import check_latch_log
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
@@ -47,6 +48,9 @@ def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sens
         check_positive(arguments, "full_scale")
         device_kind(arguments.device)
         options |= {"device": arguments.device, "full_scale": arguments.full_scale}
+    if isinstance(arguments, GloveArmed) and arguments.log is not None:
+        check_latch_log(arguments.log)
+        options |= {"log": str(arguments.log.resolve())}
     return options, *load_model(options)
 
 

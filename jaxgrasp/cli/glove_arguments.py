@@ -31,6 +31,14 @@ class GloveDriven(GloveFiles):
 
 
 @dataclass(frozen=True)
+class GloveArmed(GloveDriven):
+    """Which glove, how it is spoken to, and where it is on record why it let go."""
+
+    log: Path | None = None
+    """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
+
+
+@dataclass(frozen=True)
 class Simulate(GloveFiles):
     """Run a simulated glove behind a pseudo-terminal as slow as a serial line, until interrupted (Linux, macOS)."""
 
@@ -57,12 +65,13 @@ class Monitor(GloveDriven):
 
 
 @dataclass(frozen=True)
-class Run(GloveDriven):
+class Run(GloveArmed):
     """Let a hand in a glove feel an object that it grasps and lifts.
 
     Without a port, all of it happens in virtual time, on a simulated glove whose cable is cut: glove.csv and glove.png
     show it. With one, it happens now; orders are typed: `arm` (at 5 % of the torque), `full` (all of it), `disarm`,
-    `quit`. A device without a watchdog, as LucidGloves, is armed by a sentence that it asks for.
+    `stop` (emergency stop, here and in the glove), `quit`. A device without a watchdog, as LucidGloves, is armed by a
+    sentence that it asks for.
     """
 
     scene: tyro.conf.Positional[str] = "cylinder"
@@ -95,8 +104,9 @@ class Run(GloveDriven):
     """Be the glove's host for an engine elsewhere: HOST:PORT to be called at (UDP)."""
     connect: str | None = None
     """Be the engine for a glove elsewhere: its host's HOST:PORT."""
-    key: str = ""
-    """Key that host and engine share, in hexadecimal; without one, anyone on the network can speak."""
+    key_file: Path | None = None
+    """File of the key that host and engine share, 32 to 128 hexadecimal digits, readable by its owner alone; the
+    environment's JAXGRASP_GLOVE_KEY where not given. Without a key anyone on the network can speak."""
     out: Path = Path("jaxgrasp-glove-run")
     """Folder for what happened, without a port."""
 

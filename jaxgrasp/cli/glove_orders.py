@@ -83,6 +83,10 @@ class Orders:
 
     def _obey(self, order: str) -> str:
         try:
+            if order == "stop":
+                self._felt_first = False
+                self._glove.stop()
+                return "emergency stop: no torque, here and in the glove; type arm to go on"
             if order == "disarm":
                 with self._asked:
                     self._felt_first = False
@@ -92,7 +96,7 @@ class Orders:
                 return self._arm(FIRST if order == "arm" else FULL)
         except (ValueError, OSError) as error:
             return str(error)
-        return f"{order!r} is no order: expected arm, full, disarm or quit"
+        return f"{order!r} is no order: expected arm, full, disarm, stop or quit"
 
     def _arm(self, scale: float) -> str:
         if self._accepted != self._acceptance:

@@ -21,6 +21,7 @@ from jaxgrasp.glove.loop.peers import EngineLink
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.network.link_key import VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.grip.human_scale import beyond_human
@@ -33,6 +34,7 @@ from jaxgrasp.report.glove_picture import write_glove_picture
 from jaxgrasp.validation.fields import check_positive
 
 COMPILED = "the hand, its contacts and its torques"
+KEYLESS = f"warning: no key: anyone on the network can speak for the other side; give both --key-file, or {VARIABLE}"
 OLDEST_POSE = 0.1
 """Age beyond which a tracker's pose is not acted on [s]."""
 
@@ -60,7 +62,7 @@ def run_command(arguments: Run) -> int:
 def _check_ends(arguments: Run) -> Alignment | None:
     """What is at both ends is there and can be used, before anything compiles; the tracker's alignment."""
     if arguments.port is None and arguments.connect is None:
-        for name in ("seconds", "control", "tracker", "alignment"):
+        for name in ("seconds", "control", "tracker", "alignment", "log"):
             if getattr(arguments, name):
                 raise ValueError(f"{name} needs the port of a glove: without one, all happens in virtual time")
         if arguments.device != "native":
@@ -68,7 +70,8 @@ def _check_ends(arguments: Run) -> Alignment | None:
     for name in ("listen", "connect"):
         if (address := getattr(arguments, name)) is not None:
             _address(name, address)
-    _key(arguments.key)
+            if not load_key(arguments.key_file):
+                announce(KEYLESS)
     alignment = None if arguments.alignment is None else load_alignment(arguments.alignment)
     for port, baud in ((arguments.port, arguments.baud), (arguments.tracker, arguments.tracker_baud)):
         if port is not None:
@@ -124,9 +127,11 @@ def _said(story: Story) -> str:
 def _serve(arguments: Run, model: GloveModel, options: dict) -> int:
     """Own the glove's line for an engine that calls."""
     host, port = _address("listen", arguments.listen or "")
-    extra = {"listen": (host, port), "key": arguments.key, "scale": FIRST, "projection": arguments.projection}
+    extra = {"listen": (host, port), "scale": FIRST, "projection": arguments.projection}
+    if arguments.key_file is not None:
+        extra["key_file"] = str(arguments.key_file.resolve())
     with GloveProcess(arguments.port or "", len(model.joints), **options, **extra, control=arguments.control) as glove:
-        show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, quit")
+        show(f"waits for an engine at {host}:{port}; orders: arm, full, disarm, stop, quit")
         orders = Orders(glove, device_kind(arguments.device).acceptance)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         while not orders.is_over and (end is None or time.perf_counter() < end) and glove.is_alive():
@@ -154,7 +159,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         else:
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
-                show("ready; orders: arm, full, disarm, quit")
+                show("ready; orders: arm, full, disarm, stop, quit")
                 orders = Orders(glove, device_kind(arguments.device).acceptance)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
                 times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)
@@ -172,7 +177,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
 def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None) -> TickTimes:
     host, port = _address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
-    engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=_key(arguments.key)), channels)
+    engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=load_key(arguments.key_file)), channels)
     show(f"calls {host}:{port}; the glove is armed there")
     try:
         return run_loop(
@@ -216,10 +221,3 @@ def _address(name: str, text: str) -> tuple[str, int]:
     if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
         raise ValueError(f"{name} is {text!r}: expected HOST:PORT")
     return host, int(port)
-
-
-def _key(text: str) -> bytes:
-    try:
-        return bytes.fromhex(text)
-    except ValueError:
-        raise ValueError("key is no hexadecimal number") from None

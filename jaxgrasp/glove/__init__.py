@@ -9,6 +9,7 @@ from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, load_sensors, sav
 from jaxgrasp.glove.glove_device import Capability, GloveDevice, LinkState, Reading
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.host import GloveHost
+from jaxgrasp.glove.latch_log import read_latches
 from jaxgrasp.glove.line import Line, LineError, SerialLine
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
@@ -59,6 +60,7 @@ __all__ = [
     "lrp_hand_master",
     "lucidgloves",
     "nominal_sensors",
+    "read_latches",
     "read_record",
     "save_sensors",
 ]

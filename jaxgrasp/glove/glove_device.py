@@ -16,6 +16,7 @@ REOPEN = 0.25
 """Time between attempts to open a port [s]."""
 SILENCE = 0.25
 """How long a device may say nothing before it counts as gone [s]."""
+STOPPED_HERE = "emergency stop: asked for at the host"
 
 
 class LinkState(IntEnum):
@@ -105,6 +106,11 @@ class GloveDevice(ABC):
         self.guard.disarm()
         self.state = min(self.state, LinkState.LINKED)
 
+    def stop(self, now: float) -> None:
+        """Emergency stop: no torque from the next command on, and latched, whatever the state; it raises nothing."""
+        self.guard.stop(STOPPED_HERE)
+        self.state = min(self.state, LinkState.LINKED)
+
     @abstractmethod
     def poll(self, now: float) -> Reading:
         """Take what came; open and greet where that is due."""
@@ -154,6 +160,10 @@ class GloveDevice(ABC):
     def also_says(self) -> str:
         """What the glove says besides, such as its buttons, for a person who watches."""
         return ""
+
+    def last_frames(self) -> list[dict[str, Any]]:
+        """What went to and fro last, oldest first, for a record of why torque ended; of a device that keeps it."""
+        return []
 
     @abstractmethod
     def report(self) -> dict[str, Any]:

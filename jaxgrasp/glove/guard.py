@@ -128,6 +128,15 @@ class Guard:
             self.state, self.cause = GuardState.LATCHED, cause
         self._level[:] = 0
 
+    def learn_warmth(self, channel: int, share: float) -> None:
+        """A device says how warm a motor is, as a share of what it bears for ever: it may have known it for longer."""
+        self._warmth.raise_to(channel, share)
+
+    def stop(self, cause: str) -> None:
+        """Zero and latched, whatever its state: an emergency stop."""
+        self.state, self.cause = GuardState.LATCHED, cause
+        self._level[:] = 0
+
     def step(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
         """What may leave at a time.
 

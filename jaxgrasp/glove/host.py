@@ -1,6 +1,7 @@
 """The host's side of the native protocol: greet, arm, command, read; and zero whenever something is wrong."""
 
 import random
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +13,8 @@ from jaxgrasp.glove.glove_device import REOPEN, SILENCE, Capability, GloveDevice
 from jaxgrasp.glove.guard import Guard, GuardOutput, GuardState
 from jaxgrasp.glove.line import Line, LineError, Pace
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.protocol.device import Cause, DeviceState
+from jaxgrasp.glove.passivity import PassivityWatch
+from jaxgrasp.glove.protocol.device import REASONS, Cause, DeviceState
 from jaxgrasp.glove.protocol.frames import (
     CHANNELS,
     LINE_SIZE,
@@ -34,6 +36,10 @@ REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""
 ARMING = 0.5
 """How long a device may take to say that it is armed [s]."""
+SILENT = 0.025
+"""How long no angles may come [s], on a fast line: with what is on its way then, torque ends in 55 ms."""
+SILENT_FRAMES = 6
+"""The same in frames of a slow line: between two of angles there are two others at most."""
 OLDEST_TENSION = 0.15
 """Age of the tensions beyond which nobody knows what the cables do [s]."""
 LONGEST_WATCHDOG = 50
@@ -41,6 +47,10 @@ LONGEST_WATCHDOG = 50
 LONGEST_WAIT = 0.015
 """How long a frame and its answer may wait on their way, beside the time that they take [s]."""
 SESSIONS = 2**15
+KEPT = 100
+"""Last frames that are kept, of both ways together: a quarter of a second."""
+BOUNDS = (Kind.LIMITS, Kind.CONTINUOUS)
+"""What follows a CAPABILITY, before a device may be armed."""
 SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
 """What only a device says: a line that echoes brings the host's own frames back."""
 
@@ -102,21 +112,25 @@ class GloveHost(GloveDevice):
         self._watch = TensionWatch(len(model.joints)) if watch is None else watch
         self._encoder_watch = EncoderWatch(model.joints)
         self._pace = Pace(baud, LINE_SIZE)
-        # There and back, each after a frame that is already on its way.
-        self._repeat = max(REPEAT, 5 * self._pace.frame_time)
+        self._passivity = PassivityWatch(model, 1.5 * self._pace.frame_time)
+        # There, and three frames back, each way after a frame that is already on it, and a turn.
+        self._repeat = max(REPEAT, 7 * self._pace.frame_time)
         self._patience = max(ARMING, 4 * self._repeat)
         self._line: Line | None = None
         self._number, self._ticks = random.randrange(SEQUENCES), 0
         self._session = self._nonce = 0
+        self._unsaid: list[Kind] = []
         self._clock = PeerClock(self._pace.frame_time)
         self.round_trip = RoundTrip()
         """Time until a frame of the device answers ours."""
         self._longest_trip = 2 * self._pace.frame_time + longest_wait
         self._heard_clock = 0
-        self._next = self._asked_at = self._heard_at = -np.inf
-        self._is_greeted = False
-        self._flags = NO_FLAGS
+        self._silent = max(SILENT, SILENT_FRAMES * self._pace.frame_time)
+        self._next = self._asked_at = self._heard_at = self._angles_came = -np.inf
+        self._is_greeted = self._stops = False
+        self._flags, self._cause = NO_FLAGS, int(Cause.NONE)
         self._was_cut = False
+        self._last: deque[tuple[float, str, Frame]] = deque(maxlen=KEPT)
 
     def arm(self, now: float, accepted: str = "") -> None:
         if self.state < LinkState.LINKED:
@@ -125,11 +139,21 @@ class GloveHost(GloveDevice):
             raise ValueError("the glove cannot be armed: its encoders say nothing")
         if not now - self.reading.torques_at <= ARMING:
             raise ValueError("the glove cannot be armed: its strain gauges say nothing")
+        if Flag.PRESSED in self._flags:
+            raise ValueError("the glove cannot be armed: its emergency stop is pressed")
         self.state, self._asked_at, self._next, self._is_greeted = LinkState.ARMING, now, now, False
+        self._stops = False
         self._session = random.randrange(SESSIONS)
         self.guard.disarm()
         self._watch.forget()
         self._encoder_watch.forget()
+        self._passivity.forget()
+
+    def stop(self, now: float) -> None:
+        """Emergency stop: said to the device, too, until it says that it holds nothing for that."""
+        super().stop(now)
+        self._stops = True
+        self._send(now, Kind.STOP, ())
 
     def poll(self, now: float) -> Reading:
         try:
@@ -145,11 +169,14 @@ class GloveHost(GloveDevice):
         return self.reading
 
     def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
-        output = self.guard.step(now, wanted, measured_at)
+        output = self.guard.step(now, self._passivity.damped(wanted), measured_at)
         if self.guard.state != GuardState.ARMED and self.state == LinkState.ARMED:
             self.state = LinkState.LINKED
         if self.state == LinkState.ARMING:
             self._ask(now)
+        elif self._stops:
+            # However often it takes: a device stops where it hears it, whatever else is on the line.
+            self._send(now, Kind.STOP, ())
         elif self.state >= LinkState.LINKED:
             self._command(now, output)
         return output
@@ -172,6 +199,12 @@ class GloveHost(GloveDevice):
         counts = {"commands": self.counts.commands, "held_back": self.counts.held_back, "cut": self.counts.cut}
         heard = {"heard": self.reader.accepted, "missing": self.counts.missing + self.order.missing, "refused": refused}
         return counts | heard | {"links": self.counts.links, "device": self.counts.status}
+
+    def last_frames(self) -> list[dict[str, Any]]:
+        return [
+            {"at": at, "way": way, **vars(frame), "kind": frame.kind.name, "flags": int(frame.flags)}
+            for at, way, frame in self._last
+        ]
 
     def _ask(self, now: float) -> None:
         """Ask for torque, in a new session: however many frames were lost before, the device counts anew."""
@@ -205,6 +238,7 @@ class GloveHost(GloveDevice):
             self.counts.commands += 1
             if armed:
                 self._watch.commanded(now, output.torques)
+                self._passivity.commanded(now, output.torques)
 
     def _connect(self, now: float) -> None:
         if self.state > LinkState.GREETING or now < self._next:
@@ -240,17 +274,23 @@ class GloveHost(GloveDevice):
         # Two frames of one instant would be one and the same to a device.
         self._ticks = max(int(now * 1e6), self._ticks + 1)
         padded = values + (0,) * (CHANNELS - len(values))
-        return encode(Frame(kind, self._number, self._ticks % TICKS, padded, flags, self._heard_clock))
+        frame = Frame(kind, self._number, self._ticks % TICKS, padded, flags, self._heard_clock)
+        self._last.append((now, "out", frame))
+        return encode(frame)
 
     def _take(self, now: float, frame: Frame) -> None:
+        self._last.append((now, "in", frame))
         if frame.kind == Kind.CAPABILITY:
             self._greeted(now, frame)
+        elif frame.kind in self._unsaid and self.order.is_new(frame.sequence):
+            self._bounded(now, frame)
         elif self.state >= LinkState.LINKED and frame.kind in SPOKEN and self.order.is_new(frame.sequence):
             self._hear(now, frame)
 
     def _greeted(self, now: float, frame: Frame) -> None:
         """A device that answers, if it is the one that the model describes."""
-        session, channels, watchdog, quantum, most, slew, nonce = frame.values[:7]
+        session, channels, watchdog, quantum, most, slew, nonce, heating = frame.values[:8]
+        self._unsaid = []
         if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
             return
         expected = round(self.model.quantum * 1e7)
@@ -264,30 +304,52 @@ class GloveHost(GloveDevice):
             self.trouble = f"the device goes to {most} counts: expected {max(self.model.most_counts)} at most"
         elif not 0 < slew <= round(self.model.rate / self.model.quantum / 1000):
             self.trouble = f"the device changes by {slew} counts/ms: expected {self.model.rate:g} N.m/s at most"
+        elif self.model.continuous is not None and not 0 < heating % SEQUENCES <= round(100 * self.model.heating):
+            self.trouble = (
+                f"the device's motors warm in {heating % SEQUENCES / 100:g} s: expected {self.model.heating:g}"
+            )
         else:
-            if self.state == LinkState.GREETING:
-                self.state = LinkState.LINKED
-                self.counts.links += 1
-            # Whatever the device said before, it has no torque now; an answer to ARM can only come after this.
-            self.trouble, self._is_greeted, self._flags = "", True, NO_FLAGS
-            self._heard_at = self._next = now
+            self.trouble, self._unsaid = "the device has not said all of its bounds", list(BOUNDS)
+            self._flags = frame.flags & Flag.PRESSED
+            self._heard_at = now
             self.counts.missing += self.order.missing
             self.order = Sequence(frame.sequence)
             self._clock = PeerClock(self._pace.frame_time)
             self.round_trip = RoundTrip()
             self._nonce, self._heard_clock = nonce, frame.clock
 
+    def _bounded(self, now: float, frame: Frame) -> None:
+        """Each channel's own bounds, after which nothing more is to be said."""
+        self._unsaid.remove(frame.kind)
+        peak = frame.kind == Kind.LIMITS
+        bounds = self.model.most_counts if peak or self.model.continuous is None else self.model.continuous_counts
+        for joint, count, most in zip(self.model.joints, frame.values, bounds, strict=False):
+            if not 0 <= count <= most:
+                for_ever = "" if peak else " for ever"
+                self.trouble = f"the device goes to {count} counts{for_ever} at {joint}: expected {most} at most"
+                self._unsaid = []
+                return
+        self._heard_at, self._heard_clock = now, frame.clock
+        if self._unsaid:
+            return
+        if self.state == LinkState.GREETING:
+            self.state = LinkState.LINKED
+            self.counts.links += 1
+        # Whatever the device said before, it has no torque now; an answer to ARM can only come after this.
+        self.trouble, self._is_greeted, self._next = "", True, now
+
     def _hear(self, now: float, frame: Frame) -> None:
         trip = (int(now * 1e6) - frame.echo) % TICKS * 1e-6
         self.round_trip.add(now, trip)
         sent_at = self._clock.sent_at(frame.clock, now, trip)
         self._heard_at, self._heard_clock = now, frame.clock
-        self._flags = frame.flags
+        self._flags, self._cause = frame.flags, frame.cause
         counts = np.array(frame.values[: len(self.model.joints)])
         if frame.kind == Kind.ANGLES:
+            self._angles_came = now
             self.reading.angles, self.reading.angles_at = self._sensors.encoders.angles(counts), sent_at
-            if self.state == LinkState.ARMED and (fault := self._encoder_watch.fault(sent_at, self.reading.angles)):
-                self.guard.trip(fault)
+            if self.state == LinkState.ARMED:
+                self._check_angles(sent_at)
         elif frame.kind == Kind.TENSIONS:
             self.reading.torques, self.reading.saturated = self._sensors.gauges.torques(counts)
             self.reading.torques_at = sent_at
@@ -295,20 +357,37 @@ class GloveHost(GloveDevice):
                 self._check_tension(sent_at)
         elif frame.kind == Kind.STATUS:
             self.counts.status = read_status(frame.values)
+            channel, warmth = frame.values[12:]
+            self.guard.learn_warmth(channel, warmth / 1000)
         self._follow(now)
 
     def _follow(self, now: float) -> None:
         """The device's own state decides whether torque may flow."""
         enabled = Flag.ENABLE in self._flags
+        stopped = Flag.LATCHED in self._flags and self._cause == Cause.STOPPED
+        self._stops = self._stops and not stopped
         if self.state == LinkState.ARMING and enabled and self._is_greeted:
             self.state = LinkState.ARMED
             self.guard.arm(now)
+            # Its answers to a greeting took the place of angles.
+            self._angles_came = now
         elif self.state == LinkState.ARMED and not enabled:
-            self.guard.trip("the device latched" if Flag.LATCHED in self._flags else "the device is not armed")
+            self.guard.trip(self._why_not_enabled())
             self.state = LinkState.LINKED
+        elif stopped and Flag.PRESSED in self._flags and self.guard.state != GuardState.LATCHED:
+            self.guard.stop(self._why_not_enabled())
+
+    def _why_not_enabled(self) -> str:
+        if Flag.LATCHED not in self._flags:
+            return "the device is not armed"
+        known = self._cause in Cause._value2member_map_
+        return f"the device latched: {REASONS[Cause(self._cause)] if known else f'cause {self._cause}'}"
 
     def _check_link(self, now: float) -> None:
-        """Trip where the device's words are there, but late, or lack something."""
+        """Trip where the device's words are late, or lack something."""
+        if now - self._angles_came > self._silent:
+            alone = now - self._heard_at <= self._silent
+            self.guard.trip("the encoders fell silent" if alone else "the device fell silent")
         if now - self.reading.torques_at > OLDEST_TENSION:
             self.guard.trip("the strain gauges fell silent")
         trip = self.round_trip.least(now)
@@ -316,6 +395,12 @@ class GloveHost(GloveDevice):
             self.guard.trip(
                 f"the line takes {1e3 * trip:.0f} ms there and back: {1e3 * self._longest_trip:.0f} at most"
             )
+
+    def _check_angles(self, at: float) -> None:
+        angles = self.reading.angles
+        fault = self._encoder_watch.fault(at, angles) or self._passivity.moved(at, angles)
+        if fault:
+            self.guard.trip(fault)
 
     def _check_tension(self, at: float) -> None:
         torques = self.reading.torques

@@ -64,6 +64,8 @@ class GloveModel:
     """Time constant by which a motor warms and cools [s]; that of small DC motors' windings is tens of seconds."""
     most_counts: tuple[int, ...] = field(init=False)
     """Largest count of each channel whose torque does not exceed its limit."""
+    continuous_counts: tuple[int, ...] = field(init=False)
+    """Largest count of each channel that its motor can hold for ever."""
 
     def __post_init__(self):
         if not 1 <= len(self.joints) <= MOST_CHANNELS:
@@ -91,7 +93,8 @@ class GloveModel:
             if torque > self.limits[k]:
                 raise ValueError(f"continuous[{k}] is {torque:g}: expected its limit, {self.limits[k]:g}, at most")
         self._check_coupled()
-        object.__setattr__(self, "most_counts", tuple(_most_counts(limit, self.quantum) for limit in self.limits))
+        for name, torques in (("most_counts", self.limits), ("continuous_counts", self.continuous or self.limits)):
+            object.__setattr__(self, name, tuple(_most_counts(torque, self.quantum) for torque in torques))
 
     def resisting(
         self, joints: Sequence[str], torques: Float[np.ndarray, "*batch J"]

@@ -5,12 +5,20 @@ from collections import deque
 import numpy as np
 from jaxtyping import Bool, Float
 
+SLOW = 0.3
+"""Time over which measured and commanded torques are averaged, to tell a slack cable from a weak command [s]."""
+SLACK = 0.25
+"""Part of the command's average below which the measured one is a slack cable's: friction takes a third."""
+FINEST = 0.001
+"""Tolerance of these averages, for gauges that are a little off [N.m]: a slack cable shows from 0.004 N.m on."""
+
 
 class TensionWatch:
     """Whether measured torques are what was commanded, cables' friction and delays allowed for.
 
     A torque is right if it lies between the least and the largest command of the last moments, each widened by an
-    absolute and a relative tolerance; only one that is wrong for a while without a pause is a fault.
+    absolute and a relative tolerance; only one that is wrong for a while without a pause is a fault. A cable is slack
+    whose torque stays far below its commands on the average of a longer time, which shows at weak commands too.
     """
 
     def __init__(
@@ -33,7 +41,8 @@ class TensionWatch:
         """
         self._absolute, self._relative, self._delay, self._patience = absolute, relative, delay, patience
         self._commands: deque[tuple[float, np.ndarray]] = deque()
-        self._wrong_since = np.full(channels, np.inf)
+        self._wrong_since, self._slack_since = np.full(channels, np.inf), np.full(channels, np.inf)
+        self._averages, self._averaged_at = np.zeros((2, channels)), np.inf
 
     def commanded(self, now: float, torques: Float[np.ndarray, "channels"]) -> None:
         """A command that leaves [N.m]."""
@@ -61,16 +70,30 @@ class TensionWatch:
         self._wrong_since = np.where(wrong, np.minimum(self._wrong_since, now), np.inf)
         late = now - self._wrong_since > self._patience
         if not late.any():
-            return ""
+            return self._slack(now, recent.mean(0), measured)
         k = int(np.argmax(late))
         return (
             f"channel {k} pulls {measured[k]:.3f} N.m: commanded {recent[:, k].min():.3f} to {recent[:, k].max():.3f}"
         )
 
+    def _slack(self, now: float, commanded: np.ndarray, measured: np.ndarray) -> str:
+        passed, self._averaged_at = max(now - self._averaged_at, 0.0), now
+        latest = np.array([commanded, np.where(np.isfinite(measured), measured, 0.0)])
+        self._averages += min(passed / SLOW, 1.0) * (latest - self._averages)
+        wanted, found = self._averages
+        is_slack = found < SLACK * wanted - FINEST
+        self._slack_since = np.where(is_slack, np.minimum(self._slack_since, now), np.inf)
+        slack = now - self._slack_since > self._patience
+        if not slack.any():
+            return ""
+        k = int(np.argmax(slack))
+        return f"channel {k} pulls {found[k]:.4f} N.m on the average: commanded {wanted[k]:.4f}; its cable is slack"
+
     def forget(self) -> None:
         """As new, for another arming."""
         self._commands.clear()
-        self._wrong_since[:] = np.inf
+        self._wrong_since[:] = self._slack_since[:] = np.inf
+        self._averages[:], self._averaged_at = 0, np.inf
 
 
 class TensionControl:

@@ -26,6 +26,11 @@ class Warmth:
         self._squares = np.zeros(len(model.limits))
         self._at = math.inf
 
+    def raise_to(self, channel: int, share: float) -> None:
+        """A motor is known to be as warm as a share of what it bears for ever, or warmer: the device says so."""
+        if self._continuous is not None and 0 <= channel < len(self._squares):
+            self._squares[channel] = max(self._squares[channel], share * self._continuous[channel] ** 2)
+
     def most(self, now: float, torques: Float[np.ndarray, "channels"]) -> Float[np.ndarray, "channels"]:
         """The largest torque of each channel at a time [N.m]; ``torques`` held since the last call."""
         if self._continuous is None:

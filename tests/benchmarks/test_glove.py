@@ -27,6 +27,12 @@ def test_rubbish_in_short():
 
 
 @pytest.mark.slow
+def test_faults_while_delays_drift_in_short():
+    rows = glove.drifting_faults(glove.QUICK)
+    assert len(rows) >= 10 and all(0 <= max(row["milliseconds"]) <= 55 for row in rows)
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="the simulated glove needs pseudo-terminals")
 def test_the_rest_in_short():
     """On whatever machine this runs: frames are all accounted for, and what latched stays so; times are not judged."""

@@ -63,6 +63,8 @@ def test_bad_pairs(folder, capsys, change, message):
 
 def test_bad_arguments(folder, capsys):
     (folder / "there").write_text("")
+    (folder / "bad.key").write_text("x")
+    (folder / "bad.key").chmod(0o600)
     for arguments, message in (
         (["simulate", "--port", "there"], "port is there: expected a name that is not there yet"),
         (["simulate", "--port", "nowhere/glove"], "port is nowhere/glove: there is no folder"),
@@ -73,7 +75,7 @@ def test_bad_arguments(folder, capsys):
         (["run", "--port", "p", "--listen", "x"], "listen is 'x': expected HOST:PORT"),
         (["run", "--port", "p", "--connect", "x:1"], "port and connect were both given"),
         (["run", "--connect", "x"], "connect is 'x': expected HOST:PORT"),
-        (["run", "--connect", "x:1", "--key", "x"], "key is no hexadecimal number"),
+        (["run", "--connect", "x:1", "--key-file", "bad.key"], "key file bad.key holds no hexadecimal number"),
         (["run", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
         (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
         (["run", "--alignment", "there"], "alignment needs the port of a glove"),
@@ -121,7 +123,7 @@ class Bench:
         """What is said to an order; not what may come between, that it let go while the machine was busy."""
         self.process.stdin.write(order + "\n")
         self.process.stdin.flush()
-        while "forces come too late" in (said := self.line()):
+        while "torque is zero" in (said := self.line()):
             pass
         return said
 
@@ -228,12 +230,14 @@ def test_a_glove_that_dies_is_told_at_once_and_armed_anew_from_a_twentieth(folde
 @POSIX
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_two_hosts(bending):
+def test_two_hosts(bending, folder):
     """The glove's host is called by an engine, and armed where the person is; both go on when either starts anew."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"
-    keys = ("--key", "00ff")
+    (folder / "key").write_text(32 * "0f" + "\n")
+    (folder / "key").chmod(0o600)
+    keys = ("--key-file", "key")
     with contextlib.ExitStack() as opened:
         host = opened.enter_context(Bench("--port", bending, "--listen", address, *keys))
         assert address in host.line()

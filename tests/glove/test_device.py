@@ -8,6 +8,7 @@ import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -63,6 +64,10 @@ def test_it_answers_arms_and_goes_where_it_is_told_at_its_rate():
     device.receive(0, host.line(0, Kind.HELLO, (7,)))
     answer = device.answer(0)
     assert answer.kind == Kind.CAPABILITY and answer.values[:6] == (7, 14, 50, 100, 11_999, 120)
+    assert answer.values[7] == 3000
+    for kind in (Kind.LIMITS, Kind.CONTINUOUS):
+        answer = device.answer(0)
+        assert answer.kind == kind and answer.values == (11_999,) * 14
     assert device.answer(0) is None
     host.command(device, 1, 5000)
     assert device.state == DeviceState.IDLE
@@ -110,6 +115,46 @@ def test_what_zeroes_at_once():
         end(device, host)
         assert device.counts == [0] * CHANNELS and device.state == state
         assert not any(map(any, run(device, 9 * MS, 20 * MS)))
+
+
+def test_the_emergency_stop_latches_whatever_its_state_and_no_arm_helps_while_it_is_pressed(firmware):
+    for device in (Device(seed=77), Compiled(firmware)):
+        host, drawn = Host(), Device(seed=77)
+        device.press(True)
+        assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.STOPPED), "before any host"
+        for now, pressed, state in ((0, True, DeviceState.LATCHED), (10 * MS, False, DeviceState.ARMED)):
+            device.press(pressed)
+            line = host.line(now, Kind.HELLO, (7,))
+            for one in (device, drawn):
+                one.receive(now, line)
+                one.step(now)
+            device.receive(now + 1, host.line(now + 1, Kind.ARM, (7, drawn.nonce)))
+            device.receive(now + 2, host.line(now + 2, Kind.COMMAND, (500,)))
+            assert device.state == state
+        assert any(device.step(12 * MS))
+        device.press(True)
+        assert device.state == DeviceState.LATCHED and not any(device.counts) and not any(device.step(13 * MS))
+
+
+@pytest.mark.parametrize("late", [0, 3, -2_000_000])
+def test_a_hosts_stop_is_obeyed_whatever_its_age_and_number(firmware, late):
+    for device in (Device(), Compiled(firmware)):
+        old = Host().line(5, Kind.STOP, echo=late)
+        device.step(0)
+        host = Host(number=20_000)
+        device.receive(0, host.line(0, Kind.HELLO, (7,)))
+        device.receive(0, old)
+        assert (device.state, device.cause) == (DeviceState.LATCHED, Cause.STOPPED)
+        assert not any(device.step(MS))
+
+
+def test_frames_say_what_the_device_gave_up_for(firmware):
+    for device in (Device(), Compiled(firmware)):
+        device.press(True)
+        status = device.status(5)
+        frame = status if isinstance(status, Frame) else FrameReader().feed(status)[0]
+        assert frame.flags == Flag.LATCHED | Flag.PRESSED and frame.cause == Cause.STOPPED
+        assert frame.values[1:3] == (DeviceState.LATCHED, Cause.STOPPED)
 
 
 def test_a_fault_of_its_own_latches_whatever_its_state():
@@ -165,7 +210,9 @@ def test_bounds_hold_whatever_comes(events):
 class Limits(ctypes.Structure):
     _fields_ = (
         ("channels", ctypes.c_uint8),
-        ("most", ctypes.c_int16),
+        ("most", ctypes.c_int16 * CHANNELS),
+        ("continuous", ctypes.c_int16 * CHANNELS),
+        ("heating", ctypes.c_uint16),
         ("slew", ctypes.c_uint16),
         ("quantum", ctypes.c_uint16),
         ("watchdog", ctypes.c_uint16),
@@ -185,28 +232,36 @@ class Start(ctypes.Structure):
     )
 
 
-@pytest.fixture(scope="module")
-def firmware(tmp_path_factory):
+def compiled(out: Path, *options: str) -> subprocess.CompletedProcess:
+    """The firmware, without a warning."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if not compiler:
         pytest.skip("no C compiler")
-    library = tmp_path_factory.mktemp("firmware") / "glove.so"
     warnings = ["-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
-    source = FIRMWARE / "glove_device.c"
-    subprocess.run([compiler, "-std=c99", *warnings, "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+    sources = [str(FIRMWARE / "glove_device.c"), *options]
+    command = [compiler, "-std=c99", *warnings, "-I", str(FIRMWARE), "-o", str(out), *sources]
+    return subprocess.run(command, capture_output=True, text=True)
+
+
+@pytest.fixture(scope="module")
+def firmware(tmp_path_factory):
+    library = tmp_path_factory.mktemp("firmware") / "glove.so"
+    compiled(library, "-shared", "-fPIC").check_returncode()
     loaded = ctypes.CDLL(str(library))
     loaded.glove_answer.restype = ctypes.c_bool
+    loaded.glove_press.argtypes = (ctypes.c_void_p, ctypes.c_bool)
     return loaded
 
 
 class Compiled:
     """The C program, with the same calls."""
 
-    def __init__(self, library):
+    def __init__(self, library, channels=14, most=(11_999,) * 14, continuous=(0,) * 14, heating=3000):
         self.library = library
         self.memory = (ctypes.c_uint8 * 4096)()
         self.line = (ctypes.c_uint8 * LINE_SIZE)()
-        library.glove_init(self.memory, Limits(14, 11_999, 120, 100, 50, 77))
+        each = ((ctypes.c_int16 * CHANNELS)(*counts) for counts in (most, continuous))
+        library.glove_init(self.memory, Limits(channels, *each, heating, 120, 100, 50, 77))
 
     def __getattr__(self, name):
         return getattr(Start.from_buffer(self.memory), name)
@@ -218,6 +273,9 @@ class Compiled:
     def step(self, now: int) -> list[int]:
         self.library.glove_step(self.memory, ctypes.c_uint32(now))
         return list(self.counts)
+
+    def press(self, is_pressed: bool) -> None:
+        self.library.glove_press(self.memory, is_pressed)
 
     def answer(self, now: int) -> bytes | None:
         return bytes(self.line) if self.library.glove_answer(self.memory, ctypes.c_uint32(now), self.line) else None
@@ -255,16 +313,20 @@ def spoilt(line: bytes, rng: random.Random) -> bytes:
 def test_the_c_program_does_the_same(firmware, seed):
     """Byte for byte and count for count, over random hosts, faults, pauses and clocks that wrap."""
     rng = random.Random(seed)
-    ours, theirs, host = Device(seed=77), Compiled(firmware), Host(number=rng.randrange(2**16))
+    channels, heating = rng.randrange(1, 15), rng.choice((0, 1, 20, 20, 200, 65_535))
+    most = [rng.choice((0, 300, 11_999, 32_767)) for _ in range(channels)]
+    continuous = [rng.choice((0, 200, 3000, 20_000)) for _ in range(channels)]
+    ours = Device(channels=channels, most=most, continuous=continuous, heating=heating, seed=77)
+    theirs, host = Compiled(firmware, channels, most, continuous, heating), Host(number=rng.randrange(2**16))
     now = rng.randrange(TICKS)
     for one in (ours, theirs):
         one.step(now)
-    armed = 0
+    armed, pressed = 0, False
     for _ in range(1500):
         passed = rng.choice((300, MS, MS, MS, 5 * MS, rng.randrange(60 * MS)))
         now = (now + passed) % TICKS
         values = tuple(rng.randrange(-2000, 14_000) for _ in range(CHANNELS))
-        kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES), (20, 2, 1, 1))[0]
+        kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.ANGLES, Kind.STOP), (200, 22, 9, 9, 1))[0]
         if kind in (Kind.HELLO, Kind.ARM):
             nonce = ours.nonce if rng.random() < 0.9 else rng.randrange(2**15)
             values = (host.session if rng.random() < 0.9 else 3, nonce)
@@ -272,8 +334,10 @@ def test_the_c_program_does_the_same(firmware, seed):
         line = host.line(now, kind, values, Flag(rng.choice((1, 1, 1, 0))), answers)
         if rng.random() < 0.2:
             line = spoilt(line, rng)
+        pressed = rng.random() < (0.8 if pressed else 0.005)
         for one in (ours, theirs):
             one.receive(now, line)
+            one.press(pressed)
         assert ours.step(now) == theirs.step(now)
         assert (ours.state, ours.cause) == (theirs.state, theirs.cause)
         answer = ours.answer(now)
@@ -283,6 +347,86 @@ def test_the_c_program_does_the_same(firmware, seed):
         assert encode(ours.frame(now, Kind.ANGLES, encoders)) == theirs.angles(now, encoders)
         armed += ours.state == DeviceState.ARMED
     assert armed > 100 and ours.order.missing + ours.order.stale + sum(ours.reader.refused.values()) > 0
+
+
+def held_for_long(device, commands, seconds: float) -> np.ndarray:
+    """Counts ``(ms, 14)`` that it holds, each millisecond, told the same all the time."""
+    host, drawn, found = Host(), Device(seed=77), []
+    line = host.line(0, Kind.HELLO, (7,))
+    for one in (device, drawn):
+        one.receive(0, line)
+    device.receive(1, host.line(1, Kind.ARM, (7, drawn.nonce)))
+    for now in range(MS, int(1e6 * seconds), MS):
+        if now % (20 * MS) == MS:
+            device.receive(now, host.line(now, Kind.COMMAND, commands))
+        found.append(list(device.step(now)))
+    return np.array(found)
+
+
+PEAKS = (11_999, 6000, 300, *(2000,) * 11)
+LASTING = (5000, 6000, 100, *(1500,) * 11)
+HEATING = 50
+
+
+def warm_devices(firmware):
+    return (
+        Device(most=PEAKS, continuous=LASTING, heating=HEATING, seed=77),
+        Compiled(firmware, 14, PEAKS, LASTING, HEATING),
+    )
+
+
+@pytest.mark.parametrize("wanted", [(32_000,) * 14, (7000, 3000, 200, *(1700,) * 11), LASTING])
+def test_no_motor_gets_warmer_than_it_bears_whatever_the_host_says(firmware, wanted):
+    """Against an exact integral of what it held: T s' = counts^2 - s, from cold."""
+    for device in warm_devices(firmware):
+        held = held_for_long(device, wanted, 4.0)
+        assert np.all(held <= PEAKS)
+        share, squares = -np.expm1(-1 / (10 * HEATING)), np.zeros(14)
+        for counts in held:
+            squares += share * (counts.astype(float) ** 2 - squares)
+            assert np.all(squares <= np.array(LASTING) ** 2 * 1.0001)
+        np.testing.assert_allclose(held[-1], np.minimum(wanted, LASTING), rtol=5e-3)
+        assert np.all(held.max(0) == np.minimum(wanted, PEAKS)), "and for a moment all of it"
+
+
+def test_warmth_outlives_hosts_and_latches(firmware):
+    for device in warm_devices(firmware):
+        held_for_long(device, (32_000,) * 14, 3.0)
+        host = Host(session=9)
+        device.receive(3_000_000, host.line(3_000_000, Kind.HELLO, (9,)))
+        frames = [device.answer(3_000_000) for _ in range(3)]
+        first = frames[0] if isinstance(frames[0], Frame) else FrameReader().feed(frames[0])[0]
+        device.receive(3_000_001, host.line(3_000_001, Kind.ARM, (9, first.values[6])))
+        device.receive(3_000_002, host.line(3_000_002, Kind.COMMAND, (32_000,) * 14))
+        held = [device.step(3_000_000 + now)[0] for now in range(MS, 50 * MS, MS)]
+        assert max(held) < 6500, "no peak again before it has cooled"
+        warmth = {}
+        for _ in range(14):
+            status = device.status(3_050_000)
+            status = status if isinstance(status, Frame) else FrameReader().feed(status)[0]
+            warmth[status.values[12]] = status.values[13]
+        assert warmth.keys() == set(range(14)) and 850 < warmth[0] <= 1000
+
+
+def test_a_pause_of_any_length_cools_and_never_warms(firmware):
+    for pause in (9_000, 5_000_000, 2**32 - 5_000_000):
+        for device in warm_devices(firmware):
+            before = held_for_long(device, (32_000,) * 14, 2.0)[-1]
+            statuses = []
+            for now in (2_000_000, 2_000_000 + pause):
+                device.step(now % TICKS)
+                device.press(True)
+                statuses.append([device.status(now % TICKS) for _ in range(14)])
+            said = [
+                [
+                    (one if isinstance(one, Frame) else FrameReader().feed(one)[0]).values[13]
+                    for one in sorted_by_channel
+                ]
+                for sorted_by_channel in statuses
+            ]
+            expected = np.array(said[0]) * np.exp(-min(pause, 8_000_000) / 1e6 / (HEATING / 100))
+            assert before.any() and np.all(np.array(said[1]) <= said[0])
+            assert np.all(np.array(said[1]) >= expected - 2), "never faster than it does"
 
 
 def test_the_pages_vectors_arm_and_move_both_programs(firmware):
@@ -310,10 +454,47 @@ def test_the_pages_vectors_arm_and_move_both_programs(firmware):
         assert not any(device.step(74_000 + 50_000 + 1001)) and device.state == DeviceState.LATCHED
 
 
+def test_the_c_program_under_the_sanitizers(tmp_path):
+    """Any limits, clocks, bytes and frames: no byte is read or written out of place, and no number overflows."""
+    program = tmp_path / "sanitized"
+    sanitizers = "-fsanitize=address,undefined", "-fno-sanitize-recover=all"
+    built = compiled(program, "-g", "-O1", *sanitizers, str(Path(__file__).parent / "firmware_sanitized.c"))
+    if built.returncode:
+        assert "sanitize" in built.stderr or "asan" in built.stderr, built.stderr
+        pytest.skip("no sanitizers")
+    for seed in range(6):
+        rng = random.Random(seed)
+        host, said = Host(number=rng.randrange(2**16)), bytearray(rng.randbytes(4 * (1 + 28 + 5 + 1)))
+        if seed % 2:
+            # Limits of a glove, and a clock that frames can be about.
+            counts = b"".join(rng.choice((11_999, 5000, 0, 32_767)).to_bytes(4) for _ in range(28))
+            said[:] = (14).to_bytes(4) + counts + b"".join(n.to_bytes(4) for n in (30, 120, 100, 50, 77, 0))
+        model, now = Device(seed=77), 0
+        for _ in range(600):
+            kind = rng.choices((Kind.COMMAND, Kind.ARM, Kind.HELLO, Kind.STOP), (30, 6, 1, 1))[0]
+            values = tuple(rng.randrange(-(2**15), 2**15) for _ in range(14))
+            values = (7, model.nonce, *values[2:]) if kind in (Kind.ARM, Kind.HELLO) else values
+            line = host.line(now, kind, values, Flag(rng.choice((1, 1, 1, 0))))
+            line = spoilt(line, rng)[:63] if rng.random() < 0.2 else line
+            model.receive(now, line)
+            said += (
+                bytes([6, len(line)]) + line + bytes([rng.choice((4, 5, 4, 5, 2, 3, 11)) if rng.random() < 0.1 else 4])
+            )
+            passed = rng.randrange(32)
+            now += 1000 * passed
+            said.append(8 * passed)
+            model.step(now)
+        said += rng.randbytes(20_000)
+        done = subprocess.run([program], input=bytes(said), capture_output=True)
+        assert done.returncode == 0, done.stderr.decode()
+        assert int(done.stdout) > 100
+
+
 def test_the_c_program_keeps_within_its_channels(firmware):
-    theirs = Compiled(firmware)
-    theirs.library.glove_init(theirs.memory, Limits(200, 11_999, 120, 100, 50, 77))
+    theirs = Compiled(firmware, channels=200)
     assert theirs.limits.channels == CHANNELS
+    theirs = Compiled(firmware, channels=2, most=(500, -1, *(500,) * 12), continuous=(900, 0, *(9,) * 12))
+    assert list(theirs.limits.most)[:3] == [500, 0, 0] and list(theirs.limits.continuous)[:3] == [500, 0, 0]
     for channels in (0, 15, 200):
         with pytest.raises(ValueError, match=f"channels is {channels}: expected 1 to 14"):
             Device(channels=channels)

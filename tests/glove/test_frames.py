@@ -31,7 +31,9 @@ PARTS = st.tuples(
     st.integers(0, 2**16 - 1),
     st.integers(0, 2**32 - 1),
     st.binary(min_size=2 * CHANNELS, max_size=2 * CHANNELS).map(lambda raw: struct.unpack(f"<{CHANNELS}h", raw)),
-    st.integers(0, 7).map(Flag),
+    st.integers(0, 15).map(Flag),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 15),
 )
 
 
@@ -88,15 +90,17 @@ def vectors() -> list[tuple[Frame, bytes]]:
     page = (Path(jaxgrasp.glove.protocol.__file__).parent / "firmware" / "PROTOCOL.md").read_text()
     found = []
     for row in page.split("## Test vectors")[1].strip().splitlines()[2:]:
-        kind, flags, sequence, clock, echo, values, line = (cell.strip(" `") for cell in row.strip("|").split("|"))
+        kind, flags, cause, sequence, clock, echo, values, line = (
+            cell.strip(" `") for cell in row.strip("|").split("|")
+        )
         numbers = tuple(map(int, values.split()))
-        frame = Frame(Kind[kind], int(sequence), int(clock), numbers, Flag(int(flags)), int(echo))
+        frame = Frame(Kind[kind], int(sequence), int(clock), numbers, Flag(int(flags)), int(echo), int(cause))
         found.append((frame, bytes.fromhex(line)))
     return found
 
 
 def test_the_pages_vectors():
-    assert len(vectors()) == 5
+    assert {frame.kind for frame, _ in vectors()} == set(Kind) - {Kind.TENSIONS}
     for frame, line in vectors():
         assert encode(frame) == line
         assert FrameReader().feed(line) == [frame]

@@ -15,6 +15,7 @@ from jaxgrasp.glove.network.messages import Exchange, length_of
 from jaxgrasp.glove.protocol.cobs import stuff
 
 SIZE = 5
+KEY = bytes(range(32))
 
 
 class Network:
@@ -73,11 +74,75 @@ def test_late_doubled_and_foreign_messages_are_not_acted_on():
         assert other.incoming(9.0, spoilt) is None
     assert keyed.incoming(9.0, messages[3]) is None
     assert other.refused == 4 and keyed.refused == 1
-    # Another program must wait until this one has been silent for a while; it has a clock of its own.
+    # Another program must wait until this one, which answers us, has been silent for a while; it has its own clock.
+    one.incoming(8.9, other.outgoing(8.9, np.zeros(SIZE)))
+    assert other.incoming(9.0, one.outgoing(9.0, np.zeros(SIZE))) is not None
     another = Exchange(7, SIZE)
     assert other.incoming(9.1, another.outgoing(-100.0, np.zeros(SIZE))) is None
     assert other.incoming(9.5, another.outgoing(-99.6, np.zeros(SIZE))) is not None
     assert other.age(9.5) == np.inf
+
+
+def conversation(one: Exchange, other: Exchange, start: float, count: int = 50) -> tuple[list[bytes], list[bytes]]:
+    """What each says to the other, and hears at once, on one clock."""
+    said: tuple[list[bytes], list[bytes]] = ([], [])
+    for k in range(count):
+        now = start + 0.005 * k
+        for sender, receiver, kept in ((one, other, said[0]), (other, one, said[1])):
+            kept.append(sender.outgoing(now, np.full(SIZE, float(k))))
+            receiver.incoming(now + 1e-4, kept[-1])
+    return said
+
+
+def acted_on(receiver: Exchange, messages: list[bytes], start: float, peer: Exchange | None = None) -> int:
+    """How many of these are acted on, if they come again at the times at which they came first."""
+    count = 0
+    for k, data in enumerate(messages):
+        now = start + 0.005 * k + 1e-4
+        receiver.incoming(now, data)
+        count += receiver.age(now) <= 0.03
+        if peer is not None:
+            peer.incoming(now, receiver.outgoing(now, np.zeros(SIZE)))
+    return count
+
+
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("start", [0.0, 1000.0])
+@pytest.mark.parametrize("key", [b"", KEY], ids=["open", "keyed"])
+def test_a_recorded_session_is_not_acted_on_after_a_restart(side, start, key):
+    """Byte for byte, at the same times of a clock that begins where it began before, as after a reboot."""
+    ends = [Exchange(session, SIZE, key) for session in (11, 22)]
+    said = conversation(*ends, start)
+    assert all(end.age(start + 0.25) < 0.03 for end in ends)
+    restarted = Exchange(33, SIZE, key)
+    assert acted_on(restarted, said[side], start) == 0
+    assert acted_on(restarted, said[side], start + 0.25) == 0, "nor a second time"
+    assert acted_on(restarted, said[1 - side], start + 0.5) == 0, "nor what it said itself"
+
+
+def test_replays_do_not_keep_the_true_other_side_away():
+    """Old messages between those of a side that lives: it is understood all the same, and nothing old is acted on."""
+    old = conversation(Exchange(11, SIZE, KEY), Exchange(22, SIZE, KEY), 0.0)[0]
+    here, there = Exchange(33, SIZE, KEY), Exchange(44, SIZE, KEY)
+    acted = 0
+    for k, recorded in enumerate(old):
+        now = 0.005 * k
+        here.incoming(now, recorded)
+        assert here.age(now) > 0.03 or here.latest.session == 44
+        there.incoming(now, here.outgoing(now, np.zeros(SIZE)))
+        here.incoming(now, there.outgoing(now, np.ones(SIZE)))
+        acted += here.age(now) <= 0.03
+        here.incoming(now, recorded)
+        assert here.latest.session == 44 or here.age(now) == np.inf
+    assert acted > 40
+
+
+def test_what_is_not_of_the_key_is_refused():
+    here, there, foreign = Exchange(1, SIZE, KEY), Exchange(2, SIZE, b"k" * 32), Exchange(3, SIZE)
+    for end in (there, foreign):
+        assert here.incoming(0.0, end.outgoing(0.0, np.zeros(SIZE))) is None
+    assert here.incoming(0.0, here.outgoing(0.0, np.zeros(SIZE))) is None, "nor its own words, sent back"
+    assert here.refused == 3
 
 
 @settings(max_examples=200, deadline=None)

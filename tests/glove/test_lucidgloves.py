@@ -120,6 +120,25 @@ def test_it_is_armed_only_in_so_many_words():
     assert turn(glove, 0.001, 0.1) == (0, 0, 0, 0, 0) and glove.state == LinkState.LINKED
 
 
+def test_the_emergency_stop_frees_all_fingers_until_it_is_armed_anew():
+    glove, line = host()
+    line.to_host += SAID + b"\n"
+    glove.poll(0.0)
+    glove.arm(0.0, ACCEPTANCE)
+    for k in range(1, 20):
+        line.to_host += SAID + b"\n"
+        held = turn(glove, 0.01 * k, 0.1)
+    assert any(held)
+    line.to_device.clear()
+    glove.stop(0.2)
+    assert turn(glove, 0.2, 0.1) == (0, 0, 0, 0, 0) and bytes(line.to_device).startswith(b"\nA0B0C0D0E0\n")
+    assert glove.guard.state == GuardState.LATCHED and "emergency stop" in glove.guard.cause
+    line.to_host += SAID + b"\n"
+    assert turn(glove, 0.21, 0.1) == (0, 0, 0, 0, 0)
+    glove.arm(0.22, ACCEPTANCE)
+    assert glove.guard.state == GuardState.ARMED
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=1, max_size=20),

@@ -3,6 +3,7 @@
 These run on shared machines: what is judged is what holds torque by the device's own clock, never how fast a test is.
 """
 
+import itertools
 import os
 import signal
 import time
@@ -12,6 +13,7 @@ import pytest
 
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.latch_log import read_latches
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.simulated.simulator import Simulator, read_record
@@ -92,6 +94,33 @@ def test_torque_is_gone_in_time(simulator, tmp_path, end):
         engine.hold()
     assert last_torque(tmp_path / "record") > latched
     assert glove.summary["turns"] > 100
+
+
+def test_each_latch_is_on_record(simulator, tmp_path):
+    path = tmp_path / "latches.jsonl"
+    with GloveProcess(simulator.port, 14, scale=1.0, ramp=0.2, log=str(path)) as glove:
+        engine = Engine(glove)
+        for _ in range(5):
+            engine.hold()
+            simulator.order(press=True)
+            engine.run(0.5)
+            simulator.order(press=False)
+            engine.run(0.2)
+            # A busy machine may have let go in between, which is another cause.
+            if "its emergency stop was pressed" in read_latches(path)[-1]["cause"]:
+                break
+        pressed = len(read_latches(path))
+        engine.hold()
+        glove.stop()
+        engine.run(0.3)
+    found, states = read_latches(path), [(event["guard"], event["cause"]) for event in glove.events()]
+    assert "its emergency stop was pressed" in found[pressed - 1]["cause"]
+    assert "asked for at the host" in found[-1]["cause"] and len(found) > pressed
+    latches = [now for before, now in itertools.pairwise(states) if now[0] == "LATCHED" and now != before]
+    assert [("LATCHED", one["cause"]) for one in found] == latches
+    for one in found:
+        assert one["turns"] > 0 and one["overruns"] >= 0 and one["counts"]["heard"] > 0 and len(one["frames"]) > 10
+        assert one["frames"][-1]["at"] <= one["at"] + 1e-6
 
 
 def test_what_cannot_be_done_is_said(simulator):

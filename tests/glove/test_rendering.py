@@ -53,7 +53,7 @@ def test_it_follows_a_law_and_fresh_angles_between_two():
     glove = rendered(3.0, every=0.02)
     angles = glove.simulation.glove.angles
     np.testing.assert_allclose(held(glove), SPRING * (angles - 0.2), atol=1e-3)
-    glove.order(bend=[0.75] * 14, lasts=0.1)
+    glove.order(bend=[0.75] * 14, lasts=0.05)
     old = glove.peer.said
     glove.run(glove.now + 0.028)
     assert np.min(glove.simulation.glove.angles - old.angles) > 0.005, "they bend while the engine says nothing"
@@ -134,6 +134,21 @@ def test_a_watch_forgives_delay_and_friction_but_not_for_long():
     for k in range(20):
         found = watch.fault(2.0 + 0.01 * k, np.array([np.nan]), np.array([False]))
     assert "nan" in found
+
+
+@pytest.mark.parametrize("command", [0.005, 0.012, 0.039])
+def test_a_slack_cable_shows_at_weak_commands_too(command):
+    """And friction, noise of the gauges or a late measurement do not look like one."""
+    rng = np.random.default_rng(0)
+    for pulls in (0.62, 1.0, 0.0):
+        watch, found = TensionWatch(2), ""
+        for k in range(400):
+            now = 0.005 * k
+            wanted = np.full(2, command * min(1.0, now / 0.2) * (1 + 0.5 * np.sin(20 * now)))
+            watch.commanded(now, wanted)
+            measured = np.array([max(wanted[0], 0), max(pulls * wanted[1], 0)]) + rng.normal(0, 3e-4, 2)
+            found = found or watch.fault(now, measured, np.zeros(2, bool))
+        assert ("channel 1 pulls" in found and "its cable is slack" in found) == (pulls == 0.0), pulls
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxgrasp.glove.guard import Guard, GuardState
 from jaxgrasp.glove.host import GloveHost, LinkState
-from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.glove.sensors import nominal_sensors
 from jaxgrasp.glove.simulated.simulation import Simulation
 from jaxgrasp.glove.simulated.slow_line import MemoryLine
@@ -54,13 +54,13 @@ class DelayedLine(MemoryLine):
 class World:
     """Time, a glove and its host, which asks for the torques of a spring from 0.2 rad on."""
 
-    def __init__(self, baud: int = 115_200, **options: Any):
+    def __init__(self, model: GloveModel = MODEL, baud: int = 115_200, **options: Any):
         self.now = 100.0
         self.line = DelayedLine(baud, lambda: self.now)
         self.events: list[dict[str, Any]] = []
         options = {"clock": 2**32 - 3_000_000, **options}
-        self.simulation = Simulation(options, self.line.far, self.now, self.events.append, MODEL, SENSORS)
-        self.host = GloveHost(MODEL, SENSORS, lambda: self.line, Guard(MODEL, ramp=0.2), baud=baud)
+        self.simulation = Simulation(options, self.line.far, self.now, self.events.append, model, SENSORS)
+        self.host = GloveHost(model, SENSORS, lambda: self.line, Guard(model, ramp=0.2), baud=baud)
         self.stiffness = 0.25
         self.is_host_alive = True
         self.history: list[tuple[float, np.ndarray]] = []

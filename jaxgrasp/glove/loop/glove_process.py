@@ -20,9 +20,10 @@ class GloveProcess:
             channels: of its model.
             options: ``baud``, ``model`` and ``calibration`` (files), ``device`` (``native``, ``lucidgloves`` or
                 ``MODULE:CLASS``) and its ``full_scale``, ``rate`` [Hz], ``scale`` (of all torques, 0.05 if left out),
-                ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s];
+                ``ramp`` [s], ``projection``, ``control`` (of tension, yes or no), ``oldest`` [s],
+                ``log`` (a file for why it latched, which ``read_latches`` reads);
                 ``listen`` (host and port) for an engine elsewhere in place of ``write`` and ``state``, with
-                ``transport`` and ``key``.
+                ``transport`` and ``key_file`` (or the environment's ``JAXGRASP_GLOVE_KEY``).
 
         Raises:
             OSError: if it does not come to listen.
@@ -67,6 +68,14 @@ class GloveProcess:
     def disarm(self) -> None:
         """No torque."""
         self._order({"disarm": True})
+
+    def stop(self) -> None:
+        """Emergency stop: no torque, and latched, here and in the device, whatever the state.
+
+        Raises:
+            OSError: if it has ended.
+        """
+        self._order({"stop": True})
 
     def rescale(self, scale: float) -> None:
         """Another scale of all torques, while it is not armed.

@@ -1,8 +1,8 @@
 """The process that owns the glove's line: ``python -m jaxgrasp.glove.loop.io_process``; it never imports JAX.
 
-Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``scale``) as lines of JSON on its standard
-input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero behind,
-and the device's own watchdog does not depend on that.
+Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``stop``, ``scale``) as lines of JSON on its
+standard input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero
+behind, and the device's own watchdog does not depend on that.
 """
 
 import json
@@ -16,7 +16,8 @@ from typing import Any
 
 from jaxgrasp.glove.calibrate import load_model
 from jaxgrasp.glove.devices import make_device
-from jaxgrasp.glove.guard import Guard
+from jaxgrasp.glove.guard import Guard, GuardState
+from jaxgrasp.glove.latch_log import append_latch, check_latch_log
 from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.loop.child import tell
 from jaxgrasp.glove.loop.exchange import TorqueLaw
@@ -26,11 +27,12 @@ from jaxgrasp.glove.loop.rendering import OLDEST_LAW, Rendering
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
+from jaxgrasp.glove.network.link_key import load_key
 from jaxgrasp.glove.tension import TensionControl
 
 OPTIONS = {
     *("port", "baud", "model", "calibration", "rate", "scale", "ramp", "projection", "control", "oldest"),
-    *("slots", "listen", "transport", "key", "device", "full_scale"),
+    *("slots", "listen", "transport", "key_file", "device", "full_scale", "log"),
 }
 ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 """Signals that end it: asked, interrupted, its terminal closed."""
@@ -50,7 +52,7 @@ def main() -> None:
     release = Release(options) if rendering.host.capability.outlives_host else None
     times = TickTimes(1.0 / options.get("rate", 200.0))
     try:
-        run(rendering, times, orders, release)
+        run(rendering, times, orders, release, options.get("log"))
     finally:
         # Whoever ends it twice must not keep it from its last zero.
         for name in ENDS:
@@ -81,6 +83,8 @@ def build(options: dict[str, Any]) -> Rendering:
     bounds = {name: options[name] for name in ("projection", "ramp") if name in options}
     guard = Guard(model, scale=options.get("scale", FIRST_SCALE), **bounds)
     options.setdefault("baud", 115_200)
+    if options.get("log") is not None:
+        check_latch_log(options["log"])
     host = make_device(options, model, sensors, lambda: SerialLine(options["port"], options["baud"]), guard)
     control = TensionControl(len(model.joints)) if options.get("control") else None
     oldest = options.get("oldest", OLDEST_LAW)
@@ -88,9 +92,13 @@ def build(options: dict[str, Any]) -> Rendering:
 
 
 def run(
-    rendering: Rendering, times: TickTimes, orders: "queue.SimpleQueue[str | None]", release: Release | None = None
+    rendering: Rendering,
+    times: TickTimes,
+    orders: "queue.SimpleQueue[str | None]",
+    release: Release | None = None,
+    log: str | None = None,
 ) -> None:
-    """Turn at a steady rate, and say what changes."""
+    """Turn at a steady rate, and say what changes; each latch goes into the log, if there is one."""
     said: tuple[str, ...] = ()
     due = time.perf_counter()
     while True:
@@ -106,6 +114,8 @@ def run(
         host = rendering.host
         changed = (host.state.name, host.guard.state.name, host.trouble, host.guard.cause)
         if changed != said:
+            if log is not None and host.guard.state == GuardState.LATCHED and changed[1::2] != said[1::2]:
+                _log(log, begun, rendering, times)
             said = changed
             tell({"event": dict(zip(("link", "guard", "trouble", "cause"), changed, strict=True)), "at": begun})
         over = time.perf_counter()
@@ -115,11 +125,22 @@ def run(
         time.sleep(max(0.0, due - time.perf_counter()))
 
 
+def _log(path: str, at: float, rendering: Rendering, times: TickTimes) -> None:
+    """Once torque has ended: a disk that is full or gone keeps no loop from its work."""
+    host, turns = rendering.host, times.summary()
+    record = {"at": at, "cause": host.guard.cause, "link": host.state.name, "trouble": host.trouble}
+    record |= {"counts": host.report()} | {name: turns[name] for name in ("turns", "overruns", "worst")}
+    try:
+        append_latch(path, record | {"frames": host.last_frames()})
+    except OSError as error:
+        tell({"unlogged": f"{path}: {error.strerror}", "at": at})
+
+
 def _peer(options: dict[str, Any], model: GloveModel, oldest: float) -> Peer:
     channels = len(model.joints)
     if options.get("listen"):
         host, port = options["listen"]
-        key = bytes.fromhex(options.get("key", ""))
+        key = load_key(options.get("key_file"))
         transport = options.get("transport", "udp")
         size = TorqueLaw.size(channels)
         link = NetworkLink(host, port, size, listens=True, transport=transport, oldest=oldest, key=key)
@@ -138,13 +159,15 @@ def _obey(rendering: Rendering, release: Release | None, order: dict[str, Any]) 
                 rendering.arm(now, accepted)
             case {"disarm": _}:
                 rendering.host.disarm()
+            case {"stop": _}:
+                rendering.host.stop(now)
             case {"scale": scale}:
                 rendering.host.guard.rescale(scale)
             case {"report": _}:
                 tell({"report": rendering.host.report()})
                 return
             case _:
-                raise ValueError(f"order {order} is none of arm, disarm, scale, report")
+                raise ValueError(f"order {order} is none of arm, disarm, stop, scale, report")
     except (ValueError, TypeError) as error:
         tell({"refused": str(error), "at": now})
     else:

@@ -1,7 +1,6 @@
 """Two hosts: the engine's computer and the glove's, over UDP or TCP; the latest state wins."""
 
 import contextlib
-import random
 import socket
 from abc import ABC, abstractmethod
 from typing import Any, Literal
@@ -9,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrasp.glove.network.messages import MOST_NUMBERS, NUMBERS, Exchange, Message, length_of
+from jaxgrasp.glove.network.messages import MOST_NUMBERS, Exchange, Message, draw_session, length_of
 from jaxgrasp.glove.protocol.cobs import stuff, unstuff
 
 Transport = Literal["udp", "tcp"]
@@ -65,7 +64,7 @@ class NetworkLink:
             raise ValueError(f"key has {len(key)} bytes: expected 64 at most")
         if not (np.isfinite(oldest) and oldest > 0):
             raise ValueError(f"oldest is {oldest}: expected a positive time [s]")
-        self.exchange = Exchange(random.randrange(NUMBERS), size_in, key)
+        self.exchange = Exchange(draw_session(), size_in, key)
         self._oldest = oldest
         self._carrier: _Transport = (
             _Datagrams(host, port, listens) if transport == "udp" else _Stream(host, port, listens, length_of(size_in))

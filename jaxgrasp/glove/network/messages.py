@@ -1,21 +1,29 @@
 """Messages between two computers: the latest numbers, how old they are, and nothing acted on that is too old.
 
-A message, little-endian: session (uint32), number (uint32), sent (float64, sender's clock [s]), echo (float64, the
-newest ``sent`` that the sender knows of the other side; NaN before any), held (float64, how long it has had that [s]),
-the numbers (float32 each), and an eight-byte BLAKE2b of all before, keyed if both sides have a key.
+A message, little-endian: session (uint64, which the sender drew when it began), answers (uint64, the session that it
+has heard; 0 before any), number (uint32), sent (float64, sender's clock [s]), echo (float64, the newest ``sent`` that
+the sender knows of the other side; NaN before any), held (float64, how long it has had that [s]), the numbers (float32
+each), and a BLAKE2b of 16 bytes of all before, keyed if both sides have a key.
+
+What does not answer the receiver's own session is heard, so that it can be answered, and never acted on: a recording of
+an earlier session is none of this one, whichever side began anew.
 """
 
 import hashlib
+import hmac
 import math
+import secrets
 import struct
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-_HEAD = struct.Struct("<IIddd")
-CHECK = 8
+_HEAD = struct.Struct("<QQIddd")
+CHECK = 16
 NUMBERS = 2**32
+NOBODY = 0
+"""Session of nobody."""
 MOST_NUMBERS = 340
 """Numbers in a message at most, so that one fits in a datagram of the usual 1,500 bytes."""
 TAKEN = 0.25
@@ -29,6 +37,7 @@ class Message:
     """What the other side said."""
 
     session: int
+    answers: int
     number: int
     sent: float
     echo: float
@@ -38,7 +47,8 @@ class Message:
 
 def encode(message: Message, key: bytes) -> bytes:
     """Its bytes."""
-    head = _HEAD.pack(message.session, message.number, message.sent, message.echo, message.held)
+    numbers = message.session, message.answers, message.number
+    head = _HEAD.pack(*numbers, message.sent, message.echo, message.held)
     body = head + message.values.astype("<f4").tobytes()
     return body + _check(body, key)
 
@@ -50,17 +60,22 @@ def length_of(size: int) -> int:
 
 def decode(data: bytes, size: int, key: bytes) -> Message | None:
     """The message of bytes; None where they are none of so many numbers."""
-    if len(data) != length_of(size) or _check(data[:-CHECK], key) != data[-CHECK:]:
+    if len(data) != length_of(size) or not hmac.compare_digest(_check(data[:-CHECK], key), data[-CHECK:]):
         return None
-    session, number, sent, echo, held = _HEAD.unpack_from(data)
+    session, answers, number, sent, echo, held = _HEAD.unpack_from(data)
     if not math.isfinite(sent):
         return None
     values = np.frombuffer(data, "<f4", size, _HEAD.size).astype(float)
-    return Message(session, number, sent, echo, held, values)
+    return Message(session, answers, number, sent, echo, held, values)
 
 
 def _check(body: bytes, key: bytes) -> bytes:
     return hashlib.blake2b(body, digest_size=CHECK, key=key).digest()
+
+
+def draw_session() -> int:
+    """A number that nobody can guess, and none has drawn before."""
+    return 1 + secrets.randbelow(2**64 - 1)
 
 
 class Exchange:
@@ -74,7 +89,7 @@ class Exchange:
         """A side that has heard nothing.
 
         Args:
-            session: a number drawn anew each time.
+            session: a number that ``draw_session`` drew, anew each time.
             size_in: how many numbers the other side's messages hold.
             key: that both sides share; without one, anyone on the network can speak.
         """
@@ -88,13 +103,15 @@ class Exchange:
     def outgoing(self, now: float, values: Float[np.ndarray, "size"]) -> bytes:
         """Bytes of the next message."""
         self._number = (self._number + 1) % NUMBERS
-        echo, held = (math.nan, 0.0) if self.latest is None else (self.latest.sent, now - self._arrived)
-        return encode(Message(self._session, self._number, now, echo, held, values), self._key)
+        last = self.latest
+        heard = (NOBODY, math.nan, 0.0) if last is None else (last.session, last.sent, now - self._arrived)
+        answers, echo, held = heard
+        return encode(Message(self._session, answers, self._number, now, echo, held, values), self._key)
 
     def incoming(self, now: float, data: bytes) -> Message | None:
-        """The message, if it is newer than all before."""
+        """The message, if it is newer than all before; ``age`` says whether it may be acted on."""
         message = decode(data, self._size, self._key)
-        if message is None:
+        if message is None or message.session == self._session:
             self.refused += 1
             return None
         last = self.latest
@@ -104,8 +121,8 @@ class Exchange:
                 self.stale += 1
                 return None
             self.missing += ahead - 1
-        elif last is not None and now - self._arrived < TAKEN:
-            # Two that speak at once would take turns.
+        elif last is not None and self._is_answered and now - self._arrived < TAKEN:
+            # Two that speak at once would take turns; but only who answers us keeps others away, no recording.
             self.stale += 1
             return None
         else:
@@ -114,10 +131,15 @@ class Exchange:
         self.accepted += 1
         self.latest, self._arrived = message, now
         way = now - message.echo - message.held
-        if way >= 0:
+        if self._is_answered and way >= 0:
             self._ways = [one for one in self._ways if one[0] >= now - WINDOW and one[1] < way]
             self._ways.append((now, way, message.sent - (now - way / 2)))
         return message
+
+    @property
+    def _is_answered(self) -> bool:
+        """Whether the latest message comes from who has heard us, and so was said since we began."""
+        return self.latest is not None and self.latest.answers == self._session
 
     @property
     def way(self) -> float:
@@ -131,6 +153,6 @@ class Exchange:
 
     def age(self, now: float) -> float:
         """How old the latest message is at most [s]; infinite while that cannot be told."""
-        if self.latest is None or not self._ways:
+        if self.latest is None or not self._is_answered or not self._ways:
             return math.inf
         return now - (self.latest.sent - self.offset) + self.way / 2

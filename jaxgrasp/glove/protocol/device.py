@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from collections.abc import Sequence as Numbers
 from enum import IntEnum
 
 from jaxgrasp.glove.protocol.frames import (
@@ -22,6 +23,12 @@ LONGEST_SILENCE = 1_000_000
 """How far after the last frame's clock another's may lie [us]."""
 LONGEST_STEP = 20_000
 """Time that a step counts as at most [us], so that no pause allows a jump."""
+LONGEST_COOLING = 8000
+"""Time for which motors count as cooling in one step at most [ms], so that 64 bits hold every product."""
+FADING = 5
+"""A motor's largest count fades to what it bears for ever over the last fifth of its warmth."""
+ANSWERS = (Kind.CAPABILITY, Kind.LIMITS, Kind.CONTINUOUS)
+"""What a device answers to a HELLO, in this order."""
 
 
 class DeviceState(IntEnum):
@@ -44,7 +51,21 @@ class Cause(IntEnum):
     GREETED = 2
     """A host began anew."""
     OWN = 3
-    """A fault of its own: a sensor, a motor, an emergency stop."""
+    """A fault of its own: a sensor, a motor."""
+    STOPPED = 4
+    """The emergency stop: its own button, or a host's STOP."""
+
+
+REASONS = {
+    Cause.NONE: "nothing",
+    Cause.WATCHDOG: "no command came in time",
+    Cause.GREETED: "a host began anew",
+    Cause.OWN: "a fault of its own",
+    Cause.STOPPED: "its emergency stop was pressed",
+}
+"""What a person is told."""
+LASTING = (Cause.OWN, Cause.STOPPED)
+"""Causes that latch whatever the state."""
 
 
 class Device:
@@ -57,7 +78,9 @@ class Device:
         self,
         *,
         channels: int = CHANNELS,
-        most: int = 11_999,
+        most: int | Numbers[int] = 11_999,
+        continuous: Numbers[int] | None = None,
+        heating: int = 3000,
         slew: int = 120,
         quantum: int = 100,
         watchdog: int = 50,
@@ -67,17 +90,22 @@ class Device:
 
         Args:
             channels: how many of the 14 it has.
-            most: largest count.
+            most: largest count, of all channels or of each.
+            continuous: largest count that each channel's motor bears for ever; ``most`` if None, or 0.
+            heating: time constant by which motors warm and cool [10 ms].
             slew: largest change [counts/ms].
             quantum: torque of a count [1e-7 N.m].
             watchdog: time after which it latches, from when it sent what the newest command answers [ms].
             seed: below 2^32, another each time it is switched on, of the numbers that ARM must repeat.
 
         Raises:
-            ValueError: for channels that no frame has.
+            ValueError: for channels that no frame has, and counts that are not one for each of them.
         """
         if not 1 <= channels <= CHANNELS:
             raise ValueError(f"channels is {channels}: expected 1 to {CHANNELS}")
+        self._most = _each("most", (most,) * channels if isinstance(most, int) else most, channels)
+        lasting = self._most if continuous is None else _each("continuous", continuous, channels)
+        self._continuous = [min(one or peak, peak) for one, peak in zip(lasting, self._most, strict=True)]
         self.state, self.cause = DeviceState.IDLE, Cause.NONE
         self.counts = [0] * CHANNELS
         """What it holds."""
@@ -87,16 +115,20 @@ class Device:
         """Session of the host that greeted it last."""
         self.reader = FrameReader()
         self.order = Sequence()
-        self._channels, self._most, self._slew, self._quantum = channels, most, slew, quantum
-        self._watchdog = watchdog
+        self._channels, self._slew, self._quantum = channels, slew, quantum
+        self._watchdog, self._heating = watchdog, heating
         self._wanted = [0] * CHANNELS
         self._heard = self._stepped = self._peer_clock = 0
         self._credit = 0
-        self._answers = False
+        self.warmth = [0] * CHANNELS
+        """What its motors have taken up and not yet given off [counts^2 ms]."""
+        self._warmed = self._told = 0
+        self._answers: list[Kind] = []
         self._sent = self._drawn = 0
         self._seed = seed
         self.nonce = 0
         """What ARM must repeat, drawn at each HELLO and each ARM."""
+        self._is_pressed = False
 
     def receive(self, now: int, data: bytes) -> None:
         """Bytes from the line."""
@@ -105,27 +137,39 @@ class Device:
                 self._greet(now, frame)
             elif frame.kind in (Kind.ARM, Kind.COMMAND) and self.session is not None and self._is_new(frame):
                 self._obey(now, frame)
+            elif frame.kind == Kind.STOP:
+                self.trip(Cause.STOPPED)
+                if self.session is not None:
+                    self.accepted += self._is_new(frame)
+
+    def press(self, is_pressed: bool) -> None:
+        """The line of its emergency stop's button: what it says now."""
+        self._is_pressed = is_pressed
+        if is_pressed:
+            self.trip(Cause.STOPPED)
 
     def step(self, now: int) -> list[int]:
         """What it holds from now on [counts]."""
-        passed = min((now - self._stepped) % TICKS, LONGEST_STEP)
+        passed = (now - self._stepped) % TICKS
         self._stepped = now
+        self._warm(passed)
         if self.state == DeviceState.ARMED and (now - self._heard) % TICKS > 1000 * self._watchdog:
             self.trip(Cause.WATCHDOG)
         if self.state != DeviceState.ARMED:
             self._drop()
             return self.counts
         # Whole counts, and what is left of one is kept, so that no clock makes it faster or slower.
-        self._credit += self._slew * passed
+        self._credit += self._slew * min(passed, LONGEST_STEP)
         step, self._credit = divmod(self._credit, 1000)
         self.counts = [
-            held + max(-step, min(step, wanted - held)) for held, wanted in zip(self.counts, self._wanted, strict=True)
+            min(held + max(-step, min(step, wanted - held)), self._allowed(k))
+            for k, (held, wanted) in enumerate(zip(self.counts, self._wanted, strict=True))
         ]
         return self.counts
 
     def trip(self, cause: Cause) -> None:
         """Zero at once, and latched: if it was armed, or for a fault of its own, called for as long as that lasts."""
-        if self.state == DeviceState.ARMED or cause == Cause.OWN:
+        if self.state == DeviceState.ARMED or cause in LASTING:
             self.state, self.cause = DeviceState.LATCHED, cause
         self._drop()
 
@@ -135,29 +179,36 @@ class Device:
             flags |= Flag.ENABLE
         elif self.state == DeviceState.LATCHED:
             flags |= Flag.LATCHED
+        if self._is_pressed:
+            flags |= Flag.PRESSED
         self._sent = (self._sent + 1) % SEQUENCES
-        return Frame(kind, self._sent, now % TICKS, values + (0,) * (CHANNELS - len(values)), flags, self._peer_clock)
+        padded = values + (0,) * (CHANNELS - len(values))
+        return Frame(kind, self._sent, now % TICKS, padded, flags, self._peer_clock, self.cause)
 
     def answer(self, now: int) -> Frame | None:
-        """Its CAPABILITY, once after each HELLO."""
+        """What is left of its answer to a HELLO: CAPABILITY, LIMITS, CONTINUOUS, once each; None where nothing is."""
         if not self._answers or self.session is None:
             return None
-        self._answers = False
-        capability = (self._channels, self._watchdog, self._quantum, self._most, self._slew)
-        return self.frame(now, Kind.CAPABILITY, (self.session, *capability, self.nonce))
+        kind = self._answers.pop(0)
+        if kind != Kind.CAPABILITY:
+            return self.frame(now, kind, tuple(self._most if kind == Kind.LIMITS else self._continuous))
+        bounds = (self._channels, self._watchdog, self._quantum, max(self._most), self._slew)
+        return self.frame(now, kind, (self.session, *bounds, self.nonce, _signed(self._heating)))
 
     def status(self, now: int) -> Frame:
         """Its STATUS."""
         refused = sum(self.reader.refused.values())
         numbers = (self.accepted, self.order.missing, self.order.stale, refused)
         halves = [half for number in numbers for half in (number % 2**16, number // 2**16 % 2**16)]
-        values = (self.session or 0, self.state, self.cause, *halves, self.order.newest or 0)
+        warmth = (self._told, min(self._share(self._told), SEQUENCES // 2 - 1))
+        self._told = (self._told + 1) % self._channels
+        values = (self.session or 0, self.state, self.cause, *halves, self.order.newest or 0, *warmth)
         return self.frame(now, Kind.STATUS, tuple(_signed(value) for value in values))
 
     def _greet(self, now: int, frame: Frame) -> None:
         if self.state == DeviceState.ARMED:
             self.trip(Cause.GREETED)
-        self.session, self._answers = frame.values[0], True
+        self.session, self._answers = frame.values[0], list(ANSWERS)
         self.order = Sequence(frame.sequence, WINDOW)
         self._peer_clock = frame.clock
         self.accepted = 0
@@ -190,15 +241,39 @@ class Device:
             return
         self.accepted += 1
         if frame.kind == Kind.ARM:
-            if frame.values[:2] == (self.session, self.nonce):
+            if frame.values[:2] == (self.session, self.nonce) and not self._is_pressed:
                 self._drop()
                 self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, frame.echo
                 # It is good for one ARM.
                 self._draw(now)
         elif self.state == DeviceState.ARMED:
             self._heard = frame.echo
-            asked = (min(max(value, 0), self._most) for value in frame.values)
-            self._wanted = [value if k < self._channels else 0 for k, value in enumerate(asked)]
+            self._wanted = [min(max(value, 0), most) for value, most in zip(frame.values, self._most, strict=True)]
+
+    def _warm(self, passed: int) -> None:
+        """Motors warm with the square of what they held since the last step, and cool, in whole milliseconds.
+
+        What is taken up now cools from the next step on, so that rounding and long steps make it no less than it is.
+        """
+        time, self._warmed = divmod(self._warmed + passed, 1000)
+        time, constant = min(time, LONGEST_COOLING), 10 * self._heating
+        for k, count in enumerate(self.counts):
+            cooled = self.warmth[k] * time // max(constant + time, 1)
+            self.warmth[k] += count * count * time - cooled
+
+    def _bearable(self, channel: int) -> int:
+        """The warmth that a motor bears for ever [counts^2 ms]."""
+        return self._continuous[channel] ** 2 * 10 * self._heating
+
+    def _share(self, channel: int) -> int:
+        """A motor's warmth [1/1000 of what it bears for ever]."""
+        return self.warmth[channel] * 1000 // max(self._bearable(channel), 1)
+
+    def _allowed(self, channel: int) -> int:
+        """The largest count of a channel, by how warm its motor is."""
+        most, lasting, bearable = self._most[channel], self._continuous[channel], self._bearable(channel)
+        fades, left = bearable // FADING, max(bearable - self.warmth[channel], 0)
+        return most if left >= fades else lasting + (most - lasting) * left // fades
 
     def _drop(self) -> None:
         self.counts, self._wanted, self._credit = [0] * CHANNELS, [0] * CHANNELS, 0
@@ -206,3 +281,12 @@ class Device:
 
 def _signed(value: int) -> int:
     return value - SEQUENCES if value >= SEQUENCES // 2 else value
+
+
+def _each(name: str, counts: Numbers[int], channels: int) -> list[int]:
+    if len(counts) != channels:
+        raise ValueError(f"{name} are {len(counts)}: expected one for each of {channels} channels")
+    for k, count in enumerate(counts):
+        if not 0 <= count < SEQUENCES // 2:
+            raise ValueError(f"{name}[{k}] is {count}: expected 0 to {SEQUENCES // 2 - 1}")
+    return [*counts, *(0,) * (CHANNELS - channels)]

@@ -6,7 +6,7 @@ A frame before stuffing, little-endian, 44 bytes:
 offset  type      meaning
 ======  ========  ===================================================================
 0       uint8     version of the protocol in the high four bits, kind in the low four
-1       uint8     flags
+1       uint8     flags in the low four bits; of a device's frames, its cause in the high four
 2       uint16    sequence number, one more for each frame sent, 0 after 65,535
 4       uint32    the sender's clock [us], from 0 again after 4,294,967,295
 8       uint32    the other side's clock in the newest of its frames that were heard; 0 before any
@@ -47,7 +47,7 @@ class Kind(IntEnum):
     """Host to device: session, a number the host draws. A device gives up all torque at it, and answers."""
     CAPABILITY = 2
     """Device to host: session, channels, watchdog [ms], torque of a count [1e-7 N.m], largest count, largest change
-    of a torque [counts/ms], and a number that the device draws, which ARM must repeat."""
+    of a torque [counts/ms], a number that the device draws, which ARM must repeat, and its motors' heating [10 ms]."""
     COMMAND = 3
     """Host to device: torques [counts]."""
     ANGLES = 4
@@ -58,7 +58,14 @@ class Kind(IntEnum):
     """Host to device: session, and the device's number. What alone lets torques through and ends a latch."""
     STATUS = 7
     """Device to host: session, state, cause; then four numbers of 32 bits, low half first: commands accepted,
-    missing, stale, frames refused; and the newest sequence number."""
+    missing, stale, frames refused; the newest sequence number; and of one channel after the other its index and its
+    motor's warmth [1/1000 of what it bears for ever]."""
+    STOP = 8
+    """Host to device: emergency stop, acted on whatever its age and number."""
+    LIMITS = 9
+    """Device to host, after CAPABILITY: largest counts, by channel."""
+    CONTINUOUS = 10
+    """Device to host, after LIMITS: largest counts that the motors bear for ever, by channel."""
 
 
 class Flag(IntFlag):
@@ -70,6 +77,8 @@ class Flag(IntFlag):
     """In what a device sends: it holds zero after a fault, until it is armed anew."""
     SATURATED = 4
     """In what a device sends: a gauge was at its end."""
+    PRESSED = 8
+    """In what a device sends: its emergency stop is pressed, and it cannot be armed."""
 
 
 NO_FLAGS = Flag(0)
@@ -88,6 +97,8 @@ class Frame:
     flags: Flag = NO_FLAGS
     echo: int = 0
     """The other side's clock [us], in the newest frame that was heard of it; 0 before any."""
+    cause: int = 0
+    """Of a device that gave up its torque, why; below 16."""
 
 
 def encode(frame: Frame) -> bytes:
@@ -99,7 +110,8 @@ def encode(frame: Frame) -> bytes:
     if len(frame.values) != CHANNELS:
         raise ValueError(f"values are {len(frame.values)}: expected {CHANNELS}")
     try:
-        head = VERSION << 4 | frame.kind, frame.flags, frame.sequence, frame.clock, frame.echo
+        flags = frame.flags | frame.cause << 4
+        head = VERSION << 4 | frame.kind, flags, frame.sequence, frame.clock, frame.echo
         body = _BODY.pack(*head, *frame.values)
     except struct.error as error:
         raise ValueError(f"a number of {frame} does not fit its place: {error}") from None
@@ -131,7 +143,7 @@ def decode(line: bytes) -> Frame | Refusal:
     head, flags, sequence, clock, echo, *values = _BODY.unpack(body)
     if head >> 4 != VERSION or head & 15 not in Kind._value2member_map_:
         return Refusal.VERSION
-    return Frame(Kind(head & 15), sequence, clock, tuple(values), Flag(flags & 7), echo)
+    return Frame(Kind(head & 15), sequence, clock, tuple(values), Flag(flags & 15), echo, flags >> 4)
 
 
 class FrameReader:

@@ -47,7 +47,9 @@ class SimulatedGlove:
         """
         self.device = Device(
             channels=len(model.joints),
-            most=max(model.most_counts),
+            most=model.most_counts,
+            continuous=model.continuous_counts,
+            heating=round(100 * model.heating),
             slew=round(model.rate / model.quantum / 1000),
             quantum=round(model.quantum * 1e7),
             seed=random.randrange(2**32),

@@ -109,6 +109,8 @@ class Simulation:
                 self.glove.jump = counts
             case {"slack": channel}:
                 self.glove.slack = channel
+            case {"press": pressed}:
+                self.glove.device.press(bool(pressed))
             case {"fault": _}:
                 self.glove.device.trip(Cause.OWN)
             case {"report": _}:

@@ -43,7 +43,7 @@ class Simulator:
         Args:
             what: ``bend`` (angles to go to [rad]) and ``lasts`` [s]; ``cut`` or ``unplug`` [s]; ``spoil`` (share of
                 what passes) and ``seed``; ``stuck`` (encoders, yes or no); ``slack`` (a channel, or None); ``fault``
-                (the device's own); ``report``.
+                (the device's own); ``press`` (its emergency stop, yes or no); ``report``.
 
         Raises:
             OSError: if it has ended, or does not answer.

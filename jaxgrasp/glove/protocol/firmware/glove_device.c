@@ -5,6 +5,9 @@
 #define WINDOW 64u
 #define LONGEST_SILENCE 1000000u
 #define LONGEST_STEP 20000u
+#define LONGEST_COOLING 8000u /* ms in one step, so that 64 bits hold every product below */
+#define FADING 5u             /* the last fifth of a motor's warmth, over which its largest count fades */
+#define ANSWERS 3u
 #define BODY 40
 #define VALUES 12
 
@@ -58,15 +61,24 @@ static void drop(struct glove_device *device) {
 void glove_init(struct glove_device *device, struct glove_limits limits) {
     memset(device, 0, sizeof *device);
     if (limits.channels > GLOVE_CHANNELS) limits.channels = GLOVE_CHANNELS;
+    for (int k = 0; k < GLOVE_CHANNELS; k++) {
+        if (k >= limits.channels || limits.most[k] < 0) limits.most[k] = 0;
+        if (limits.continuous[k] <= 0 || limits.continuous[k] > limits.most[k]) limits.continuous[k] = limits.most[k];
+    }
     device->limits = limits;
 }
 
 void glove_trip(struct glove_device *device, enum glove_cause cause) {
-    if (device->state == GLOVE_ARMED || cause == GLOVE_OWN) {
+    if (device->state == GLOVE_ARMED || cause == GLOVE_OWN || cause == GLOVE_STOPPED) {
         device->state = GLOVE_LATCHED;
         device->cause = cause;
     }
     drop(device);
+}
+
+void glove_press(struct glove_device *device, bool pressed) {
+    device->pressed = pressed;
+    if (pressed) glove_trip(device, GLOVE_STOPPED);
 }
 
 /* Another number that ARM must repeat, good for one. */
@@ -84,7 +96,8 @@ static void greet(struct glove_device *device, uint32_t now, const uint8_t *data
     device->peer_clock = get32(data + 4);
     device->session = (int16_t)get16(data + VALUES);
     device->accepted = device->missing = device->stale = 0;
-    device->greeted = device->answers = true;
+    device->greeted = true;
+    device->answers = ANSWERS;
     draw(device, now);
 }
 
@@ -119,7 +132,7 @@ static void obey(struct glove_device *device, uint32_t now, const uint8_t *data)
     device->accepted++;
     if (arms) {
         if ((int16_t)get16(data + VALUES) != device->session) return;
-        if ((int16_t)get16(data + VALUES + 2) != device->nonce) return;
+        if ((int16_t)get16(data + VALUES + 2) != device->nonce || device->pressed) return;
         drop(device);
         device->state = GLOVE_ARMED;
         device->cause = GLOVE_NO_CAUSE;
@@ -127,9 +140,9 @@ static void obey(struct glove_device *device, uint32_t now, const uint8_t *data)
         draw(device, now);
     } else if (device->state == GLOVE_ARMED) {
         device->heard = echo;
-        for (int k = 0; k < device->limits.channels; k++) {
-            int16_t value = (int16_t)get16(data + VALUES + 2 * k);
-            device->wanted[k] = value < 0 ? 0 : value > device->limits.most ? device->limits.most : value;
+        for (int k = 0; k < GLOVE_CHANNELS; k++) {
+            int16_t value = (int16_t)get16(data + VALUES + 2 * k), most = device->limits.most[k];
+            device->wanted[k] = value < 0 ? 0 : value > most ? most : value;
         }
     }
 }
@@ -140,12 +153,16 @@ static void handle(struct glove_device *device, uint32_t now) {
     bool good = !device->overflown && unstuff(device->kept, device->length, data) &&
                 crc32(data, BODY) == get32(data + BODY) && data[0] >> 4 == GLOVE_VERSION;
     kind = good ? data[0] & 15 : 0;
-    if (kind < GLOVE_HELLO || kind > GLOVE_STATUS) {
+    if (kind < GLOVE_HELLO || kind > GLOVE_CONTINUOUS) {
         device->refused++;
     } else if (kind == GLOVE_HELLO) {
         greet(device, now, data);
     } else if ((kind == GLOVE_COMMAND || kind == GLOVE_ARM) && device->greeted && is_new(device, data)) {
         obey(device, now, data);
+    } else if (kind == GLOVE_STOP) {
+        /* Whatever its age: an old one can do no harm. */
+        glove_trip(device, GLOVE_STOPPED);
+        if (device->greeted && is_new(device, data)) device->accepted++;
     }
 }
 
@@ -161,11 +178,42 @@ void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte) {
     device->overflown = false;
 }
 
+/* Motors warm with the square of what they held since the last step, and cool, in whole milliseconds. What is taken up
+ * now cools from the next step on, so that rounding and long steps make it no less than it is. */
+static void warm(struct glove_device *device, uint32_t passed) {
+    uint64_t total = (uint64_t)device->warmed + passed, time = total / 1000u;
+    uint64_t constant = (uint64_t)device->limits.heating * 10u;
+    device->warmed = (uint32_t)(total % 1000u);
+    if (time > LONGEST_COOLING) time = LONGEST_COOLING;
+    if (time == 0) return;
+    for (int k = 0; k < GLOVE_CHANNELS; k++) {
+        uint64_t heat = (uint64_t)((int32_t)device->counts[k] * device->counts[k]);
+        device->warmth[k] -= device->warmth[k] * time / (constant + time);
+        device->warmth[k] += heat * time;
+    }
+}
+
+/* What a motor bears for ever [counts^2 ms]. */
+static uint64_t bearable(const struct glove_device *device, int k) {
+    uint64_t lasting = (uint64_t)device->limits.continuous[k];
+    return lasting * lasting * device->limits.heating * 10u;
+}
+
+/* The largest count of a channel, by how warm its motor is. */
+static int16_t allowed(const struct glove_device *device, int k) {
+    int16_t most = device->limits.most[k], lasting = device->limits.continuous[k];
+    uint64_t bears = bearable(device, k), fades = bears / FADING;
+    uint64_t left = bears > device->warmth[k] ? bears - device->warmth[k] : 0;
+    if (left >= fades) return most;
+    return (int16_t)(lasting + (int16_t)((uint64_t)(most - lasting) * left / fades));
+}
+
 void glove_step(struct glove_device *device, uint32_t now) {
     uint32_t passed = now - device->stepped;
     int32_t step;
-    if (passed > LONGEST_STEP) passed = LONGEST_STEP;
     device->stepped = now;
+    warm(device, passed);
+    if (passed > LONGEST_STEP) passed = LONGEST_STEP;
     if (device->state == GLOVE_ARMED && now - device->heard > (uint32_t)1000 * device->limits.watchdog)
         glove_trip(device, GLOVE_WATCHDOG);
     if (device->state != GLOVE_ARMED) {
@@ -177,9 +225,11 @@ void glove_step(struct glove_device *device, uint32_t now) {
     step = (int32_t)(device->credit / 1000u);
     device->credit %= 1000u;
     for (int k = 0; k < GLOVE_CHANNELS; k++) {
+        int16_t most = allowed(device, k);
         int32_t change = (int32_t)device->wanted[k] - device->counts[k];
         change = change > step ? step : change < -step ? -step : change;
         device->counts[k] = (int16_t)(device->counts[k] + change);
+        if (device->counts[k] > most) device->counts[k] = most;
     }
 }
 
@@ -188,8 +238,9 @@ void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind
     uint8_t data[GLOVE_FRAME];
     if (device->state == GLOVE_ARMED) flags |= GLOVE_ENABLE;
     if (device->state == GLOVE_LATCHED) flags |= GLOVE_LATCHED_FLAG;
+    if (device->pressed) flags |= GLOVE_PRESSED;
     data[0] = (uint8_t)(GLOVE_VERSION << 4 | kind);
-    data[1] = flags;
+    data[1] = (uint8_t)(flags | device->cause << 4);
     put16(data + 2, ++device->sent);
     put32(data + 4, now);
     put32(data + 8, device->peer_clock);
@@ -201,16 +252,30 @@ void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind
 bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]) {
     int16_t values[GLOVE_CHANNELS] = {0};
     if (!device->answers) return false;
-    device->answers = false;
+    if (--device->answers < ANSWERS - 1) {
+        bool last = !device->answers;
+        glove_frame(device, now, last ? GLOVE_CONTINUOUS : GLOVE_LIMITS,
+                    last ? device->limits.continuous : device->limits.most, 0, line);
+        return true;
+    }
     values[0] = device->session;
     values[1] = device->limits.channels;
     values[2] = (int16_t)device->limits.watchdog;
     values[3] = (int16_t)device->limits.quantum;
-    values[4] = device->limits.most;
+    for (int k = 0; k < GLOVE_CHANNELS; k++)
+        if (device->limits.most[k] > values[4]) values[4] = device->limits.most[k];
     values[5] = (int16_t)device->limits.slew;
     values[6] = device->nonce;
+    values[7] = (int16_t)device->limits.heating;
     glove_frame(device, now, GLOVE_CAPABILITY, values, 0, line);
     return true;
+}
+
+/* A motor's warmth [1/1000 of what it bears for ever]. */
+static int16_t share(const struct glove_device *device, int k) {
+    uint64_t bears = bearable(device, k);
+    uint64_t found = device->warmth[k] * 1000u / (bears ? bears : 1);
+    return (int16_t)(found < 32767u ? found : 32767u);
 }
 
 void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]) {
@@ -221,5 +286,8 @@ void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_
         values[4 + 2 * k] = (int16_t)(uint16_t)(numbers[k] >> 16);
     }
     values[11] = (int16_t)device->newest;
+    values[12] = device->told;
+    values[13] = share(device, device->told);
+    if (++device->told >= device->limits.channels) device->told = 0;
     glove_frame(device, now, GLOVE_STATUS, values, 0, line);
 }

@@ -3,9 +3,9 @@
  *
  * Call glove_receive for each byte that the line brings, glove_step about every millisecond, and drive the motors by
  * `counts` after each step. Times are a free-running clock in microseconds that may wrap, and none is before the last
- * one given: one that is counts as a wrap, and latches. All calls come from one context, or with interrupts off; an
- * emergency stop that cannot wait cuts the motors' power itself, and calls glove_trip from that context for as long as
- * it lasts.
+ * one given: one that is counts as a wrap, and latches. All calls come from one context, or with interrupts off. Call
+ * glove_press with what the line of the emergency stop's button says, at each step or when it changes; a button that
+ * cannot wait for that cuts the motors' power itself.
  */
 #ifndef GLOVE_DEVICE_H
 #define GLOVE_DEVICE_H
@@ -26,16 +26,27 @@ enum glove_kind {
     GLOVE_ANGLES = 4,
     GLOVE_TENSIONS = 5,
     GLOVE_ARM = 6,
-    GLOVE_STATUS = 7
+    GLOVE_STATUS = 7,
+    GLOVE_STOP = 8,
+    GLOVE_LIMITS = 9,
+    GLOVE_CONTINUOUS = 10
 };
-enum glove_flag { GLOVE_ENABLE = 1, GLOVE_LATCHED_FLAG = 2, GLOVE_SATURATED = 4 };
+enum glove_flag { GLOVE_ENABLE = 1, GLOVE_LATCHED_FLAG = 2, GLOVE_SATURATED = 4, GLOVE_PRESSED = 8 };
 enum glove_state { GLOVE_IDLE = 0, GLOVE_ARMED = 1, GLOVE_LATCHED = 2 };
-enum glove_cause { GLOVE_NO_CAUSE = 0, GLOVE_WATCHDOG = 1, GLOVE_GREETED = 2, GLOVE_OWN = 3 };
+enum glove_cause {
+    GLOVE_NO_CAUSE = 0,
+    GLOVE_WATCHDOG = 1,
+    GLOVE_GREETED = 2,
+    GLOVE_OWN = 3,
+    GLOVE_STOPPED = 4
+};
 
 /* What the motors and the line allow: set before glove_init. */
 struct glove_limits {
     uint8_t channels;      /* 14 at most */
-    int16_t most;          /* largest count */
+    int16_t most[GLOVE_CHANNELS];        /* largest counts, by channel */
+    int16_t continuous[GLOVE_CHANNELS];  /* those that a motor bears for ever; 0 for as much as the largest */
+    uint16_t heating;      /* time constant by which motors warm and cool [10 ms]; 0 for none that warm */
     uint16_t slew;         /* largest change [counts/ms] */
     uint16_t quantum;      /* torque of a count [1e-7 N.m] */
     uint16_t watchdog;     /* time after which it latches, from when it sent what the newest command answers [ms] */
@@ -53,7 +64,10 @@ struct glove_device {
     int16_t wanted[GLOVE_CHANNELS];
     uint8_t kept[GLOVE_LINE];
     size_t length;
-    bool overflown, greeted, answers;
+    bool overflown, greeted, pressed;
+    uint8_t answers, told;            /* frames still owed to a HELLO; channel whose warmth STATUS says next */
+    uint64_t warmth[GLOVE_CHANNELS];  /* taken up and not yet given off [counts^2 ms] */
+    uint32_t warmed;
     int16_t session, nonce;
     uint32_t drawn;
     uint16_t newest, sent;
@@ -64,11 +78,12 @@ void glove_init(struct glove_device *device, struct glove_limits limits);
 void glove_receive(struct glove_device *device, uint32_t now, uint8_t byte);
 void glove_step(struct glove_device *device, uint32_t now);
 void glove_trip(struct glove_device *device, enum glove_cause cause);
+void glove_press(struct glove_device *device, bool pressed);
 
 /* A frame to send, numbered and with the device's state among its flags; `line` holds GLOVE_LINE bytes. */
 void glove_frame(struct glove_device *device, uint32_t now, enum glove_kind kind,
                  const int16_t values[GLOVE_CHANNELS], uint8_t flags, uint8_t line[GLOVE_LINE]);
-/* The answer to a HELLO, if one is due. */
+/* What is left of the answer to a HELLO: CAPABILITY, LIMITS, CONTINUOUS; false where nothing is. */
 bool glove_answer(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
 void glove_status(struct glove_device *device, uint32_t now, uint8_t line[GLOVE_LINE]);
 

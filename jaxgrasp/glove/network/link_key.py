@@ -1,0 +1,39 @@
+"""The key that two hosts share: out of a file that others cannot read, or the environment; never a command line."""
+
+import os
+import stat
+
+VARIABLE = "JAXGRASP_GLOVE_KEY"
+"""Environment variable of the key."""
+LEAST, MOST = 16, 64
+"""Bytes of a key."""
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+_EXPECTED = f"expected {2 * LEAST} to {2 * MOST} hexadecimal digits"
+
+
+def load_key(path: str | os.PathLike | None = None) -> bytes:
+    """The key of a file, or of the environment's ``JAXGRASP_GLOVE_KEY`` where none is named; nothing where neither is.
+
+    A command line is no place for it: every user of a machine can read those.
+
+    Raises:
+        ValueError: for what is no key, and a file that others than its owner can read or write.
+        OSError: for a file that cannot be read.
+    """
+    if path is None:
+        text = os.environ.get(VARIABLE, "")
+        return _key(VARIABLE, text) if text else b""
+    with open(path, encoding="ascii", errors="replace") as file:
+        if os.name == "posix" and stat.S_IMODE(os.fstat(file.fileno()).st_mode) & _OTHERS:
+            raise ValueError(f"key file {path} is open to others: expected it for its owner alone (chmod 600 {path})")
+        return _key(f"key file {path}", file.read(4 * MOST).strip())
+
+
+def _key(where: str, text: str) -> bytes:
+    try:
+        key = bytes.fromhex(text)
+    except ValueError:
+        raise ValueError(f"{where} holds no hexadecimal number: {_EXPECTED}") from None
+    if not LEAST <= len(key) <= MOST:
+        raise ValueError(f"{where} holds {len(key)} bytes: {_EXPECTED}")
+    return key

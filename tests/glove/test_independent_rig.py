@@ -1,0 +1,53 @@
+"""A device written from the page alone judges the host: torque ends in time after any fault, whatever delays do."""
+
+import struct
+
+import pytest
+
+from jaxgrasp.glove.guard import GuardState
+from jaxgrasp.glove.host import LinkState
+from tests.glove import independent_device as page
+from tests.glove.independent_rig import FAULTS, IN_TIME, WAYS, Rig, one_fault
+from tests.glove.test_frames import vectors
+
+QUICK = ("the host dies", "the encoders fall silent")
+NAMES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in FAULTS]
+BY_WAY = [pytest.param(way, marks=() if way == "both" else pytest.mark.slow) for way in WAYS]
+
+
+@pytest.mark.parametrize("way", BY_WAY)
+@pytest.mark.parametrize("name", NAMES)
+def test_torque_ends_in_time_whatever_fails_while_delays_drift(name, way):
+    drifts = (-0.005, 0.0, 0.005)
+    spent = [one_fault(name, way, k, drift, 0.4 + 0.3 * k + 0.0017 * k) for k, drift in enumerate(drifts)]
+    assert max(spent) <= IN_TIME, [f"{1e3 * one:.0f} ms" for one in spent]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAULTS)
+def test_nothing_flows_again_before_a_person_arms_it(name):
+    world = Rig(5, 0.001).armed()
+    FAULTS[name](world)
+    world.run(0.3)
+    since = world.now
+    for way in (world.outward, world.inward):
+        way.is_cut, way.spoils, way.waits = False, 0.0, lambda now: 0.0
+    world.is_plugged = world.is_host_alive = world.says_angles = True
+    world.jump, world.is_law_old, world.law = None, False, lambda angles: 0.25 * (angles - 0.2)
+    world.device.is_pressed = False
+    world.run(1.0)
+    assert world.zero_after(since) == 0.0
+    assert world.host.state == LinkState.LINKED and world.host.guard.state != GuardState.ARMED
+    world.host.arm(world.now)
+    world.run(0.6)
+    assert min(world.device.counts) > 3000
+
+
+def test_the_pages_vectors_by_its_own_arithmetic():
+    for frame, line in vectors():
+        data = page.unstuffed(line[:-1])
+        assert page.stuffed(data) == line and page.check_sum(data[:40]) == int.from_bytes(data[40:], "little")
+        head, flags, sequence, clock, echo, *values = struct.unpack("<BBHII14h", data[:40])
+        assert (head, flags & 15, flags >> 4) == (32 + frame.kind, int(frame.flags), frame.cause)
+        assert (sequence, clock, echo, tuple(values)) == (frame.sequence, frame.clock, frame.echo, frame.values)
+    assert page.check_sum(b"123456789") == 0xCBF43926

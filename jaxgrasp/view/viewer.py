@@ -1,0 +1,192 @@
+"""Pushes a drawing to a page of viser: what stays is made once, and each instant moves, sizes and colours it.
+
+Nothing is decided here: what a page shows stands in a Drawing, and what it says comes as HTML.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.report.look import GRID, MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR
+from jaxgrasp.report.surfaces import DrawnSurface, hull
+from jaxgrasp.view.drawing import Drawing
+from jaxgrasp.view.escape import escaped
+from jaxgrasp.view.instances import Arrows, Instances, rgb
+
+ROUND = 20
+"""Corners around cones and shafts."""
+HAND_OPACITY, OBJECT_OPACITY, CONE_OPACITY = 0.62, 0.5, 0.42
+"""Contacts lie between hand and object: both let them be seen."""
+BRAND = (0, 114, 178)
+
+
+class Viewer:
+    """One page: a scene whose parts are kept and moved."""
+
+    def __init__(
+        self,
+        server: Any,
+        links: Sequence[DrawnSurface] = (),
+        thing: DrawnSurface | None = None,
+        table: DrawnSurface | None = None,
+    ):
+        """A page without an instant.
+
+        Args:
+            server: of [`serving`][jaxgrasp.view.viewer_server.serving].
+            links: the skin of the hand's links, each in its own frame.
+            thing: the object, in its own frame.
+            table: in the world.
+        """
+        self.server, self._scene = server, server.scene
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=BRAND)
+        self._thing = thing
+        self._parts: dict[str, Any] = {}
+        self._links = [self._link(k, link) for k, link in enumerate(links)]
+        self._object = self._scene.add_frame("/object", show_axes=False)
+        if thing is not None:
+            self._add_object(thing)
+        if table is not None:
+            self._scene.add_mesh_simple(
+                "/table", table.corners, table.faces, color=rgb(TABLE_COLOUR), side="double", cast_shadow=False
+            )
+        self._drawn: Drawing | None = None
+
+    def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
+        """Where a browser looks from, and at, when it comes."""
+        camera = self.server.initial_camera
+        camera.position, camera.look_at, camera.up = tuple(eye), tuple(at), (0.0, 0.0, 1.0)
+        camera.near, camera.far, camera.fov = 0.005, 20.0, 0.6
+
+    def show(self, drawn: Drawing) -> None:
+        """Show an instant; browsers get it whole."""
+        with self.server.atomic():
+            for handle, pose in zip(self._links, () if drawn.links is None else drawn.links, strict=False):
+                _place(handle, pose)
+            _place(self._object, drawn.object_pose)
+            self._instances("/cones", cone(), drawn.cones, CONE_OPACITY)
+            self._instances("/contacts", ball(), drawn.contacts)
+            for name, arrows in drawn.forces.items():
+                self._arrows(f"/forces/{name}", arrows)
+            self._arrows("/load", drawn.load)
+        self._drawn = drawn
+        self.server.flush()
+
+    def show_escape(self, twist: np.ndarray, share: float) -> None:
+        """The object on its way along a twist, from 0 to 1 of it."""
+        if self._drawn is not None:
+            with self.server.atomic():
+                _place(self._object, escaped(self._drawn.object_pose, twist, self._drawn.origin, share))
+            self.server.flush()
+
+    def set_visible(self, part: str, visible: bool) -> None:
+        """Show or hide a part: ``cones``, ``B`` or ``B-optimum``, ``load`` or ``hand``."""
+        if part == "hand":
+            for handle in self._links:
+                handle.visible = visible
+        for name, handle in self._parts.items():
+            if part in name.split("/"):
+                handle.visible = visible
+
+    def html(self) -> str:
+        """The scene as it stands as one page, which opens offline."""
+        return self.server.get_scene_serializer().as_html()
+
+    def _link(self, k: int, link: DrawnSurface) -> Any:
+        return self._scene.add_mesh_simple(
+            f"/hand/{k}", link.corners, link.faces, color=rgb(SKIN_COLOUR), opacity=HAND_OPACITY, receive_shadow=False
+        )
+
+    def _add_object(self, thing: DrawnSurface) -> None:
+        if len(thing.faces):
+            self._scene.add_mesh_simple(
+                "/object/surface",
+                thing.corners,
+                thing.faces,
+                color=rgb(OBJECT_COLOUR),
+                opacity=OBJECT_OPACITY,
+                side="double",
+                flat_shading=False,
+                receive_shadow=False,
+            )
+        if len(thing.lines):
+            lines = segments(thing.lines)
+            self._scene.add_line_segments(
+                "/object/edges", lines, rgb(MUTED), thickness=1.5, thickness_units="screen"
+            )
+
+    def _instances(self, name: str, body: DrawnSurface, there: Instances, opacity: float | None = None) -> None:
+        handle = self._parts.get(name)
+        if handle is None or len(handle.batched_positions) != len(there.positions):
+            self._parts[name] = self._scene.add_batched_meshes_simple(
+                name,
+                body.corners,
+                body.faces,
+                there.quaternions,
+                there.positions,
+                batched_scales=there.scales,
+                batched_colors=there.colours,
+                lod="off",
+                opacity=opacity,
+                side="double" if opacity else "front",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            return
+        handle.batched_positions, handle.batched_wxyzs = _floats(there.positions), _floats(there.quaternions)
+        handle.batched_scales, handle.batched_colors = _floats(there.scales), there.colours
+
+    def _arrows(self, name: str, arrows: Arrows) -> None:
+        self._instances(f"{name}/shafts", shaft(), arrows.shafts)
+        self._instances(f"{name}/heads", head(), arrows.heads)
+
+
+def _place(handle: Any, pose: np.ndarray) -> None:
+    handle.position = pose[:, 3]
+    handle.wxyz = Rotation.from_matrix(pose[:, :3]).as_quat(scalar_first=True)
+
+
+def _floats(array: np.ndarray) -> np.ndarray:
+    return np.asarray(array, np.float32)
+
+
+def segments(lines: np.ndarray) -> np.ndarray:
+    """Lines that NaN ends ``(E, 3)`` as their segments ``(S, 2, 3)``."""
+    pairs = np.stack([lines[:-1], lines[1:]], 1)
+    return pairs[np.isfinite(pairs).all((1, 2))]
+
+
+def ball() -> DrawnSurface:
+    """A ball of radius 1."""
+    return hull(np.zeros((1, 3)), np.ones(1), 12)
+
+
+def cone() -> DrawnSurface:
+    """From its apex at the origin to a rim of radius 1 at z = 1, open."""
+    return _between(0.0, 1.0)
+
+
+def head() -> DrawnSurface:
+    """An arrow's head: from a closed base of radius 1 at the origin to its apex at z = 1."""
+    sides = _between(1.0, 0.0)
+    base = np.vstack([sides.corners[:ROUND], [[0.0, 0, 0]]])
+    at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
+    disc = np.column_stack([np.full(ROUND, ROUND), after, at]) + len(sides.corners)
+    return DrawnSurface(np.vstack([sides.corners, base]), np.vstack([sides.faces, disc]))
+
+
+def shaft() -> DrawnSurface:
+    """A tube of radius 1 from the origin to z = 1."""
+    return _between(1.0, 1.0)
+
+
+def _between(low: float, high: float) -> DrawnSurface:
+    """A surface between two rims about z, at 0 and at 1, of these radii."""
+    turn = 2 * np.pi * np.arange(ROUND) / ROUND
+    ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    corners = np.vstack([np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))])
+    at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
+    faces = np.vstack([np.column_stack([at, after, after + ROUND]), np.column_stack([at, after + ROUND, at + ROUND])])
+    return DrawnSurface(corners, faces)

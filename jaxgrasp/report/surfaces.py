@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxgrasp.hand.mesh import Mesh
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.report.grasp_in_3d import across
@@ -63,6 +64,11 @@ def shape_surface(shape: Shape) -> DrawnSurface:
             square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
             return _prism(square * [float(length) / 2, float(width) / 2], float(height), 1)
     raise TypeError(f"a {type(shape).__name__} cannot be drawn")
+
+
+def mesh_surface(mesh: Mesh) -> DrawnSurface:
+    """A mesh as it is."""
+    return DrawnSurface(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, int))
 
 
 def arrow() -> DrawnSurface:

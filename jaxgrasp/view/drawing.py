@@ -51,9 +51,9 @@ def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawin
         scale: of the arrows before, which stays as long as it serves.
         size: how many times as large contacts, cones and arrows are as beside a human hand.
     """
-    forces = {name: seen.forces(name) for name, _, _ in seen.answers()}
+    forces = {name: seen.forces(answer) for name, answer, _ in seen.answers()}
     scale = fitting(scale, forces, size)
-    colours = TOUCHES[np.asarray(seen.assessment.touches)]
+    colours = TOUCHES[seen.touches]
     points, normals, there = seen.points, np.asarray(seen.grasp.normals), seen.there
     return Drawing(
         links=None if seen.hand is None else seen.hand.links,
@@ -75,7 +75,8 @@ def fitting(scale: Scale | None, forces: dict[str, np.ndarray], size: float = 1.
     largest = max(float(np.linalg.norm(force, axis=-1).max(initial=0)) for force in forces.values())
     if scale is not None and (largest == 0 or SHORTEST * size <= scale.metres * largest <= LONGEST * size):
         return scale
-    return Scale(LENGTH * size, round_up(largest * LENGTH / LONG))
+    length = round_up(LENGTH * size)
+    return Scale(length, round_up(largest * length / (LONG * size)))
 
 
 def _load(seen: Seen, size: float) -> Arrows:
@@ -92,5 +93,3 @@ def middle(seen: Seen) -> np.ndarray:
     if seen.hand is not None or not there.any():
         return np.asarray(seen.object_pose[:, 3], float)
     return seen.points[there].mean(0)
-
-

@@ -11,18 +11,18 @@ PERIOD, REST = 2.4, 0.25
 """How long a way there takes [s], and which share of it the object stands still at either end."""
 
 
-def scaled_twist(twist: np.ndarray, origin: np.ndarray, corners: np.ndarray, way: float = WAY) -> np.ndarray:
-    """The twist as long as it is shown: the farthest of the object's corners goes ``way``, or it turns by ``TURN``.
+def scaled_twist(twist: np.ndarray, origin: np.ndarray, corners: np.ndarray, size: float = 1.0) -> np.ndarray:
+    """The twist as long as it is shown: the farthest of the object's corners goes ``WAY``, or it turns by ``TURN``.
 
     Args:
         twist: (linear, angular) ``(6,)`` about the origin, of any length.
         origin: ``(3,)`` [m].
         corners: of the object in the world ``(V, 3)`` [m].
-        way: [m]
+        size: how many times as large things are as beside a human hand.
     """
     speeds = np.linalg.norm(twist[:3] + np.cross(twist[3:], corners - origin), axis=1)
     fastest, turning = float(speeds.max(initial=0)), float(np.linalg.norm(twist[3:]))
-    lengths = [way / fastest if fastest > 0 else np.inf, TURN / turning if turning > 0 else np.inf]
+    lengths = [WAY * size / fastest if fastest > 0 else np.inf, TURN / turning if turning > 0 else np.inf]
     return twist * min(lengths) if np.isfinite(min(lengths)) else np.zeros(6)
 
 

@@ -23,8 +23,7 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.rotation import rotation_by
-from jaxgrasp.view.seen import Seen, margins_of, pose_matrix
-from jaxgrasp.view.seen import Hand as SeenHand
+from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, pose_matrix
 
 SHORTEST, LONGEST = 1e-3, 0.05
 """Times that a step counts as at least and at most [s]: a pause does not throw the object."""
@@ -93,13 +92,13 @@ class LiveHand:
         if carried is None or before is None:
             carried, before = set_down(scene, self._placed(controls)), posture
         dt = min(max(dt, SHORTEST), LONGEST)
-        frames, tick, led, margins = _step(scene, dt, carried, before, posture, law=self.law)
+        frames, tick, led, judged = _step(scene, dt, carried, before, posture, law=self.law)
         missed = missed_by(tick)
         if self.law == "optimum" and bool(tick.slips):
             missed = closest_to(scene, tick, carried.placed)[1]
         self._carried = go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
         self._before = posture
-        return self._seen(carried.placed, frames, tick, margins)
+        return self._seen(carried.placed, frames, tick, judged)
 
     def start_again(self) -> None:
         """The object back to where the controls have it, at rest."""
@@ -121,18 +120,19 @@ class LiveHand:
         moved = Pose(jnp.asarray(wrist.origin) + controls.lift, turn @ jnp.asarray(wrist.rotation))
         return Posture(moved, jnp.asarray(controls.angles, float))
 
-    def _seen(self, placed: Pose, frames: HandFrames, tick: Tick, margins: tuple[Array, Array]) -> Seen:
-        links, placed, tick, margins = jax.device_get((frames.links, placed, tick, margins))
+    def _seen(self, placed: Pose, frames: HandFrames, tick: Tick, judged: Judged) -> Seen:
+        fetched = jax.device_get((frames.links, placed, tick, judged))
+        links, placed, tick, judged = jax.tree.map(np.asarray, fetched)
         return Seen(
             grasp=tick.grasp,
-            origin=placed.origin,
-            wrench=tick.wrench,
+            origin=np.asarray(placed.origin),
+            wrench=np.asarray(tick.wrench),
             assessment=tick.assessment,
-            margins=margins,
+            **judged._asdict(),
             law=self.law,
             names=self._names,
             object_pose=pose_matrix(placed),
-            hand=SeenHand(pose_matrix(links), self.made.scene.hand.joints, tick.torques),
+            hand=PosedHand(pose_matrix(links), self.made.scene.hand.joints, np.asarray(tick.torques)),
             rests=bool(tick.rests),
         )
 
@@ -140,16 +140,16 @@ class LiveHand:
 @partial(jax.jit, static_argnames="law")
 def _look(
     scene: Scene, posture: Posture, placed: Pose, inertial: Array, *, law: Law
-) -> tuple[HandFrames, Tick, tuple[Array, Array]]:
+) -> tuple[HandFrames, Tick, Judged]:
     tick = observe(scene, posture, placed, inertial, law=law)
-    return pose_hand(scene.hand, posture), tick, margins_of(tick.grasp, tick.assessment)
+    return pose_hand(scene.hand, posture), tick, judged_by_both(tick.grasp, tick.assessment)
 
 
 @partial(jax.jit, static_argnames="law")
 def _step(
     scene: Scene, dt: Array | float, carried: CarryState, before: Posture, posture: Posture, *, law: Law
-) -> tuple[HandFrames, Tick, Motion, tuple[Array, Array]]:
+) -> tuple[HandFrames, Tick, Motion, Judged]:
     """An instant with the hand where it was, and the motion that its way to a posture asks of the object."""
     now, later = (pose_hand(scene.hand, each) for each in (before, posture))
     tick, led = led_tick(scene, dt, carried, *touched(scene, before, carried.placed), now, later, law)
-    return now, tick, led, margins_of(tick.grasp, tick.assessment)
+    return now, tick, led, judged_by_both(tick.grasp, tick.assessment)

@@ -1,8 +1,5 @@
-"""The page of a live hand: sliders beside the picture, and a loop that computes what they ask and shows it."""
+"""The page of a live hand: sliders beside the picture."""
 
-import threading
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,73 +7,40 @@ from scipy.spatial.transform import Rotation
 
 from jaxgrasp.hand.human_hand import is_human, open_angles
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
-from jaxgrasp.view.drawing import Drawing, drawing
-from jaxgrasp.view.escape import scaled_twist, share_at
 from jaxgrasp.view.live_hand import Controls, LiveHand
-from jaxgrasp.view.panel_words import torques_html, words_html
+from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
-from jaxgrasp.view.viewer import Viewer
+from jaxgrasp.view.viewer import EYE, Viewer
 
-RATE = 30.0
-"""Frames a second, where anything moves."""
 REACH = 40.0
 """How far the object's place can be moved either way [mm]."""
 LIFT = 150.0
 """How far the wrist can be lifted [mm]."""
-LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load", "hand": "hand"}
-"""What can be hidden, by what a person calls it."""
-EYE = np.array([0.24, 0.26, 0.17])
-"""Where a browser looks from at first, from the object's centre [m]."""
 
 
-class LivePage:
+class LivePage(PageLoop):
     """A hand, an object and their controls."""
 
     def __init__(self, server: Any, hand: LiveHand, runs: bool = False):
         """``runs``: whether time runs on from the start."""
-        self._hand, self._server = hand, server
-        self._first = hand.at_first()
         scene = hand.made.scene
         self._surface = shape_surface(scene.body.shape)
-        self._viewer = Viewer(server, link_surfaces(scene.hand), self._surface)
-        self._changed = threading.Event()
-        self._changed.set()
-        self._drawn: Drawing | None = None
-        self._twist: np.ndarray | None = None
-        self._since = time.perf_counter()
-        self.frames = 0
-        """How many were shown."""
-        self.milliseconds = 0.0
-        """How long the last took, from what was set to what was sent."""
+        super().__init__(Viewer(server, link_surfaces(scene.hand), self._surface))
+        self._hand, self._server = hand, server
+        self._first = hand.at_first()
         self._add_controls(runs)
-        center = np.asarray(hand.made.placed.origin)
-        self._viewer.look_from(center + EYE, center)
+        self.viewer.look_from(EYE, np.asarray(hand.made.placed.origin))
 
-    def run(self, goes_on: Callable[[], bool] = lambda: True) -> None:
-        """Show what is asked for until it goes on no more."""
-        before = time.perf_counter()
-        while goes_on():
-            now = time.perf_counter()
-            if self._changed.is_set() or self._runs.value:
-                self.frame(now - before)
-            elif self._twist is not None:
-                self._viewer.show_escape(self._twist, share_at(now - self._since))
-            before = now
-            left = 1 / RATE - (time.perf_counter() - now)
-            if left > 0 and (self._runs.value or self._twist is not None):
-                time.sleep(left)
-            elif left > 0:
-                self._changed.wait(left)
+    @property
+    def runs(self) -> bool:
+        return self._runs.value
 
-    def frame(self, dt: float) -> None:
-        """Compute and show one instant."""
-        begun = time.perf_counter()
-        self._changed.clear()
+    def seen(self, passed: float) -> Seen:
         controls = self.controls()
-        seen = self._hand.step(controls, dt) if self._runs.value else self._hand.look(controls)
-        self._show(seen)
-        self.milliseconds = 1e3 * (time.perf_counter() - begun)
-        self.frames += 1
+        return self._hand.step(controls, passed) if self.runs else self._hand.look(controls)
+
+    def corners(self, seen: Seen) -> np.ndarray:
+        return placed(self._surface.corners, seen.object_pose)
 
     def controls(self) -> Controls:
         """What the sliders say."""
@@ -96,41 +60,22 @@ class LivePage:
             gravity=self._tilt() @ self._first.gravity,
         )
 
-    def html(self) -> str:
-        """The scene as it stands as one page, which opens offline."""
-        self.frame(0.0)
-        return self._viewer.html()
-
-    def _show(self, seen: Seen) -> None:
-        self._drawn = drawing(seen, None if self._drawn is None else self._drawn.scale)
-        self._viewer.show(self._drawn)
-        self._words.content = words_html(seen, self._drawn.scale)
-        self._bars.content = torques_html(seen)
-        escape = self._drawn.escape
-        if escape is None or self._runs.value or seen.rests:
-            self._twist = None
-            return
-        if self._twist is None:
-            self._since = time.perf_counter()
-        self._twist = scaled_twist(escape, seen.origin, placed(self._surface.corners, seen.object_pose))
-
     def _tilt(self) -> np.ndarray:
         return Rotation.from_quat(self._gizmo.wxyz, scalar_first=True).as_matrix()
 
     def _add_controls(self, runs: bool) -> None:
         gui = self._server.gui
-        self._words = gui.add_html("")
+        self.add_words()
         self._add_world(gui)
         self._add_hand(gui)
-        with gui.add_folder("torques", expand_by_default=False):
-            self._bars = gui.add_html("")
+        self.add_tables()
         with gui.add_folder("time", expand_by_default=runs):
             self._runs = gui.add_checkbox("time runs", runs)
             again = gui.add_button("put the object back")
         with gui.add_folder("layers", expand_by_default=False):
-            for label, part in LAYERS.items():
-                box = gui.add_checkbox(label, True)
-                box.on_update(lambda _, part=part, box=box: self._viewer.set_visible(part, box.value))
+            opacity = gui.add_slider("hand", 0.0, 1.0, 0.05, 1.0)
+            opacity.on_update(lambda _: self.viewer.set_opacity(opacity.value))
+            self.viewer.add_layers()
         self._runs.on_update(lambda _: self._start_again())
         again.on_click(lambda _: self._start_again())
 
@@ -148,7 +93,7 @@ class LivePage:
             "/turn", scale=0.06, disable_axes=True, disable_sliders=True, visible=False, depth_test=False,
             position=tuple(np.asarray(self._hand.made.placed.origin, float)),
         )  # fmt: skip
-        self._gizmo.on_update(lambda _: self._changed.set())
+        self._gizmo.on_update(self.change)
         self._turning.on_update(lambda _: setattr(self._gizmo, "visible", self._turning.value))
         upright.on_click(lambda _: self._set_upright())
 
@@ -170,13 +115,13 @@ class LivePage:
 
     def _slider(self, gui: Any, label: str, low: float, high: float, step: float, at: float) -> Any:
         slider = gui.add_slider(label, low, high, step, at)
-        slider.on_update(lambda _: self._changed.set())
+        slider.on_update(self.change)
         return slider
 
     def _set_upright(self) -> None:
         self._gizmo.wxyz = (1.0, 0.0, 0.0, 0.0)
-        self._changed.set()
+        self.change()
 
     def _start_again(self) -> None:
         self._hand.start_again()
-        self._changed.set()
+        self.change()

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from jaxgrasp.grip.monitor import Hold, Touch
-from jaxgrasp.model.solution import Verdict, is_balanced
+from jaxgrasp.model.solution import Solution, Verdict, is_balanced
 from jaxgrasp.report.look import (
     GRID,
     HOLD_COLOURS,
@@ -16,7 +16,6 @@ from jaxgrasp.report.look import (
     TOUCH_COLOURS,
     VERDICT_COLOURS,
     VERDICT_TITLES,
-    degrees,
     finger_colours,
     method_title,
     number,
@@ -41,18 +40,19 @@ def headline(seen: Seen) -> str:
         return "It escapes: no forces hold it"
     if hold == Hold.SLIPPING and bool(seen.assessment.disagrees):
         return "It slips, though other forces would hold it"
+    if hold == Hold.STABLE and bool(seen.assessment.disagrees):
+        return "It holds, though the closed form slips"
     return HEADLINES[hold]
 
 
 def words_html(seen: Seen, scale: Scale) -> str:
-    """Verdict, margins and advice of both laws, each contact, and the scale of the arrows."""
+    """Verdict, margins and advice of both laws, and the scale of the arrows."""
     hold = Hold(int(seen.assessment.hold))
     colour = MUTED if seen.rests else HOLD_COLOURS[hold]
     parts = [
         f'<div data-hold="{hold.name}" style="font-weight:650;font-size:17px;padding:7px 11px;border-radius:8px;'
         f'background:{colour};color:white;margin-bottom:8px">{headline(seen)}</div>',
         *(_answer(seen, name, answer, margins) for name, answer, margins in seen.answers()),
-        _contacts(seen),
         f'<div style="color:{MUTED};margin-top:6px">Arrows: {number(1000 * scale.length)} mm stand for '
         f"{number(scale.newtons)} N. Black: the load, {number(_newtons(seen))} N.</div>",
     ]
@@ -79,17 +79,17 @@ def bars_html(joints: Iterable[str], torques: np.ndarray) -> str:
     return _block(head + "".join(rows))
 
 
-def _answer(seen: Seen, name: str, answer, margins: np.ndarray) -> str:
+def _answer(seen: Seen, name: str, answer: Solution, margins: np.ndarray) -> str:
     verdict = Verdict(int(answer.verdict))
     applied = (name == "B") == (seen.law == "closed-form")
     sizes = ""
     if is_balanced(verdict) and seen.there.any():
-        forces = np.linalg.norm(seen.forces(name), axis=1)
+        forces = np.linalg.norm(seen.forces(answer), axis=1)
         worst = int(np.argmin(np.where(seen.there, margins, np.inf)))
         margin = float(margins[worst])
         sizes = f"largest force {number(float(forces.max()))} N"
         if math.isfinite(margin):
-            sizes += f", smallest margin {degrees(margin)} ({text(seen.names[worst])})"
+            sizes += f", smallest friction margin {_margin(margin)} ({text(seen.names[worst])})"
     mark = f'<span style="color:{MUTED};font-weight:400"> (applied)</span>' if applied else ""
     return (
         f'<div style="border-left:4px solid {METHOD_COLOURS[name]};padding:1px 0 1px 9px;margin:7px 0">'
@@ -100,15 +100,15 @@ def _answer(seen: Seen, name: str, answer, margins: np.ndarray) -> str:
     )
 
 
-def _contacts(seen: Seen) -> str:
-    """Each contact that touches: what it does, and by both laws its force and margin."""
+def contacts_html(seen: Seen) -> str:
+    """Each contact that touches: what it does, and by both laws its force and friction margin."""
     there = np.flatnonzero(seen.there)
     if not len(there):
         return ""
-    forces = [(seen.forces(name), margins) for name, _, margins in seen.answers()]
+    forces = [(seen.forces(answer), margins) for _, answer, margins in seen.answers()]
     rows = []
     for i in there.tolist():
-        touch = Touch(int(seen.assessment.touches[i]))
+        touch = Touch(int(seen.touches[i]))
         cells = "".join(
             f'<td style="text-align:right;padding-left:9px">{_force(force[i], float(margins[i]))}</td>'
             for force, margins in forces
@@ -120,9 +120,9 @@ def _contacts(seen: Seen) -> str:
         for name, title in (("B", "closed form"), ("B-optimum", "optimum"))
     )
     top = f'<tr><th style="text-align:left;font-weight:600">contact</th><th></th>{head}</tr>'
-    return (
-        f'<table style="width:100%;border-collapse:collapse;font-size:12px;font-variant-numeric:tabular-nums;'
-        f'border-top:1px solid {GRID};margin-top:8px">{top}{"".join(rows)}</table>'
+    return _block(
+        '<table style="width:100%;border-collapse:collapse;font-size:12px;font-variant-numeric:tabular-nums">'
+        f"{top}{''.join(rows)}</table>"
     )
 
 
@@ -130,7 +130,13 @@ def _force(force: np.ndarray, margin: float) -> str:
     size = float(np.linalg.norm(force))
     if size == 0:
         return "\N{EN DASH}"
-    return f"{number(size, 2)} N, {number(math.degrees(margin), 2)}°" if math.isfinite(margin) else f"{number(size)} N"
+    return f"{number(size, 2)} N, {_margin(margin)}" if math.isfinite(margin) else f"{number(size, 2)} N"
+
+
+def _margin(margin: float) -> str:
+    """A friction margin to a tenth of a degree: what a cone holds has one of zero but for rounding."""
+    tenths = round(math.degrees(margin), 1) + 0.0
+    return f"{tenths:.1f}°".replace("-", "\N{MINUS SIGN}")
 
 
 def _newtons(seen: Seen) -> float:

@@ -7,14 +7,14 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.force.slip import friction_margin
-from jaxgrasp.grip.monitor import Assessment, Law
+from jaxgrasp.grip.monitor import Assessment, Law, Touch, judged
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.model.solution import Verdict, is_balanced
+from jaxgrasp.model.solution import Solution, Verdict, is_balanced
 
 
-class Hand(NamedTuple):
-    """A posed hand."""
+class PosedHand(NamedTuple):
+    """A hand at that instant."""
 
     links: np.ndarray
     """Poses of its links ``(L, 3, 4)``."""
@@ -35,12 +35,14 @@ class Seen(NamedTuple):
     assessment: Assessment
     margins: tuple[np.ndarray, np.ndarray]
     """Friction margins of the closed form and of the optimum ``(n,)`` [rad]; infinite of contacts without load."""
+    closed_touches: np.ndarray
+    """What each contact does by the closed form: codes of a [`jaxgrasp.grip.Touch`][]."""
     law: Law
     names: Sequence[str]
     """Of the contacts."""
     object_pose: np.ndarray
     """``(3, 4)``"""
-    hand: Hand | None = None
+    hand: PosedHand | None = None
     rests: bool = False
     """Whether the table carries what the hand does not hold."""
 
@@ -64,24 +66,39 @@ class Seen(NamedTuple):
         twist = -np.asarray(optimum.certificate, float)
         return twist if np.any(twist) else None
 
-    def answers(self) -> tuple[tuple[str, object, np.ndarray], ...]:
+    @property
+    def touches(self) -> np.ndarray:
+        """What each contact does ``(n,)``: by the law that is applied or, where that has no forces, by the closed form,
+        which may have some; absent where neither has.
+        """
+        applied = self.assessment.optimum if self.law == "optimum" else self.assessment.closed
+        for answer, touches in ((applied, self.assessment.touches), (self.assessment.closed, self.closed_touches)):
+            if is_balanced(int(answer.verdict)):
+                return np.asarray(touches)
+        return np.full(len(self.there), Touch.ABSENT)
+
+    def answers(self) -> tuple[tuple[str, Solution, np.ndarray], ...]:
         """Method, solution and margins of both laws."""
         both = self.assessment.closed, self.assessment.optimum
         return tuple(zip(("B", "B-optimum"), both, self.margins, strict=True))
 
-    def forces(self, name: str) -> np.ndarray:
-        """The forces of a method ``(n, 3)`` [N]; zero where they balance nothing, for then they are none."""
-        solution = dict((method, answer) for method, answer, _ in self.answers())[name]
-        balanced = bool(is_balanced(int(solution.verdict)))
-        return np.where(self.there[:, None] & balanced, np.asarray(solution.forces), 0.0)
+    def forces(self, answer: Solution) -> np.ndarray:
+        """Forces ``(n, 3)`` [N]; zero where they balance nothing, for then they are none."""
+        return np.where(self.there[:, None] & bool(is_balanced(int(answer.verdict))), np.asarray(answer.forces), 0.0)
 
 
-def margins_of(grasp: Grasp, assessment: Assessment) -> tuple[Array, Array]:
-    """The friction margins of both laws ``(n,)`` [rad]."""
-    closed, optimum = (
-        friction_margin(grasp, answer.forces, answer.moments) for answer in (assessment.closed, assessment.optimum)
-    )
-    return closed, optimum
+class Judged(NamedTuple):
+    """What an assessment leaves to be found."""
+
+    margins: tuple[Array, Array]
+    closed_touches: Array
+
+
+def judged_by_both(grasp: Grasp, assessment: Assessment) -> Judged:
+    """The friction margins of both laws, and what contacts do by the closed form."""
+    closed, optimum = assessment.closed, assessment.optimum
+    margins = [friction_margin(grasp, answer.forces, answer.moments) for answer in (closed, optimum)]
+    return Judged((margins[0], margins[1]), judged(grasp, closed, optimum, "closed-form").touches)
 
 
 def pose_matrix(pose: Pose) -> np.ndarray:

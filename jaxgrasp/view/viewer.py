@@ -3,13 +3,13 @@
 Nothing is decided here: what a page shows stands in a Drawing, and what it says comes as HTML.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.report.look import GRID, MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR
+from jaxgrasp.report.look import MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR
 from jaxgrasp.report.surfaces import DrawnSurface, hull
 from jaxgrasp.view.drawing import Drawing
 from jaxgrasp.view.escape import escaped
@@ -17,8 +17,19 @@ from jaxgrasp.view.instances import Arrows, Instances, rgb
 
 ROUND = 20
 """Corners around cones and shafts."""
-HAND_OPACITY, OBJECT_OPACITY, CONE_OPACITY = 0.62, 0.5, 0.42
-"""Contacts lie between hand and object: both let them be seen."""
+OBJECT_OPACITY, CONE_OPACITY = 0.3, 0.45
+"""Contacts lie between hand and object, which lets them be seen; so does the hand, if asked to."""
+EYE, ASIDE = np.array([0.25, 0.29, 0.08]), 0.11
+"""From where a browser looks at an object in a hand [m], and how far beside it, as a share of that: words stand on the
+right."""
+LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load"}
+"""What can be hidden, by what a person calls it."""
+CORNER = (
+    "position:fixed;left:14px;top:14px;width:360px;max-height:calc(100vh - 40px);overflow:auto;background:#ffffffee;"
+    "border-radius:10px;box-shadow:0 1px 8px #0003;padding:6px"
+)
+"""How words stand beside a scene that was saved."""
+LINES: dict[str, Any] = {"thickness": 1.5, "thickness_units": "screen"}
 BRAND = (0, 114, 178)
 
 
@@ -42,8 +53,9 @@ class Viewer:
         """
         self.server, self._scene = server, server.scene
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=BRAND)
-        self._thing = thing
+        self._light()
         self._parts: dict[str, Any] = {}
+        self._edges: Any = None
         self._links = [self._link(k, link) for k, link in enumerate(links)]
         self._object = self._scene.add_frame("/object", show_axes=False)
         if thing is not None:
@@ -55,9 +67,11 @@ class Viewer:
         self._drawn: Drawing | None = None
 
     def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
-        """Where a browser looks from, and at, when it comes."""
+        """Where a browser looks when it comes: at a place, from ``eye`` beside it, which the panel does not cover."""
+        right = np.cross(-eye, [0.0, 0.0, 1.0])
+        aside = ASIDE * np.linalg.norm(eye) * right / np.linalg.norm(right)
         camera = self.server.initial_camera
-        camera.position, camera.look_at, camera.up = tuple(eye), tuple(at), (0.0, 0.0, 1.0)
+        camera.position, camera.look_at, camera.up = tuple(at + eye + aside), tuple(at + aside), (0.0, 0.0, 1.0)
         camera.near, camera.far, camera.fov = 0.005, 20.0, 0.6
 
     def show(self, drawn: Drawing) -> None:
@@ -81,22 +95,45 @@ class Viewer:
                 _place(self._object, escaped(self._drawn.object_pose, twist, self._drawn.origin, share))
             self.server.flush()
 
+    def set_edges(self, lines: np.ndarray) -> None:
+        """Lines ``(S, 2, 3)`` that stand for the object, in its own frame [m]."""
+        if self._edges is None:
+            self._edges = self._scene.add_line_segments("/object/edges", lines, rgb(MUTED), **LINES)
+        else:
+            self._edges.points = _floats(lines)
+
+    def set_opacity(self, opacity: float) -> None:
+        """Of the hand, 0 to 1."""
+        for handle in self._links:
+            handle.opacity = None if opacity >= 1 else opacity
+
+    def add_layers(self) -> None:
+        """Boxes that show and hide."""
+        for label, part in LAYERS.items():
+            box = self.server.gui.add_checkbox(label, True)
+            box.on_update(lambda _, part=part, box=box: self.set_visible(part, box.value))
+
     def set_visible(self, part: str, visible: bool) -> None:
-        """Show or hide a part: ``cones``, ``B`` or ``B-optimum``, ``load`` or ``hand``."""
-        if part == "hand":
-            for handle in self._links:
-                handle.visible = visible
+        """Show or hide a part: ``cones``, ``B`` or ``B-optimum``, or ``load``."""
         for name, handle in self._parts.items():
             if part in name.split("/"):
                 handle.visible = visible
 
-    def html(self) -> str:
-        """The scene as it stands as one page, which opens offline."""
-        return self.server.get_scene_serializer().as_html()
+    def html(self, words: str) -> str:
+        """The scene as it stands as one page, which opens offline, with words in a corner."""
+        page = self.server.get_scene_serializer().as_html()
+        return page.replace("</body>", f'<aside style="{CORNER}">{words}</aside></body>')
+
+    def _light(self) -> None:
+        """Soft light from all sides, and some from above one shoulder: colours stay those of the reports."""
+        self._scene.configure_environment_map(None)
+        self._scene.configure_default_lights(False)
+        self._scene.add_light_hemisphere("/light/sky", (255, 255, 255), (176, 170, 164), intensity=2.7)
+        self._scene.add_light_directional("/light/sun", (255, 255, 255), intensity=1.5, position=(0.6, 0.9, 1.4))
 
     def _link(self, k: int, link: DrawnSurface) -> Any:
         return self._scene.add_mesh_simple(
-            f"/hand/{k}", link.corners, link.faces, color=rgb(SKIN_COLOUR), opacity=HAND_OPACITY, receive_shadow=False
+            f"/hand/{k}", link.corners, link.faces, color=rgb(SKIN_COLOUR), cast_shadow=False, receive_shadow=False
         )
 
     def _add_object(self, thing: DrawnSurface) -> None:
@@ -112,10 +149,7 @@ class Viewer:
                 receive_shadow=False,
             )
         if len(thing.lines):
-            lines = segments(thing.lines)
-            self._scene.add_line_segments(
-                "/object/edges", lines, rgb(MUTED), thickness=1.5, thickness_units="screen"
-            )
+            self.set_edges(segments(thing.lines))
 
     def _instances(self, name: str, body: DrawnSurface, there: Instances, opacity: float | None = None) -> None:
         handle = self._parts.get(name)
@@ -127,7 +161,7 @@ class Viewer:
                 there.quaternions,
                 there.positions,
                 batched_scales=there.scales,
-                batched_colors=there.colours,
+                batched_colors=linear(there.colours),
                 lod="off",
                 opacity=opacity,
                 side="double" if opacity else "front",
@@ -136,7 +170,7 @@ class Viewer:
             )
             return
         handle.batched_positions, handle.batched_wxyzs = _floats(there.positions), _floats(there.quaternions)
-        handle.batched_scales, handle.batched_colors = _floats(there.scales), there.colours
+        handle.batched_scales, handle.batched_colors = _floats(there.scales), linear(there.colours)
 
     def _arrows(self, name: str, arrows: Arrows) -> None:
         self._instances(f"{name}/shafts", shaft(), arrows.shafts)
@@ -150,6 +184,13 @@ def _place(handle: Any, pose: np.ndarray) -> None:
 
 def _floats(array: np.ndarray) -> np.ndarray:
     return np.asarray(array, np.float32)
+
+
+def linear(colours: np.ndarray) -> np.ndarray:
+    """Colours as viser takes those of instances: in proportion to light, where all others are as screens have them."""
+    shares = colours / 255
+    light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return np.round(255 * light).astype(np.uint8)
 
 
 def segments(lines: np.ndarray) -> np.ndarray:
@@ -186,7 +227,9 @@ def _between(low: float, high: float) -> DrawnSurface:
     """A surface between two rims about z, at 0 and at 1, of these radii."""
     turn = 2 * np.pi * np.arange(ROUND) / ROUND
     ring = np.column_stack([np.cos(turn), np.sin(turn)])
-    corners = np.vstack([np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))])
+    corners = np.vstack(
+        [np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))]
+    )
     at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
     faces = np.vstack([np.column_stack([at, after, after + ROUND]), np.column_stack([at, after + ROUND, at + ROUND])])
     return DrawnSurface(corners, faces)

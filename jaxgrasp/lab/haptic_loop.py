@@ -16,7 +16,7 @@ from jaxgrasp.grip.carry import Instant, set_down
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.hand.grip_type import GripType
-from jaxgrasp.lab.glove_hand import glove_hand
+from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.lab.haptic_tick import HapticTick, Passed
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
@@ -61,6 +61,16 @@ class Haptics:
         self._state = self._program.start(set_down(self.scene, self.placed))
         self._passed: Passed | None = None
         self._before: float | None = None
+
+    @property
+    def inertial(self) -> Array:
+        """Wrench that accelerates the object, as it is felt ``(6,)`` [N, N.m]."""
+        return self._state.inertial
+
+    @property
+    def worn(self) -> GloveHand:
+        """The hand in its glove."""
+        return self._worn
 
     @property
     def instant(self) -> Instant | None:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -43,14 +44,21 @@ class PredictedGloveStimulus(PredictedStimulus):
 class GloveStimulus(PredictedGloveStimulus):
     """An intensity rendered by a real glove: laws go out at a steady rate, from the first until ``close``."""
 
-    def __init__(self, felt: FeltObject, model: GloveModel, glove: GloveProcess) -> None:
-        """A stimulus of no intensity, in a glove that someone arms."""
+    def __init__(
+        self,
+        felt: FeltObject,
+        model: GloveModel,
+        glove: GloveProcess,
+        watch: Callable[[GloveState, TorqueLaw], None] = lambda state, law: None,
+    ) -> None:
+        """A stimulus of no intensity, in a glove that someone arms; ``watch`` is told of each law, quickly."""
         super().__init__(felt, model)
-        self._glove = glove
+        self._glove, self._watch = glove, watch
         self._ends = threading.Event()
         self._lock = threading.Lock()
         self._forget()
         # All is compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go.
+        self._state: GloveState | None = None
         self.predict(0.0)
         resistance_and_slope(felt, self._postures[0], 0.0)
         is_alone(felt, self._postures[0])
@@ -137,6 +145,7 @@ class GloveStimulus(PredictedGloveStimulus):
         if state is not None:
             with self._lock:
                 self._armed = self._armed and _is_armed(state)
+            self._state = state
         return state
 
     def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
@@ -148,6 +157,8 @@ class GloveStimulus(PredictedGloveStimulus):
             with self._lock:
                 self._most, self._share = max(self._most, now_felt.torque), min(self._share, now_felt.felt)
                 self._cut = self._cut or now_felt.saturated
+        if self._state is not None:
+            self._watch(self._state, law)
         return law
 
 

@@ -67,18 +67,23 @@ class LiveHand:
         angles = np.asarray(self.made.closed.angles)
         return Controls(angles, still, 0.0, still, float(friction), 1.0, float(mass), gravity)
 
-    def look(self, controls: Controls, placed: Pose | None = None, inertial: AnyArray | None = None) -> Seen:
-        """Things as they stand, at rest unless an inertial wrench says how they are accelerated.
+    def look(self, controls: Controls) -> Seen:
+        """Things as they stand, at rest."""
+        return self._looked(self._with(controls), self._posture(controls), self._placed(controls), jnp.zeros(6))
+
+    def follow(self, posture: Posture, placed: Pose, inertial: AnyArray) -> Seen:
+        """A hand that others move, and an object that goes with it.
 
         Args:
-            controls: what is set.
-            placed: where the object is, instead of where the controls have it.
+            posture: of the hand.
+            placed: where the object is.
             inertial: wrench that accelerates the object ``(6,)`` [N, N.m].
         """
-        placed = self._placed(controls) if placed is None else placed
-        inertial = jnp.zeros(6) if inertial is None else jnp.asarray(inertial)
-        found = _look(self._with(controls), self._posture(controls), placed, inertial, law=self.law)
-        return self._seen(placed, *found)
+        posture, placed, inertial = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (posture, placed, inertial))
+        return self._looked(self._scene, posture, placed, inertial)
+
+    def _looked(self, scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray) -> Seen:
+        return self._seen(placed, *_look(scene, posture, placed, inertial, law=self.law))
 
     def step(self, controls: Controls, dt: float) -> Seen:
         """Let time go on: the object goes where it is carried, slips, rests or falls.
@@ -139,7 +144,7 @@ class LiveHand:
 
 @partial(jax.jit, static_argnames="law")
 def _look(
-    scene: Scene, posture: Posture, placed: Pose, inertial: Array, *, law: Law
+    scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, *, law: Law
 ) -> tuple[HandFrames, Tick, Judged]:
     tick = observe(scene, posture, placed, inertial, law=law)
     return pose_hand(scene.hand, posture), tick, judged_by_both(tick.grasp, tick.assessment)

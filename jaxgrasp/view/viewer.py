@@ -77,15 +77,19 @@ class Viewer:
     def show(self, drawn: Drawing) -> None:
         """Show an instant; browsers get it whole."""
         with self.server.atomic():
-            for handle, pose in zip(self._links, () if drawn.links is None else drawn.links, strict=False):
-                _place(handle, pose)
-            _place(self._object, drawn.object_pose)
+            self._place_bodies(drawn.links, drawn.object_pose)
             self._instances("/cones", cone(), drawn.cones, CONE_OPACITY)
             self._instances("/contacts", ball(), drawn.contacts)
             for name, arrows in drawn.forces.items():
                 self._arrows(f"/forces/{name}", arrows)
             self._arrows("/load", drawn.load)
         self._drawn = drawn
+        self.server.flush()
+
+    def show_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:
+        """Hand and object alone, where they are."""
+        with self.server.atomic():
+            self._place_bodies(links, object_pose)
         self.server.flush()
 
     def show_escape(self, twist: np.ndarray, share: float) -> None:
@@ -123,6 +127,11 @@ class Viewer:
         """The scene as it stands as one page, which opens offline, with words in a corner."""
         page = self.server.get_scene_serializer().as_html()
         return page.replace("</body>", f'<aside style="{CORNER}">{words}</aside></body>')
+
+    def _place_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:
+        for handle, pose in zip(self._links, () if links is None else links, strict=False):
+            _place(handle, pose)
+        _place(self._object, object_pose)
 
     def _light(self) -> None:
         """Soft light from all sides, and some from above one shoulder: colours stay those of the reports."""

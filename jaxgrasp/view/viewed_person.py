@@ -19,7 +19,7 @@ class ViewedPerson(Person):
         self.now = TrialNow()
 
     def feel(self, trial: Trial, interval: int) -> None:
-        self._begins(Phase.FEELS, trial, interval)
+        self._begins(Phase.FEELS, trial, float(interval))
         self._person.feel(trial, interval)
 
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
@@ -47,7 +47,7 @@ class ViewedPerson(Person):
             phase=float(phase),
             number=float(trial.number),
             most=float(self._most),
-            interval=float(interval),
+            interval=interval,
             first=trial.first,
             second=trial.second,
             setting=setting,

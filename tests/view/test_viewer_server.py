@@ -82,7 +82,7 @@ def test_uploads_and_shared_addresses_are_refused(served):
     control = served.gui.add_slider("a slider", 0.0, 1.0, 0.1, 0.5)._impl.uuid
     with connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol]) as line:
         line.recv(timeout=5)
-        start = _messages.FileTransferStartUpload(control, "1", "name", "text/plain", 1, 3)
+        start = _messages.FileTransferStartUpload(control, "1", "name", "text/plain", 2, 6)
         part = _messages.FileTransferPart(control, "1", 0, b"abc")
         for message in (start, part, _messages.ShareUrlRequest()):
             line.send(packed(message))

@@ -4,8 +4,8 @@ Everything that changes is an argument of two programs, which are compiled once 
 stand, and one that lets time go on.
 """
 
-from functools import partial
-from typing import NamedTuple
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +22,7 @@ from jaxgrasp.grip.tick import Tick, observe, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, pose_matrix
 
@@ -56,7 +57,8 @@ class LiveHand:
         self.made, self.law = made, law
         self._names = [link.name for link in made.scene.hand.links]
         # Numbers as arrays, so that each program is compiled once.
-        self._scene = jax.tree.map(lambda leaf: jnp.asarray(leaf, np.result_type(leaf, np.float32)), made.scene)
+        kinds = {int: float, float: float}
+        self._scene = jax.tree.map(lambda leaf: jnp.asarray(leaf, kinds.get(type(leaf))), made.scene)
         self._carried: CarryState | None = None
         self._before: Posture | None = None
 
@@ -83,7 +85,7 @@ class LiveHand:
         return self._looked(self._scene, posture, placed, inertial)
 
     def _looked(self, scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray) -> Seen:
-        return self._seen(placed, *_look(scene, posture, placed, inertial, law=self.law))
+        return self._seen(placed, *_programs().look(scene, posture, placed, inertial, law=self.law))
 
     def step(self, controls: Controls, dt: float) -> Seen:
         """Let time go on: the object goes where it is carried, slips, rests or falls.
@@ -97,7 +99,7 @@ class LiveHand:
         if carried is None or before is None:
             carried, before = set_down(scene, self._placed(controls)), posture
         dt = min(max(dt, SHORTEST), LONGEST)
-        frames, tick, led, judged = _step(scene, dt, carried, before, posture, law=self.law)
+        frames, tick, led, judged = _programs().step(scene, dt, carried, before, posture, law=self.law)
         missed = missed_by(tick)
         if self.law == "optimum" and bool(tick.slips):
             missed = closest_to(scene, tick, carried.placed)[1]
@@ -142,7 +144,18 @@ class LiveHand:
         )
 
 
-@partial(jax.jit, static_argnames="law")
+class _Programs(NamedTuple):
+    look: Any
+    step: Any
+
+
+@cache
+def _programs() -> _Programs:
+    """Both, compiled in less time than otherwise: a person waits for them."""
+    compiled = partial(jax.jit, static_argnames="law", compiler_options=compile_options())
+    return _Programs(compiled(_look), compiled(_step))
+
+
 def _look(
     scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, *, law: Law
 ) -> tuple[HandFrames, Tick, Judged]:
@@ -150,7 +163,6 @@ def _look(
     return pose_hand(scene.hand, posture), tick, judged_by_both(tick.grasp, tick.assessment)
 
 
-@partial(jax.jit, static_argnames="law")
 def _step(
     scene: Scene, dt: Array | float, carried: CarryState, before: Posture, posture: Posture, *, law: Law
 ) -> tuple[HandFrames, Tick, Motion, Judged]:

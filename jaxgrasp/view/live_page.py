@@ -28,6 +28,9 @@ class LivePage(PageLoop):
         super().__init__(Viewer(server, link_surfaces(scene.hand), self._surface))
         self._hand, self._server = hand, server
         self._first = hand.at_first()
+        self.sliders: dict[str, Any] = {}
+        """By what they set: ``friction``, ``squeeze``, ``mass`` [g], ``bend`` [%], ``lift`` [mm], ``turn`` [degrees],
+        ``x``, ``y`` and ``z`` of the object [mm], and each joint's name [degrees]."""
         self._add_controls(runs)
         self.viewer.look_from(EYE, np.asarray(hand.made.placed.origin))
 
@@ -42,21 +45,27 @@ class LivePage(PageLoop):
     def corners(self, seen: Seen) -> np.ndarray:
         return placed(self._surface.corners, seen.object_pose)
 
+    def set(self, **values: float) -> None:
+        """Move some sliders, by their names."""
+        for name, value in values.items():
+            self.sliders[name].value = value
+        self.change()
+
     def controls(self) -> Controls:
         """What the sliders say."""
-        angles = np.radians([slider.value for slider in self._joints])
-        shift = self._bend.value / 100
+        angles = np.radians([self.sliders[name].value for name in self._hand.made.scene.hand.joints])
+        shift = self.sliders["bend"].value / 100
         flexes = self._flexes
         angles = np.where(flexes, angles + shift * (self._closed - self._open), angles)
         hand = self._hand.made.scene.hand
         return self._first._replace(
             angles=np.clip(angles, np.asarray(hand.lower), np.asarray(hand.upper)),
-            lift=np.array([0.0, 0.0, self._lift.value / 1e3]),
-            turn=float(np.radians(self._turn.value)),
-            place=np.array([slider.value for slider in self._place]) / 1e3,
-            friction=float(self._friction.value),
-            squeeze=float(self._squeeze.value),
-            mass=float(self._mass.value) / 1e3,
+            lift=np.array([0.0, 0.0, self.sliders["lift"].value / 1e3]),
+            turn=float(np.radians(self.sliders["turn"].value)),
+            place=np.array([self.sliders[axis].value for axis in "xyz"]) / 1e3,
+            friction=float(self.sliders["friction"].value),
+            squeeze=float(self.sliders["squeeze"].value),
+            mass=float(self.sliders["mass"].value) / 1e3,
             gravity=self._tilt() @ self._first.gravity,
         )
 
@@ -81,12 +90,13 @@ class LivePage(PageLoop):
 
     def _add_world(self, gui: Any) -> None:
         first = self._first
-        self._friction = self._slider(gui, "friction", 0.0, max(1.5, 1.5 * first.friction), 0.01, first.friction)
-        self._squeeze = self._slider(gui, "squeeze, times", 0.0, 5.0, 0.05, 1.0)
+        self._slider(gui, "friction", "friction", 0.0, max(1.5, 1.5 * first.friction), 0.01, first.friction)
+        self._slider(gui, "squeeze", "squeeze, times", 0.0, 5.0, 0.05, 1.0)
         grams = 1e3 * first.mass
-        self._mass = self._slider(gui, "mass [g]", 0.0, max(1000.0, 3 * grams), 5.0, grams)
+        self._slider(gui, "mass", "mass [g]", 0.0, max(1000.0, 3 * grams), 5.0, grams)
         with gui.add_folder("object and load", expand_by_default=False):
-            self._place = [self._slider(gui, f"{axis} [mm]", -REACH, REACH, 0.5, 0.0) for axis in "xyz"]
+            for axis in "xyz":
+                self._slider(gui, axis, f"{axis} [mm]", -REACH, REACH, 0.5, 0.0)
             self._turning = gui.add_checkbox("turn the load with the mouse", False)
             upright = gui.add_button("load straight down")
         self._gizmo = self._server.scene.add_transform_controls(
@@ -102,21 +112,19 @@ class LivePage(PageLoop):
         self._closed = np.asarray(self._first.angles)
         self._open = open_angles(hand) if is_human(hand) else np.zeros(len(hand.joints))
         self._flexes = np.array(["abduction" not in name for name in hand.joints])
-        self._bend = self._slider(gui, "fingers [% of the way]", -100.0, 15.0, 0.25, 0.0)
+        self._slider(gui, "bend", "fingers [% of the way]", -100.0, 15.0, 0.25, 0.0)
         with gui.add_folder("wrist", expand_by_default=False):
-            self._lift = self._slider(gui, "lift [mm]", 0.0, LIFT, 1.0, 0.0)
-            self._turn = self._slider(gui, "turn [°]", -90.0, 90.0, 1.0, 0.0)
+            self._slider(gui, "lift", "lift [mm]", 0.0, LIFT, 1.0, 0.0)
+            self._slider(gui, "turn", "turn [°]", -90.0, 90.0, 1.0, 0.0)
         lower, upper, now = (np.degrees(np.asarray(x, float)) for x in (hand.lower, hand.upper, self._closed))
-        self._joints: list[Any] = []
         with gui.add_folder("joints [°]", expand_by_default=False):
             for name, low, high, at in zip(hand.joints, lower, upper, now, strict=True):
                 low, high = min(low, at), max(high, at)
-                self._joints.append(self._slider(gui, name, float(low), float(high), 0.25, float(at)))
+                self._slider(gui, name, name, float(low), float(high), 0.25, float(at))
 
-    def _slider(self, gui: Any, label: str, low: float, high: float, step: float, at: float) -> Any:
-        slider = gui.add_slider(label, low, high, step, at)
-        slider.on_update(self.change)
-        return slider
+    def _slider(self, gui: Any, name: str, label: str, low: float, high: float, step: float, at: float) -> None:
+        self.sliders[name] = gui.add_slider(label, low, high, step, at)
+        self.sliders[name].on_update(self.change)
 
     def _set_upright(self) -> None:
         self._gizmo.wxyz = (1.0, 0.0, 0.0, 0.0)

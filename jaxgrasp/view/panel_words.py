@@ -121,7 +121,8 @@ def contacts_html(seen: Seen) -> str:
     )
     top = f'<tr><th style="text-align:left;font-weight:600">contact</th><th></th>{head}</tr>'
     return _block(
-        '<table style="width:100%;border-collapse:collapse;font-size:12px;font-variant-numeric:tabular-nums">'
+        '<table style="width:100%;border-collapse:collapse;font-size:12px;white-space:nowrap;'
+        'font-variant-numeric:tabular-nums">'
         f"{top}{''.join(rows)}</table>"
     )
 

@@ -25,7 +25,7 @@ right."""
 LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load"}
 """What can be hidden, by what a person calls it."""
 CORNER = (
-    "position:fixed;left:14px;top:14px;width:360px;max-height:calc(100vh - 40px);overflow:auto;background:#ffffffee;"
+    "position:fixed;right:14px;top:60px;width:390px;max-height:calc(100vh - 90px);overflow:auto;background:#ffffffee;"
     "border-radius:10px;box-shadow:0 1px 8px #0003;padding:6px"
 )
 """How words stand beside a scene that was saved."""
@@ -137,8 +137,10 @@ class Viewer:
         """Soft light from all sides, and some from above one shoulder: colours stay those of the reports."""
         self._scene.configure_environment_map(None)
         self._scene.configure_default_lights(False)
-        self._scene.add_light_hemisphere("/light/sky", (255, 255, 255), (176, 170, 164), intensity=2.7)
-        self._scene.add_light_directional("/light/sun", (255, 255, 255), intensity=1.5, position=(0.6, 0.9, 1.4))
+        self._scene.add_light_hemisphere(
+            "/light/sky", sky_color=(255, 255, 255), ground_color=(176, 170, 164), intensity=2.7
+        )
+        self._scene.add_light_directional("/light/sun", intensity=1.5, position=(0.6, 0.9, 1.4))
 
     def _link(self, k: int, link: DrawnSurface) -> Any:
         return self._scene.add_mesh_simple(

@@ -137,7 +137,7 @@ def steps(plan: Plan) -> dict:
 
 
 def pictures(plan: Plan) -> list[str]:
-    """A live hand, one out of which the object escapes, and the worst grasp of the shipped ones, as the viewer has them."""
+    """A live hand, one out of which the object escapes, and the worst of the shipped grasps, in the real viewer."""
     from jaxgrasp.view.grasp_page import GraspPage
     from jaxgrasp.view.grasp_steps import GraspSteps
     from jaxgrasp.view.live_page import LivePage
@@ -176,6 +176,7 @@ def looped(make: Any) -> Iterator[tuple[Any, str]]:
     over = threading.Event()
     with serving(port=0) as server:
         page = make(server)
+        page.frame()
         loop = threading.Thread(target=page.run, args=(lambda: not over.is_set(),))
         loop.start()
         try:

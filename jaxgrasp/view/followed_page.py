@@ -15,6 +15,7 @@ from jaxgrasp.view.latency import Latency
 from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.standing import standing_surfaces
 from jaxgrasp.view.view_slots import Carried, ViewFrame
 from jaxgrasp.view.viewer import EYE, Viewer
 
@@ -25,7 +26,8 @@ class FollowedPage(PageLoop):
     def __init__(self, server: Any, hand: LiveHand, worn: GloveHand, slot: Slot):
         scene = hand.made.scene
         self._surface = shape_surface(scene.body.shape)
-        super().__init__(Viewer(server, link_surfaces(scene.hand), self._surface))
+        standing = standing_surfaces(scene, hand.made.placed)
+        super().__init__(Viewer(server, link_surfaces(scene.hand), self._surface, standing))
         self._hand, self._worn, self._slot = hand, worn, slot
         self._channels = len(worn.places)
         self._latency = Latency(server)

@@ -17,7 +17,7 @@ from jaxgrasp.view.instances import Arrows, Instances, rgb
 
 ROUND = 20
 """Corners around cones and shafts."""
-OBJECT_OPACITY, CONE_OPACITY = 0.3, 0.45
+OBJECT_OPACITY, CONE_OPACITY, WORLD_OPACITY = 0.3, 0.45, 0.6
 """Contacts lie between hand and object, which lets them be seen; so does the hand, if asked to."""
 EYE, ASIDE = np.array([0.25, 0.29, 0.08]), 0.11
 """From where a browser looks at an object in a hand [m], and how far beside it, as a share of that: words stand on the
@@ -41,7 +41,7 @@ class Viewer:
         server: Any,
         links: Sequence[DrawnSurface] = (),
         thing: DrawnSurface | None = None,
-        table: DrawnSurface | None = None,
+        standing: Sequence[DrawnSurface] = (),
     ):
         """A page without an instant.
 
@@ -49,7 +49,7 @@ class Viewer:
             server: of [`serving`][jaxgrasp.view.viewer_server.serving].
             links: the skin of the hand's links, each in its own frame.
             thing: the object, in its own frame.
-            table: in the world.
+            standing: what never moves, in the world: a table, obstacles.
         """
         self.server, self._scene = server, server.scene
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=BRAND)
@@ -60,10 +60,8 @@ class Viewer:
         self._object = self._scene.add_frame("/object", show_axes=False)
         if thing is not None:
             self._add_object(thing)
-        if table is not None:
-            self._scene.add_mesh_simple(
-                "/table", table.corners, table.faces, color=rgb(TABLE_COLOUR), side="double", cast_shadow=False
-            )
+        for k, surface in enumerate(standing):
+            self._stand(f"/world/{k}", surface)
         self._drawn: Drawing | None = None
 
     def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
@@ -146,6 +144,21 @@ class Viewer:
         return self._scene.add_mesh_simple(
             f"/hand/{k}", link.corners, link.faces, color=rgb(SKIN_COLOUR), cast_shadow=False, receive_shadow=False
         )
+
+    def _stand(self, name: str, surface: DrawnSurface) -> None:
+        self._scene.add_mesh_simple(
+            f"{name}/surface",
+            surface.corners,
+            surface.faces,
+            color=rgb(TABLE_COLOUR),
+            opacity=WORLD_OPACITY,
+            side="double",
+            flat_shading=True,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        if len(surface.lines):
+            self._scene.add_line_segments(f"{name}/edges", segments(surface.lines), rgb(MUTED), **LINES)
 
     def _add_object(self, thing: DrawnSurface) -> None:
         if len(thing.faces):

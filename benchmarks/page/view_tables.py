@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from benchmarks.page.tables import table
+from benchmarks.page.tables import NOTHING, table
 
 WAYS = {
     "seen": "posture to contacts, forces by both laws, verdicts and torques",
@@ -25,12 +25,15 @@ def page(report: dict) -> str:
 
 
 def _frames(found: dict) -> str:
-    rows = [[WAYS[name], f"{one['median']:.1f}", f"{one['p99']:.1f}"] for name, one in found["milliseconds"].items()]
+    rows = [
+        [WAYS[name], f"{one['median']:.1f}", f"{one['p99']:.1f}", _known(one.get("processors"))]
+        for name, one in found["milliseconds"].items()
+    ]
     return (
         f"## From a posture to a picture\n\nA hand of {found['links']} links with {found['contacts']} contacts; "
         f"milliseconds. Asked: 50 to a drawn frame. The first posture takes {found['compiling_s']:.0f} s where the "
         f"compiled code is kept. The page in a file is {found['saved_megabytes']:.1f} MB; asked: 5.\n\n"
-        + table(["way", "median", "99 of 100"], rows)
+        + table(["way", "median", "99 of 100", "of the processors, median"], rows)
     )
 
 
@@ -44,3 +47,7 @@ def _steps(found: dict) -> str:
         f"{found['milliseconds']:.1f} ms each in the median; what the process holds after each time, and messages that "
         "are kept for the next browser.\n\n" + table(["time", "MB", "messages"], rows)
     )
+
+
+def _known(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.1f}"

@@ -28,8 +28,6 @@ class PageLoop(ABC):
         self._drawn: Drawing | None = None
         self._twist: np.ndarray | None = None
         self._since = 0.0
-        self.frames = 0
-        """How many were shown."""
         self.seconds = 0.0
         """How long the last took, from what was set to what was sent."""
 
@@ -92,7 +90,6 @@ class PageLoop(ABC):
         self._contacts.content, self._torques.content = contacts_html(seen), torques_html(seen)
         self._set_twist(seen)
         self.seconds = time.perf_counter() - begun
-        self.frames += 1
 
     def said(self, seen: Seen) -> str:
         """The words at the top."""

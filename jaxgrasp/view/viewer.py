@@ -19,7 +19,7 @@ ROUND = 20
 """Corners around cones and shafts."""
 OBJECT_OPACITY, CONE_OPACITY, WORLD_OPACITY = 0.3, 0.45, 0.6
 """Contacts lie between hand and object, which lets them be seen; so does the hand, if asked to."""
-EYE, ASIDE = np.array([0.25, 0.29, 0.08]), 0.11
+EYE, ASIDE = np.array([0.21, 0.25, 0.07]), 0.15
 """From where a browser looks at an object in a hand [m], and how far beside it, as a share of that: words stand on the
 right."""
 LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load"}

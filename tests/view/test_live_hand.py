@@ -52,7 +52,7 @@ def test_sliders_change_what_they_say_and_compile_nothing(hand):
     assert aside.object_pose[2, 3] == pytest.approx(plain.object_pose[2, 3] - 0.001)
     turned = hand.look(first._replace(gravity=np.array([9.81, 0, 0])))
     np.testing.assert_allclose(turned.wrench[:3], [-plain.wrench[2], 0, 0], atol=1e-9)
-    gone = hand.look(first._replace(angles=open_angles(hand.made.scene.hand), place=np.array([0, 0, -0.05])))
+    gone = hand.look(first._replace(angles=open_angles(hand.made.scene.hand), place=np.array([0, 0, -0.3])))
     assert int(gone.assessment.hold) == Hold.LOST and not gone.there.any()
     assert live_hand._programs().look._cache_size() == programs
 

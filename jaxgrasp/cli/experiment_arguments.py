@@ -65,6 +65,10 @@ class RunExperiment:
     """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""
     simulate: bool = False
     """Let a simulated observer answer, without a glove."""
+    view: bool = False
+    """Show the scene in a browser: one page for the person, and one for the experimenter (needs the extra `view`)."""
+    view_port: int = 8080
+    """Port of the person's page, on this machine alone; the experimenter's is the next."""
     observer: tyro.conf.OmitArgPrefixes[ObserverArguments] = ObserverArguments()
 
 

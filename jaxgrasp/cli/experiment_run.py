@@ -30,6 +30,7 @@ from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.glove_device import LinkState
 from jaxgrasp.glove.line import check_port
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.sensors import Sensors
@@ -59,6 +60,8 @@ def run_command(arguments: RunExperiment) -> int:
         )
     if arguments.simulate and arguments.screen is not None:
         raise ValueError("screen is that of a person, and --simulate lets an observer answer: expected one of them")
+    if arguments.view and arguments.simulate:
+        raise ValueError("view needs the port of a glove: a simulated observer looks at nothing")
     plan = read_plan(arguments.file)
     with ExitStack() as stack:
         return _run(arguments, plan, acceptance, stack)
@@ -73,6 +76,8 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
         observer = observer_of(arguments.observer)
         check_notices(observer, plan)
         person = SimulatedPerson(observer, plan.seed, arguments.subject)
+    if arguments.view:
+        person = _viewed(person, plan)
     path = check_records(plan, arguments.subject, arguments.out, resume=arguments.resume, observer=person.observer)
     check_writable(arguments.out)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -82,7 +87,9 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
         raise OSError(f"{path} is in use: {error}") from None
     show("\n".join(summary(plan)))
     try:
-        stimulus, arm = _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, acceptance, stack)
+        stimulus, arm = (
+            _simulated(arguments, plan) if arguments.simulate else _felt(arguments, plan, acceptance, person, stack)
+        )
         done = _asked(arguments, plan, stimulus, person, arm)
         if arguments.screen is not None:
             terminal.show("\nThank you, that was all.")
@@ -147,7 +154,9 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
     return stimulus, lambda: None
 
 
-def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack) -> tuple[Stimulus, Arm]:
+def _felt(
+    arguments: RunExperiment, plan: Plan, acceptance: str, person: Person, stack: ExitStack
+) -> tuple[Stimulus, Arm]:
     """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
     check_port(arguments.port or "", arguments.baud)
     set_up_jax("float64")
@@ -160,7 +169,9 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
         from jaxgrasp.lab.stimuli import GloveStimulus
 
         felt = felt_object(plan.stimulus, model)
-        stimulus = GloveStimulus(felt, model, glove, rendering_of(plan.stimulus, felt, model))
+        rendering = rendering_of(plan.stimulus, felt, model)
+        watch = _watch(arguments, plan, felt, model, person, stack)
+        stimulus = GloveStimulus(felt, model, glove, rendering, **watch)
         stack.callback(stimulus.close)
         lines = predicted(plan, stimulus)
     if arguments.screen is not None:
@@ -194,6 +205,29 @@ def _felt(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStac
     show("the glove answers, and nothing is armed")
     arm_both()
     return stimulus, arm_both
+
+
+def _viewed(person: Person, plan: Plan) -> Person:
+    """A person whose trials the pages show."""
+    from jaxgrasp.view.viewed_person import ViewedPerson
+
+    return ViewedPerson(person, plan.most_trials())
+
+
+def _watch(
+    arguments: RunExperiment, plan: Plan, felt: Any, model: GloveModel, person: Any, stack: ExitStack
+) -> dict[str, Callable[[GloveState, TorqueLaw], None]]:
+    """Both pages, where they are asked for, and who tells them what is read and computed."""
+    if not arguments.view:
+        return {}
+    from jaxgrasp.view.view_feed import ViewFeed
+    from jaxgrasp.view.view_slots import TRIAL, ViewFrame
+
+    shown = {"felt": felt, "model": model, "kind": plan.stimulus.kind}
+    ports = arguments.view_port, arguments.view_port + 1
+    feed = stack.enter_context(ViewFeed(len(model.joints), TRIAL, shown, ports))
+    show(f"the person's page: {feed.addresses[0]}\nthe experimenter's page: {feed.addresses[1]}")
+    return {"watch": lambda state, law: feed.write(ViewFrame.ticked(state, law, person.now.vector()))}
 
 
 def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:

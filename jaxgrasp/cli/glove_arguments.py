@@ -109,6 +109,10 @@ class Run(GloveArmed):
     environment's JAXGRASP_GLOVE_KEY where not given. Without a key anyone on the network can speak."""
     out: Path = Path("jaxgrasp-glove-run")
     """Folder for what happened, without a port."""
+    view: bool = False
+    """Show hand, object and forces in a browser, from a process beside the loop (needs the extra `view`)."""
+    view_port: int = 8080
+    """Port of that page, on this machine alone."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 import csv
 import io
 import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +17,7 @@ from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import SerialLine, check_port
-from jaxgrasp.glove.loop.exchange import GloveState
+from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
 from jaxgrasp.glove.loop.tick_times import TickTimes
@@ -25,13 +27,17 @@ from jaxgrasp.glove.network.link_key import VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.grip.human_scale import beyond_human
-from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
+from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
 from jaxgrasp.validation.fields import check_positive
+
+if TYPE_CHECKING:
+    from jaxgrasp.view.view_feed import ViewFeed
 
 COMPILED = "the hand, its contacts and its torques"
 KEYLESS = f"warning: no key: anyone on the network can speak for the other side; give both --key-file, or {VARIABLE}"
@@ -49,6 +55,8 @@ def run_command(arguments: Run) -> int:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
     file = load_scene(scene_path(arguments.scene))
     alignment = _check_ends(arguments)
+    if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
+        raise ValueError("view needs a glove, by port or connect: it shows the engine's side of the loop")
     if arguments.listen:
         return _serve(arguments, model, options)
     for line in beyond_human(file):
@@ -150,19 +158,21 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         angles = np.asarray(made.closed.angles)
         haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
         warm_up(haptics, pose_at(jnp.zeros(3)))
+    feed = _feed(arguments, haptics, made, law)
     tracker = _tracker(arguments)
     wrist = Wrist(tracker, alignment)
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     try:
         if arguments.connect is not None:
-            times = _as_engine(arguments, haptics, wrist, end)
+            times = _as_engine(arguments, haptics, wrist, end, feed)
         else:
             extra = {"scale": FIRST, "projection": arguments.projection, "control": arguments.control}
             with GloveProcess(arguments.port or "", len(model.joints), **options, **extra) as glove:
                 show("ready; orders: arm, full, disarm, stop, quit")
                 orders = Orders(glove, device_kind(arguments.device).acceptance)
                 goes_on = lambda now: not orders.is_over and glove.is_alive() and (end is None or now < end)  # noqa: E731
-                times = run_loop(haptics.tick, glove.state, glove.write, wrist, arguments.rate, goes_on)
+                tick, state = watched(haptics, glove.state, feed)
+                times = run_loop(tick, state, glove.write, wrist, arguments.rate, goes_on)
             if not glove.summary:
                 raise OSError("the process that owned the glove's line has ended")
             show(orders.summary())
@@ -170,19 +180,62 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
     finally:
         if tracker is not None:
             tracker.close()
+        if feed is not None:
+            feed.close()
     show(f"the engine: {TickTimes.text(times.summary())}")
     return 0
 
 
-def _as_engine(arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None) -> TickTimes:
+def _feed(arguments: Run, haptics: Haptics, made: GrippedScene, law: Law) -> "ViewFeed | None":
+    """The page, where it is asked for, which compiles before anything is armed."""
+    if not arguments.view:
+        return None
+    from jaxgrasp.view.view_feed import ViewFeed
+    from jaxgrasp.view.view_slots import CARRIED
+
+    shown = {"made": made, "law": law, "worn": haptics.worn}
+    with compiling("the page"):
+        feed = ViewFeed(len(haptics.model.joints), CARRIED, shown, (arguments.view_port,))
+    show(f"open {feed.addresses[0]} in a browser")
+    return feed
+
+
+def watched(
+    haptics: Haptics, state: Callable[[], GloveState | None], feed: "ViewFeed | None"
+) -> tuple[Callable[[float, Any, Pose], TorqueLaw], Callable[[], GloveState | None]]:
+    """A tick that lets a page know what it read and computed, and the glove's state, which it does that with."""
+    if feed is None:
+        return haptics.tick, state
+    from jaxgrasp.view.view_slots import Carried, ViewFrame
+
+    latest: list[GloveState | None] = [None]
+
+    def read() -> GloveState | None:
+        latest[0] = state()
+        return latest[0]
+
+    def tick(now: float, angles: Any, wrist: Pose) -> TorqueLaw:
+        law, read_last = haptics.tick(now, angles, wrist), latest[0]
+        if read_last is not None:
+            carried = Carried.at(wrist, haptics.placed, haptics.inertial)
+            feed.write(ViewFrame.ticked(read_last, law, carried.vector()))
+        return law
+
+    return tick, read
+
+
+def _as_engine(
+    arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None, feed: "ViewFeed | None"
+) -> TickTimes:
     host, port = _address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)
     engine = EngineLink(NetworkLink(host, port, GloveState.size(channels), key=load_key(arguments.key_file)), channels)
     show(f"calls {host}:{port}; the glove is armed there")
+    tick, state = watched(haptics, lambda: engine.state(time.perf_counter()), feed)
     try:
         return run_loop(
-            haptics.tick,
-            lambda: engine.state(time.perf_counter()),
+            tick,
+            state,
             lambda law: engine.write(time.perf_counter(), law),
             wrist,
             arguments.rate,

@@ -43,6 +43,7 @@ from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.show_arguments import Show
 from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.printable import message_line
 
 Command = (
@@ -60,6 +61,7 @@ Command = (
     | Annotated[Show, tyro.conf.subcommand("show")]
     | Annotated[Template, tyro.conf.subcommand("template")]
     | Annotated[Validate, tyro.conf.subcommand("validate")]
+    | Annotated[View, tyro.conf.subcommand("view")]
 )
 FUNCTIONS: dict[type, str] = {
     FindContacts: "contacts.contacts_command",
@@ -73,6 +75,7 @@ FUNCTIONS: dict[type, str] = {
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
     Show: "show_grasp.show_command",
+    View: "view.view_command",
     CheckHand: "hand_check.check_command",
     FollowSensitivity: "sensitivity.sensitivity_command",
     Check: "scene_check.check_command",

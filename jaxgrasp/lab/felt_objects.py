@@ -112,12 +112,12 @@ class Lifted(FeltObject):
 
     def height(self, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
         """Height of the bar above its rest [m]."""
-        return jnp.mean(self._pads(angles)[1][:, 2]) - jnp.mean(self._pads(self.start)[1][:, 2])
+        return jnp.mean(self.pads(angles)[1][:, 2]) - jnp.mean(self.pads(self.start)[1][:, 2])
 
     def resistance(
         self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
-        frames, points = self._pads(angles)
+        frames, points = self.pads(angles)
         load = intensity * self.share(angles) + STOP * jnp.maximum(self.height(angles) - TRAVEL, 0)
         up = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), points.shape)
         squeeze = jnp.full(len(self.links), load / len(self.links))
@@ -137,11 +137,8 @@ class Lifted(FeltObject):
     def postures(self) -> Float[np.ndarray, "P channels"]:
         return _within(self, lambda angles: (self.height(angles) > ENGAGED) & (self.height(angles) <= TRAVEL))
 
-    def tops(self, angles: Float[AnyArray, "channels"]) -> Float[Array, "n 3"]:
-        """Where the bar lies on each of the links [m]."""
-        return self._pads(angles)[1]
-
-    def _pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
+    def pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
+        """The posed hand, and where the bar lies on each finger ``(n, 3)`` [m]."""
         frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(angles), PALM_UP))
         centres, radii = _pads(self.hand, frames, self.links)
         return frames, centres + radii[:, None] * jnp.array([0.0, 0.0, 1.0])
@@ -158,15 +155,15 @@ class Squeezed(FeltObject):
 
     def depths(self, angles: Float[AnyArray, "channels"]) -> Float[Array, "n"]:
         """How far each finger has gone in [m]."""
-        _, centres = self._pads(angles)
-        _, touching = self._pads(self.start)
-        return (centres - touching) @ self._inward()
+        _, centres = self.pads(angles)
+        _, touching = self.pads(self.start)
+        return (centres - touching) @ self.inward()
 
     def resistance(
         self, angles: Float[AnyArray, "channels"], intensity: Float[AnyArray, ""] | float
     ) -> Float[Array, "channels"]:
-        frames, points = self._pads(angles)
-        inward = self._inward()
+        frames, points = self.pads(angles)
+        inward = self.inward()
         squeeze = intensity * jnp.maximum(self.depths(angles), 0)
         # The thumb stands opposite, where the fingers' forces have no moment about it, and takes their sum.
         total = jnp.sum(squeeze)
@@ -188,13 +185,14 @@ class Squeezed(FeltObject):
     def postures(self) -> Float[np.ndarray, "P channels"]:
         return _within(self, lambda angles: (self.depths(angles).mean() > 0) & (self.depths(angles).max() <= SQUEEZED))
 
-    def _inward(self) -> Float[Array, "3"]:
+    def inward(self) -> Float[Array, "3"]:
         """Where the pads look at the outset: from the fingers into the object."""
         frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(self.start), PALM_UP))
         looks = -frames.links.rotation[np.array(self.links), :, 2].mean(0)
         return looks / jnp.linalg.norm(looks)
 
-    def _pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
+    def pads(self, angles: Float[AnyArray, "channels"]) -> tuple[HandFrames, Array]:
+        """The posed hand, and where each finger touches ``(n, 3)`` [m]."""
         frames = pose_hand(self.hand, self.worn.posture(jnp.asarray(angles), PALM_UP))
         centres, radii = _pads(self.hand, frames, self.links)
         outward = -frames.links.rotation[np.array(self.links), :, 2]

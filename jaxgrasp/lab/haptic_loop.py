@@ -16,7 +16,7 @@ from jaxgrasp.grip.carry import Instant, set_down
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.hand.grip_type import GripType
-from jaxgrasp.lab.glove_hand import glove_hand
+from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
 from jaxgrasp.lab.haptic_tick import HapticTick, Passed
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
@@ -68,6 +68,16 @@ class Haptics:
         self._program = HapticTick(scene, self._worn, self.law, self.follows)
         self._state = self._begin._replace(carried=set_down(scene, placed))
         self._passed, self._before = None, None
+
+    @property
+    def inertial(self) -> Array:
+        """Wrench that accelerates the object, as it is felt ``(6,)`` [N, N.m]."""
+        return self._state.inertial
+
+    @property
+    def worn(self) -> GloveHand:
+        """The hand in its glove."""
+        return self._worn
 
     @property
     def instant(self) -> Instant | None:

@@ -109,12 +109,12 @@ def rendering_of(plan: StimulusPlan, felt: FeltObject, model: GloveModel) -> Ren
 @jax.jit
 def _lowest_pad(felt: Lifted, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
     """Height of that pad's top which is lowest [m]."""
-    return jnp.min(felt.tops(angles)[:, 2])
+    return jnp.min(felt.pads(angles)[1][:, 2])
 
 
 def _plate_scene(felt: Lifted) -> Scene:
     """A plate that reaches over the pads and no other finger, at the world's origin, its weight 1 N."""
-    tops = np.asarray(felt.tops(felt.start))
+    tops = np.asarray(felt.pads(felt.start)[1])
     low, high = tops.min(0) - OVER, tops.max(0) + OVER
     shape = Box(high[0] - low[0], high[1] - low[1], THICK)
     middle = jnp.append(jnp.asarray((low + high)[:2] / 2), 0.0)

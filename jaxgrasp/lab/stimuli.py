@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -45,15 +46,21 @@ class GloveStimulus(PredictedGloveStimulus):
     """An intensity rendered by a real glove: laws go out at a steady rate, from the first until ``close``."""
 
     def __init__(
-        self, felt: FeltObject, model: GloveModel, glove: GloveProcess, rendering: Rendering | None = None
+        self,
+        felt: FeltObject,
+        model: GloveModel,
+        glove: GloveProcess,
+        rendering: Rendering | None = None,
+        watch: Callable[[GloveState, TorqueLaw], None] = lambda state, law: None,
     ) -> None:
-        """A stimulus of no intensity, in a glove that someone arms."""
+        """A stimulus of no intensity, in a glove that someone arms; ``watch`` is told of each law, quickly."""
         super().__init__(felt, model, rendering)
-        self._glove = glove
+        self._glove, self._watch = glove, watch
         self._ends = threading.Event()
         self._lock = threading.Lock()
         self._forget()
         self._rendered: tuple[float, _Measured] | None = None
+        self._state: GloveState | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -136,6 +143,7 @@ class GloveStimulus(PredictedGloveStimulus):
         if state is not None:
             with self._lock:
                 self._armed = self._armed and _is_armed(state)
+            self._state = state
         return state
 
     def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
@@ -149,6 +157,8 @@ class GloveStimulus(PredictedGloveStimulus):
         given = rendered(felt.share, felt.law.torques[None], self._model) if felt.is_alone else None
         with self._lock:
             measured.add(now, angles, given)
+        if self._state is not None:
+            self._watch(self._state, felt.law)
         return felt.law
 
 

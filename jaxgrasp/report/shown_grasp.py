@@ -28,7 +28,7 @@ from jaxgrasp.report.cases import DrawnCases
 from jaxgrasp.report.grasp_in_3d import Case, force_arrows, framed
 from jaxgrasp.report.look import INK, MUTED, OBJECT_COLOUR, SKIN_COLOUR, degrees, method_title, number, table, text
 from jaxgrasp.report.sections import figure_html
-from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, placed, shape_surface
+from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, mesh_surface, moved, placed, shape_surface
 from jaxgrasp.report.worst_cases import cases_html
 from jaxgrasp.validation.checked import checked
 
@@ -171,13 +171,10 @@ def _object(thing: Mesh | Shape | None, pose: Pose | None) -> list[dict]:
         if pose is not None:
             raise ValueError("pose is given without an object: expected a thing to stand there")
         return []
-    if isinstance(thing, Mesh):
-        surface = DrawnSurface(np.asarray(thing.vertices, float), np.asarray(thing.faces, int))
-    else:
-        surface = shape_surface(thing)
+    surface = mesh_surface(thing) if isinstance(thing, Mesh) else shape_surface(thing)
     if pose is not None:
         at = np.concatenate([np.asarray(pose.rotation, float), np.asarray(pose.origin, float)[:, None]], 1)
-        surface = surface._replace(corners=placed(surface.corners, at), lines=placed(surface.lines, at))
+        surface = moved(surface, at)
     traces = [_surface("object", surface, OBJECT_COLOUR, OBJECT_OPACITY)]
     if len(surface.lines):
         line = {"type": "scatter3d", "mode": "lines", "name": "edges", "line": {"color": MUTED, "width": 2}}

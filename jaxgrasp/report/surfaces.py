@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxgrasp.hand.mesh import Mesh
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Shifted, Sphere
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.hand import Hand
@@ -13,6 +14,8 @@ SIDES = 16
 """Directions around a link; there are half as many from its one end to the other."""
 ROUND = 48
 """Corners of a cylinder's rim."""
+BALL_SIDES = 8
+"""Of each of the many balls that stand for a mesh."""
 ARROW_SIDES = 8
 SHAFT, HEAD = 0.13, 0.36
 """Radii of an arrow, as shares of its head's length."""
@@ -48,7 +51,7 @@ def hull(centers: np.ndarray, radii: np.ndarray, sides: int = SIDES) -> DrawnSur
 
 
 def shape_surface(shape: Shape) -> DrawnSurface:
-    """An object's surface; of a tree of balls their convex hull.
+    """An object's surface.
 
     Raises:
         TypeError: for a shape that has no triangles here.
@@ -67,8 +70,13 @@ def shape_surface(shape: Shape) -> DrawnSurface:
             own, shift = shape_surface(solid), np.array([x, y, z], float)
             return own._replace(corners=own.corners + shift, lines=own.lines + shift)
         case SphereTree(balls=balls):
-            return hull(np.asarray(balls.centers), np.asarray(balls.radii), ROUND // 2)
+            return _balls(np.asarray(balls.centers), np.asarray(balls.radii))
     raise TypeError(f"a {type(shape).__name__} cannot be drawn")
+
+
+def mesh_surface(mesh: Mesh) -> DrawnSurface:
+    """A mesh as it is."""
+    return DrawnSurface(np.asarray(mesh.vertices, float), np.asarray(mesh.faces, int))
 
 
 def arrow() -> DrawnSurface:
@@ -102,6 +110,18 @@ def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
 def placed(corners: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Corners ``(V, 3)`` of a body in the world, by poses ``(..., 3, 4)``."""
     return corners @ pose[..., :3].swapaxes(-1, -2) + pose[..., None, :, 3]
+
+
+def moved(surface: DrawnSurface, pose: np.ndarray) -> DrawnSurface:
+    """A body's surface in the world, by its pose ``(3, 4)``."""
+    return surface._replace(corners=placed(surface.corners, pose), lines=placed(surface.lines, pose))
+
+
+def _balls(centers: np.ndarray, radii: np.ndarray) -> DrawnSurface:
+    one = hull(np.zeros((1, 3)), np.ones(1), BALL_SIDES)
+    corners = centers[:, None] + radii[:, None, None] * one.corners
+    faces = one.faces + len(one.corners) * np.arange(len(radii))[:, None, None]
+    return DrawnSurface(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
 def _globe(axis: np.ndarray, sides: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,53 @@
+"""The live scene's page in Markdown, from the report that the JSON holds too."""
+
+from collections.abc import Callable
+from typing import Any
+
+from benchmarks.page.tables import NOTHING, table
+
+WAYS = {
+    "seen": "posture to contacts, forces by both laws, verdicts and torques",
+    "sent": "slider to what is sent to the browser: all that, the drawing and the words",
+    "drawn": "slider to the frame that Chromium has drawn, without a graphics card",
+}
+
+
+def page(report: dict) -> str:
+    facts = report["machine"]
+    parts = [
+        "# The live scene",
+        f"Made by `python -m benchmarks.view`. {facts['processor']}, {facts['cores']} cores, {facts['system']}, "
+        f"Python {facts['python']}.",
+    ]
+    sections: dict[str, Callable[[Any], str]] = {"frames": _frames, "steps": _steps}
+    parts += [write(report[name]) for name, write in sections.items() if name in report]
+    return "\n\n".join(parts) + "\n"
+
+
+def _frames(found: dict) -> str:
+    rows = [
+        [WAYS[name], f"{one['median']:.1f}", f"{one['p99']:.1f}", _known(one.get("processors"))]
+        for name, one in found["milliseconds"].items()
+    ]
+    return (
+        f"## From a posture to a picture\n\nA hand of {found['links']} links with {found['contacts']} contacts; "
+        f"milliseconds. Asked: 50 to a drawn frame. The first posture takes {found['compiling_s']:.0f} s where the "
+        f"compiled code is kept. The page in a file is {found['saved_megabytes']:.1f} MB; asked: 5.\n\n"
+        + table(["way", "median", "99 of 100", "of the processors, median"], rows)
+    )
+
+
+def _steps(found: dict) -> str:
+    rows = [
+        [k + 1, f"{held:.0f}", messages]
+        for k, (held, messages) in enumerate(zip(found["megabytes"], found["messages"], strict=True))
+    ]
+    return (
+        f"## Grasps of a file\n\n{found['grasps']:,} grasps are stepped through three times, "
+        f"{found['milliseconds']:.1f} ms each in the median; what the process holds after each time, and messages that "
+        "are kept for the next browser.\n\n" + table(["time", "MB", "messages"], rows)
+    )
+
+
+def _known(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.1f}"

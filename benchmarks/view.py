@@ -1,0 +1,221 @@
+"""The live scene: how long from a posture to a picture, how a file of grasps is stepped through, and pictures of it.
+
+    python -m benchmarks.view --out benchmarks/results
+
+Writes view.json and view.md, and with the section ``pictures`` three pictures. Chromium draws without a graphics card,
+which takes most of the time to the picture; where there is none, or no playwright, that time and the pictures are left
+out.
+"""
+
+import gc
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.browser import CHROMIUM, chromium
+from benchmarks.page import view_tables
+from benchmarks.sections import run_sections
+from jaxgrasp.numerics.compiled_code import use_cache
+
+NAME = "view"
+MARGIN = 120
+"""What is left out on the left of a picture [pixels]."""
+PICTURES = Path("benchmarks/results")
+
+
+class Plan(NamedTuple):
+    frames: int = 100
+    grasps: int = 1000
+
+
+QUICK = Plan(frames=5, grasps=20)
+
+
+def live_hand() -> Any:
+    """A hand of 19 links around the ready cylinder, clear of its table."""
+    import jax
+
+    from jaxgrasp.grip.scene_entries import TableEntry
+    from jaxgrasp.grip.scene_file import SceneFile, gripped_scene
+    from jaxgrasp.view.live_hand import LiveHand
+
+    jax.config.update("jax_enable_x64", True)
+    use_cache()
+    return LiveHand(gripped_scene(SceneFile(table=TableEntry(below=0.4))), "optimum")
+
+
+def frames(plan: Plan) -> dict:
+    """Milliseconds from a posture to what is seen of it, to what was sent, and to what a browser has drawn."""
+    from jaxgrasp.view.live_page import LivePage
+    from jaxgrasp.view.viewer_server import serving
+
+    hand = live_hand()
+    begun = time.perf_counter()
+    first = hand.at_first()
+    seen = hand.look(first)
+    compiling = time.perf_counter() - begun
+    ways: dict[str, list[tuple[float, float]]] = {"seen": [], "sent": []}
+    with serving(port=0) as server:
+        page = LivePage(server, hand)
+        page.frame()
+        for k in range(plan.frames):
+            share = float(np.sin(0.1 * k))
+            with timed(ways["seen"]):
+                hand.look(first._replace(angles=first.angles * (1 + 1e-3 * share)))
+            page.set(bend=0.1 * share)
+            with timed(ways["sent"]):
+                page.frame()
+        html = page.html()
+        if CHROMIUM:
+            ways["drawn"] = [(milliseconds, np.nan) for milliseconds in in_browser(page, server, plan)]
+    return {
+        "links": len(hand.made.scene.hand.links),
+        "contacts": int(seen.there.sum()),
+        "compiling_s": compiling,
+        "milliseconds": {name: spread(np.array(one)) for name, one in ways.items()},
+        "saved_megabytes": len(html) / 1e6,
+    }
+
+
+@contextmanager
+def timed(times: list[tuple[float, float]]) -> Iterator[None]:
+    """Milliseconds that something takes, by the clock and of the processors."""
+    begun = time.perf_counter(), time.process_time()
+    yield
+    times.append((1e3 * (time.perf_counter() - begun[0]), 1e3 * (time.process_time() - begun[1])))
+
+
+def spread(times: np.ndarray) -> dict:
+    """Median and 99 of 100 by the clock, and the median of the processors' time where it is known."""
+    clock, processors = times.T
+    found = {"median": float(np.median(clock)), "p99": float(np.quantile(clock, 0.99))}
+    return found | ({} if np.isnan(processors).any() else {"processors": float(np.median(processors))})
+
+
+# Done when the words have changed and the frame after them is drawn.
+WATCH = """() => { window.drawn = new Promise(done => new MutationObserver((_, watch) => {
+    watch.disconnect(); requestAnimationFrame(() => requestAnimationFrame(() => done(Date.now())));
+}).observe(document.querySelector('[data-hold]').parentElement.parentElement,
+    {subtree: true, childList: true, characterData: true})) }"""
+
+
+def in_browser(page: Any, server: Any, plan: Plan) -> Iterator[float]:
+    """Milliseconds from a posture that is set to the frame that shows it, by the clock that both have."""
+    with tempfile.TemporaryDirectory() as folder, chromium(Path(folder)) as browser:
+        browser.open(f"http://127.0.0.1:{server.get_port()}")
+        browser.page.wait_for_selector("[data-hold]", timeout=60_000)
+        browser.page.wait_for_timeout(3000)
+        for k in range(max(3, plan.frames // 10)):
+            browser.page.evaluate(WATCH)
+            begun = time.time()
+            page.set(bend=-0.2 - 0.05 * k)
+            page.frame()
+            yield browser.page.evaluate("() => window.drawn") - 1e3 * begun
+
+
+def steps(plan: Plan) -> dict:
+    """Grasps of a file stepped through, and what memory holds before and after."""
+    from jaxgrasp.view.grasp_page import GraspPage
+    from jaxgrasp.view.grasp_steps import GraspSteps
+    from jaxgrasp.view.viewer_server import serving
+
+    sets = shipped(plan.grasps)
+    with serving(port=0) as server:
+        page = GraspPage(server, GraspSteps(sets, "optimum"))
+        held, messages, spent = [], [], []
+        for _ in range(3):
+            for place in range(1, len(sets) + 1):
+                page.place.value = place
+                page.frame()
+                spent.append(page.seconds)
+            gc.collect()
+            held.append(memory())
+            messages.append(len(server._websock_server._broadcast_buffer.message_from_id))
+    return {
+        "grasps": len(sets),
+        "milliseconds": float(1e3 * np.median(spent)),
+        "megabytes": [one / 1e6 for one in held],
+        "messages": messages,
+    }
+
+
+def pictures(plan: Plan) -> list[str]:
+    """A live hand, one out of which the object escapes, and the worst of the shipped grasps, in the real viewer."""
+    from jaxgrasp.view.grasp_page import GraspPage
+    from jaxgrasp.view.grasp_steps import GraspSteps
+    from jaxgrasp.view.live_page import LivePage
+
+    hand = live_hand()
+    with looped(lambda server: LivePage(server, hand)) as (page, address):
+        shoot(address, "view_live")
+        page.set(friction=0.0)
+        shoot(address, "view_escape")
+    with looped(lambda server: GraspPage(server, GraspSteps(shipped(plan.grasps), "optimum"))) as (page, address):
+        page.order.value = "worst first"
+        page.change()
+        shoot(address, "view_grasps")
+    return ["view_live.png", "view_escape.png", "view_grasps.png"]
+
+
+def shoot(address: str, name: str) -> None:
+    """A picture of a page, without the empty margin on its left."""
+    from PIL import Image
+
+    with tempfile.TemporaryDirectory() as folder, chromium(Path(folder)) as browser:
+        browser.open(address)
+        browser.page.wait_for_selector("[data-hold]", timeout=60_000)
+        browser.page.wait_for_timeout(6000)
+        browser.close_notes()
+        path = Path(folder) / "picture.png"
+        browser.page.screenshot(path=path, clip={"x": MARGIN, "y": 0, "width": 1280 - MARGIN, "height": 820})
+        Image.open(path).convert("RGB").save(PICTURES / f"{name}.png", optimize=True)
+
+
+@contextmanager
+def looped(make: Any) -> Iterator[tuple[Any, str]]:
+    """A page in a loop of its own, and its address."""
+    from jaxgrasp.view.viewer_server import serving
+
+    over = threading.Event()
+    with serving(port=0) as server:
+        page = make(server)
+        page.frame()
+        loop = threading.Thread(target=page.run, args=(lambda: not over.is_set(),))
+        loop.start()
+        try:
+            yield page, f"http://127.0.0.1:{server.get_port()}"
+        finally:
+            over.set()
+            loop.join()
+
+
+def shipped(count: int) -> Any:
+    """The first of the grips that ship with the package."""
+    import jax
+
+    from jaxgrasp.batch.sources import load_grasps
+    from jaxgrasp.cli.data import data_path
+    from jaxgrasp.cli.data_arguments import Data
+
+    jax.config.update("jax_enable_x64", True)
+    use_cache()
+    return load_grasps(data_path(Data())).rows(slice(0, count))
+
+
+def memory() -> int:
+    """Bytes that this process holds (Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+SECTIONS = {"frames": frames, "steps": steps, "pictures": pictures}
+
+
+if __name__ == "__main__":
+    run_sections(__doc__, NAME, SECTIONS, (Plan(), QUICK), view_tables.page)

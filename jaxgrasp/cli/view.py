@@ -1,0 +1,97 @@
+"""``jaxgrasp view``: a live hand, a scene, or a file of grasps, in a browser."""
+
+import time
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.batch.sources import Adjustments, open_source
+from jaxgrasp.cli.machine import compiling, set_up_jax
+from jaxgrasp.cli.terminal import show
+from jaxgrasp.cli.view_arguments import View
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.grip.scene_entries import TableEntry
+from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
+from jaxgrasp.hand.mesh import load_mesh
+from jaxgrasp.lab.loaded_scene import loaded_scene
+from jaxgrasp.model.faults import GraspError
+from jaxgrasp.report.surfaces import mesh_surface
+from jaxgrasp.validation.fields import check_positive
+from jaxgrasp.view.grasp_page import GraspPage
+from jaxgrasp.view.grasp_steps import GraspSteps
+from jaxgrasp.view.live_hand import LiveHand
+from jaxgrasp.view.live_page import LivePage
+from jaxgrasp.view.page_loop import PageLoop
+from jaxgrasp.view.viewer_server import check_free, quiet_viser, serving
+
+GRASPS = (".npz", ".csv", ".parquet", ".h5", ".hdf5")
+BELOW = 0.4
+"""How far the table is below the object that a hand holds from the start [m]."""
+
+
+def view_command(arguments: View) -> int:
+    """Check what is asked for, compute, and serve until interrupted."""
+    check_positive(arguments, "seconds", "scale")
+    # What is missing is said before anything compiles.
+    quiet_viser()
+    if arguments.save is None:
+        check_free(arguments.host, arguments.port)
+    if arguments.file is not None and Path(arguments.file).suffix.lower() in GRASPS:
+        return _grasps(arguments, arguments.file)
+    for name in ("mesh", "normals", "scale"):
+        if getattr(arguments, name) != getattr(View, name):
+            raise ValueError(f"{name} is given without a file of grasps: expected {', '.join(GRASPS)}")
+    return _live(arguments)
+
+
+def _grasps(arguments: View, file: str) -> int:
+    thing = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
+    with open_source(file, Adjustments(arguments.normals == "outward")) as source:
+        sets = next(source.chunks(max(1, len(source))), None)
+    if sets is None or not len(sets):
+        raise ValueError(f"{file} holds no grasps")
+    for fault in sets.faults():
+        raise GraspError(fault)
+    set_up_jax("float64")
+    with compiling(f"both laws, and answering {len(sets):,} grasps"):
+        steps = GraspSteps(sets, arguments.law or "optimum")
+    with _server(arguments, Path(file).name) as server:
+        page = GraspPage(server, steps, None if thing is None else mesh_surface(thing))
+        return _shown(arguments, server, page)
+
+
+def _live(arguments: View) -> int:
+    runs = arguments.file is not None
+    file = SceneFile(name="a cylinder", table=TableEntry(below=BELOW))
+    if arguments.file is not None:
+        file = load_scene(scene_path(arguments.file))
+    set_up_jax("float64")
+    with compiling("the hand, its contacts and both laws"):
+        made = loaded_scene(file)
+        hand = LiveHand(made, arguments.law or made.law)
+    with _server(arguments, file.name) as server:
+        return _shown(arguments, server, LivePage(server, hand, runs))
+
+
+def _server(arguments: View, label: str) -> AbstractContextManager[Any]:
+    return serving(arguments.host, 0 if arguments.save else arguments.port, label)
+
+
+def _shown(arguments: View, server: Any, page: PageLoop) -> int:
+    """In a file, or until its time is over or somebody interrupts it."""
+    if arguments.save is not None:
+        return _saved(arguments.save, page.html())
+    page.frame()
+    show(f"open http://{arguments.host}:{server.get_port()} in a browser; Ctrl-C ends it")
+    end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
+    try:
+        page.run(lambda: end is None or time.perf_counter() < end)
+    except KeyboardInterrupt:
+        show("ended")
+    return 0
+
+
+def _saved(path: Path, html: str) -> int:
+    replace_file(path, lambda stream: stream.write(html.encode()))
+    show(f"written: {path} ({len(html) / 1e6:.1f} MB)")
+    return 0

@@ -1,0 +1,32 @@
+"""Arguments of ``jaxgrasp view``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+
+@dataclass(frozen=True)
+class View:
+    """Show a live hand, a scene or a file of grasps in a browser (needs the extra `view`)."""
+
+    file: tyro.conf.Positional[str | None] = None
+    """A file of grasps (.npz, .csv, .parquet, .h5), which is stepped through; a TOML file of a scene or the name of a
+    ready one, in which time runs; a hand around a cylinder where not given."""
+    law: Literal["closed-form", "optimum"] | None = None
+    """Which forces the hand applies; the scene's, or the optimum, where not given."""
+    save: Path | None = None
+    """Write the scene as it is at first as a page that opens offline, and show nothing."""
+    host: str = "127.0.0.1"
+    """Address to listen at: others than this machine's own let others look, and move the sliders."""
+    port: int = 8080
+    """Port to listen at; 0 for any that is free."""
+    normals: Literal["inward", "outward"] = "inward"
+    """Where the normals of a file of grasps point: into the object, or out of it."""
+    mesh: Path | None = None
+    """The object of a file of grasps, in the frame of its contacts (needs the extra `mesh`)."""
+    scale: float = 1.0
+    """Metres for one unit of the mesh."""
+    seconds: float | None = None
+    """How long it is shown; until interrupted where not given."""

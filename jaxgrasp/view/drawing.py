@@ -1,0 +1,95 @@
+"""From what a grasp is worth to what is drawn of it: poses, sizes and colours alone, and nothing of the program that
+draws."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxgrasp.grip.monitor import Touch
+from jaxgrasp.report.grasp_in_3d import round_up
+from jaxgrasp.report.look import METHOD_COLOURS, MUTED, TOUCH_COLOURS, WRENCH_COLOUR
+from jaxgrasp.report.stage import Scale
+from jaxgrasp.view.instances import Arrows, Instances, arrows, cones, dots, rgb
+from jaxgrasp.view.seen import Seen
+
+CONE, DOT = 0.016, 0.0021
+"""Side of a friction cone, radius of a contact [m]."""
+LONG, LONGEST, SHORTEST = 0.045, 0.07, 0.012
+"""How long the largest arrow is drawn at first, and between which lengths it may change before the scale does [m]."""
+LENGTH = 0.01
+"""What the scale is said for [m]."""
+LOAD = 0.05
+"""How long the arrow of the load is, whatever its force [m]."""
+TOUCHES = np.array([rgb(TOUCH_COLOURS.get(touch, MUTED)) for touch in Touch], np.uint8)
+"""Colours of contacts by what they do."""
+
+
+class Drawing(NamedTuple):
+    """What is drawn at one instant."""
+
+    links: np.ndarray | None
+    """Poses of the hand's links ``(L, 3, 4)``; None where there is no hand."""
+    object_pose: np.ndarray
+    """``(3, 4)``"""
+    contacts: Instances
+    cones: Instances
+    forces: dict[str, Arrows]
+    """By the method's name."""
+    load: Arrows
+    """What pulls at the object."""
+    scale: Scale
+    escape: np.ndarray | None
+    """The twist ``(6,)`` along which the object escapes, about ``origin``."""
+    origin: np.ndarray
+
+
+def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawing:
+    """What is drawn of a grasp.
+
+    Args:
+        seen: the grasp.
+        scale: of the arrows before, which stays as long as it serves.
+        size: how many times as large contacts, cones and arrows are as beside a human hand.
+    """
+    forces = {name: seen.forces(answer) for name, answer, _ in seen.answers()}
+    scale = fitting(scale, forces, size)
+    colours = TOUCHES[seen.touches]
+    points, normals, there = seen.points, np.asarray(seen.grasp.normals), seen.there
+    return Drawing(
+        links=None if seen.hand is None else seen.hand.links,
+        object_pose=seen.object_pose,
+        contacts=dots(points, there, DOT * size, colours),
+        cones=cones(points, normals, np.asarray(seen.grasp.friction), there, CONE * size, colours),
+        forces={
+            name: arrows(points, scale.metres * force, METHOD_COLOURS[name], size) for name, force in forces.items()
+        },
+        load=_load(seen, size),
+        scale=scale,
+        escape=seen.escape,
+        origin=np.asarray(seen.origin, float),
+    )
+
+
+def fitting(scale: Scale | None, forces: dict[str, np.ndarray], size: float = 1.0) -> Scale:
+    """A round scale by which the largest force is neither too long nor too short; the one before where it is such."""
+    largest = max(float(np.linalg.norm(force, axis=-1).max(initial=0)) for force in forces.values())
+    if scale is not None and (largest == 0 or SHORTEST * size <= scale.metres * largest <= LONGEST * size):
+        return scale
+    length = round_up(LENGTH * size)
+    return Scale(length, round_up(largest * length / (LONG * size)))
+
+
+def _load(seen: Seen, size: float) -> Arrows:
+    """An arrow along what pulls at the object: the opposite of the force that the contacts must exert."""
+    force = -np.asarray(seen.wrench[:3], float)
+    newtons = float(np.linalg.norm(force))
+    along = force * (LOAD * size / newtons) if newtons > 0 else force
+    return arrows(middle(seen)[None], along[None], WRENCH_COLOUR, size)
+
+
+def middle(seen: Seen) -> np.ndarray:
+    """Where the load is drawn ``(3,)`` [m]: at the object's centre with a hand, else amid the contacts."""
+    there = seen.there
+    if seen.hand is not None or not there.any():
+        return np.asarray(seen.object_pose[:, 3], float)
+    return seen.points[there].mean(0)

@@ -1,0 +1,130 @@
+"""Two pages beside an experiment: the subject's shows the scene and what to answer, the experimenter's the rest."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.hand.human_hand import human_hand, open_angles
+from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.hand.shapes import Box, Cylinder
+from jaxgrasp.lab.felt_objects import PALM_UP, WIDTH, FeltObject, Lifted, Squeezed
+from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
+from jaxgrasp.model.hand import Hand
+from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, shape_surface
+from jaxgrasp.view.followed_page import glove_html
+from jaxgrasp.view.latency import Latency
+from jaxgrasp.view.page_loop import RATE
+from jaxgrasp.view.panel_words import bars_html
+from jaxgrasp.view.seen import pose_matrix
+from jaxgrasp.view.trial_words import experimenter_html, subject_html
+from jaxgrasp.view.view_slots import TrialNow, ViewFrame
+from jaxgrasp.view.viewer import Viewer
+
+BAR, LENGTH = 0.006, 0.13
+"""Radius and length of the bar that is lifted [m]."""
+EYE = np.array([-0.16, 0.34, 0.17])
+"""From where the hand is seen, whose palm looks up [m]."""
+AMID = np.array([0.1, 0.0, 0.02])
+"""What is looked at [m]."""
+
+
+class FeltScene:
+    """The hand of an experiment, and what it lifts or squeezes, as bodies."""
+
+    def __init__(self, felt: FeltObject, model: GloveModel):
+        self._felt = felt
+        self.hand: Hand = felt.hand if isinstance(felt, Lifted | Squeezed) else human_hand()
+        self._worn: GloveHand = (
+            felt.worn if isinstance(felt, Lifted | Squeezed) else glove_hand(self.hand, model, open_angles(self.hand))
+        )
+        self._links = jax.jit(lambda angles: pose_hand(self.hand, self._worn.posture(angles, PALM_UP)).links)
+        self._pads = jax.jit(lambda angles: felt.pads(angles)[1]) if isinstance(felt, Lifted | Squeezed) else None
+
+    @property
+    def thing(self) -> DrawnSurface | None:
+        """The object in its own frame: a bar along y, a block whose x goes from the fingers to the thumb."""
+        if isinstance(self._felt, Lifted):
+            bar = shape_surface(Cylinder(BAR, LENGTH))
+            return bar._replace(
+                corners=bar.corners[:, [0, 2, 1]], faces=bar.faces[:, ::-1], lines=bar.lines[:, [0, 2, 1]]
+            )
+        if isinstance(self._felt, Squeezed):
+            return shape_surface(Box(WIDTH, WIDTH, WIDTH))
+        return None
+
+    def bodies(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of the links ``(L, 3, 4)`` and of the object ``(3, 4)`` at the glove's angles [rad]."""
+        return pose_matrix(jax.device_get(self._links(angles))), self._object(angles)
+
+    def _object(self, angles: np.ndarray) -> np.ndarray:
+        felt, place = self._felt, np.eye(3, 4)
+        if self._pads is None:
+            return place
+        if isinstance(felt, Lifted):
+            resting = np.asarray(self._pads(felt.start)).mean(0)
+            now = np.asarray(self._pads(angles)).mean(0)
+            # Fingers that sink below its rest leave the bar there.
+            place[:, 3] = now if now[2] > resting[2] else resting
+            place[2, 3] += BAR
+        elif isinstance(felt, Squeezed):
+            x = np.asarray(felt.inward())
+            y = np.cross([0.0, 0.0, 1.0], x) if abs(x[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], x)
+            y /= np.linalg.norm(y)
+            place[:, :3] = np.stack([x, y, np.cross(x, y)], 1)
+            place[:, 3] = np.asarray(self._pads(felt.start)).mean(0) + WIDTH / 2 * x
+        return place
+
+
+class ExperimentPages:
+    """Both pages, of one scene."""
+
+    def __init__(self, servers: tuple[Any, Any], felt: FeltObject, model: GloveModel, kind: str, slot: Slot):
+        """``servers``: of the subject's page and of the experimenter's."""
+        self._scene, self._model, self._kind, self._slot = FeltScene(felt, model), model, kind, slot
+        links = link_surfaces(self._scene.hand)
+        self._viewers = [Viewer(server, links, self._scene.thing) for server in servers]
+        for viewer in self._viewers:
+            viewer.look_from(EYE, AMID)
+        self._asked = servers[0].gui.add_html(subject_html(TrialNow(), kind))
+        self._told = servers[1].gui.add_html(experimenter_html(TrialNow(), kind))
+        self._glove = servers[1].gui.add_html("")
+        with servers[1].gui.add_folder("torques that are computed"):
+            self._torques = servers[1].gui.add_html("")
+        with servers[1].gui.add_folder("torques that the cables' tension measures"):
+            self._measured = servers[1].gui.add_html("")
+        self._latency = Latency(servers[1])
+        self._vector: np.ndarray | None = None
+
+    def at_first(self) -> None:
+        """Show the hand at rest; all is compiled by then."""
+        self._show(np.zeros(len(self._model.joints)))
+
+    def run(self, goes_on: Callable[[], bool]) -> None:
+        """Show what comes, until it goes on no more."""
+        while goes_on():
+            begun = time.perf_counter()
+            vector = self._slot.read()
+            if vector is not None and vector is not self._vector:
+                self._vector = vector
+                self._frame(ViewFrame.of(vector, len(self._model.joints)))
+            time.sleep(max(0.0, 1 / RATE - (time.perf_counter() - begun)))
+
+    def _frame(self, frame: ViewFrame) -> None:
+        self._show(frame.angles)
+        now = TrialNow.of(frame.more)
+        self._asked.content, self._told.content = subject_html(now, self._kind), experimenter_html(now, self._kind)
+        self._torques.content = bars_html(self._model.joints, -frame.torques)
+        self._measured.content = bars_html(self._model.joints, -frame.measured)
+        self._latency.shown(frame.angles_at)
+        self._latency.ask()
+        self._glove.content = glove_html(frame, self._latency.text())
+
+    def _show(self, angles: np.ndarray) -> None:
+        bodies = self._scene.bodies(angles)
+        for viewer in self._viewers:
+            viewer.show_bodies(*bodies)

@@ -1,0 +1,78 @@
+"""Many equal bodies, each with a place, a turn, sizes and a colour of its own: contacts, friction cones, arrows."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+HEAD, SHAFT, HEAD_RADIUS = 0.007, 0.0009, 0.0024
+"""Length of an arrow's head, and radii of its shaft and of its head [m]; a short arrow is thinner all over."""
+NOTHING = 1e-7
+"""Size of what is not there [m]: as many are drawn whatever is there, so that nothing is made anew."""
+
+
+class Instances(NamedTuple):
+    """``N`` copies of one body, which is a unit in each direction and stands along z."""
+
+    positions: np.ndarray
+    """``(N, 3)`` [m]"""
+    quaternions: np.ndarray
+    """``(N, 4)``, w first."""
+    scales: np.ndarray
+    """``(N, 3)`` [m]"""
+    colours: np.ndarray
+    """``(N, 3)``, bytes."""
+
+
+class Arrows(NamedTuple):
+    """Arrows by their shafts and their heads."""
+
+    shafts: Instances
+    heads: Instances
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """A colour ``#rrggbb`` as bytes."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    return red, green, blue
+
+
+def turned_to(axes: np.ndarray) -> np.ndarray:
+    """Quaternions ``(N, 4)`` of the shortest turns that take z to unit vectors ``(N, 3)``; about x where that is -z."""
+    x, y, z = axes.T
+    quaternions = np.stack([1 + z, -y, x, np.zeros_like(z)], 1)
+    # Half a turn has no shortest axis.
+    quaternions[z < -1 + 1e-12] = [0.0, 1.0, 0.0, 0.0]
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def dots(points: np.ndarray, there: np.ndarray, radius: float, colours: np.ndarray) -> Instances:
+    """Balls of a radius [m] at those points that are there."""
+    sizes = np.where(there, radius, NOTHING)
+    still = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1))
+    return Instances(points, still, np.repeat(sizes[:, None], 3, 1), colours)
+
+
+def cones(
+    apexes: np.ndarray, axes: np.ndarray, friction: np.ndarray, there: np.ndarray, side: float, colours: np.ndarray
+) -> Instances:
+    """Friction cones of equal side [m], so that large friction opens a cone and does not enlarge it."""
+    angles = np.arctan(np.where(there, friction, 0.0))
+    sizes = side * np.stack([np.sin(angles), np.sin(angles), np.cos(angles)], 1)
+    return Instances(apexes, turned_to(axes), np.where(there[:, None], np.maximum(sizes, NOTHING), NOTHING), colours)
+
+
+def arrows(tails: np.ndarray, vectors: np.ndarray, colour: str, size: float = 1.0) -> Arrows:
+    """Arrows ``(N, 3)`` [m] from their tails, their heads half an arrow at most; one of no length is not seen.
+
+    ``size`` is how many times as thick they are as beside a human hand.
+    """
+    lengths = np.linalg.norm(vectors, axis=1)
+    there = lengths > NOTHING
+    along = np.where(there[:, None], vectors / np.where(there, lengths, 1)[:, None], [0.0, 0.0, 1.0])
+    sizes = np.where(there, np.minimum(HEAD * size, lengths / 2), NOTHING)
+    thin = np.maximum(sizes / HEAD, NOTHING)
+    turns, colours = turned_to(along), np.tile(rgb(colour), (len(tails), 1)).astype(np.uint8)
+    shafts = np.stack([SHAFT * thin, SHAFT * thin, np.maximum(lengths - sizes, NOTHING)], 1)
+    heads = np.stack([HEAD_RADIUS * thin, HEAD_RADIUS * thin, sizes], 1)
+    starts = tails + (lengths - sizes)[:, None] * along
+    return Arrows(Instances(tails, turns, shafts, colours), Instances(starts, turns, heads, colours))

@@ -1,0 +1,137 @@
+"""The page of a live hand: sliders beside the picture."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.hand.human_hand import is_human, open_angles
+from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
+from jaxgrasp.view.live_hand import Controls, LiveHand
+from jaxgrasp.view.page_loop import PageLoop
+from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.standing import standing_surfaces
+from jaxgrasp.view.viewer import EYE, Viewer
+
+REACH = 40.0
+"""How far the object's place can be moved either way [mm]."""
+LIFT = 150.0
+"""How far the wrist can be lifted [mm]."""
+
+
+class LivePage(PageLoop):
+    """A hand, an object and their controls."""
+
+    def __init__(self, server: Any, hand: LiveHand, runs: bool = False):
+        """``runs``: whether time runs on from the start."""
+        scene = hand.made.scene
+        self._surface = shape_surface(scene.body.shape)
+        standing = standing_surfaces(scene, hand.made.placed)
+        super().__init__(Viewer(server, link_surfaces(scene.hand), self._surface, standing))
+        self._hand, self._server = hand, server
+        self._first = hand.at_first()
+        self.sliders: dict[str, Any] = {}
+        """By what they set: ``friction``, ``squeeze``, ``mass`` [g], ``bend`` [%], ``lift`` [mm], ``turn`` [degrees],
+        ``x``, ``y`` and ``z`` of the object [mm], and each joint's name [degrees]."""
+        self._add_controls(runs)
+        self.viewer.look_from(EYE, np.asarray(hand.made.placed.origin))
+
+    @property
+    def runs(self) -> bool:
+        return self._runs.value
+
+    def seen(self, passed: float) -> Seen:
+        controls = self.controls()
+        return self._hand.step(controls, passed) if self.runs else self._hand.look(controls)
+
+    def corners(self, seen: Seen) -> np.ndarray:
+        return placed(self._surface.corners, seen.object_pose)
+
+    def set(self, **values: float) -> None:
+        """Move some sliders, by their names."""
+        for name, value in values.items():
+            self.sliders[name].value = value
+        self.change()
+
+    def controls(self) -> Controls:
+        """What the sliders say."""
+        angles = np.radians([self.sliders[name].value for name in self._hand.made.scene.hand.joints])
+        shift = self.sliders["bend"].value / 100
+        flexes = self._flexes
+        angles = np.where(flexes, angles + shift * (self._closed - self._open), angles)
+        hand = self._hand.made.scene.hand
+        return self._first._replace(
+            angles=np.clip(angles, np.asarray(hand.lower), np.asarray(hand.upper)),
+            lift=np.array([0.0, 0.0, self.sliders["lift"].value / 1e3]),
+            turn=float(np.radians(self.sliders["turn"].value)),
+            place=np.array([self.sliders[axis].value for axis in "xyz"]) / 1e3,
+            friction=float(self.sliders["friction"].value),
+            squeeze=float(self.sliders["squeeze"].value),
+            mass=float(self.sliders["mass"].value) / 1e3,
+            gravity=self._tilt() @ self._first.gravity,
+        )
+
+    def _tilt(self) -> np.ndarray:
+        return Rotation.from_quat(self._gizmo.wxyz, scalar_first=True).as_matrix()
+
+    def _add_controls(self, runs: bool) -> None:
+        gui = self._server.gui
+        self.add_words()
+        self._add_world(gui)
+        self._add_hand(gui)
+        self.add_tables()
+        with gui.add_folder("time", expand_by_default=runs):
+            self._runs = gui.add_checkbox("time runs", runs)
+            again = gui.add_button("put the object back")
+        with gui.add_folder("layers", expand_by_default=False):
+            opacity = gui.add_slider("hand", 0.0, 1.0, 0.05, 1.0)
+            opacity.on_update(lambda _: self.viewer.set_opacity(opacity.value))
+            self.viewer.add_layers()
+        self._runs.on_update(lambda _: self._start_again())
+        again.on_click(lambda _: self._start_again())
+
+    def _add_world(self, gui: Any) -> None:
+        first = self._first
+        self._slider(gui, "friction", "friction", 0.0, max(1.5, 1.5 * first.friction), 0.01, first.friction)
+        self._slider(gui, "squeeze", "squeeze, times", 0.0, 5.0, 0.05, 1.0)
+        grams = 1e3 * first.mass
+        self._slider(gui, "mass", "mass [g]", 0.0, max(1000.0, 3 * grams), 5.0, grams)
+        with gui.add_folder("object and load", expand_by_default=False):
+            for axis in "xyz":
+                self._slider(gui, axis, f"{axis} [mm]", -REACH, REACH, 0.5, 0.0)
+            self._turning = gui.add_checkbox("turn the load with the mouse", False)
+            upright = gui.add_button("load straight down")
+        self._gizmo = self._server.scene.add_transform_controls(
+            "/turn", scale=0.06, disable_axes=True, disable_sliders=True, visible=False, depth_test=False,
+            position=tuple(np.asarray(self._hand.made.placed.origin, float)),
+        )  # fmt: skip
+        self._gizmo.on_update(self.change)
+        self._turning.on_update(lambda _: setattr(self._gizmo, "visible", self._turning.value))
+        upright.on_click(lambda _: self._set_upright())
+
+    def _add_hand(self, gui: Any) -> None:
+        hand = self._hand.made.scene.hand
+        self._closed = np.asarray(self._first.angles)
+        self._open = open_angles(hand) if is_human(hand) else np.zeros(len(hand.joints))
+        self._flexes = np.array(["abduction" not in name for name in hand.joints])
+        self._slider(gui, "bend", "fingers [% of the way]", -100.0, 15.0, 0.25, 0.0)
+        with gui.add_folder("wrist", expand_by_default=False):
+            self._slider(gui, "lift", "lift [mm]", 0.0, LIFT, 1.0, 0.0)
+            self._slider(gui, "turn", "turn [°]", -90.0, 90.0, 1.0, 0.0)
+        lower, upper, now = (np.degrees(np.asarray(x, float)) for x in (hand.lower, hand.upper, self._closed))
+        with gui.add_folder("joints [°]", expand_by_default=False):
+            for name, low, high, at in zip(hand.joints, lower, upper, now, strict=True):
+                low, high = min(low, at), max(high, at)
+                self._slider(gui, name, name, float(low), float(high), 0.25, float(at))
+
+    def _slider(self, gui: Any, name: str, label: str, low: float, high: float, step: float, at: float) -> None:
+        self.sliders[name] = gui.add_slider(label, low, high, step, at)
+        self.sliders[name].on_update(self.change)
+
+    def _set_upright(self) -> None:
+        self._gizmo.wxyz = (1.0, 0.0, 0.0, 0.0)
+        self.change()
+
+    def _start_again(self) -> None:
+        self._hand.start_again()
+        self.change()

@@ -1,0 +1,111 @@
+"""What all pages have in common: an instant is computed when something changed, shown, and said in words."""
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+
+from jaxgrasp.view.drawing import Drawing, drawing
+from jaxgrasp.view.escape import scaled_twist, share_at
+from jaxgrasp.view.panel_words import contacts_html, torques_html, words_html
+from jaxgrasp.view.seen import Seen
+from jaxgrasp.view.viewer import Viewer
+
+RATE = 30.0
+"""Frames a second, where anything moves."""
+
+
+class PageLoop(ABC):
+    """A page that shows what its ``seen`` sees, in a loop of its own; browsers only set what it reads."""
+
+    def __init__(self, viewer: Viewer, size: float = 1.0):
+        self.viewer = viewer
+        self.size = size
+        """How many times as large things are as beside a human hand."""
+        self._changed = threading.Event()
+        self._drawn: Drawing | None = None
+        self._twist: np.ndarray | None = None
+        self._since = 0.0
+        self.seconds = 0.0
+        """How long the last took, from what was set to what was sent."""
+
+    @property
+    def runs(self) -> bool:
+        """Whether something moves by itself."""
+        return False
+
+    @abstractmethod
+    def seen(self, passed: float) -> Seen | None:
+        """What is to be seen now, so long after the last time [s]; None where there is nothing new."""
+
+    @abstractmethod
+    def corners(self, seen: Seen) -> np.ndarray:
+        """Of the object in the world ``(V, 3)`` [m]: they say how far a twist moves it."""
+
+    def change(self, *_: object) -> None:
+        """Something was set: show it."""
+        self._changed.set()
+
+    def add_words(self) -> None:
+        """The verdicts, at the top of the panel."""
+        self._words = self.viewer.server.gui.add_html("")
+
+    def add_tables(self, with_torques: bool = True) -> None:
+        """Contacts, and torques where there is a hand."""
+        gui = self.viewer.server.gui
+        with gui.add_folder("contacts"):
+            self._contacts = gui.add_html("")
+        with gui.add_folder("torques", visible=with_torques):
+            self._torques = gui.add_html("")
+
+    def run(self, goes_on: Callable[[], bool] = lambda: True) -> None:
+        """Show what is asked for until it goes on no more."""
+        before = time.perf_counter()
+        while goes_on():
+            now = time.perf_counter()
+            if self.runs or self._changed.is_set():
+                self.frame(now - before)
+            elif self._twist is not None:
+                self.viewer.show_escape(self._twist, share_at(now - self._since))
+            before = now
+            left = 1 / RATE - (time.perf_counter() - now)
+            if left > 0 and (self.runs or self._twist is not None):
+                time.sleep(left)
+            elif left > 0:
+                self._changed.wait(left)
+
+    def frame(self, passed: float = 0.0) -> None:
+        """Compute and show one instant."""
+        begun = time.perf_counter()
+        # What is set from here on belongs to the next.
+        self._changed.clear()
+        seen = self.seen(passed)
+        if seen is None:
+            return
+        self._drawn = drawing(seen, None if self._drawn is None else self._drawn.scale, self.size)
+        self.viewer.show(self._drawn)
+        self._words.content = self.said(seen)
+        self._contacts.content, self._torques.content = contacts_html(seen), torques_html(seen)
+        self._set_twist(seen)
+        self.seconds = time.perf_counter() - begun
+
+    def said(self, seen: Seen) -> str:
+        """The words at the top."""
+        assert self._drawn is not None
+        return words_html(seen, self._drawn.scale)
+
+    def html(self) -> str:
+        """The page as it stands, in one file that opens offline."""
+        self.frame()
+        return self.viewer.html("".join(part.content for part in (self._words, self._contacts, self._torques)))
+
+    def _set_twist(self, seen: Seen) -> None:
+        escape = None if self.runs or seen.rests else seen.escape
+        if escape is None:
+            self._twist = None
+            return
+        if self._twist is None:
+            self._since = time.perf_counter()
+        self._twist = scaled_twist(escape, seen.origin, self.corners(seen), self.size)

@@ -1,0 +1,74 @@
+"""The haptic loop's handle on the process that shows it: what it does not get to see, it goes without."""
+
+import pickle
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxgrasp.glove.loop.child import Child
+from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.view.view_slots import ViewFrame
+from jaxgrasp.view.viewer_server import HOST, check_free, quiet_viser
+
+SLOT, SHOWN = "frames", "shown.pickle"
+"""Files in the folder that both processes share, which is this user's alone."""
+COMPILES = 600.0
+"""How long it may take until it listens [s]: on a machine where nothing is compiled yet, minutes."""
+
+
+class ViewFeed:
+    """A page in a process of its own; a context manager that ends it. It may be killed, and nothing here notices."""
+
+    def __init__(self, channels: int, more: int, shown: dict[str, Any], ports: tuple[int, ...]) -> None:
+        """A page that is ready to be shown.
+
+        Args:
+            channels: of the glove.
+            more: numbers of each frame beside those of the channels.
+            shown: what [`view_process`][jaxgrasp.view.view_process] shows, by its names.
+            ports: of the page, or of the subject's and the experimenter's.
+
+        Raises:
+            OSError: for a port that is taken, or if it does not come to listen.
+            ImportError: viser is not installed.
+        """
+        quiet_viser()
+        for port in ports:
+            check_free(HOST, port)
+        self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-view-")
+        folder = Path(self._folder.name)
+        self._slot = Slot(folder / SLOT, ViewFrame.size(channels, more), create=True)
+        (folder / SHOWN).write_bytes(pickle.dumps(jax.device_get(shown)))
+        options = {"folder": str(folder), "channels": channels, "more": more, "ports": ports}
+        self._child = Child("jaxgrasp.view.view_process", options)
+        try:
+            told = self._child.wait_for(lambda told: "listens" in told or "failed" in told, patience=COMPILES)
+            if "failed" in told:
+                raise OSError(told["failed"])
+        except BaseException:
+            self.close()
+            raise
+        self.addresses: list[str] = told["listens"]
+
+    @property
+    def process_id(self) -> int:
+        """Of the process that shows the page."""
+        return self._child.process.pid
+
+    def write(self, frame: ViewFrame) -> None:
+        """What is to be seen from now on; it is copied, and nothing waits."""
+        self._slot.write(frame.vector())
+
+    def close(self) -> None:
+        """End the page."""
+        self._child.close()
+        self._slot.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> "ViewFeed":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

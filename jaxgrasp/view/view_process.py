@@ -1,0 +1,73 @@
+"""The process that shows a haptic loop: ``python -m jaxgrasp.view.view_process``; options come as JSON.
+
+What to show lies in a pickle in the folder that the loop made for it. The end of its standard input, which comes with
+the end of the loop's process however that ends, ends it too; a Ctrl-C at the terminal is for the loop to answer.
+"""
+
+import contextlib
+import json
+import os
+import pickle
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from jaxgrasp.glove.loop.child import tell
+from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.numerics.compiled_code import use_cache
+from jaxgrasp.view.experiment_pages import ExperimentPages
+from jaxgrasp.view.followed_page import FollowedPage
+from jaxgrasp.view.live_hand import LiveHand
+from jaxgrasp.view.view_feed import SHOWN, SLOT
+from jaxgrasp.view.view_slots import ViewFrame
+from jaxgrasp.view.viewer_server import HOST, serving
+
+POLITE = 10
+"""By how much the loop goes first where there are fewer processors than work."""
+
+
+def main() -> None:
+    """Serve until the standard input ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(POLITE)
+    over = threading.Event()
+    threading.Thread(target=_wait_for_end, args=(over,), daemon=True).start()
+    jax.config.update("jax_enable_x64", True)
+    with contextlib.suppress(OSError):
+        use_cache()
+    try:
+        _serve(json.loads(sys.argv[1]), over)
+    except (OSError, ImportError, ValueError) as error:
+        tell({"failed": str(error)})
+
+
+def _serve(options: dict[str, Any], over: threading.Event) -> None:
+    folder = Path(options["folder"])
+    slot = Slot(folder / SLOT, ViewFrame.size(options["channels"], options["more"]))
+    shown = pickle.loads((folder / SHOWN).read_bytes())
+    with contextlib.ExitStack() as stack:
+        servers = [stack.enter_context(serving(HOST, port)) for port in options["ports"]]
+        page = _page(servers, shown, slot)
+        page.at_first()
+        tell({"listens": [f"http://{HOST}:{server.get_port()}" for server in servers]})
+        page.run(lambda: not over.is_set())
+
+
+def _page(servers: list[Any], shown: dict[str, Any], slot: Slot) -> FollowedPage | ExperimentPages:
+    if "felt" in shown:
+        return ExperimentPages((servers[0], servers[1]), shown["felt"], shown["model"], shown["kind"], slot)
+    return FollowedPage(servers[0], LiveHand(shown["made"], shown["law"]), shown["worn"], slot)
+
+
+def _wait_for_end(over: threading.Event) -> None:
+    sys.stdin.read()
+    over.set()
+
+
+if __name__ == "__main__":
+    main()

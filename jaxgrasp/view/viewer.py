@@ -1,0 +1,259 @@
+"""Pushes a drawing to a page of viser: what stays is made once, and each instant moves, sizes and colours it.
+
+Nothing is decided here: what a page shows stands in a Drawing, and what it says comes as HTML.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.report.look import MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR
+from jaxgrasp.report.surfaces import DrawnSurface, hull
+from jaxgrasp.view.drawing import Drawing
+from jaxgrasp.view.escape import escaped
+from jaxgrasp.view.instances import Arrows, Instances, rgb
+
+ROUND = 20
+"""Corners around cones and shafts."""
+OBJECT_OPACITY, CONE_OPACITY, WORLD_OPACITY = 0.3, 0.45, 0.6
+"""Contacts lie between hand and object, which lets them be seen; so does the hand, if asked to."""
+EYE, ASIDE = np.array([0.21, 0.25, 0.07]), 0.15
+"""From where a browser looks at an object in a hand [m], and how far beside it, as a share of that: words stand on the
+right."""
+LAYERS = {"friction cones": "cones", "closed form": "B", "optimum": "B-optimum", "load": "load"}
+"""What can be hidden, by what a person calls it."""
+CORNER = (
+    "position:fixed;right:14px;top:60px;width:390px;max-height:calc(100vh - 90px);overflow:auto;background:#ffffffee;"
+    "border-radius:10px;box-shadow:0 1px 8px #0003;padding:6px"
+)
+"""How words stand beside a scene that was saved."""
+LINES: dict[str, Any] = {"thickness": 1.5, "thickness_units": "screen"}
+BRAND = (0, 114, 178)
+
+
+class Viewer:
+    """One page: a scene whose parts are kept and moved."""
+
+    def __init__(
+        self,
+        server: Any,
+        links: Sequence[DrawnSurface] = (),
+        thing: DrawnSurface | None = None,
+        standing: Sequence[DrawnSurface] = (),
+    ):
+        """A page without an instant.
+
+        Args:
+            server: of [`serving`][jaxgrasp.view.viewer_server.serving].
+            links: the skin of the hand's links, each in its own frame.
+            thing: the object, in its own frame.
+            standing: what never moves, in the world: a table, obstacles.
+        """
+        self.server, self._scene = server, server.scene
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=BRAND)
+        self._light()
+        self._parts: dict[str, Any] = {}
+        self._edges: Any = None
+        self._links = [self._link(k, link) for k, link in enumerate(links)]
+        self._object = self._scene.add_frame("/object", show_axes=False)
+        if thing is not None:
+            self._add_object(thing)
+        for k, surface in enumerate(standing):
+            self._stand(f"/world/{k}", surface)
+        self._drawn: Drawing | None = None
+
+    def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
+        """Where a browser looks when it comes: at a place, from ``eye`` beside it, which the panel does not cover."""
+        right = np.cross(-eye, [0.0, 0.0, 1.0])
+        aside = ASIDE * np.linalg.norm(eye) * right / np.linalg.norm(right)
+        camera = self.server.initial_camera
+        camera.position, camera.look_at, camera.up = tuple(at + eye + aside), tuple(at + aside), (0.0, 0.0, 1.0)
+        camera.near, camera.far, camera.fov = 0.005, 20.0, 0.6
+
+    def show(self, drawn: Drawing) -> None:
+        """Show an instant; browsers get it whole."""
+        with self.server.atomic():
+            self._place_bodies(drawn.links, drawn.object_pose)
+            self._instances("/cones", cone(), drawn.cones, CONE_OPACITY)
+            self._instances("/contacts", ball(), drawn.contacts)
+            for name, arrows in drawn.forces.items():
+                self._arrows(f"/forces/{name}", arrows)
+            self._arrows("/load", drawn.load)
+        self._drawn = drawn
+        self.server.flush()
+
+    def show_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:
+        """Hand and object alone, where they are."""
+        with self.server.atomic():
+            self._place_bodies(links, object_pose)
+        self.server.flush()
+
+    def show_escape(self, twist: np.ndarray, share: float) -> None:
+        """The object on its way along a twist, from 0 to 1 of it."""
+        if self._drawn is not None:
+            with self.server.atomic():
+                _place(self._object, escaped(self._drawn.object_pose, twist, self._drawn.origin, share))
+            self.server.flush()
+
+    def set_edges(self, lines: np.ndarray) -> None:
+        """Lines ``(S, 2, 3)`` that stand for the object, in its own frame [m]."""
+        if self._edges is None:
+            self._edges = self._scene.add_line_segments("/object/edges", lines, rgb(MUTED), **LINES)
+        else:
+            self._edges.points = _floats(lines)
+
+    def set_opacity(self, opacity: float) -> None:
+        """Of the hand, 0 to 1."""
+        for handle in self._links:
+            handle.opacity = None if opacity >= 1 else opacity
+
+    def add_layers(self) -> None:
+        """Boxes that show and hide."""
+        for label, part in LAYERS.items():
+            box = self.server.gui.add_checkbox(label, True)
+            box.on_update(lambda _, part=part, box=box: self.set_visible(part, box.value))
+
+    def set_visible(self, part: str, visible: bool) -> None:
+        """Show or hide a part: ``cones``, ``B`` or ``B-optimum``, or ``load``."""
+        for name, handle in self._parts.items():
+            if part in name.split("/"):
+                handle.visible = visible
+
+    def html(self, words: str) -> str:
+        """The scene as it stands as one page, which opens offline, with words in a corner."""
+        page = self.server.get_scene_serializer().as_html()
+        return page.replace("</body>", f'<aside style="{CORNER}">{words}</aside></body>')
+
+    def _place_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:
+        for handle, pose in zip(self._links, () if links is None else links, strict=False):
+            _place(handle, pose)
+        _place(self._object, object_pose)
+
+    def _light(self) -> None:
+        """Soft light from all sides, and some from above one shoulder: colours stay those of the reports."""
+        self._scene.configure_environment_map(None)
+        self._scene.configure_default_lights(False)
+        self._scene.add_light_hemisphere(
+            "/light/sky", sky_color=(255, 255, 255), ground_color=(176, 170, 164), intensity=2.7
+        )
+        self._scene.add_light_directional("/light/sun", intensity=1.5, position=(0.6, 0.9, 1.4))
+
+    def _link(self, k: int, link: DrawnSurface) -> Any:
+        return self._scene.add_mesh_simple(
+            f"/hand/{k}", link.corners, link.faces, color=rgb(SKIN_COLOUR), cast_shadow=False, receive_shadow=False
+        )
+
+    def _stand(self, name: str, surface: DrawnSurface) -> None:
+        self._scene.add_mesh_simple(
+            f"{name}/surface",
+            surface.corners,
+            surface.faces,
+            color=rgb(TABLE_COLOUR),
+            opacity=WORLD_OPACITY,
+            side="double",
+            flat_shading=True,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        if len(surface.lines):
+            self._scene.add_line_segments(f"{name}/edges", segments(surface.lines), rgb(MUTED), **LINES)
+
+    def _add_object(self, thing: DrawnSurface) -> None:
+        if len(thing.faces):
+            self._scene.add_mesh_simple(
+                "/object/surface",
+                thing.corners,
+                thing.faces,
+                color=rgb(OBJECT_COLOUR),
+                opacity=OBJECT_OPACITY,
+                side="double",
+                flat_shading=False,
+                receive_shadow=False,
+            )
+        if len(thing.lines):
+            self.set_edges(segments(thing.lines))
+
+    def _instances(self, name: str, body: DrawnSurface, there: Instances, opacity: float | None = None) -> None:
+        handle = self._parts.get(name)
+        if handle is None or len(handle.batched_positions) != len(there.positions):
+            self._parts[name] = self._scene.add_batched_meshes_simple(
+                name,
+                body.corners,
+                body.faces,
+                there.quaternions,
+                there.positions,
+                batched_scales=there.scales,
+                batched_colors=linear(there.colours),
+                lod="off",
+                opacity=opacity,
+                side="double" if opacity else "front",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+            return
+        handle.batched_positions, handle.batched_wxyzs = _floats(there.positions), _floats(there.quaternions)
+        handle.batched_scales, handle.batched_colors = _floats(there.scales), linear(there.colours)
+
+    def _arrows(self, name: str, arrows: Arrows) -> None:
+        self._instances(f"{name}/shafts", shaft(), arrows.shafts)
+        self._instances(f"{name}/heads", head(), arrows.heads)
+
+
+def _place(handle: Any, pose: np.ndarray) -> None:
+    handle.position = pose[:, 3]
+    handle.wxyz = Rotation.from_matrix(pose[:, :3]).as_quat(scalar_first=True)
+
+
+def _floats(array: np.ndarray) -> np.ndarray:
+    return np.asarray(array, np.float32)
+
+
+def linear(colours: np.ndarray) -> np.ndarray:
+    """Colours as viser takes those of instances: in proportion to light, where all others are as screens have them."""
+    shares = colours / 255
+    light = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+    return np.round(255 * light).astype(np.uint8)
+
+
+def segments(lines: np.ndarray) -> np.ndarray:
+    """Lines that NaN ends ``(E, 3)`` as their segments ``(S, 2, 3)``."""
+    pairs = np.stack([lines[:-1], lines[1:]], 1)
+    return pairs[np.isfinite(pairs).all((1, 2))]
+
+
+def ball() -> DrawnSurface:
+    """A ball of radius 1."""
+    return hull(np.zeros((1, 3)), np.ones(1), 12)
+
+
+def cone() -> DrawnSurface:
+    """From its apex at the origin to a rim of radius 1 at z = 1, open."""
+    return _between(0.0, 1.0)
+
+
+def head() -> DrawnSurface:
+    """An arrow's head: from a closed base of radius 1 at the origin to its apex at z = 1."""
+    sides = _between(1.0, 0.0)
+    base = np.vstack([sides.corners[:ROUND], [[0.0, 0, 0]]])
+    at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
+    disc = np.column_stack([np.full(ROUND, ROUND), after, at]) + len(sides.corners)
+    return DrawnSurface(np.vstack([sides.corners, base]), np.vstack([sides.faces, disc]))
+
+
+def shaft() -> DrawnSurface:
+    """A tube of radius 1 from the origin to z = 1."""
+    return _between(1.0, 1.0)
+
+
+def _between(low: float, high: float) -> DrawnSurface:
+    """A surface between two rims about z, at 0 and at 1, of these radii."""
+    turn = 2 * np.pi * np.arange(ROUND) / ROUND
+    ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    corners = np.vstack(
+        [np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))]
+    )
+    at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
+    faces = np.vstack([np.column_stack([at, after, after + ROUND]), np.column_stack([at, after + ROUND, at + ROUND])])
+    return DrawnSurface(corners, faces)

@@ -1,0 +1,98 @@
+"""A server of pages on one port: of this machine alone unless asked otherwise, quiet, without uploads or sharing."""
+
+import contextlib
+import errno
+import logging
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+MISSING = "the live scene needs viser: pip install 'jaxgrasp[view]'"
+HOST, PORT = "127.0.0.1", 8080
+TRIED = 200
+"""How many ports are looked at for a free one."""
+
+
+@contextlib.contextmanager
+def serving(host: str = HOST, port: int = PORT, label: str = "jaxgrasp") -> Iterator[Any]:
+    """A viser server, which stops in the end.
+
+    Args:
+        host: the address that it listens on.
+        port: its port, or 0 for any that is free.
+        label: the heading of its panel.
+
+    Raises:
+        OSError: for a port that is taken, with one that is free, and for an address that this machine has not.
+        ImportError: viser is not installed.
+    """
+    server_class = quiet_viser()
+    check_free(host, port)
+    server = server_class(host=host, port=port, label=label, verbose=False)
+    try:
+        if port not in (0, server.get_port()):
+            raise OSError(taken(host, port))
+        refuse_uploads(server)
+        yield server
+    finally:
+        server.stop()
+
+
+def quiet_viser() -> Any:
+    """The class of servers that say nothing on the terminal, and whose scene nobody can have shared elsewhere."""
+    try:
+        import rich
+        import viser
+    except ImportError:
+        raise ImportError(MISSING) from None
+    # It says where it listens, when it stops and which browser is of another version; we say what a person needs. What
+    # is no request, or ends in its middle, is nothing to report.
+    rich.get_console().quiet = True
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+
+    class LocalServer(viser.ViserServer):
+        def request_share_url(self, verbose: bool = True) -> None:
+            """Any browser may ask for it: it would make a tunnel through a machine on the internet."""
+
+    return LocalServer
+
+
+def refuse_uploads(server: Any) -> None:
+    """Files that a browser sends are not taken in: without a button for them they would only fill memory."""
+    from viser import _messages
+
+    def refuse(side: Any) -> None:
+        for kind in (_messages.FileTransferStartUpload, _messages.FileTransferPart):
+            side.gui._websock_interface.unregister_handler(kind)
+
+    refuse(server)
+    # A browser's own handlers are made when it connects, before it can have sent anything.
+    server.on_client_connect(refuse)
+
+
+def check_free(host: str, port: int) -> None:
+    """Raise OSError, with another one, where a port is taken."""
+    if not 0 <= port < 65536:
+        raise ValueError(f"port is {port}: expected 0 to 65535")
+    if port and (fault := _fault(host, port)) is not None:
+        raise OSError(taken(host, port) if fault == "taken" else f"cannot listen at {host}:{port}: {fault}")
+
+
+def taken(host: str, port: int) -> str:
+    """What to say of a port that is taken."""
+    free = next((other for other in range(port + 1, min(port + TRIED, 65536)) if _fault(host, other) is None), None)
+    hint = "" if free is None else f"; {free} is free: --port {free}"
+    return f"port {port} of {host} is in use{hint}"
+
+
+def _fault(host: str, port: int) -> str | None:
+    """Why nobody can listen there: taken, or what the machine says of it."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+            probe.listen()
+    except OSError as error:
+        return "taken" if error.errno == errno.EADDRINUSE else (error.strerror or str(error))
+    return None

@@ -1,0 +1,77 @@
+"""``jaxgrasp view``: what is wrong is said in one line, before anything compiles."""
+
+import re
+import socket
+import sys
+
+import pytest
+
+from jaxgrasp.cli.main import main
+from tests.batch.conftest import make_sets
+
+HAS_VISER = pytest.mark.skipif("not __import__('importlib.util').util.find_spec('viser')", reason="needs viser")
+
+
+def refused(arguments: list[str], capsys) -> str:
+    assert main(arguments) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1
+    return said.err
+
+
+@HAS_VISER
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["nowhere.npz"], "nowhere.npz"),
+        (["nowhere"], "scene is 'nowhere': expected a TOML file, or one of ball"),
+        (["ball", "--mesh", "mug.stl"], "mesh is given without a file of grasps: expected .npz, .csv"),
+        (["--normals", "outward"], "normals is given without a file of grasps"),
+        (["--seconds", "0"], "seconds is 0.0: expected a positive number"),
+        (["--port", "70000"], "port is 70000: expected 0 to 65535"),
+    ],
+)
+def test_what_cannot_be_shown(folder, capsys, arguments, message):
+    assert message in refused(["view", *arguments], capsys)
+
+
+@HAS_VISER
+def test_a_port_in_use(folder, capsys):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        said = refused(["view", "--port", str(port)], capsys)
+    assert re.search(rf"port {port} of 127.0.0.1 is in use; \d+ is free: --port \d+$", said.strip())
+
+
+@HAS_VISER
+def test_a_bad_grasp_is_named(folder, capsys):
+    sets = make_sets([3, 3])
+    sets.friction[4] = -1
+    with open("bad.csv", "w") as file:
+        file.write("grasp,px,py,pz,ax,ay,az,friction,squeeze,fx,fy,fz,tx,ty,tz\n")
+        for k in range(6):
+            row = [
+                k // 3,
+                *sets.points[k],
+                *sets.normals[k],
+                sets.friction[k],
+                sets.squeeze[k],
+                *sets.wrench[k // 3, 0],
+            ]
+            file.write(",".join(map(str, row)) + "\n")
+    assert "friction[1, 1] is -1" in refused(["view", "bad.csv"], capsys)
+
+
+@pytest.mark.parametrize("arguments", [["view"], ["view", "--save", "page.html"]])
+def test_without_viser_one_line_says_how_to_get_it(folder, capsys, monkeypatch, arguments):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert "the live scene needs viser: pip install 'jaxgrasp[view]'" in refused(arguments, capsys)
+    assert not list(folder.iterdir())
+
+
+def test_a_page_beside_the_loop_needs_a_glove(folder, capsys):
+    assert "view needs a glove, by port or connect" in refused(["glove", "run", "--view"], capsys)
+    said = refused(["experiment", "run", "--subject", "a", "--simulate", "--view"], capsys)
+    assert "view needs the port of a glove" in said

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.arrow import arrow_library, parquet_writer
 from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, our_columns
 from jaxgrasp.batch.columnar import ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.contact_sets import ContactSets
@@ -150,7 +150,7 @@ def write_parquet(path: Path, sets: ContactSets) -> None:
         writer = None
         for first in range(0, max(1, len(sets)), ROWS):
             table = _table(arrow, sets.rows(slice(first, first + ROWS)))
-            writer = writer or arrow.parquet.ParquetWriter(stream, table.schema, write_page_checksum=True)
+            writer = writer or parquet_writer(arrow, stream, table.schema)
             writer.write_table(table)
         if writer is not None:
             writer.close()

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,8 @@ QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal"}
 LOCAL = "local"
 OBJECT_STORE = 200 << 20
 """Bytes of Ray's shared memory on this machine: what passes through it are names and reports."""
+
+CONNECT_SECONDS = 10.0
 
 
 class ClusterError(OSError):
@@ -51,6 +54,7 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
         if ray.is_initialized():
             yield ray
             return
+        _check_address(where)
         own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
         try:
             with _no_stderr():
@@ -68,6 +72,21 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
             yield ray
         finally:
             ray.shutdown()
+
+
+def _check_address(where: str) -> None:
+    """That somebody listens at ``HOST:PORT``, since Ray itself takes minutes to give up.
+
+    Raises:
+        ClusterError: where nobody does.
+    """
+    host, _, port = where.rpartition(":")
+    if not host or "/" in host or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise ClusterError(f"no cluster is found at {where!r} ({error}): ray start --head begins one") from None
 
 
 @contextmanager

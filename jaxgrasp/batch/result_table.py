@@ -24,7 +24,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.arrow import arrow_library, parquet_writer
 from jaxgrasp.batch.price import price_of_friction
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.files.replace import replace_file
@@ -132,7 +132,7 @@ def write_parquet_rows(
             columns: dict[str, Any] = {name: arrow.array(values) for name, values in table_columns(shard).items()}
             columns |= _contact_lists(arrow, shard)
             table = arrow.table(columns)
-            writer = writer or arrow.parquet.ParquetWriter(stream, table.schema, write_page_checksum=True)
+            writer = writer or parquet_writer(arrow, stream, table.schema)
             writer.write_table(table)
         if writer is not None:
             writer.add_key_value_metadata(metadata())

@@ -58,11 +58,15 @@ class ShardFolder:
     def begin(self) -> None:
         """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
         self._file.drop_earlier(BESIDE)
-        for path in self.folder.iterdir():
-            if PARTIAL.fullmatch(path.name):
-                path.unlink()
+        self._drop_partial()
         self._file.content |= {"complete": False, "summary": None}
         self.write()
+
+    def _drop_partial(self) -> None:
+        """Remove what was being written by processes that are gone."""
+        for path in self.folder.iterdir():
+            if PARTIAL.fullmatch(path.name):
+                path.unlink(missing_ok=True)
 
     def add(self, entry: dict) -> None:
         """Name a file that is whole."""
@@ -103,6 +107,7 @@ class ShardFolder:
             summary = own if summary is None else summary.merged(own)
         if summary is None:
             raise GraspFileError(self.folder, "there are no grasps to evaluate")
+        self._drop_partial()
         self._file.content |= {"complete": True, "totals": totals, "skipped": skipped}
         self.write()
         return summary

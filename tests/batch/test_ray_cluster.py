@@ -68,7 +68,10 @@ def mark() -> Iterator[str]:
     own = uuid.uuid4().hex
     yield own
     try:
-        wait_until(lambda: not marked(own), 60)
+        wait_until(lambda: not marked(own), 120)
+    except AssertionError:
+        left = [name_of(process) for process in marked(own)]
+        assert not left, left
     finally:
         for process in marked(own):
             os.kill(process, signal.SIGKILL)

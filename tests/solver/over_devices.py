@@ -23,19 +23,22 @@ def drawn(count: int):
 
 def of_one_machine() -> dict:
     said = {}
-    for count in (1, 30, 230):
+    for count, devices in ((1, 2), (30, 3), (230, 4)):
         grasp, wrench = drawn(count)
         alone = jaxgrasp.constrained_optimum(grasp, wrench)
-        for devices in (1, 3, 4):
-            found = jaxgrasp.constrained_optimum(grasp, wrench, devices=devices)
-            same = np.array_equal(found.verdict, alone.verdict)
-            said[f"{count} on {devices}"] = [apart(found, alone), len(found.forces.devices()), same]
+        found = jaxgrasp.constrained_optimum(grasp, wrench, devices=devices)
+        said[f"{count} on {devices}"] = [
+            apart(found, alone),
+            len(found.forces.devices()),
+            np.array_equal(found.verdict, alone.verdict),
+        ]
     grasp, wrench = drawn(6)
     single = jax.tree.map(lambda x: x[0], grasp)
-    for name, function in (("closed", jaxgrasp.closed_form), ("shared", jaxgrasp.constrained_optimum)):
-        alone, found = function(single, wrench), function(single, wrench.reshape(2, 3, 6), "uniform", devices=2)
-        alone = function(single, wrench, "uniform")
-        said[name] = [apart(jax.tree.map(lambda x: x.reshape(6, *x.shape[2:]), found), alone), 2, True]
+    alone, found = (
+        jaxgrasp.closed_form(single, given, "uniform", devices=devices)
+        for given, devices in ((wrench, None), (wrench.reshape(2, 3, 6), 2))
+    )
+    said["one grasp for all"] = [apart(jax.tree.map(lambda x: x.reshape(6, *x.shape[2:]), found), alone), 2, True]
     both = jaxgrasp.closed_form_and_optimum(grasp, wrench, devices=2)
     said["both"] = [apart(both[1], jaxgrasp.constrained_optimum(grasp, wrench)), 2, True]
     return said

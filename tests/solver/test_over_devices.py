@@ -28,7 +28,7 @@ def begun(devices: int, *arguments: str) -> subprocess.Popen:
 def check(process: subprocess.Popen) -> dict:
     with process:
         try:
-            shown, noted = process.communicate(timeout=500)
+            shown, noted = process.communicate(timeout=1000)
         finally:
             process.kill()
     assert process.returncode == 0, noted[-2000:]

@@ -1,9 +1,9 @@
 """Contact forces of a grasp: the paper's closed forms and the friction-cone optimum, batched and differentiable.
 
 Here are a grasp's data, the two answers, what else is asked of a grasp, and files of grasps. The rest has rooms of its
-own: ``hand`` (kinematics, shapes, contacts), ``grip`` (grips, squeezing forces, the object over time), ``quality``,
-``sensitivity``, ``literature`` (the methods before), ``interop`` (MuJoCo, URDF), ``glove``, ``psychophysics``, ``lab``,
-``report`` (pages to look at).
+own: ``batch`` (a function for the workers of a cluster), ``hand`` (kinematics, shapes, contacts), ``grip`` (grips,
+squeezing forces, the object over time), ``quality``, ``sensitivity``, ``literature`` (the methods before), ``interop``
+(MuJoCo, URDF), ``glove``, ``psychophysics``, ``lab``, ``report`` (pages to look at).
 
 All of it loads on first use, so that parts which need no JAX can be imported without it.
 """
@@ -12,7 +12,7 @@ from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 if _TYPE_CHECKING:
-    from jaxgrasp import glove, grip, hand, interop, lab, literature, psychophysics, quality, report, sensitivity
+    from jaxgrasp import batch, glove, grip, hand, interop, lab, literature, psychophysics, quality, report, sensitivity
     from jaxgrasp.batch.contact_sets import ContactSets
     from jaxgrasp.batch.evaluation import Evaluation, evaluate
     from jaxgrasp.batch.file_error import GraspFileError
@@ -83,7 +83,19 @@ _HOME = {
     "weight_wrench": "model.wrench",
     "wrench_margin": "force.margin",
 }
-_ROOMS = ("glove", "grip", "hand", "interop", "lab", "literature", "psychophysics", "quality", "report", "sensitivity")
+_ROOMS = (
+    "batch",
+    "glove",
+    "grip",
+    "hand",
+    "interop",
+    "lab",
+    "literature",
+    "psychophysics",
+    "quality",
+    "report",
+    "sensitivity",
+)
 
 __all__ = sorted([*_HOME, *_ROOMS])  # noqa: PLE0605
 

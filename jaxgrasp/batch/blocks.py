@@ -16,6 +16,9 @@ LARGEST_BLOCK = 1 << 17
 """Problems that are computed at a time: enough to keep every device busy, and few beside what memory holds."""
 WORTH_A_SHAPE = 30_000
 """Problems that a shape of its own must serve; below, padding costs less time than compiling."""
+LEAST_BLOCK = 128
+"""Problems in a block of a device, at least: from here on the solver's tiles have one size, and a problem's answer is
+the same to the last bit whatever stands beside it."""
 
 
 def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
@@ -32,6 +35,17 @@ def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
     return np.asarray(steps)[step]
 
 
+def _in_buckets(sizes: np.ndarray, buckets: tuple[int, ...]) -> np.ndarray:
+    """The least of these widths, in ascending order, that holds each grasp."""
+    too_large = np.flatnonzero(sizes > buckets[-1])
+    if len(too_large):
+        at = too_large[0]
+        raise ValueError(
+            f"grasp {at} has {sizes[at]} contacts: expected at most {buckets[-1]}, the largest of contacts"
+        )
+    return np.asarray(buckets)[np.searchsorted(buckets, sizes)]
+
+
 class Block(NamedTuple):
     """Problems of one shape."""
 
@@ -42,21 +56,23 @@ class Block(NamedTuple):
     wrench: np.ndarray
 
 
-def blocks(sets: ContactSets, chunk: int, devices: int) -> Iterator[Block]:
+def blocks(sets: ContactSets, chunk: int, devices: int, buckets: tuple[int, ...] | None = None) -> Iterator[Block]:
     """The problems of ``sets`` by shape, padded.
 
     The problems of grasp ``i`` of a block stand together, one for each wrench. In a stream of chunks, a
     block is brought to the size of a full ``chunk``, or an eighth of it where grasps of several widths
     share the chunk, by zeros, on which no solver spends time; so later chunks meet shapes that are
     compiled already. The extra answers come last. What is larger than ``LARGEST_BLOCK`` comes in blocks of that size.
+    Where ``buckets`` are given, each grasp is brought to the least of these widths, and each block is of ``chunk``
+    grasps: so there is one shape for each of them, whatever comes.
     """
-    padded = widths(sets.sizes, sets.wrenches)
+    padded = widths(sets.sizes, sets.wrenches) if buckets is None else _in_buckets(sets.sizes, buckets)
     different = np.unique(padded)
-    step = chunk if len(different) == 1 else max(1, chunk // 8)
-    step = -(-step // devices) * devices
+    step = chunk if len(different) == 1 or buckets else max(1, chunk // 8)
+    step = max(-(-step // devices), -(-LEAST_BLOCK // sets.wrenches)) * devices
+    most = step if buckets else max(devices, LARGEST_BLOCK // sets.wrenches // devices * devices)
     for width in different:
         every = np.flatnonzero(padded == width)
-        most = max(devices, LARGEST_BLOCK // sets.wrenches // devices * devices)
         size = most if len(every) > most else -(-len(every) // step) * step
         for start in range(0, len(every), size):
             rows = every[start : start + size]

@@ -13,11 +13,8 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.batch.blocks import Block
-from jaxgrasp.force.slip import friction_margin, spin_force
 from jaxgrasp.model.compared_methods import ComparedMethod
-from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS
-from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import passes
@@ -87,8 +84,8 @@ class Engine:
     def devices(self) -> int:
         return self._mesh.size
 
-    def run(self, block: Block, problems: int) -> dict[str, MethodResult]:
-        """Every method on a block, whose size the number of devices divides.
+    def run(self, block: Block, problems: int) -> dict[str, dict[str, np.ndarray]]:
+        """Every method on a block, whose size the number of devices divides: fields of results, but for margins.
 
         ``problems`` of them are the user's, the rest fill the block.
         """
@@ -99,12 +96,12 @@ class Engine:
             if contacts not in self._announced:
                 self._announced.add(contacts)
                 self._announce(f"compiling for grasps of {contacts} contacts ...")
-        results: dict[str, MethodResult] = {}
+        results: dict[str, dict[str, np.ndarray]] = {}
         for sharing in dict.fromkeys(method.sharing for method in self.methods):
             results |= self._one_sharing(sharing, block)
         return {method.name: results[method.name] for method in self.methods}
 
-    def _one_sharing(self, sharing: str, block: Block) -> dict[str, MethodResult]:
+    def _one_sharing(self, sharing: str, block: Block) -> dict[str, dict[str, np.ndarray]]:
         wanted = [method for method in self.methods if method.sharing == sharing]
         problem = _problem(sharing, block)
         closed, spent = self._timed(passes.solve_closed, problem)
@@ -115,10 +112,8 @@ class Engine:
                 answer, own = self._timed(passes.finish_optimum, problem, closed)
             with self._counting:
                 self.times.solving[method.name] += spent + own
-            margin, violation, _ = self._timed(_margins, block.grasp, answer.forces, answer.moments)
             found = {name: getattr(answer, name) for name in (*ANSWERED, *(OF_LIMITS if method.constrained else ()))}
-            host = {name: np.asarray(array) for name, array in found.items() if array is not None}
-            results[method.name] = MethodResult(**host, margin=np.asarray(margin), violation=np.asarray(violation))
+            results[method.name] = {name: np.asarray(array) for name, array in found.items() if array is not None}
         return results
 
     def _timed(self, function: Callable, *arguments) -> tuple:
@@ -180,15 +175,3 @@ def _problem(sharing: str, block: Block) -> ProblemBatch:
         torsion=grasp.torsion,
         **bounds,
     )
-
-
-def _margins(grasp: Grasp, forces: Array, moments: Array | None) -> tuple[Array, Array]:
-    margin = jnp.min(friction_margin(grasp, forces, moments), -1)
-    force, normal = vec3.from_axis(forces, -1), vec3.from_axis(jnp.asarray(grasp.normals), -1)
-    across, spin = vec3.norm(vec3.cross(normal, force)), spin_force(grasp, moments)
-    if spin is not None:
-        across = jnp.hypot(across, spin)
-    beyond = across - grasp.friction * vec3.dot(force, normal)
-    if grasp.present is not None:
-        beyond = jnp.where(grasp.present > 0.5, beyond, 0)
-    return margin, jnp.max(jnp.maximum(beyond, 0), -1)

@@ -1,11 +1,13 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
 from dataclasses import MISSING, dataclass, fields, replace
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from jaxgrasp.batch.blocks import blocks
+from jaxgrasp.batch.contact_margins import margins
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import Engine, MethodResult, Times
 from jaxgrasp.batch.qualities import Columns, least_friction_of, measure_all, summarise_qualities
@@ -96,33 +98,77 @@ def evaluate(
         ValueError: for an unknown method or measure, or float64 asked for while JAX's 64-bit mode is off.
     """
     sets = as_sets(grasps, wrenches, limits)
-    kind = _precision(sets, dtype)
-    sets = sets.astype(kind)
     engine, measures = Engine(methods_named(methods), devices), measures_named(quality)
-    good, kept = usable(sets, skip_bad)
-    results, columns = run(engine, good), measure_all(measures, good)
-    friction = least_friction_of(good) if least_friction else None
-    why = reasons(good, results)
-    summary = summarise_all(good, results, why, measures, columns, friction, kept, set_aside=len(sets) - len(kept))
-    return Evaluation(good, results, why, summary, engine.times, columns, kept, friction)
+    found = answers(
+        engine, sets.astype(_precision(sets, dtype)), measures, least_friction=least_friction, skip_bad=skip_bad
+    )
+    summary = found.summary(measures)
+    return Evaluation(
+        found.sets,
+        found.results,
+        found.why,
+        summary,
+        engine.times,
+        found.quality,
+        found.numbers,
+        found.least_friction,
+    )
 
 
-def summarise_all(
+class Answers(NamedTuple):
+    """All that is computed of some sets, as an Evaluation holds it."""
+
+    sets: ContactSets
+    results: dict[str, MethodResult]
+    why: np.ndarray
+    quality: Columns
+    numbers: np.ndarray
+    least_friction: np.ndarray | None
+    set_aside: int
+    """Grasps with faults, which are none of the sets."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """As the arrays of a shard."""
+        return arrays_of(self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction)
+
+    def summary(self, measures: tuple[Measure, ...]) -> Summary:
+        """What they say as a whole."""
+        return replace(
+            summarise(self.sets, self.results, numbers=self.numbers, set_aside=self.set_aside),
+            qualities=summarise_qualities(measures, self.quality),
+            ranked=rank(self.sets, self.results, self.why, self.quality, self.least_friction, self.numbers),
+        )
+
+
+def answers(
+    engine: Engine,
     sets: ContactSets,
-    results: dict[str, MethodResult],
-    why: np.ndarray,
-    measures: tuple[Measure, ...],
-    quality: Columns,
-    least_friction: np.ndarray | None,
-    numbers: np.ndarray,
+    measures: tuple[Measure, ...] = (),
     *,
-    set_aside: int,
-) -> Summary:
-    """The whole summary of some sets, whose grasps have these ``numbers`` in the input."""
-    return replace(
-        summarise(sets, results, numbers=numbers, set_aside=set_aside),
-        qualities=summarise_qualities(measures, quality),
-        ranked=rank(sets, results, why, quality, least_friction, numbers),
+    least_friction: bool = False,
+    skip_bad: bool = False,
+    checked: bool = False,
+    first: int = 0,
+    chunk: int = 1,
+    buckets: tuple[int, ...] | None = None,
+) -> Answers:
+    """All that is asked of sets whose first grasp has the number ``first`` in the input.
+
+    ``checked`` sets have no faults; ``chunk`` and ``buckets`` are those of ``run``.
+
+    Raises:
+        GraspError: for the first fault, unless told to skip what is bad.
+    """
+    good, kept = (sets, np.arange(len(sets))) if checked else usable(sets, skip_bad, first)
+    results = run(engine, good, chunk, buckets)
+    return Answers(
+        good,
+        results,
+        reasons(good, results),
+        measure_all(measures, good),
+        first + kept,
+        least_friction_of(good) if least_friction else None,
+        len(sets) - len(good),
     )
 
 
@@ -137,32 +183,38 @@ def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[Con
     return (sets.rows(kept) if bad else sets), kept
 
 
-def run(engine: Engine, sets: ContactSets, chunk: int = 1) -> dict[str, MethodResult]:
+def run(
+    engine: Engine, sets: ContactSets, chunk: int = 1, buckets: tuple[int, ...] | None = None
+) -> dict[str, MethodResult]:
     """Every method of the engine on every problem, back in the order of ``sets``.
 
     ``chunk`` is the number of grasps in a full chunk, for a stream of them; see ``blocks``.
     """
     shaped: dict[str, dict[str, np.ndarray]] = {}
-    for block in blocks(sets, chunk, engine.devices):
+    for block in blocks(sets, chunk, engine.devices, buckets):
         for method, part in engine.run(block, len(block.rows) * sets.wrenches).items():
-            own = shaped.setdefault(method, {name: _empty(name, sets) for name in _given(part)})
+            own = shaped.setdefault(method, {name: _empty(name, sets) for name in part})
             _place(own, part, block.rows, sets)
     if not shaped:
         shaped = {method.name: {name: _empty(name, sets) for name in ALWAYS} for method in engine.methods}
-    return {name: MethodResult(**arrays) for name, arrays in shaped.items()}
+    return {name: _with_margins(arrays, sets) for name, arrays in shaped.items()}
+
+
+def _with_margins(arrays: dict[str, np.ndarray], sets: ContactSets) -> MethodResult:
+    margin, violation = margins(sets, arrays["forces"], arrays.get("moments"))
+    return MethodResult(**arrays, margin=margin, violation=violation)
 
 
 BY_CONTACT = ("forces", "moments", "normal_multiplier")
 MOSTLY_ZERO = ("certificate", "force_bound")
 
 
-ALWAYS = tuple(field.name for field in fields(MethodResult) if field.default is MISSING)
-"""What every result has."""
-
-
-def _given(part: MethodResult) -> list[str]:
-    """The fields that there are."""
-    return [field.name for field in fields(MethodResult) if getattr(part, field.name) is not None]
+ALWAYS = tuple(
+    field.name
+    for field in fields(MethodResult)
+    if field.default is MISSING and field.name not in ("margin", "violation")
+)
+"""What every method answers."""
 
 
 def _empty(name: str, sets: ContactSets) -> np.ndarray:
@@ -178,12 +230,12 @@ def _empty(name: str, sets: ContactSets) -> np.ndarray:
     return make((len(sets), sets.wrenches, *tail), whole.get(name, sets.points.dtype))
 
 
-def _place(shaped: dict[str, np.ndarray], part: MethodResult, rows: np.ndarray, sets: ContactSets) -> None:
+def _place(shaped: dict[str, np.ndarray], part: dict[str, np.ndarray], rows: np.ndarray, sets: ContactSets) -> None:
     """Write a block's answers where its grasps stand, leaving out padding."""
     used = len(rows) * sets.wrenches
     sizes = sets.sizes[rows]
     for name, target in shaped.items():
-        values = getattr(part, name)[:used]
+        values = part[name][:used]
         values = values.reshape(len(rows), sets.wrenches, *values.shape[1:])
         if name not in BY_CONTACT:
             if name not in MOSTLY_ZERO or values.any():

@@ -4,130 +4,141 @@ Columns are those of [`columnar`][jaxgrasp.batch.columnar]: ``points`` and ``nor
 ``squeeze`` and other numbers of contacts lists, ``wrench`` a list of 6 numbers, or of W such lists, and text as it is.
 """
 
+import json
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library
-from jaxgrasp.batch.columnar import BY_CONTACT, KNOWN, LABELS, LONGEST_LABEL, ColumnarGrasps
+from jaxgrasp.batch.arrow import arrow_library, parquet_writer
+from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, our_columns
+from jaxgrasp.batch.columnar import ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.files.replace import replace_file
 
 ROWS = 65_536
 """Grasps that are written at a time."""
+ROWS_READ = 8_192
+"""Grasps that are read at a time, whatever the size of the file's row groups."""
 
 
-class ArrayColumn:
-    """An array in memory, read forward a few rows at a time."""
+class ParquetColumn:
+    """One column of a file, read forward a few rows at a time."""
 
-    def __init__(self, array: np.ndarray):
-        self._array, self._at = array, 0
-        self.shape, self.dtype = array.shape, array.dtype
+    def __init__(self, archive: "ParquetArchive", name: str, shape: tuple[int, ...], dtype: np.dtype):
+        self.shape, self.dtype = shape, dtype
+        self._path, self._name = archive.path, name
+        self._parts = (part.array for part in archive.parts(name))
+        self._held: list[np.ndarray] = []
 
     def take(self, rows: int) -> np.ndarray:
-        self._at += rows
-        return self._array[self._at - rows : self._at]
+        """The next rows."""
+        while not self._held or sum(map(len, self._held)) < rows:
+            part = next(self._parts, None)
+            if part is None:
+                raise GraspFileError(self._path, f"{self._name} ends early: the file was changed meanwhile")
+            self._held.append(part)
+        held = np.concatenate(self._held) if len(self._held) != 1 else self._held[0]
+        self._held = [held[rows:]]
+        return held[:rows]
 
     def skip(self, rows: int) -> None:
-        self._at += rows
+        while rows > 0:
+            step = min(rows, ROWS_READ)
+            self.take(step)
+            rows -= step
 
     def whole(self) -> np.ndarray:
-        return self._array
+        return self.take(self.shape[0])
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        self._parts.close()
 
 
 class ParquetArchive:
-    """The columns of a Parquet file, in memory, as an archive of flat arrays has them."""
+    """The columns of a Parquet file, as an archive of flat arrays has them, of which memory holds a few rows.
+
+    All of it is read once as it is opened, which checks it.
+    """
 
     def __init__(self, path: Path):
-        arrow = arrow_library()
+        self._arrow = arrow_library()
         if not path.exists():
             raise FileNotFoundError(2, "No such file or directory", str(path))
         self.path = path
-        self._arrays: dict[str, np.ndarray] = {}
+        with self._opened() as file:
+            ours = our_columns(path, file.schema_arrow.names)
+        self._sizes: np.ndarray | None = None
+        self._offsets = np.zeros(1, np.int64)
+        self._checksums: dict[str, int] = {}
+        self._headers = {name: self._checked(name) for name in ours}
+        self.names = list(self._headers)
+        if self._sizes is not None:
+            self._offsets = np.concatenate([[0], np.cumsum(self._sizes, dtype=np.int64)])
+            self.names.append("offsets")
+
+    def parts(self, name: str) -> Iterator[FlatColumn]:
+        """A column, some rows at a time."""
+        with self._opened() as file:
+            for batch in file.iter_batches(ROWS_READ, columns=[name]):
+                yield flat_column(self._arrow, self.path, name, batch.column(0))
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
         try:
-            with arrow.parquet.ParquetFile(path) as file:
-                names = [name for name in file.schema_arrow.names if name in KNOWN and name != "offsets"]
-                twice = next((name for name in names if names.count(name) > 1), None)
-                if twice is not None:
-                    raise GraspFileError(path, f"it has the column {twice!r} twice")
-                for name in names:
-                    # One at a time, since joining its pieces takes its size once more.
-                    self._arrays[name] = self._flat(arrow, name, file.read(columns=[name])[name].combine_chunks())
-        except (arrow.ArrowException, OSError) as error:
-            raise GraspFileError(path, f"it cannot be read as Parquet ({error})") from error
-        self.names = list(self._arrays)
+            with self._arrow.parquet.ParquetFile(self.path, page_checksum_verification=True) as file:
+                yield file
+        except (self._arrow.ArrowException, OSError) as error:
+            raise GraspFileError(self.path, f"it cannot be read as Parquet ({error})") from error
 
-    def _flat(self, arrow: Any, name: str, values: Any) -> np.ndarray:
-        """A column as an array, by contact where it belongs to contacts; the first of these gives the offsets."""
-        if values.null_count:
-            raise GraspFileError(self.path, f"{name} has {values.null_count:,} empty cells: expected a value in each")
-        if name in LABELS:
-            return self._text(arrow, name, values)
-        sides: list[int] = []
-        if name in BY_CONTACT:
-            if not self._is_list(arrow, values.type):
-                raise GraspFileError(self.path, f"{name} holds {values.type}: expected a list for each grasp")
-            sizes = np.asarray(values.value_lengths())
-            offsets = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
-            known = self._arrays.setdefault("offsets", offsets)
-            differs = np.flatnonzero(np.diff(known) != sizes)
-            if len(differs):
-                at = differs[0]
-                raise GraspFileError(
-                    self.path, f"{name}[{at}] has {sizes[at]} contacts: expected {np.diff(known)[at]}, as the others"
-                )
-            values = values.flatten()
-        rows = len(values)
-        while self._is_list(arrow, values.type):
-            lengths = np.unique(np.asarray(values.value_lengths()))
-            if len(lengths) > 1 or values.null_count:
+    def _checked(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
+        """Shape and type of a column, all of whose rows are of one kind."""
+        rows, sum_ = 0, 0
+        sides: tuple[int, ...] | None = None
+        dtype: np.dtype | None = None
+        sizes: list[np.ndarray] = []
+        for part in self.parts(name):
+            array = part.array
+            if sides is not None and array.shape[1:] != sides:
                 raise GraspFileError(self.path, f"{name} holds lists of different lengths: expected one length")
-            sides.append(int(lengths[0]) if len(lengths) else 0)
-            values = values.flatten()
-        if values.null_count or not (arrow.types.is_floating(values.type) or arrow.types.is_integer(values.type)):
-            raise GraspFileError(self.path, f"{name} holds {values.type} or empty cells: expected numbers")
-        return values.to_numpy(zero_copy_only=False).reshape(rows, *sides)
-
-    def _text(self, arrow: Any, name: str, values: Any) -> np.ndarray:
-        if arrow.types.is_dictionary(values.type):
-            values = values.dictionary_decode()
-        if not (arrow.types.is_string(values.type) or arrow.types.is_large_string(values.type)):
-            raise GraspFileError(self.path, f"{name} holds {values.type}: expected text")
-        if not len(values):
-            return np.zeros(0, "U1")
-        # Every text of an array takes as much memory as the longest.
-        longest = arrow.compute.max(arrow.compute.utf8_length(values)).as_py()
-        if longest > LONGEST_LABEL:
-            raise GraspFileError(
-                self.path, f"{name} holds text of {longest:,} characters: expected {LONGEST_LABEL:,} at most"
-            )
-        return np.asarray(values.to_pylist(), str)
-
-    @staticmethod
-    def _is_list(arrow: Any, kind: Any) -> bool:
-        types = arrow.types
-        return types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+            sides = array.shape[1:] if len(array) else sides
+            dtype = array.dtype if dtype is None else np.promote_types(dtype, array.dtype)
+            if part.sizes is not None:
+                sizes.append(part.sizes)
+            rows += len(array)
+            sum_ = zlib.crc32(_content(array), sum_)
+        self._checksums[name] = sum_
+        if sizes:
+            own = np.concatenate(sizes)
+            self._sizes = own if self._sizes is None else self._sizes
+            check_sizes(self.path, name, own, self._sizes)
+        if dtype is None:
+            raise GraspFileError(self.path, "it holds no grasps")
+        return (rows, *(sides or ())), dtype
 
     def checksum(self) -> int:
         """Checksum of the columns that are read."""
-        sum_ = 0
-        for name in sorted(self._arrays):
-            sum_ = zlib.crc32(self._arrays[name].tobytes(), sum_)
-        return sum_
+        return zlib.crc32(json.dumps(self._checksums, sort_keys=True).encode())
 
-    def column(self, name: str) -> ArrayColumn:
-        return ArrayColumn(self._arrays[name])
+    def column(self, name: str) -> ColumnOfRows:
+        return ArrayColumn(self._offsets) if name == "offsets" else ParquetColumn(self, name, *self._headers[name])
 
     def close(self) -> None: ...
 
 
+def _content(array: np.ndarray) -> bytes:
+    """What a checksum is of, whatever pieces it comes in: texts without what fills them up to the longest."""
+    if array.dtype.kind == "U":
+        return "".join(f"{text}\n" for text in array.tolist()).encode("utf-8", "surrogatepass")
+    return np.ascontiguousarray(array).tobytes()
+
+
 def open_parquet(path: Path, fill: dict[str, float] | None = None) -> ColumnarGrasps:
-    """A grasp file, read whole. ``fill`` stands in for columns that the file lacks."""
+    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
     return ColumnarGrasps(ParquetArchive(path), fill)
 
 
@@ -139,7 +150,7 @@ def write_parquet(path: Path, sets: ContactSets) -> None:
         writer = None
         for first in range(0, max(1, len(sets)), ROWS):
             table = _table(arrow, sets.rows(slice(first, first + ROWS)))
-            writer = writer or arrow.parquet.ParquetWriter(stream, table.schema)
+            writer = writer or parquet_writer(arrow, stream, table.schema)
             writer.write_table(table)
         if writer is not None:
             writer.close()

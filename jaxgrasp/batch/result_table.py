@@ -13,17 +13,18 @@ Columns, in this order:
     least_friction     with --least-friction: the least share of the friction with which it holds, perhaps inf
     MEASURE.COLUMN     measures of quality that were asked for
     METHOD.forces      in Parquet alone: a list of [x, y, z] for each contact [N]
+    METHOD.moments     likewise, of soft fingers: a number for each contact [N.m]
 """
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.arrow import arrow_library, parquet_writer
 from jaxgrasp.batch.price import price_of_friction
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.files.replace import replace_file
@@ -97,7 +98,7 @@ def write_table(path: Path, shards: Iterable[Shard]) -> None:
     Raises:
         ImportError: for Parquet without the extra `table`.
     """
-    writer = _write_parquet if path.suffix == ".parquet" else _write_csv
+    writer = write_parquet_rows if path.suffix == ".parquet" else _write_csv
     if path.suffix == ".parquet":
         arrow_library()
     replace_file(path, lambda stream: writer(stream, shards))
@@ -120,34 +121,70 @@ def _cells(values: np.ndarray) -> Iterator[Any]:
         yield "" if isinstance(value, float) and value != value else value
 
 
-def _write_parquet(stream: IO[bytes], shards: Iterable[Shard]) -> None:
+def write_parquet_rows(
+    stream: IO[bytes], shards: Iterable[Shard], metadata: Callable[[], dict[bytes, bytes]] = dict
+) -> None:
+    """Write the table of these shards as Parquet; ``metadata`` is asked for at the end, when all have come."""
     arrow = arrow_library()
     writer = None
     try:
         for shard in shards:
             columns: dict[str, Any] = {name: arrow.array(values) for name, values in table_columns(shard).items()}
-            columns |= _force_columns(arrow, shard)
+            columns |= _contact_lists(arrow, shard)
             table = arrow.table(columns)
-            writer = writer or arrow.parquet.ParquetWriter(stream, table.schema)
+            writer = writer or parquet_writer(arrow, stream, table.schema)
             writer.write_table(table)
+        if writer is not None:
+            writer.add_key_value_metadata(metadata())
     finally:
         if writer is not None:
             writer.close()
 
 
-def _force_columns(arrow: Any, shard: Shard) -> dict[str, Any]:
-    """``METHOD.forces`` as lists; the forces of a grasp's wrenches come one after the other."""
+def _contact_lists(arrow: Any, shard: Shard) -> dict[str, Any]:
+    """``METHOD.forces`` and ``METHOD.moments`` as lists; those of a grasp's wrenches come one after the other."""
+    order = _by_row(shard)
+    offsets = arrow.array(np.concatenate([[0], np.cumsum(order.sizes)]).astype(np.int32))
+    columns = {}
+    for name in _of_contacts(shard):
+        values = arrow.array(shard[name][order.contact, order.wrench].ravel())
+        if shard[name].ndim == 3:
+            values = arrow.FixedSizeListArray.from_arrays(values, 3)
+        columns[name] = arrow.ListArray.from_arrays(offsets, values)
+    return columns
+
+
+def _of_contacts(shard: Shard) -> list[str]:
+    return [name for method in METHODS for what in ("forces", "moments") if (name := f"{method}.{what}") in shard]
+
+
+class _RowOrder(NamedTuple):
+    """The contacts of a table's rows, one row after the other."""
+
+    sizes: np.ndarray
+    """Contacts of each row ``(N * W,)``."""
+    contact: np.ndarray
+    wrench: np.ndarray
+
+
+def _by_row(shard: Shard) -> _RowOrder:
     wrenches = shard["why"].shape[1]
     sizes = np.repeat(np.diff(shard["offsets"]), wrenches)
     ends = np.cumsum(sizes)
     first = np.repeat(shard["offsets"][:-1], wrenches)
     contact = np.repeat(first - (ends - sizes), sizes) + np.arange(ends[-1] if len(ends) else 0)
-    wrench = np.repeat(np.tile(np.arange(wrenches), len(shard["why"])), sizes)
-    offsets = arrow.array(np.concatenate([[0], ends]).astype(np.int32))
+    return _RowOrder(sizes, contact, np.repeat(np.tile(np.arange(wrenches), len(shard["why"])), sizes))
+
+
+def contact_columns(shard: Shard) -> dict[str, np.ndarray]:
+    """``METHOD.forces`` and ``METHOD.moments`` by row: ``(N * W, n, ...)``, or arrays of arrays of different sizes."""
+    order = _by_row(shard)
     columns = {}
-    for name in METHODS:
-        if f"{name}.forces" in shard:
-            forces = shard[f"{name}.forces"][contact, wrench].ravel()
-            triples = arrow.FixedSizeListArray.from_arrays(arrow.array(forces), 3)
-            columns[f"{name}.forces"] = arrow.ListArray.from_arrays(offsets, triples)
+    for name in _of_contacts(shard):
+        flat = shard[name][order.contact, order.wrench]
+        if len(set(order.sizes)) == 1:
+            columns[name] = flat.reshape(len(order.sizes), -1, *flat.shape[1:])
+        else:
+            columns[name] = np.empty(len(order.sizes), object)
+            columns[name][:] = np.split(flat, np.cumsum(order.sizes)[:-1])
     return columns

@@ -9,11 +9,8 @@ own ``name (N,)`` where they have one; ``least_friction (N, W)`` where it was as
 that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
 """
 
-import hashlib
-import json
 import re
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 
@@ -21,50 +18,17 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.manifest import Manifest, hashed, is_whole
 from jaxgrasp.batch.npz_file import save_arrays
-from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import METHODS
 
-MANIFEST = "manifest.json"
-VERSION = 7
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html", "results.csv", "results.parquet")
 """What the command line writes beside the results, and what is stale without them."""
 SMALL = 64 << 20
 """Results up to this many bytes end as one file instead of shards."""
-
-
-@contextmanager
-def held_folder(folder: Path, announce: Callable[[str], None] = lambda text: None) -> Iterator[None]:
-    """Make an output folder and hold it against other processes until the block ends.
-
-    Raises:
-        GraspFileError: if it cannot be written, or another process works in it.
-    """
-    _make(folder)
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(locked(folder, announce))
-        except FolderHeldError as error:
-            raise GraspFileError(folder, f"{error}: wait for it, or choose another --out") from error
-        except OSError as error:
-            raise _unwritable(folder, error) from error
-        yield
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _unwritable(folder, error) from error
-
-
-def _unwritable(folder: Path, error: OSError) -> GraspFileError:
-    return GraspFileError(folder, f"the output folder cannot be written ({error.strerror})")
 
 
 class ResultFolder:
@@ -81,70 +45,34 @@ class ResultFolder:
                 resume.
         """
         self.folder = folder
-        _make(folder)
-        self._earlier: dict | None = None
-        self.manifest: dict = {"version": VERSION, **identity, "shards": [], "summary": None, "complete": False}
-        if (folder / MANIFEST).exists():
-            self._take_up(identity, resume, overwrite)
-        elif unknown := [path.name for path in folder.iterdir() if OURS.fullmatch(path.name)]:
-            raise GraspFileError(folder, f"it holds {unknown[0]} of unknown origin: choose another --out, or move it")
+        self._file = Manifest(folder, identity, OURS, resume, overwrite)
 
-    def _take_up(self, identity: dict, resume: bool, overwrite: bool) -> None:
-        try:
-            found = json.loads((self.folder / MANIFEST).read_text())
-            complete, entries = found["complete"], found["shards"]
-            files = [entry["file"] for entry in entries]
-        except (ValueError, KeyError, TypeError, RecursionError, OSError) as error:
-            raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
-        if found.pop("sha256", None) != _sealed(found) and found.get("version") == VERSION:
-            raise GraspFileError(self.folder, f"its {MANIFEST} was changed since we wrote it")
-        if not all(OURS.fullmatch(str(name)) for name in files):
-            raise GraspFileError(self.folder, f"its {MANIFEST} names files that are not ours")
-        differing = [key for key in ("version", *identity) if found.get(key) != self.manifest[key]]
-        if resume:
-            if differing:
-                raise GraspFileError(self.folder, f"{self._unlike(found, differing[0])}: they cannot be resumed")
-            self.manifest = found
-            return
-        if not overwrite and not complete and entries:
-            raise GraspFileError(
-                self.folder,
-                "it holds an unfinished evaluation: --resume goes on with it, --overwrite drops it; "
-                "or choose another --out",
-            )
-        if not overwrite and differing and entries:
-            raise GraspFileError(
-                self.folder, f"{self._unlike(found, differing[0])}: choose another --out, or --overwrite drops them"
-            )
-        self._earlier = found
-
-    def _unlike(self, found: dict, key: str) -> str:
-        """By what the results that are there differ from those that are wanted."""
-        return f"its results have {key} = {shortened(found.get(key))}, not {shortened(self.manifest[key])}"
+    @property
+    def manifest(self) -> dict:
+        """What the manifest says."""
+        return self._file.content
 
     def damaged(self) -> list[dict]:
         """Entries of the manifest whose files are missing, cut short or changed; all bytes are read."""
-        return [entry for entry in self.manifest["shards"] if not _is_whole(self.folder / entry["file"], entry)]
+        return [entry for entry in self.manifest["shards"] if not is_whole(self.folder / entry["file"], entry)]
 
     def replace(self, entry: dict, arrays: dict[str, np.ndarray]) -> None:
         """Write a damaged shard anew."""
         entry["sha256"] = self._save(entry["file"], arrays)
-        self._write_manifest()
+        self._file.write()
 
     def start_over(self) -> None:
         """Forget all shards, so that everything is computed again."""
-        self.manifest |= {"shards": [], "summary": None, "complete": False}
+        self._file.content |= {"shards": [], "summary": None, "complete": False}
 
     def begin(self) -> None:
         """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
-        if self._earlier:
-            for name in (*(entry["file"] for entry in self._earlier["shards"]), *BESIDE):
-                (self.folder / name).unlink(missing_ok=True)
+        self._file.drop_earlier(BESIDE)
         named = {entry["file"] for entry in self.manifest["shards"]}
         for path in self.folder.iterdir():
             if PARTIAL.fullmatch(path.name) or (OURS.fullmatch(path.name) and path.name not in named):
                 path.unlink()
-        self._write_manifest()
+        self._file.write()
 
     @property
     def done(self) -> int:
@@ -165,7 +93,7 @@ class ResultFolder:
         sha256 = self._save(name, arrays)
         self.manifest["shards"].append({"file": name, "start": start, "stop": stop, "sha256": sha256})
         self.manifest["summary"] = summary
-        self._write_manifest()
+        self._file.write()
 
     def shards(self) -> Iterator[dict[str, np.ndarray]]:
         """The arrays of each shard, one after the other."""
@@ -186,36 +114,14 @@ class ResultFolder:
         else:
             paths = []
         self.manifest["complete"] = True
-        self._write_manifest()
+        self._file.write()
         for path in paths:
             path.unlink()
 
     def _save(self, name: str, arrays: dict[str, np.ndarray]) -> str:
         """Write a shard, and return what it will be known by."""
         replace_file(self.folder / name, lambda stream: save_arrays(stream, arrays))
-        return _hashed(self.folder / name)
-
-    def _write_manifest(self) -> None:
-        text = json.dumps(self.manifest | {"sha256": _sealed(self.manifest)}).encode()
-        replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
-
-
-def _sealed(manifest: dict) -> str:
-    """What a manifest is known by: whoever edits one means other results than those beside it."""
-    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
-
-
-def _hashed(path: Path) -> str:
-    with open(path, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _is_whole(path: Path, entry: dict) -> bool:
-    """Whether a shard is the one that was written, to its last byte."""
-    try:
-        return path.is_file() and _hashed(path) == entry.get("sha256")
-    except OSError:
-        return False
+        return hashed(self.folder / name)
 
 
 def arrays_of(

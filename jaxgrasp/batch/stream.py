@@ -11,10 +11,8 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, Times
-from jaxgrasp.batch.evaluation import run, summarise_all, usable
-from jaxgrasp.batch.qualities import least_friction_of, measure_all
-from jaxgrasp.batch.reasons import reasons
-from jaxgrasp.batch.shards import ResultFolder, arrays_of
+from jaxgrasp.batch.evaluation import answers
+from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, GraspSource
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_json import from_json, to_json
@@ -42,13 +40,15 @@ class StreamPlan:
 
     def identity(self, name: str, source: GraspSource) -> dict:
         """What must be equal for results to belong to the same evaluation."""
+        return {"input": name, "fingerprint": source.fingerprint, "grasps": len(source), **self.options}
+
+    @property
+    def options(self) -> dict:
+        """The plan, as a manifest has it."""
         adjusted = {"outward_normals": self.adjustments.outward_normals, **self.adjustments.fill}
         if self.adjustments.torsion is not None:
             adjusted["torsion"] = self.adjustments.torsion
         return {
-            "input": name,
-            "fingerprint": source.fingerprint,
-            "grasps": len(source),
             "methods": list(self.methods),
             "quality": list(self.quality),
             "least_friction": self.least_friction,
@@ -151,17 +151,17 @@ def _evaluate_chunk(
     start: int,
     raw: ContactSets,
 ) -> _Chunk:
-    sets, kept = plan.adjustments.apply(raw), np.arange(len(raw))
-    if not checked:
-        sets, kept = usable(sets, plan.skip_bad, start)
-    sets = sets.astype(np.dtype(plan.dtype))
-    numbers = start + kept
-    results, columns = run(engine, sets, rows_per_shape), measure_all(measures, sets)
-    friction = least_friction_of(sets) if plan.least_friction else None
-    why = reasons(sets, results)
-    summary = summarise_all(sets, results, why, measures, columns, friction, numbers, set_aside=len(raw) - len(kept))
-    arrays = arrays_of(sets, results, why, numbers, columns, friction)
-    return _Chunk(start, start + len(raw), arrays, summary)
+    found = answers(
+        engine,
+        plan.adjustments.apply(raw).astype(np.dtype(plan.dtype)),
+        measures,
+        least_friction=plan.least_friction,
+        skip_bad=plan.skip_bad,
+        checked=checked,
+        first=start,
+        chunk=rows_per_shape,
+    )
+    return _Chunk(start, start + len(raw), found.arrays(), found.summary(measures))
 
 
 def _workers(engine: Engine) -> int:

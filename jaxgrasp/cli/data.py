@@ -9,11 +9,11 @@ from jaxgrasp.cli.data_arguments import Data
 SHIPPED = "simulated_grips.npz"
 
 
-def data_path(data: Data) -> Path:
+def data_path(file: Path | None) -> Path:
     """The file asked for, or the one that ships with the package."""
-    return data.file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
+    return file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
 
 
 def opened(data: Data, adjustments: Adjustments) -> GraspSource:
     """Its grasps, for a ``with`` block."""
-    return open_source(data_path(data), adjustments)
+    return open_source(data_path(data.file), adjustments)

@@ -8,13 +8,19 @@ import tyro
 
 
 @dataclass(frozen=True)
-class Data:
+class Convention:
+    """How grasps differ from the conventions."""
+
+    normals: Literal["inward", "outward"] = "inward"
+    """Where the file's normals point: into the object, or out of it."""
+
+
+@dataclass(frozen=True)
+class Data(Convention):
     """Which grasps, and how they differ from the conventions."""
 
     file: tyro.conf.Positional[Path | None] = None
     """A file of grasps (.npz, .csv, .parquet, .h5); the simulated grips that ship with the package where not given."""
-    normals: Literal["inward", "outward"] = "inward"
-    """Where the file's normals point: into the object, or out of it."""
 
 
 @dataclass(frozen=True)

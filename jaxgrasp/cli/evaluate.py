@@ -1,26 +1,25 @@
-"""``jaxgrasp evaluate``: from a file of grasps to results, a summary and a report."""
+"""``jaxgrasp evaluate``: from files of grasps to results, a summary and a report."""
 
-import json
 import math
-from dataclasses import asdict
+from functools import partial
 from itertools import product
 from pathlib import Path
 
 from tqdm import tqdm
 
 from jaxgrasp.batch.arrow import arrow_library
-from jaxgrasp.batch.hints import hints
+from jaxgrasp.batch.manifest import held_folder
+from jaxgrasp.batch.ray_cluster import ray_library
 from jaxgrasp.batch.result_table import SMALL_TABLE, first_rows, write_table
-from jaxgrasp.batch.shards import ResultFolder, held_folder
-from jaxgrasp.batch.sources import Adjustments
-from jaxgrasp.batch.stream import StreamPlan, StreamResult, evaluate_stream
-from jaxgrasp.batch.summary_json import to_json
-from jaxgrasp.batch.summary_text import summary_text
-from jaxgrasp.cli.data import data_path, opened
+from jaxgrasp.batch.shards import ResultFolder
+from jaxgrasp.batch.sources import Adjustments, open_source
+from jaxgrasp.batch.stream import StreamPlan, evaluate_stream
+from jaxgrasp.cli.data import data_path
 from jaxgrasp.cli.evaluate_arguments import Evaluate
-from jaxgrasp.cli.machine import provenance, set_up_jax
+from jaxgrasp.cli.evaluate_files import evaluate_files
+from jaxgrasp.cli.evaluate_outcome import say_outcome, write_page
+from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.terminal import announce, show
-from jaxgrasp.files.replace import replace_file
 from jaxgrasp.quality.measures import measures_named
 
 
@@ -33,6 +32,7 @@ def evaluate_command(arguments: Evaluate) -> int:
     if arguments.torsion is not None:
         _check_values("torsion", (arguments.torsion,))
     measures_named(_asked(arguments))
+    _check_places(arguments)
     if arguments.table == "parquet":
         arrow_library()
     set_up_jax(arguments.dtype)
@@ -46,6 +46,27 @@ def evaluate_command(arguments: Evaluate) -> int:
             show(f"\n== {label} ==")
         _evaluate_one(arguments, adjustments, folder)
     return 0
+
+
+def _check_places(arguments: Evaluate) -> None:
+    """That what is asked for suits one file, or a cluster."""
+    if arguments.cluster is None:
+        if len(arguments.file) > 1:
+            raise ValueError(f"{len(arguments.file):,} files are given: expected one, or --cluster local")
+        for name, default in (("workers", None), ("gpus", 0), ("skip_damaged", False)):
+            if getattr(arguments, name) != default:
+                raise ValueError(f"--{name.replace('_', '-')} is given without --cluster: expected both, or neither")
+        return
+    if not arguments.file:
+        raise ValueError("--cluster is given without files: expected Parquet files, or folders of them")
+    if arguments.table not in ("auto", "parquet"):
+        raise ValueError(f"table is {arguments.table!r}: expected auto or parquet with --cluster, which writes Parquet")
+    if arguments.workers is not None and arguments.workers < 1:
+        raise ValueError(f"workers is {arguments.workers}: expected a number of processes, 1 or more")
+    if not (math.isfinite(arguments.gpus) and arguments.gpus >= 0):
+        raise ValueError(f"gpus is {arguments.gpus}: expected a number, zero or more")
+    ray_library()
+    arrow_library()
 
 
 def _asked(arguments: Evaluate) -> tuple[str, ...]:
@@ -71,34 +92,18 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         quality,
         arguments.least_friction,
     )
-    path = data_path(arguments)
-    with held_folder(out, announce), opened(arguments, adjustments) as source:
+    if arguments.cluster is not None:
+        evaluate_files(arguments, plan, out)
+        return
+    path = data_path(next(iter(arguments.file), None))
+    with held_folder(out, announce), open_source(path, adjustments) as source:
         identity = plan.identity(path.name, source)
         folder = ResultFolder(out, identity, arguments.resume, arguments.overwrite)
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
             outcome = evaluate_stream(source, plan, folder, bar.update, announce)
-        show(summary_text(outcome.summary, outcome.times, outcome.seconds))
-        doubts = hints(source, plan, outcome.summary)
-        for hint in doubts:
-            show(f"hint: {hint}")
-        # A resumed evaluation that was finished already has nothing new to say, and no times.
-        if outcome.times.problems or not (out / "summary.json").exists():
-            _write_summary(out / "summary.json", outcome, arguments, doubts)
+        doubts = say_outcome(source, plan, outcome, arguments, path.name, out)
         _write_table(folder, outcome.summary.problems, arguments.table)
-        show(f"results: {out}")
-        if arguments.report:
-            _write_report(out / "report.html", path, outcome, arguments, folder, doubts)
-
-
-def _write_summary(path: Path, outcome: StreamResult, arguments: Evaluate, doubts: list[str]) -> None:
-    content = {
-        "summary": to_json(outcome.summary),
-        "times": asdict(outcome.times),
-        "seconds": outcome.seconds,
-        "details": _details(arguments),
-        "hints": doubts,
-    }
-    replace_file(path, lambda stream: stream.write(json.dumps(content).encode()))
+        write_page(partial(first_rows, folder.shards()), outcome, arguments, path.name, out, doubts)
 
 
 def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:
@@ -110,29 +115,3 @@ def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:
     path = folder.folder / f"results.{'csv' if kind == 'auto' else kind}"
     write_table(path, folder.shards())
     show(f"table:   {path}")
-
-
-def _write_report(
-    path: Path, data: Path, outcome: StreamResult, arguments: Evaluate, folder: ResultFolder, doubts: list[str]
-) -> None:
-    from jaxgrasp.report.grasp_table import MOST_ROWS
-    from jaxgrasp.report.page import write_report
-
-    rows = first_rows(folder.shards(), MOST_ROWS)
-    details = _details(arguments)
-    try:
-        write_report(path, outcome.summary, outcome.times, title=data.name, details=details, rows=rows, hints=doubts)
-    except ImportError as error:
-        show(f"no report: {error}")
-    else:
-        show(f"report:  {path}")
-
-
-def _details(arguments: Evaluate) -> dict[str, str]:
-    return {
-        "input": data_path(arguments).name,
-        "normals": arguments.normals,
-        "methods": ", ".join(arguments.methods),
-        "precision": arguments.dtype,
-        **provenance(),
-    }

@@ -4,15 +4,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from jaxgrasp.cli.data_arguments import Data
+import tyro
+
+from jaxgrasp.cli.data_arguments import Convention
 
 MethodName = Literal["A", "B", "A-optimum", "B-optimum"]
 
 
 @dataclass(frozen=True)
-class Evaluate(Data):
+class Evaluate(Convention):
     """Compute closed forms and constrained optima of every grasp, sum them up, and write results and a report."""
 
+    file: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """A file of grasps (.npz, .csv, .parquet, .h5); the simulated grips that ship with the package where not given.
+    With --cluster any number of Parquet files, or folders of them."""
     methods: tuple[MethodName, ...] = ("A", "B", "A-optimum", "B-optimum")
     """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
     quality: str = ""
@@ -45,3 +50,13 @@ class Evaluate(Data):
     """Drop the results of another evaluation that are in the folder; without it they are kept, and this one refused."""
     report: bool = True
     """Write report.html beside the results (needs the extra `report`)."""
+    cluster: str | None = None
+    """Evaluate many Parquet files, each by some process of a cluster of Ray (extra `cluster`): `local` starts one on
+    this machine, `auto` takes the one that runs here or that RAY_ADDRESS names, anything else is its address. Writes a
+    Parquet file of results for each, by its own name."""
+    workers: int | None = None
+    """With --cluster: processes, of one core each; all cores of the cluster where not given."""
+    gpus: float = 0.0
+    """With --cluster: GPUs of each process."""
+    skip_damaged: bool = False
+    """With --cluster: name files that are damaged or hold bad grasps, and go on with the others."""

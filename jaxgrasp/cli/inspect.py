@@ -27,7 +27,7 @@ def info_command(arguments: Info) -> int:
     """Print counts, ranges and labels; reads the file once."""
     with opened(arguments, Adjustments(arguments.normals == "outward")) as source:
         chunks = [_facts(sets) for sets in source.chunks(CHUNK)]
-        show(f"{data_path(arguments)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
+        show(f"{data_path(arguments.file)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
     sizes = np.sum([np.bincount(facts["sizes"], minlength=source.largest + 1) for facts in chunks], 0)
     held = np.flatnonzero(sizes)
     show("contacts   " + ", ".join(f"{n}: {sizes[n]:,}" for n in held))

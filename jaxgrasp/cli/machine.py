@@ -70,6 +70,11 @@ def provenance() -> dict[str, str]:
     devices = jax.local_devices()
     return {
         "devices": f"{len(devices)} x {devices[0].device_kind}",
-        "versions": f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}",
+        "versions": versions(),
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
     }
+
+
+def versions() -> str:
+    """By which programs results are computed."""
+    return f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}"

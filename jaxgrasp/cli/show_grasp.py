@@ -61,5 +61,5 @@ def _chosen(arguments: Show, adjustments: Adjustments) -> tuple[ContactSets, int
         return by_name
     if by_number is None:
         hint = nearest(wanted, names) if names and not wanted.isdecimal() else f": expected 0 to {first - 1}"
-        raise ValueError(f"{data_path(arguments)} holds no grasp {shortened(wanted)}{hint[:300]}")
+        raise ValueError(f"{data_path(arguments.file)} holds no grasp {shortened(wanted)}{hint[:300]}")
     return by_number

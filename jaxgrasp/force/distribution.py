@@ -25,6 +25,7 @@ def closed_form(
     sharing: Sharing = "squeeze",
     *,
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
+    devices: int | None = None,
 ) -> Solution:
     """Forces closest to the squeezing forces that balance a wrench, friction not imposed.
 
@@ -40,15 +41,17 @@ def closed_form(
             columns of ``(..., 6, k)``, k from 1 to 6, of any size; ``None`` for an object that no guide holds. Only
             the wrench's work along these is balanced, free^T (G f - w) = 0: the guide, without friction, carries
             the rest of w - G f. Residual, rank and certificate are then those of the free twists.
+        devices: over how many of JAX's local devices to spread the batch, a part for each; ``None`` leaves it where it
+            is. Not inside other programs, and not where derivatives are taken: there ``jax.shard_map`` does it.
 
     Returns:
         A Solution whose verdict says whether these forces lie inside the friction cones too.
 
     Raises:
-        ValueError: for a sharing that is not one of these, or shapes that do not fit.
+        ValueError: for a sharing that is not one of these, shapes that do not fit, or more devices than there are.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
-    return dispatch(transforms.closed_form, grasp, wrench, sharing, free=free)
+    return dispatch(transforms.closed_form, grasp, wrench, sharing, free=free, devices=devices)
 
 
 def constrained_optimum(
@@ -62,6 +65,7 @@ def constrained_optimum(
     largest_force: float | AnyArray | None = None,
     start: Float[AnyArray, "*#batch 6"] | None = None,
     solver: Any = None,
+    devices: int | None = None,
 ) -> Solution:
     """The closed form's problem with Coulomb's cones imposed (eqs. 1 to 3 with eq. 5 or 13), solved exactly.
 
@@ -85,6 +89,7 @@ def constrained_optimum(
             ``optimistix.Newton(rtol=1e-8, atol=1e-8)``. What it finds is OPTIMAL only where it stands our
             own tests of residual, duality gap and balance, at the larger of its rtol and atol; else
             NOT_CONVERGED. Derivatives are the same.
+        devices: over how many of JAX's local devices to spread the batch, as for [`jaxgrasp.closed_form`][].
 
     Returns:
         A Solution. Where the closed form lies inside all cones it is the answer, at its own price; where
@@ -107,7 +112,9 @@ def constrained_optimum(
     if solver is not None and limits is not None:
         raise ValueError("limits are given beside solver, which knows none: leave one of them out")
     solve = transforms.optimum if solver is None else transforms.optimum_by(solver)
-    solution = dispatch(solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor)
+    solution = dispatch(
+        solve, grasp, wrench, sharing, free=free, start=start, limits=limits, safety=divisor, devices=devices
+    )
     if largest_force is None:
         return solution
     short = (solution.verdict == Verdict.INFEASIBLE) & (solution.force_bound < largest_force)
@@ -120,13 +127,14 @@ def closed_form_and_optimum(
     sharing: Sharing = "squeeze",
     *,
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
+    devices: int | None = None,
 ) -> tuple[Solution, Solution]:
     """Both answers for the price of the optimum, which begins with the closed form.
 
     Args and errors are those of [`jaxgrasp.closed_form`][].
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"free": (free, ())})
-    return dispatch(transforms.closed_form_and_optimum, grasp, wrench, sharing, free=free)
+    return dispatch(transforms.closed_form_and_optimum, grasp, wrench, sharing, free=free, devices=devices)
 
 
 def _read_largest_force(largest_force: float | AnyArray | None) -> float | AnyArray | None:

@@ -24,6 +24,7 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, read_sharing
+from jaxgrasp.solver.over_devices import local_mesh, over_devices
 
 SIZES = (1, 10, 100, 1000, 3000, 10000)
 """What programs are compiled for: round numbers, since users like them. Larger pieces would not be faster: a call is
@@ -64,9 +65,10 @@ def dispatch(
     limits: Limits | None = None,
     safety: float | AnyArray | None = None,
     tails: tuple[tuple[str, tuple[int, ...]], ...] = (),
+    devices: int | None = None,
     **each: AnyArray | float | None,
 ) -> Any:
-    """The answers of ``solve`` with the leading axes of what was given.
+    """The answers of ``solve`` with the leading axes of what was given, on so many ``devices`` where that is asked for.
 
     ``each`` are further arrays, one for each problem, whose last axes ``tails`` name, or ``(6,)``; those that are None
     are left out. ``start``, multipliers to begin from, becomes a field of the problem.
@@ -74,6 +76,8 @@ def dispatch(
     name, weights = read_sharing(sharing)
     there = {key: array for key, array in each.items() if array is not None}
     given = Inputs(grasp, wrench, weights, free, limits, safety, there)
+    if devices is not None:
+        return _on_devices(solve, given, name, tails, devices)
     if not _is_alone(given):
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
     try:
@@ -134,6 +138,30 @@ def _on_mesh(given: Inputs, within: Callable[[Inputs], Any]) -> Any:
         leading = jax.typeof(given.grasp.points).sharding.spec[:-2]
     out = NamedSharding(mesh, PartitionSpec(*leading))
     return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(given)
+
+
+def _on_devices(solve: Solve, given: Inputs, sharing: str, tails: tuple, devices: int) -> Any:
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
+        raise ValueError("devices is given inside another program, which says itself where its data are: leave it out")
+    local_mesh(devices)
+    flat = _flat(given, sharing, tails, np)
+    size = math.prod(flat.batch)
+    share = max(1, -(-size // devices))
+    room = next((room for room in SIZES if room >= share), -(-share // SIZES[-1]) * SIZES[-1])
+    own = jax.tree.map(np.asarray, (flat.fields, flat.each))
+    answer = over_devices(_of_flat(solve), own, size, room, devices)
+    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), answer)
+
+
+@cache
+def _of_flat(solve: Solve) -> Solve:
+    """The solver of what NumPy has brought into one leading axis."""
+
+    def run(flat: tuple[dict[str, Array], dict[str, Array]]) -> Any:
+        fields, each = flat
+        return solve(ProblemBatch(**fields), **each)
+
+    return run
 
 
 def _is_alone(given: Inputs) -> bool:

@@ -397,8 +397,10 @@ def test_nothing_usable_is_said(sets):
 
 @pytest.mark.parametrize("devices", [1, 2, 6, 12])
 def test_chunks_are_filled_no_further_than_needed(devices):
-    (block,) = blocks.blocks(make_sets([4] * 64), 64, devices)
-    assert 64 <= len(block.wrench) < 64 + devices and len(block.wrench) % devices == 0
+    (block,) = blocks.blocks(make_sets([4] * 1600), 1600, devices)
+    assert 1600 <= len(block.wrench) < 1600 + devices and len(block.wrench) % devices == 0
+    (least,) = blocks.blocks(make_sets([4] * 3), 3, devices)
+    assert len(least.wrench) == devices * blocks.LEAST_BLOCK
 
 
 def test_integers_are_taken_as_numbers(unchecked):

@@ -63,7 +63,7 @@ def test_the_subject_is_not_told_the_answer_and_the_experimenter_is():
 def test_a_persons_trial_is_shown_as_it_goes():
     person = ViewedPerson(SimulatedPerson(Observer(), 0, "a"), 40)
     trial = Trial(3, 1, 1, False, "choice", 1.0, 0.5, 1.5, 1.0)
-    person.feel(trial, 2)
+    person.feel(trial, 2, 0.0)
     assert Phase(person.now.phase) == Phase.FEELS
     assert (person.now.number, person.now.interval, person.now.first) == (3, 2, 1.5)
     setting = Trial(4, 1, 1, False, "setting", 1.0, 0.5, 1.0, 1.5)

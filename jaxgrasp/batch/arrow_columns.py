@@ -1,0 +1,114 @@
+"""Columns of Arrow, one row for each grasp, as the flat arrays that [`columnar`][jaxgrasp.batch.columnar] describes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxgrasp.batch.columnar import BY_CONTACT, KNOWN, LABELS, LONGEST_LABEL
+from jaxgrasp.batch.file_error import GraspFileError
+
+
+class ArrayColumn:
+    """An array in memory, read forward a few rows at a time."""
+
+    def __init__(self, array: np.ndarray):
+        self._array, self._at = array, 0
+        self.shape, self.dtype = array.shape, array.dtype
+
+    def take(self, rows: int) -> np.ndarray:
+        self._at += rows
+        return self._array[self._at - rows : self._at]
+
+    def skip(self, rows: int) -> None:
+        self._at += rows
+
+    def whole(self) -> np.ndarray:
+        return self._array
+
+    def close(self) -> None: ...
+
+
+def our_columns(path: Path, names: list[str]) -> list[str]:
+    """Those of these columns that are read; offsets are in the lists themselves.
+
+    Raises:
+        GraspFileError: for one that comes twice.
+    """
+    ours = [name for name in names if name in KNOWN and name != "offsets"]
+    twice = next((name for name in ours if ours.count(name) > 1), None)
+    if twice is not None:
+        raise GraspFileError(path, f"it has the column {twice!r} twice")
+    return ours
+
+
+@dataclass(frozen=True)
+class FlatColumn:
+    """Some rows of a column, as an array by contact where it belongs to contacts."""
+
+    array: np.ndarray
+    sizes: np.ndarray | None
+    """``(N,)``: contacts of each row, where it belongs to contacts."""
+
+
+def flat_column(arrow: Any, path: Path, name: str, values: Any) -> FlatColumn:
+    """An Arrow array of grasps' rows as a flat one.
+
+    Raises:
+        GraspFileError: for empty cells, lists that are none or of different lengths, and what is no number or text.
+    """
+    if values.null_count:
+        raise GraspFileError(path, f"{name} has {values.null_count:,} empty cells: expected a value in each")
+    if name in LABELS:
+        return FlatColumn(_text(arrow, path, name, values), None)
+    sizes = None
+    if name in BY_CONTACT:
+        if not _is_list(arrow, values.type):
+            raise GraspFileError(path, f"{name} holds {values.type}: expected a list for each grasp")
+        sizes = np.asarray(values.value_lengths())
+        values = values.flatten()
+    rows = len(values)
+    sides: list[int] = []
+    while _is_list(arrow, values.type):
+        lengths = np.unique(np.asarray(values.value_lengths()))
+        if len(lengths) > 1 or values.null_count:
+            raise GraspFileError(path, f"{name} holds lists of different lengths: expected one length")
+        sides.append(int(lengths[0]) if len(lengths) else 0)
+        values = values.flatten()
+    if values.null_count or not (arrow.types.is_floating(values.type) or arrow.types.is_integer(values.type)):
+        raise GraspFileError(path, f"{name} holds {values.type} or empty cells: expected numbers")
+    return FlatColumn(values.to_numpy(zero_copy_only=False).reshape(rows, *sides), sizes)
+
+
+def check_sizes(path: Path, name: str, sizes: np.ndarray, known: np.ndarray, first: int = 0) -> None:
+    """That grasps have as many contacts in this column as in the others; ``first`` is the number of the first.
+
+    Raises:
+        GraspFileError: for the first one that has not.
+    """
+    differs = np.flatnonzero(known != sizes)
+    if len(differs):
+        at = differs[0]
+        raise GraspFileError(
+            path, f"{name}[{first + at}] has {sizes[at]} contacts: expected {known[at]}, as the others"
+        )
+
+
+def _text(arrow: Any, path: Path, name: str, values: Any) -> np.ndarray:
+    if arrow.types.is_dictionary(values.type):
+        values = values.dictionary_decode()
+    if not (arrow.types.is_string(values.type) or arrow.types.is_large_string(values.type)):
+        raise GraspFileError(path, f"{name} holds {values.type}: expected text")
+    if not len(values):
+        return np.zeros(0, "U1")
+    # Every text of an array takes as much memory as the longest.
+    longest = arrow.compute.max(arrow.compute.utf8_length(values)).as_py()
+    if longest > LONGEST_LABEL:
+        raise GraspFileError(path, f"{name} holds text of {longest:,} characters: expected {LONGEST_LABEL:,} at most")
+    return np.asarray(values.to_pylist(), str)
+
+
+def _is_list(arrow: Any, kind: Any) -> bool:
+    types = arrow.types
+    return types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)

@@ -1,0 +1,170 @@
+"""Evaluations of many files on a cluster: which are to be done, who does them, and what they say together."""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.engine import Times
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.ray_cluster import LOCAL, connected, mapped
+from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardReport, ShardTask
+from jaxgrasp.batch.shard_folder import ShardFolder
+from jaxgrasp.batch.stream import StreamPlan, StreamResult
+
+ENDING = ".parquet"
+
+
+@dataclass(frozen=True)
+class ClusterPlan:
+    """Where the work is done."""
+
+    where: str = LOCAL
+    """``"local"``, ``"auto"``, or the address of a cluster."""
+    workers: int | None = None
+    """Processes, of one core each; one for each core of the cluster where not given."""
+    gpus: float = 0.0
+    """Of each process."""
+    skip_damaged: bool = False
+    """Whether to name files that cannot be read and go on with the others."""
+
+
+def parquet_files(paths: Sequence[Path]) -> list[Path]:
+    """The files of grasps that are meant: these, or in place of a folder those in it, in the order of their names.
+
+    Raises:
+        GraspFileError: for other files, a folder without any, and names that come twice.
+    """
+    files: list[Path] = []
+    for path in paths:
+        inside = sorted(path.glob(f"*{ENDING}")) if path.is_dir() else [path]
+        if not inside:
+            raise GraspFileError(path, f"it holds no file that ends in {ENDING}")
+        files += inside
+    seen: dict[str, Path] = {}
+    for file in files:
+        if file.suffix != ENDING or file.name.startswith("."):
+            raise GraspFileError(file, f"a cluster reads files that end in {ENDING}: jaxgrasp convert makes them")
+        if file.name in seen:
+            raise GraspFileError(file, f"it has the name of {seen[file.name]}, as its results would have")
+        seen[file.name] = file
+    return files
+
+
+@dataclass(frozen=True)
+class ShardInputs:
+    """Files with the numbers of their grasps."""
+
+    tasks: list[ShardTask]
+    grasps: dict[str, int]
+    """How many each has, by its name."""
+    skipped: list[dict]
+    """Those that cannot be opened."""
+
+
+def read_inputs(files: Sequence[Path], skip_damaged: bool, announce: Callable[[str], None]) -> ShardInputs:
+    """What the ends of the files say of them.
+
+    Raises:
+        GraspFileError: for one that cannot be opened, unless told to skip such.
+    """
+    found = ShardInputs([], {}, [])
+    first = 0
+    for file in files:
+        try:
+            count = _rows(file)
+        except GraspFileError as error:
+            if not skip_damaged:
+                raise
+            announce(f"left out: {error}")
+            found.skipped.append({"input": str(file), "error": str(error)})
+            continue
+        found.tasks.append(ShardTask(str(file.absolute()), file.name, first))
+        found.grasps[file.name] = count
+        first += count
+    return found
+
+
+def _rows(file: Path) -> int:
+    arrow = arrow_library()
+    try:
+        return arrow.parquet.read_metadata(file).num_rows
+    except (arrow.ArrowException, OSError) as error:
+        raise GraspFileError(file, f"it cannot be read as Parquet ({error})") from error
+
+
+def evaluate_on_cluster(
+    inputs: ShardInputs,
+    plan: StreamPlan,
+    cluster: ClusterPlan,
+    folder: ShardFolder,
+    progress: Callable[[int], Any] = lambda grasps: None,
+    announce: Callable[[str], None] = lambda text: None,
+) -> StreamResult:
+    """Evaluate every grasp of these files, each by some process of the cluster, and write a file of results for each.
+
+    Folders are those of a file system that all machines share. What a process or a machine loses, another does again.
+    ``progress`` is told of the grasps of every finished file.
+
+    Raises:
+        GraspFileError: for a file that is damaged, unless told to skip such, and where what was written is not what
+            was read.
+        ClusterError: where there is no cluster, or it cannot go on.
+        OSError: where results cannot be written; what is finished stays.
+    """
+    begun = time.perf_counter()
+    tasks = [_with_earlier(task, folder) for task in inputs.tasks]
+    if not tasks:
+        raise GraspFileError(folder.folder, "there are no grasps to evaluate")
+    grasps, skipped, resumed = dict(inputs.grasps), list(inputs.skipped), 0
+    times = Times(solving=dict.fromkeys(plan.methods, 0.0))
+    with ExitStack() as stack:
+        ray = stack.enter_context(connected(cluster.where, cluster.workers))
+        folder.begin()
+        stack.callback(folder.write)
+        for report in _reports(ray, plan, cluster, folder, tasks):
+            count = grasps[report.task.file]
+            if report.entry is not None:
+                folder.add(report.entry)
+                resumed += count if report.kept else 0
+                _add(times, report.times)
+            elif report.damaged and cluster.skip_damaged:
+                announce(f"left out: {report.error}")
+                folder.drop(report.task.file)
+                skipped.append({"input": report.task.path, "error": report.error})
+                del grasps[report.task.file]
+            elif report.damaged:
+                raise ValueError(report.error)
+            else:
+                raise OSError(report.error)
+            progress(count)
+    summary = folder.finish(skipped, grasps)
+    return StreamResult(summary, times, time.perf_counter() - begun, resumed)
+
+
+def _with_earlier(task: ShardTask, folder: ShardFolder) -> ShardTask:
+    return ShardTask(task.path, task.file, task.first, folder.entry(task.file))
+
+
+def _reports(
+    ray: Any, plan: StreamPlan, cluster: ClusterPlan, folder: ShardFolder, tasks: list[ShardTask]
+) -> Iterator[ShardReport]:
+    items = [json.dumps(asdict(task)) for task in tasks]
+    arguments = (plan, str(folder.folder.absolute()))
+    for batch in mapped(ray, ShardEvaluator, arguments, "task", items, cluster.workers, cluster.gpus):
+        for text in batch["report"]:
+            said = json.loads(str(text))
+            yield ShardReport(**said | {"task": ShardTask(**said["task"])})
+
+
+def _add(times: Times, more: dict) -> None:
+    """Add the seconds that one process spent."""
+    if more:
+        times.compiling += more["compiling"]
+        times.problems += more["problems"]
+        for name, seconds in more["solving"].items():
+            times.solving[name] += seconds

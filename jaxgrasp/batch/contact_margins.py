@@ -1,0 +1,68 @@
+"""How far contacts are from slipping, by one program for contacts of whatever grasps, so that all batches agree.
+
+A program for each shape of a batch would round in a way of its own.
+"""
+
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.force.slip import friction_margin, spin_force
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics.compiled_code import compile_options
+
+TILE = 1 << 14
+"""Contacts at a time."""
+
+
+def margins(sets: ContactSets, forces: np.ndarray, moments: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest friction margin of the loaded contacts [rad], and largest force beyond friction's limit [N].
+
+    Both ``(N, W)``, for ``forces (M, W, 3)`` and, of soft fingers, ``moments (M, W)``. The margin is +inf where no
+    contact is loaded; what is beyond the limit is max(|t| - mu n) or 0, moments counted as in ``friction_margin``.
+    """
+    shape = (len(sets), sets.wrenches)
+    if not len(sets.points):
+        return np.full(shape, np.inf, sets.points.dtype), np.zeros(shape, sets.points.dtype)
+    margin, beyond = np.empty(forces.shape[:2], forces.dtype), np.empty(forces.shape[:2], forces.dtype)
+    for wrench in range(sets.wrenches):
+        for first in range(0, len(sets.points), TILE):
+            own = slice(first, first + TILE)
+            torsion = None if sets.torsion is None else sets.torsion[own]
+            moment = None if moments is None else moments[own, wrench]
+            given = (sets.normals[own], sets.friction[own], torsion, forces[own, wrench], moment)
+            count = len(given[1])
+            found = _program()(jax.tree.map(_filled, given))
+            margin[own, wrench], beyond[own, wrench] = (np.asarray(one)[:count] for one in found)
+    starts = sets.offsets[:-1]
+    return np.minimum.reduceat(margin, starts), np.maximum(np.maximum.reduceat(beyond, starts), 0)
+
+
+def _filled(array: np.ndarray) -> np.ndarray:
+    """A tile's array, with zeros where there are no more contacts."""
+    if len(array) == TILE:
+        return array
+    return np.concatenate([array, np.zeros((TILE - len(array), *array.shape[1:]), array.dtype)])
+
+
+@cache
+def _program() -> Any:
+    return jax.jit(_of_contacts, compiler_options=compile_options())
+
+
+def _of_contacts(given: tuple[Array | None, ...]) -> tuple[Array, Array]:
+    """Margin and tangential force beyond friction's limit of each contact, as of grasps of one contact."""
+    normals, friction, torsion, forces, moments = jax.tree.map(lambda array: jnp.asarray(array)[:, None], given)
+    grasp = Grasp(jnp.zeros_like(normals), normals, friction, jnp.zeros_like(friction), torsion=torsion)
+    force, normal = vec3.from_axis(forces, -1), vec3.from_axis(normals, -1)
+    across, spin = vec3.norm(vec3.cross(normal, force)), spin_force(grasp, moments)
+    if spin is not None:
+        across = jnp.hypot(across, spin)
+    beyond = across - friction * vec3.dot(force, normal)
+    return friction_margin(grasp, forces, moments)[:, 0], beyond[:, 0]

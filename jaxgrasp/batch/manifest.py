@@ -1,0 +1,145 @@
+"""The manifest of a folder of results: what they are of, which files are whole, and whether that is all."""
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.files.lock import FolderHeldError, locked
+from jaxgrasp.files.printable import shortened
+from jaxgrasp.files.replace import replace_file
+
+MANIFEST = "manifest.json"
+VERSION = 7
+
+
+@contextmanager
+def held_folder(folder: Path, announce: Callable[[str], None] = lambda text: None) -> Iterator[None]:
+    """Make an output folder and hold it against other processes until the block ends.
+
+    Raises:
+        GraspFileError: if it cannot be written, or another process works in it.
+    """
+    make_folder(folder)
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(folder, announce))
+        except FolderHeldError as error:
+            raise GraspFileError(folder, f"{error}: wait for it, or choose another --out") from error
+        except OSError as error:
+            raise _unwritable(folder, error) from error
+        yield
+
+
+def make_folder(folder: Path) -> None:
+    """Make an output folder where there is none.
+
+    Raises:
+        GraspFileError: if it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def _unwritable(folder: Path, error: OSError) -> GraspFileError:
+    return GraspFileError(folder, f"the output folder cannot be written ({error.strerror})")
+
+
+class Manifest:
+    """What a folder says of its results: ``content``, with an entry for each file in ``shards``."""
+
+    def __init__(
+        self,
+        folder: Path,
+        identity: dict,
+        ours: re.Pattern[str],
+        resume: bool,
+        overwrite: bool = False,
+        claimed: Callable[[str], object] | None = None,
+    ):
+        """Read the manifest of ``folder``, or begin one for the evaluation that ``identity`` describes.
+
+        A finished evaluation of the same input by the same options may be done again; one of others gives way only
+        with ``overwrite``. ``ours`` are the names that results may have, ``claimed`` says which of the files that are
+        there stand where results will; all of ours do where not given.
+
+        Raises:
+            GraspFileError: if the folder cannot be made, holds results already, or those of another evaluation when
+                told to resume.
+        """
+        self.folder, self._ours = folder, ours
+        make_folder(folder)
+        self.earlier: dict | None = None
+        self.content: dict = {"version": VERSION, **identity, "shards": [], "summary": None, "complete": False}
+        if (folder / MANIFEST).exists():
+            self._take_up(identity, resume, overwrite)
+        elif unknown := [path.name for path in folder.iterdir() if (claimed or ours.fullmatch)(path.name)]:
+            raise GraspFileError(folder, f"it holds {unknown[0]} of unknown origin: choose another --out, or move it")
+
+    def _take_up(self, identity: dict, resume: bool, overwrite: bool) -> None:
+        try:
+            found = json.loads((self.folder / MANIFEST).read_text())
+            complete, entries = found["complete"], found["shards"]
+            files = [entry["file"] for entry in entries]
+        except (ValueError, KeyError, TypeError, RecursionError, OSError) as error:
+            raise GraspFileError(self.folder, f"its {MANIFEST} is not one of ours ({error})") from error
+        if found.pop("sha256", None) != _sealed(found) and found.get("version") == VERSION:
+            raise GraspFileError(self.folder, f"its {MANIFEST} was changed since we wrote it")
+        if not all(self._ours.fullmatch(str(name)) for name in files):
+            raise GraspFileError(self.folder, f"its {MANIFEST} names files that are not ours")
+        differing = [key for key in ("version", *identity) if found.get(key) != self.content[key]]
+        if resume:
+            if differing:
+                raise GraspFileError(self.folder, f"{self._unlike(found, differing[0])}: they cannot be resumed")
+            self.content = found
+            return
+        if not overwrite and not complete and entries:
+            raise GraspFileError(
+                self.folder,
+                "it holds an unfinished evaluation: --resume goes on with it, --overwrite drops it; "
+                "or choose another --out",
+            )
+        if not overwrite and differing and entries:
+            raise GraspFileError(
+                self.folder, f"{self._unlike(found, differing[0])}: choose another --out, or --overwrite drops them"
+            )
+        self.earlier = found
+
+    def _unlike(self, found: dict, key: str) -> str:
+        """By what the results that are there differ from those that are wanted."""
+        return f"its results have {key} = {shortened(found.get(key))}, not {shortened(self.content[key])}"
+
+    def drop_earlier(self, beside: tuple[str, ...]) -> None:
+        """Remove an earlier evaluation that gives way, with what stands ``beside`` its results."""
+        if self.earlier:
+            for name in (*(entry["file"] for entry in self.earlier["shards"]), *beside):
+                (self.folder / name).unlink(missing_ok=True)
+
+    def write(self) -> None:
+        """Write it, whole or not at all."""
+        text = json.dumps(self.content | {"sha256": _sealed(self.content)}).encode()
+        replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
+
+
+def _sealed(manifest: dict) -> str:
+    """What a manifest is known by: whoever edits one means other results than those beside it."""
+    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
+
+
+def hashed(path: Path) -> str:
+    """What a file is known by."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def is_whole(path: Path, entry: dict) -> bool:
+    """Whether a file is the one that was written, to its last byte."""
+    try:
+        return path.is_file() and hashed(path) == entry.get("sha256")
+    except OSError:
+        return False

@@ -1,0 +1,177 @@
+"""Ray, which places work on the machines of a cluster and does it again where one fails; the extra ``cluster``."""
+
+import logging
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+MISSING = "--cluster needs Ray: pip install 'jaxgrasp[cluster]'"
+QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal"}
+"""Settings of Ray's own processes: nothing is sent to its makers, and warnings of its inner working are not shown."""
+LOCAL = "local"
+OBJECT_STORE = 200 << 20
+"""Bytes of Ray's shared memory on this machine: what passes through it are names and reports."""
+
+CONNECT_SECONDS = 10.0
+
+
+class ClusterError(OSError):
+    """A cluster that cannot be reached, or that cannot go on."""
+
+
+def ray_library() -> Any:
+    """Ray with its module for data.
+
+    Raises:
+        ImportError: where it is not installed, with the command that does it.
+    """
+    try:
+        import ray
+        import ray.data
+    except ImportError:
+        raise ImportError(MISSING) from None
+    return ray
+
+
+@contextmanager
+def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
+    """Ray, connected until the block ends; one that this process is connected to already is taken, and left.
+
+    Args:
+        where: ``"local"`` starts one on this machine alone, and ends it; ``"auto"`` takes the one that is running
+            here, or the one that ``RAY_ADDRESS`` names; anything else is an address.
+        cpus: of this machine, for a local one; all where not given.
+
+    Raises:
+        ImportError: where Ray is not installed.
+        ClusterError: where there is none at that address.
+    """
+    with _settings(), _quiet_logs():
+        ray = ray_library()
+        if ray.is_initialized():
+            yield ray
+            return
+        _check_address(where)
+        own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
+        try:
+            with _no_stderr():
+                ray.init(
+                    address=where,
+                    log_to_driver=False,
+                    logging_level=logging.CRITICAL,
+                    configure_logging=False,
+                    **(own if where == LOCAL else {}),
+                )
+        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+            line = str(error).strip().split("\n")[0]
+            raise ClusterError(f"no cluster is found at {where!r} ({line}): ray start --head begins one") from None
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+def _check_address(where: str) -> None:
+    """That somebody listens at ``HOST:PORT``, since Ray itself takes minutes to give up.
+
+    Raises:
+        ClusterError: where nobody does.
+    """
+    host, _, port = where.rpartition(":")
+    if not host or "/" in host or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
+    except (OSError, OverflowError) as error:
+        raise ClusterError(f"no cluster is found at {where!r} ({error}): ray start --head begins one") from None
+
+
+@contextmanager
+def _settings() -> Iterator[None]:
+    """Ray reads them as it is imported and when it starts processes; what the user set stays."""
+    added = {name: value for name, value in QUIET.items() if name not in os.environ}
+    os.environ.update(added)
+    try:
+        yield
+    finally:
+        for name in added:
+            os.environ.pop(name, None)
+
+
+@contextmanager
+def _no_stderr() -> Iterator[None]:
+    """Nothing on stderr, where Ray's compiled part says as it starts that it will be quiet."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+@contextmanager
+def _quiet_logs() -> Iterator[None]:
+    loggers = [logging.getLogger(name) for name in ("ray", "ray.data")]
+    levels = [logger.level for logger in loggers]
+    try:
+        with _no_progress_bars():
+            for logger in loggers:
+                logger.setLevel(logging.CRITICAL)
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@contextmanager
+def _no_progress_bars() -> Iterator[None]:
+    """Ray's bar stands where ours does."""
+    context = ray_library().data.DataContext.get_current()
+    before = context.enable_progress_bars, context.print_on_execution_start
+    context.enable_progress_bars = context.print_on_execution_start = False
+    try:
+        yield
+    finally:
+        context.enable_progress_bars, context.print_on_execution_start = before
+
+
+def mapped(
+    ray: Any, worker: type, arguments: tuple, column: str, items: list[str], workers: int | None, gpus: float
+) -> Iterator[dict[str, Any]]:
+    """What ``worker(*arguments)`` makes of batches of one item, ``{column: [item]}``, as they are done.
+
+    Args:
+        ray: what ``connected`` gave.
+        worker: a class of callables, of which each process of the cluster keeps one.
+        arguments: of its constructor.
+        column: name of the items.
+        items: what to do; one whose process or machine is lost is done again.
+        workers: processes, of one core each; one for each core of the cluster where not given.
+        gpus: of each process.
+
+    Raises:
+        ClusterError: where the cluster cannot go on.
+    """
+    size = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
+    try:
+        data = ray.data.from_items([{column: item} for item in items], override_num_blocks=len(items))
+        done = data.map_batches(
+            worker,
+            fn_constructor_args=arguments,
+            batch_size=1,
+            compute=ray.data.ActorPoolStrategy(size=min(size, len(items)), max_tasks_in_flight_per_actor=1),
+            num_cpus=1,
+            num_gpus=gpus or None,
+        )
+        yield from done.iter_batches(batch_size=None, batch_format="numpy", prefetch_batches=0)
+    except ray.exceptions.RayError as error:
+        lines = [line for line in str(error).splitlines() if line.strip()]
+        raise ClusterError(
+            f"the cluster cannot go on ({lines[-1].strip() if lines else type(error).__name__})"
+        ) from error

@@ -1,0 +1,203 @@
+"""One file of grasps to one file of results: what a worker of a cluster does, and what it reports."""
+
+import json
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import jax
+import numpy as np
+
+from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.contact_sets import ContactSets
+from jaxgrasp.batch.engine import Engine
+from jaxgrasp.batch.evaluation import Answers, answers
+from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.manifest import hashed, is_whole
+from jaxgrasp.batch.name_checksum import MODULUS, names_checksum
+from jaxgrasp.batch.result_table import write_parquet_rows
+from jaxgrasp.batch.sources import open_source
+from jaxgrasp.batch.stream import StreamPlan
+from jaxgrasp.batch.summary import Summary
+from jaxgrasp.batch.summary_json import to_json
+from jaxgrasp.files.replace import replace_file
+from jaxgrasp.model.compared_methods import methods_named
+from jaxgrasp.model.faults import GraspError
+from jaxgrasp.model.solution import Verdict
+from jaxgrasp.numerics.compiled_code import use_cache
+from jaxgrasp.quality.measures import Measure, measures_named
+
+METADATA = b"jaxgrasp"
+"""Where a file of results keeps its own summary."""
+
+
+@dataclass(frozen=True)
+class ShardTask:
+    """A file to evaluate."""
+
+    path: str
+    file: str
+    """Name of the file of its results."""
+    first: int
+    """Number of its first grasp among those of all files."""
+    earlier: dict | None = None
+    """Its entry in the manifest of an evaluation that was interrupted."""
+
+
+@dataclass(frozen=True)
+class ShardReport:
+    """What became of a file."""
+
+    task: ShardTask
+    entry: dict | None = None
+    """Its entry in the manifest; None where there is an error."""
+    kept: bool = False
+    """Whether its results were there already."""
+    error: str | None = None
+    damaged: bool = False
+    """Whether the error is one of the file's own, so that the others can go on."""
+    times: dict = field(default_factory=dict)
+
+
+class ShardEvaluator:
+    """A worker, which keeps its compiled programs from one file to the next.
+
+    It owns its process: compiled code is kept on disk, as the command line does.
+    """
+
+    def __init__(self, plan: StreamPlan, out: str):
+        # Without it compiling takes longer, and nothing else.
+        with suppress(OSError):
+            use_cache()
+        self._plan, self._out = plan, Path(out)
+        self._methods, self._measures = methods_named(plan.methods), measures_named(plan.quality)
+
+    def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """The reports on some files, as Ray hands them on: ``task`` in and ``report`` out, both in JSON."""
+        tasks = [ShardTask(**json.loads(text)) for text in batch["task"]]
+        return {"report": [json.dumps(asdict(self.report(task))) for task in tasks]}
+
+    def report(self, task: ShardTask) -> ShardReport:
+        """Evaluate a file, unless its results are there; errors of files are reported, not raised."""
+        try:
+            with jax.enable_x64(self._plan.dtype == "float64"):
+                return self._evaluated(task)
+        except GraspFileError as error:
+            return ShardReport(task, error=str(error), damaged=True)
+        except GraspError as error:
+            return ShardReport(task, error=f"{task.path}: {error}", damaged=True)
+        except OSError as error:
+            place = self._out / task.file
+            return ShardReport(task, error=f"{place} cannot be written ({error.strerror or error}): --resume goes on")
+
+    def _evaluated(self, task: ShardTask) -> ShardReport:
+        try:
+            source = open_source(task.path, self._plan.adjustments)
+        except OSError as error:
+            raise GraspFileError(task.path, f"it cannot be read ({error.strerror or error})") from error
+        path = self._out / task.file
+        with source:
+            fingerprint, earlier = source.fingerprint, task.earlier
+            is_same = earlier is not None and (earlier["fingerprint"], earlier["first"]) == (fingerprint, task.first)
+            if earlier is not None and is_same and is_whole(path, earlier):
+                return ShardReport(task, earlier, kept=True)
+            account = _Account(task, fingerprint)
+            engine = Engine(self._methods)
+
+            def results() -> Iterator[dict[str, np.ndarray]]:
+                for raw in source.chunks(self._plan.chunk):
+                    yield account.enter(self._answers(engine, raw, task, account.grasps), raw, self._measures)
+
+            def write(stream: IO[bytes]) -> None:
+                write_parquet_rows(stream, results(), lambda: account.metadata(self._plan))
+                stream.flush()
+                account.read_back(Path(stream.name))
+
+            replace_file(path, write)
+        return ShardReport(task, account.entry(hashed(path)), times=asdict(engine.times))
+
+    def _answers(self, engine: Engine, raw: ContactSets, task: ShardTask, first: int) -> Answers:
+        """The answers of a chunk; a fault is said by its number in the file, results are numbered through all files."""
+        plan = self._plan
+        found = answers(
+            engine,
+            plan.adjustments.apply(raw).astype(np.dtype(plan.dtype)),
+            self._measures,
+            least_friction=plan.least_friction,
+            skip_bad=plan.skip_bad,
+            first=first,
+            chunk=plan.chunk,
+        )
+        return found._replace(numbers=found.numbers + task.first)
+
+
+@dataclass
+class _Account:
+    """What is counted of a file while it is evaluated."""
+
+    task: ShardTask
+    fingerprint: int
+    grasps: int = 0
+    names_in: int = 0
+    names_aside: int = 0
+    names_out: int = 0
+    rows: int = 0
+    summary: Summary | None = None
+
+    def enter(self, found: Answers, raw: ContactSets, measures: tuple[Measure, ...]) -> dict[str, np.ndarray]:
+        """Count a chunk, and return the arrays of its results."""
+        numbers = self.task.first + self.grasps + np.arange(len(raw))
+        names = raw.labels.get("name", numbers.astype(str))
+        self.names_in = (self.names_in + names_checksum(names)) % MODULUS
+        aside = names[~np.isin(numbers, found.numbers)]
+        self.names_aside = (self.names_aside + names_checksum(aside)) % MODULUS
+        self.grasps += len(raw)
+        own = found.summary(measures)
+        self.summary = own if self.summary is None else self.summary.merged(own)
+        return found.arrays()
+
+    def metadata(self, plan: StreamPlan) -> dict[bytes, bytes]:
+        """What a file of results says of itself."""
+        assert self.summary is not None
+        said = {"options": plan.options, "fingerprint": self.fingerprint, "summary": to_json(self.summary)}
+        return {METADATA: json.dumps(said).encode()}
+
+    def read_back(self, path: Path) -> None:
+        """Count what was written.
+
+        Raises:
+            OSError: where that is not what was evaluated.
+        """
+        with arrow_library().parquet.ParquetFile(path) as file:
+            wrenches = [name for name in ("wrench",) if name in file.schema_arrow.names]
+            for batch in file.iter_batches(columns=["name", *wrenches]):
+                columns = {name: batch[name].to_numpy(zero_copy_only=False) for name in ("name", *wrenches)}
+                first = columns["wrench"] == 0 if wrenches else slice(None)
+                self.names_out = (self.names_out + names_checksum(columns["name"][first])) % MODULUS
+                self.rows += len(batch)
+        if (self.names_out + self.names_aside) % MODULUS != self.names_in:
+            raise OSError("what was written reads back otherwise")
+
+    def entry(self, sha256: str) -> dict:
+        """What the manifest says of the file."""
+        assert self.summary is not None
+        verdicts = {
+            name: {verdict.name: count for verdict in Verdict if (count := method.count(verdict))}
+            for name, method in self.summary.methods.items()
+        }
+        return {
+            "file": self.task.file,
+            "input": self.task.path,
+            "fingerprint": self.fingerprint,
+            "first": self.task.first,
+            "grasps": self.grasps,
+            "rows": self.rows,
+            "set_aside": self.summary.set_aside,
+            "names_in": self.names_in,
+            "names_aside": self.names_aside,
+            "names_out": self.names_out,
+            "verdicts": verdicts,
+            "sha256": sha256,
+        }

@@ -1,0 +1,70 @@
+"""Four devices of one machine, or two processes of two each: what they say, as JSON; run by ``test_over_devices``."""
+
+import json
+import sys
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+import jaxgrasp
+from jaxgrasp.testing.problems import problems
+
+
+def apart(found, alone) -> float:
+    return float(np.max(np.abs(np.asarray(found.forces) - np.asarray(alone.forces))))
+
+
+def drawn(count: int):
+    some = problems("ordinary", 4, count, seed=3)
+    return jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze), some.wrench
+
+
+def of_one_machine() -> dict:
+    said = {}
+    for count, devices in ((1, 2), (30, 3), (230, 4)):
+        grasp, wrench = drawn(count)
+        alone = jaxgrasp.constrained_optimum(grasp, wrench)
+        found = jaxgrasp.constrained_optimum(grasp, wrench, devices=devices)
+        said[f"{count} on {devices}"] = [
+            apart(found, alone),
+            len(found.forces.devices()),
+            np.array_equal(found.verdict, alone.verdict),
+        ]
+    grasp, wrench = drawn(6)
+    single = jax.tree.map(lambda x: x[0], grasp)
+    alone, found = (
+        jaxgrasp.closed_form(single, given, "uniform", devices=devices)
+        for given, devices in ((wrench, None), (wrench.reshape(2, 3, 6), 2))
+    )
+    said["one grasp for all"] = [apart(jax.tree.map(lambda x: x.reshape(6, *x.shape[2:]), found), alone), 2, True]
+    both = jaxgrasp.closed_form_and_optimum(grasp, wrench, devices=2)
+    said["both"] = [apart(both[1], jaxgrasp.constrained_optimum(grasp, wrench)), 2, True]
+    return said
+
+
+def of_two_processes(port: str, number: str) -> dict:
+    jax.distributed.initialize(f"127.0.0.1:{port}", num_processes=2, process_id=int(number))
+    grasp, wrench = drawn(32)
+    mesh, axes = Mesh(np.array(jax.devices()), ("problem",)), PartitionSpec("problem")
+    half = slice(16 * int(number), 16 * (int(number) + 1))
+    own = jax.tree.map(lambda x: np.asarray(x)[half], (grasp, wrench))
+    given = jax.tree.map(lambda x: jax.make_array_from_process_local_data(NamedSharding(mesh, axes), x), own)
+    solve = jax.shard_map(jaxgrasp.constrained_optimum, mesh=mesh, in_specs=axes, out_specs=axes, check_vma=False)
+    forces = jax.jit(lambda given: solve(*given).forces)(given)
+    mine = np.concatenate([np.asarray(part.data) for part in sorted(forces.addressable_shards, key=lambda s: s.index)])
+    alone = jaxgrasp.constrained_optimum(*own)
+    here = jaxgrasp.constrained_optimum(*own, devices=2)
+    evaluated = jaxgrasp.evaluate(*own, methods=("B-optimum",)).results["B-optimum"].forces.reshape(16, 4, 3)
+    multihost_utils.sync_global_devices("done")
+    return {
+        "processes": [float(np.max(np.abs(mine - np.asarray(alone.forces)))), len(jax.devices()), len(mine) == 16],
+        "local": [apart(here, alone), 4, True],
+        "evaluate": [float(np.max(np.abs(evaluated - np.asarray(alone.forces)))), 4, True],
+    }
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    print(json.dumps(of_two_processes(*sys.argv[1:]) if sys.argv[1:] else of_one_machine()))

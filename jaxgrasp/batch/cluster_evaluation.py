@@ -28,7 +28,7 @@ class ClusterPlan:
     workers: int | None = None
     """Processes, of one core each; one for each core of the cluster where not given."""
     gpus: float = 0.0
-    """Of each process."""
+    """GPUs of each process."""
     skip_damaged: bool = False
     """Whether to name files that cannot be read and go on with the others."""
 

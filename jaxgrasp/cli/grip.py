@@ -40,7 +40,7 @@ UNITS = dict.fromkeys(("length", "breadth", "radius", "height", "size", "depth",
     "pitch": "m/rad",
     "through": "m",
 }
-"""Of what the page's details name."""
+"""Units of what the page's details name."""
 BELOW = 0.4
 """How far the table is below the object [m]."""
 

@@ -39,7 +39,7 @@ ARMING = 0.5
 SILENT = 0.025
 """How long no angles may come [s], on a fast line: with what is on its way then, torque ends in 55 ms."""
 SILENT_FRAMES = 6
-"""The same in frames of a slow line: between two of angles there are two others at most."""
+"""As long in frames of a slow line: between two of angles there are two others at most."""
 OLDEST_TENSION = 0.15
 """Age of the tensions beyond which nobody knows what the cables do [s]."""
 LONGEST_WATCHDOG = 50

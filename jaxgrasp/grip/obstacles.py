@@ -167,7 +167,7 @@ class _ObstacleContacts(NamedTuple):
     normals: Array
     depths: Array
     velocities: Array
-    """Of the obstacle, where it is touched [m/s]."""
+    """Velocity of the obstacle, where it is touched [m/s]."""
     stiffness: Array
     friction: Array
     damping: Array

@@ -22,7 +22,7 @@ class ObstaclePath(eqx.Module):
     times: Float[AnyArray, "K"]
     """Ascending [s]; a scene begins at 0."""
     shifts: Float[AnyArray, "K 3"]
-    """Of its frame's origin, along the world's axes [m]."""
+    """Way of its frame's origin, along the world's axes [m]."""
     turns: Float[AnyArray, "K 3"]
     """About its frame's origin: an axis in the world, as long as the angle [rad]."""
 

@@ -30,7 +30,7 @@ class HandEntry:
     breadth: float | None = None
     """Across the knuckles, of a human hand [m]; in proportion where not given."""
     side: Literal["right", "left"] = "right"
-    """Of a human hand."""
+    """Which hand, of a human one."""
     file: str | None = None
     """A URDF or MJCF file, from the scene's own folder (the extra ``hands``)."""
     wrist: str | None = None

@@ -28,7 +28,7 @@ class Touches(NamedTuple):
     contacts: Contacts
     """With the object, in the world."""
     grasp: Grasp
-    """Of these, in a frame at the object's centre, along the world's axes."""
+    """Grasp of these, in a frame at the object's centre, along the world's axes."""
     blocked: Float[Array, "*batch J"]
     """Torques on the joints by the table and obstacles that the hand itself touches [N.m]."""
 

@@ -37,7 +37,7 @@ from jaxgrasp.psychophysics.plan import StimulusPlan
 from jaxgrasp.validation.checked import checked
 
 THICK = 0.04
-"""Of the plate [m]: pads that rise faster than the others go deep into it, and must not come out above."""
+"""Thickness of the plate [m]: pads that rise faster than the others go deep into it, and must not come out above."""
 OVER = np.array([0.04, 0.008, 0.0])
 """How far it reaches beyond the outermost pads, along the fingers, which draw back as they bend, and across [m]."""
 SUNK = 1e-3

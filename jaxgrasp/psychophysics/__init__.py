@@ -34,7 +34,7 @@ from jaxgrasp.psychophysics.recomputed import recomputed
 from jaxgrasp.psychophysics.running.person import Person, SimulatedPerson
 from jaxgrasp.psychophysics.running.session import NoConsentError, run_experiment
 from jaxgrasp.psychophysics.stimulus import IdealStimulus, NotFeltError, Rendered, Stimulus, StimulusLostError
-from jaxgrasp.psychophysics.study import StudyPlan
+from jaxgrasp.psychophysics.study_plan import StudyPlan
 
 __all__ = [
     "Adaptive",

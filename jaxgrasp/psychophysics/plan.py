@@ -14,7 +14,7 @@ from jaxgrasp.psychophysics.procedures.matching import Matching
 from jaxgrasp.psychophysics.procedures.procedure import Settings, check_count, check_level
 from jaxgrasp.psychophysics.procedures.staircase import Staircase
 from jaxgrasp.psychophysics.screen import check_screen
-from jaxgrasp.psychophysics.study import StudyPlan
+from jaxgrasp.psychophysics.study_plan import StudyPlan
 from jaxgrasp.psychophysics.trial import intensity
 from jaxgrasp.validation.checked import checked
 

@@ -15,7 +15,7 @@ SIDES = 16
 ROUND = 48
 """Corners of a cylinder's rim."""
 BALL_SIDES = 8
-"""Of each of the many balls that stand for a mesh."""
+"""Directions around each of the many balls that stand for a mesh."""
 ARROW_SIDES = 8
 SHAFT, HEAD = 0.13, 0.36
 """Radii of an arrow, as shares of its head's length."""

@@ -34,11 +34,11 @@ class Controls(NamedTuple):
     """What a person sets; at first everything is as the scene has it."""
 
     angles: np.ndarray
-    """Of the joints ``(J,)`` [rad]."""
+    """Angles of the joints ``(J,)`` [rad]."""
     lift: np.ndarray
     """Way of the wrist ``(3,)`` [m]."""
     turn: float
-    """Of the wrist about the world's x axis [rad]."""
+    """Turn of the wrist about the world's x axis [rad]."""
     place: np.ndarray
     """Way of the object from where it was gripped ``(3,)`` [m]."""
     friction: float

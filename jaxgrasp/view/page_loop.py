@@ -42,7 +42,7 @@ class PageLoop(ABC):
 
     @abstractmethod
     def corners(self, seen: Seen) -> np.ndarray:
-        """Of the object in the world ``(V, 3)`` [m]: they say how far a twist moves it."""
+        """Corners of the object in the world ``(V, 3)`` [m]: they say how far a twist moves it."""
 
     def change(self, *_: object) -> None:
         """Something was set: show it."""

@@ -20,7 +20,7 @@ class PosedHand(NamedTuple):
     """Poses of its links ``(L, 3, 4)``."""
     joints: Sequence[str]
     torques: np.ndarray
-    """Of the contacts on its joints ``(J,)`` [N.m]: negative against flexion."""
+    """Torques of the contacts on its joints ``(J,)`` [N.m]: negative against flexion."""
 
 
 class Seen(NamedTuple):
@@ -39,7 +39,7 @@ class Seen(NamedTuple):
     """What each contact does by the closed form: codes of a [`jaxgrasp.grip.Touch`][]."""
     law: Law
     names: Sequence[str]
-    """Of the contacts."""
+    """Names of the contacts."""
     object_pose: np.ndarray
     """``(3, 4)``"""
     hand: PosedHand | None = None

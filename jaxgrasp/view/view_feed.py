@@ -54,7 +54,7 @@ class ViewFeed:
 
     @property
     def process_id(self) -> int:
-        """Of the process that shows the page."""
+        """Number of the process that shows the page."""
         return self._child.process.pid
 
     def write(self, frame: ViewFrame) -> None:

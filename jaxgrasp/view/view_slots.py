@@ -25,7 +25,7 @@ class Carried(NamedTuple):
 
     @staticmethod
     def at(wrist: Pose, placed: Pose, inertial: Any) -> "Carried":
-        """Of a hand and an object there."""
+        """The state of a hand and an object there."""
         return Carried(pose_matrix(wrist), pose_matrix(placed), np.asarray(inertial))
 
     def vector(self) -> Float[np.ndarray, "30"]:
@@ -52,7 +52,7 @@ class TrialNow(NamedTuple):
     answered: float = 0.0
     """Choices so far, since the program began."""
     right: float = 0.0
-    """Of these."""
+    """How many of these were right."""
 
     def vector(self) -> Float[np.ndarray, "9"]:
         """All of it in one."""

@@ -105,7 +105,7 @@ class Viewer:
             self._edges.points = _floats(lines)
 
     def set_opacity(self, opacity: float) -> None:
-        """Of the hand, 0 to 1."""
+        """Opacity of the hand, 0 to 1."""
         for handle in self._links:
             handle.opacity = None if opacity >= 1 else opacity
 

@@ -15,7 +15,7 @@ from jaxgrasp.psychophysics.running.records import read_records
 from jaxgrasp.psychophysics.running.session import NoConsentError, run_experiment
 from jaxgrasp.psychophysics.schedule import Schedule
 from jaxgrasp.psychophysics.stimulus import IdealStimulus
-from jaxgrasp.psychophysics.study import StudyPlan
+from jaxgrasp.psychophysics.study_plan import StudyPlan
 
 
 @pytest.mark.parametrize("count", range(1, 12))

@@ -98,7 +98,7 @@ class Frame:
     echo: int = 0
     """The other side's clock [us], in the newest frame that was heard of it; 0 before any."""
     cause: int = 0
-    """Of a device that gave up its torque, why; below 16."""
+    """Why a device gave up its torque; below 16."""
 
 
 def encode(frame: Frame) -> bytes:

@@ -91,24 +91,46 @@ class ObjectEntry(SolidEntry):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObstacleEntry(SolidEntry):
-    """A table ``[[obstacle]]``: what stands in the object's way; the hand goes through it."""
+class PlacedEntry(SolidEntry):
+    """A shape that stands in the world."""
 
     at: tuple[float, ...]
     """Place of its centre, from the object's at first, along the world's axes [m]."""
     turn: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Turn of the shape: an axis in the world, as long as the angle [rad]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_vectors(self, "at", "turn")
+
+    def rotation(self) -> Array:
+        """Its axes in the world, as columns."""
+        return rotation_by(jnp.array(self.turn))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObstacleEntry(PlacedEntry):
+    """A table ``[[obstacle]]``: what stands in the object's way; the hand goes through it."""
+
     stiffness: float = 2000.0
     """K of eq. 1, of each part of the object that touches [N/m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_not_negative(self, "stiffness")
-        check_vectors(self, "at", "turn")
 
-    def rotation(self) -> Array:
-        """Its axes in the world, as columns."""
-        return rotation_by(jnp.array(self.turn))
+
+@dataclass(frozen=True, kw_only=True)
+class OtherEntry(ObjectEntry, PlacedEntry):
+    """A table ``[[other]]``: a further object, which moves by what hand, table and objects do to it."""
+
+    rubbing: float = 0.5
+    """Coulomb's coefficient between it and the table or another object; of two objects the larger counts, and the
+    table's friction is that of the gripped one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_not_negative(self, "rubbing")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +21,7 @@ from jaxgrasp.grip.scene_entries import (
     HandEntry,
     ObjectEntry,
     ObstacleEntry,
+    OtherEntry,
     TableEntry,
     WorldEntry,
 )
@@ -35,6 +36,8 @@ from jaxgrasp.hand.world import rigid_body, world_contacts
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
+Entry = TypeVar("Entry")
+Meshed = TypeVar("Meshed", bound=ObjectEntry)
 LONGEST_NAME = 200
 APART = 1e-5
 """How deep an obstacle may be in the object at first [m]: rounding."""
@@ -52,11 +55,13 @@ class SceneFile:
     world: WorldEntry = field(default_factory=WorldEntry)
     guide: GuideEntry | None = None
     obstacle: tuple[ObstacleEntry, ...] = ()
+    other: tuple[OtherEntry, ...] = ()
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """What each table says, by its name; what is not given is left out."""
         named = {name: getattr(self, name) for name in (*TABLES, "guide")}
-        named |= {f"obstacle[{k}]": entry for k, entry in enumerate(self.obstacle)}
+        for kind in ("obstacle", "other"):
+            named |= {f"{kind}[{k}]": entry for k, entry in enumerate(getattr(self, kind))}
         said = {name: vars(entry).items() for name, entry in named.items() if entry is not None}
         return {name: {key: value for key, value in entry if value is not None} for name, entry in said.items()}
 
@@ -117,18 +122,23 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         name,
         **{key: made_from(kind, given.get(key, {}), key) for key, kind in TABLES.items()},
         guide=made_from(GuideEntry, given["guide"], "guide") if "guide" in given else None,
-        obstacle=_obstacles(given.get("obstacle", [])),
+        obstacle=_each(ObstacleEntry, given, "obstacle"),
+        other=_each(OtherEntry, given, "other"),
     )
-    return replace(found, object=_with_mesh(found.object, Path(path).parent))
+    folder = Path(path).parent
+    others = tuple(_with_mesh(entry, folder, f"other[{k}]") for k, entry in enumerate(found.other))
+    return replace(found, object=_with_mesh(found.object, folder, "object"), other=others)
 
 
-def _obstacles(given: object) -> tuple[ObstacleEntry, ...]:
-    if not isinstance(given, list):
-        raise ValueError(f"obstacle is {given!r}: expected tables [[obstacle]]")
-    return tuple(made_from(ObstacleEntry, one, f"obstacle[{k}]") for k, one in enumerate(given))
+def _each(kind: type[Entry], given: dict[str, Any], name: str) -> tuple[Entry, ...]:
+    """The entries of an array of tables; none where it is not given."""
+    tables = given.get(name, [])
+    if not isinstance(tables, list):
+        raise ValueError(f"{name} is {tables!r}: expected tables [[{name}]]")
+    return tuple(made_from(kind, one, f"{name}[{k}]") for k, one in enumerate(tables))
 
 
-def _with_mesh(entry: ObjectEntry, folder: Path) -> ObjectEntry:
+def _with_mesh(entry: Meshed, folder: Path, name: str) -> Meshed:
     """The entry whose mesh, if it has one, is a file that is there."""
     if entry.mesh is None:
         return entry
@@ -138,7 +148,7 @@ def _with_mesh(entry: ObjectEntry, folder: Path) -> ObjectEntry:
     except OSError:
         there = False
     if not there:
-        raise ValueError(f"object.mesh is {entry.mesh[:80]!r}: there is no such file")
+        raise ValueError(f"{name}.mesh is {entry.mesh[:80]!r}: there is no such file")
     return replace(entry, mesh=str(mesh))
 
 

@@ -1,16 +1,17 @@
 """A world of many bodies: a hand among objects that touch one another, by an engine of ours or by MuJoCo's."""
 
-#from jaxgrasp.world.hand_share import HandShare
-#from jaxgrasp.world.many_bodies import Thing, World, WorldState, at_rest
-#from jaxgrasp.world.mujoco_engine import MujocoEngine
-#from jaxgrasp.world.physics import Engine, Loads, Step
-#from jaxgrasp.world.quasi_static import QuasiStaticEngine
-#from jaxgrasp.world.standing import Standing, stands
-#from jaxgrasp.world.world_carry import WorldInstant, world_carry
-#from jaxgrasp.world.world_file import world_of
+from jaxgrasp.world.hand_share import HandShare, Touches
+from jaxgrasp.world.many_bodies import Thing, World, WorldState, at_rest
+from jaxgrasp.world.mujoco_engine import MujocoEngine
+from jaxgrasp.world.physics import Engine, HandMove, Loads, Step
+from jaxgrasp.world.quasi_static import QuasiStaticEngine
+from jaxgrasp.world.standing import Standing, stands
+from jaxgrasp.world.world_carry import WorldInstant, world_carry
+from jaxgrasp.world.world_file import world_of
 
 __all__ = [
     "Engine",
+    "HandMove",
     "HandShare",
     "Loads",
     "MujocoEngine",
@@ -18,6 +19,7 @@ __all__ = [
     "Standing",
     "Step",
     "Thing",
+    "Touches",
     "World",
     "WorldInstant",
     "WorldState",

@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.grip.motion import Motion
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import Float, Int
-from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.led_bodies import velocity_at
+from jaxgrasp.model.hand import Hand, Pose
+from jaxgrasp.world.led_bodies import Motions, velocity_at
 from jaxgrasp.world.many_bodies import World
 from jaxgrasp.world.physics import HAND, OBSTACLES, TABLE
 from jaxgrasp.world.solids import Solid, solid_of
@@ -33,6 +32,10 @@ class ContactList(NamedTuple):
     """Velocity of what is no object [m/s]."""
 
 
+COLUMNS = [((), int)] * 2 + [((3,), float)] * 2 + [((), float)] * 3 + [((3,), float)]
+"""Shape and kind of an entry of each of its columns."""
+
+
 class _Rows:
     """Contacts as they are found."""
 
@@ -44,10 +47,8 @@ class _Rows:
             self.rows.append((first, second, point, patch.normal, patch.gap, friction, stiffness, np.zeros(3)))
 
     def finished(self) -> ContactList:
-        if not self.rows:
-            none = np.zeros(0)
-            return ContactList(np.zeros(0, int), np.zeros(0, int), *[np.zeros((0, 3))] * 2, *[none] * 3, np.zeros((0, 3)))
-        return ContactList(*(np.array(column) for column in zip(*self.rows, strict=True)))
+        nothing = [np.zeros((0, *tail), kind) for tail, kind in COLUMNS]
+        return ContactList._make([np.array(column) for column in zip(*self.rows, strict=True)] or nothing)
 
 
 def solids(world: World, placed: Pose) -> list[Solid]:
@@ -82,7 +83,7 @@ def world_contact_list(world: World, placed: Pose, within: float) -> ContactList
     return found.finished()
 
 
-def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Motion) -> ContactList:
+def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Motions) -> ContactList:
     """Where the hand touches objects, by contacts ``(N, L)`` that are known.
 
     Args:
@@ -94,12 +95,20 @@ def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Mot
     own = np.array([float(thing.stiffness) for thing in world.things])
     springs = own[:, None] * np.asarray(world.scene.contributions)
     thing, link = np.nonzero((np.asarray(contacts.present) > 0) & (springs > 0))
-    points, normals, depths = (np.asarray(getattr(contacts, name))[thing, link] for name in ("points", "normals", "depths"))
+    points, normals, depths = (
+        np.asarray(getattr(contacts, name))[thing, link] for name in ("points", "normals", "depths")
+    )
     friction = np.array([float(each.friction) for each in world.things])
-    moving = Motion(motion.linear[link], motion.angular[link])
+    moving = Motions(motion.linear[link], motion.angular[link])
     carried = velocity_at(moving, links.origin[link], points)
     hand = np.full(len(thing), HAND)
     return ContactList(thing, hand, points, normals, -depths, friction[thing], springs[thing, link], carried)
+
+
+def still_links(hand: Hand) -> tuple[Pose, Motions]:
+    """Links of a hand that does not move, wherever it is."""
+    nowhere = np.zeros((len(hand.links), 3))
+    return Pose(nowhere, np.broadcast_to(np.eye(3), (len(nowhere), 3, 3))), Motions(nowhere, nowhere)
 
 
 def together(one: ContactList, other: ContactList) -> ContactList:

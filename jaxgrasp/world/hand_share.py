@@ -115,9 +115,7 @@ def hand_share(
 
 
 @partial(jax.jit, static_argnames="law")
-def cut_share(
-    world: World, posture: Posture, placed: Pose, touches: Touches, wrench: Array, *, law: Law
-) -> HandShare:
+def cut_share(world: World, posture: Posture, placed: Pose, touches: Touches, wrench: Array, *, law: Law) -> HandShare:
     """As ``hand_share``, but that what slips is cut to its friction by either law."""
     grasp = touches.grasp
     closed, optimum = closed_form_and_optimum(grasp, wrench, free=_free(world, placed))

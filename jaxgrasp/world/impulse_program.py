@@ -8,22 +8,26 @@ nonsmooth rigid multibody dynamics", 2006) makes it convex. What slides at a spe
 on by mu v in a unit of time, and hovers at mu v dt.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.model.arrays import Float
+from jaxgrasp.grip.motion import mobility
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.world.contact_list import ContactList
+from jaxgrasp.world.many_bodies import Masses, World
 
-SIZES = (4, 8, 16, 32, 64, 128, 256, 512)
+SIZES = (8, 32, 64, 128, 256, 512)
 """Numbers of contacts for which a program is compiled."""
 GIVING = 1e-9
 """By how much every contact gives, in units of what the objects do: so that of all impulses that move them alike one is
 the answer."""
+CLOSE = 1e-7
+"""Gap and errors of a program of order one that count as solved."""
 
 
 class Impulses(NamedTuple):
@@ -34,11 +38,25 @@ class Impulses(NamedTuple):
     on_things: Float[np.ndarray, "N 6"]
     """Their resultants about the objects' centres [N.s, N.m.s]."""
     solved: bool
-    """Whether the program was solved to rounding."""
+    """Whether the program's gap and errors are as small as they should be."""
+
+
+def mobilities_of(world: World, weights: Masses, placed: Pose) -> Float[np.ndarray, "N 6 6"]:
+    """Motions of each object by impulse about its centre; of a guided one along its guide alone."""
+    found = np.zeros((len(weights.mass), 6, 6))
+    found[:, :3, :3] = np.eye(3) / weights.mass[:, None, None]
+    found[:, 3:, 3:] = np.linalg.inv(weights.turned(placed.rotation))
+    scene = world.scene
+    if scene.guide is not None:
+        found[0] = _guided(scene.body, Pose(placed.origin[0], placed.rotation[0]), scene.guide)
+    return found
+
+
+_guided = jax.jit(mobility)
 
 
 def jacobian(
-    contacts: ContactList, centers: Float[np.ndarray, "N 3"]
+    contacts: ContactList, centers: Float[AnyArray, "N 3"]
 ) -> tuple[Float[np.ndarray, "m 3 N 6"], Float[np.ndarray, "m 3 3"]]:
     """How fast what touches moves apart, along each contact's axes, for motions of all objects; and these axes as rows:
     the normal first."""
@@ -80,15 +98,17 @@ def least_constraint(
         return Impulses(np.zeros((0, 3)), np.zeros((n, 6)), True)
     agile = np.einsum("minj,njk->mink", rows, mobilities)
     quadratic = np.einsum("mink,pqnk->mipq", agile, rows).reshape(3 * count, 3 * count)
-    unit = np.trace(quadratic) / (3 * count)
-    quadratic = quadratic + np.diag(np.stack([giving, 0 * giving, 0 * giving], 1).ravel())
-    largest = np.abs(approach).max() / unit
+    quadratic += np.diag(np.stack([giving, 0 * giving, 0 * giving], 1).ravel())
+    # Each contact in units of its own, and all so that the program is of order one.
+    units = 1 / np.sqrt(np.repeat(np.diagonal(quadratic).reshape(count, 3).mean(1), 3))
+    linear = units * approach.ravel()
+    largest = np.abs(linear).max()
     if not largest > 0:
         return Impulses(np.zeros((count, 3)), np.zeros((n, 6)), True)
-    size = next(size for size in SIZES if size >= count)
-    padded = _padded(quadratic / unit, (approach / (unit * largest)).ravel(), friction, 3 * size)
+    size = next((size for size in SIZES if size >= count), count)
+    padded = _padded(units[:, None] * quadratic * units, linear / largest, friction, 3 * size)
     point, solved = jax.device_get(_solved(*padded))
-    own = largest * point[: 3 * count].reshape(count, 3)
+    own = (largest * units * point[: 3 * count]).reshape(count, 3)
     on_contacts = np.einsum("mi,mij->mj", own, axes)
     return Impulses(on_contacts, np.einsum("minj,mi->nj", rows, own), bool(solved))
 
@@ -120,4 +140,5 @@ def _solved(quadratic: jax.Array, linear: jax.Array, friction: jax.Array) -> tup
     nothing = jnp.zeros((1, 1, size)), jnp.zeros((1, 1))
     cones = (Cones(rows[None], jnp.zeros((1, count, 3))),)
     found = solve(ConeProgram(quadratic[None], linear[None], *nothing, cones))
-    return found.point[0], found.solved[0]
+    worth = jnp.abs(linear @ found.point[0])
+    return found.point[0], (found.gap[0] <= CLOSE * worth) & (found.error[0] <= CLOSE)

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import equinox as eqx
 import numpy as np
 
-from jaxgrasp.grip.motion import Body, Motion
+from jaxgrasp.grip.motion import Body
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.world.led_bodies import Motions
 
 
 class Thing(eqx.Module):
@@ -43,7 +44,7 @@ class WorldState(NamedTuple):
 
     placed: Pose
     """``(N,)``"""
-    motion: Motion
+    motion: Motions
     """``(N, 3)`` each: of the centres, and about them."""
 
 
@@ -55,7 +56,7 @@ class Masses(NamedTuple):
     moments: Float[np.ndarray, "N 3"]
     """Principal moments about the centres, along their own axes [kg.m^2]."""
 
-    def turned(self, rotation: Float[np.ndarray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
+    def turned(self, rotation: Float[AnyArray, "N 3 3"]) -> Float[np.ndarray, "N 3 3"]:
         """The moments along the world's axes."""
         return np.einsum("nij,nj,nkj->nik", rotation, self.moments, rotation)
 
@@ -90,4 +91,4 @@ def at_rest(placed: Pose) -> WorldState:
         placed: of the objects ``(N,)``, the gripped one first.
     """
     origin, rotation = np.array(placed.origin, float), np.array(placed.rotation, float)
-    return WorldState(Pose(origin, rotation), Motion(np.zeros_like(origin), np.zeros_like(origin)))
+    return WorldState(Pose(origin, rotation), Motions(np.zeros_like(origin), np.zeros_like(origin)))

@@ -15,10 +15,9 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.grip.motion import Motion
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.led_bodies import led, link_motion
+from jaxgrasp.world.led_bodies import Motions, led, link_motion
 from jaxgrasp.world.many_bodies import World, WorldState, masses
 from jaxgrasp.world.mujoco_model import spring_solref, world_model
 from jaxgrasp.world.physics import HAND, HandMove, Loads, Step, summed_loads
@@ -71,22 +70,23 @@ class MujocoEngine:
         model.opt.timestep = dt / count
         links, motion = link_motion(hand.now, hand.later, dt)
         self._put(state)
-        pushes = []
+        pushes, solved = [], True
         for k in range(count):
             self._lead(led(links, motion, k * model.opt.timestep), motion)
             if k == 0:
                 self._soften()
             mujoco.mj_step(model, data)
             pushes.append(self._pushes())
+            solved = solved and max(data.solver_niter) < model.opt.iterations
         after = self._taken()
         gained = (self._weights.momentum(after) - self._weights.momentum(state)) / dt
-        return Step(after, Loads(*(np.mean(parts, 0) for parts in zip(*pushes, strict=True))), gained)
+        return Step(after, Loads(*(np.mean(parts, 0) for parts in zip(*pushes, strict=True))), gained, solved)
 
     def _put(self, state: WorldState) -> None:
         """Objects where the state has them."""
         data, placed, motion = self.data, state.placed, state.motion
         free = Pose(placed.origin[self._free], placed.rotation[self._free])
-        self._set(self._places, self._rates, free, Motion(motion.linear[self._free], motion.angular[self._free]))
+        self._set(self._places, self._rates, free, Motions(motion.linear[self._free], motion.angular[self._free]))
         guide = self._parts.guide
         if guide is None:
             return
@@ -100,11 +100,11 @@ class MujocoEngine:
             data.joint("hinge").qpos[0] = guide.axis @ way / guide.pitch if guide.slides else angle
             data.joint("hinge").qvel[0] = guide.axis @ motion.angular[0]
 
-    def _lead(self, links: Pose, motion: Motion) -> None:
+    def _lead(self, links: Pose, motion: Motions) -> None:
         """Links where the hand has them, and how they move."""
         self._set(self._link_places, self._link_rates, links, motion)
 
-    def _set(self, places: np.ndarray, rates: np.ndarray, placed: Pose, motion: Motion) -> None:
+    def _set(self, places: np.ndarray, rates: np.ndarray, placed: Pose, motion: Motions) -> None:
         """Places and rates of free joints; these turn in their bodies' own frames."""
         quaternions = Rotation.from_matrix(placed.rotation).as_quat()[:, [3, 0, 1, 2]]
         self.data.qpos[places] = np.concatenate([placed.origin, quaternions], 1)
@@ -122,16 +122,18 @@ class MujocoEngine:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         depths = np.maximum(-data.contact.dist, 0)
-        owners, links = parts.owners[data.contact.geom], parts.links[data.contact.geom]
+        owners, of_links = parts.owners[data.contact.geom], parts.links[data.contact.geom]
         by_hand = (owners == HAND).any(1)
-        link, thing = links.max(1)[by_hand], owners.max(1)[by_hand]
+        link, thing = of_links.max(1)[by_hand], owners.max(1)[by_hand]
         sums = np.zeros((3, parts.links.max() + 1, len(parts.bodies)))
         for power in (1, 2, 3):
             np.add.at(sums[power - 1], (link, thing), depths[by_hand] ** power)
         one, square, cube = sums
         share = np.where(one > 0, cube / np.where(one > 0, square * one, 1), 1)
         pairs = self._of_hand
-        stiffness = self._stiffness[pairs] * np.maximum(share[parts.pair_links[pairs], parts.pair_things[pairs]], SOFTEST)
+        stiffness = self._stiffness[pairs] * np.maximum(
+            share[parts.pair_links[pairs], parts.pair_things[pairs]], SOFTEST
+        )
         model.pair_solref[pairs] = spring_solref(stiffness, self._weights.mass[parts.pair_things[pairs]])
 
     def _pushes(self) -> Loads:
@@ -167,4 +169,4 @@ class MujocoEngine:
                 linear[0] = np.cross(angular[0], origin[0] - guide.point)
             if guide.slides:
                 linear[0] += data.joint("slide").qvel[0] * guide.axis
-        return WorldState(Pose(origin, rotation), Motion(linear, angular))
+        return WorldState(Pose(origin, rotation), Motions(linear, angular))

@@ -52,7 +52,6 @@ class WorldModel(NamedTuple):
     """Of the first object."""
 
 
-
 class Guide(NamedTuple):
     """A slide, a hinge or a screw in the world."""
 
@@ -78,8 +77,8 @@ def read_guide(guide: np.ndarray) -> Guide:
     speed, turning = np.linalg.norm(along), np.linalg.norm(about)
     if turning == 0:
         return Guide(along / speed, np.zeros(3), True, False, 0.0)
-    axis, pitch = about / turning, float(about @ along) / turning**2
-    return Guide(axis, np.cross(about, along) / turning**2, abs(pitch) > STRAIGHT, True, pitch)
+    axis, pitch = about / turning, float(about @ along / turning**2)
+    return Guide(axis, np.cross(about, along) / turning**2, bool(abs(pitch) > STRAIGHT), True, pitch)
 
 
 def world_model(mujoco: Any, world: World, weights: Masses, placed: Pose) -> WorldModel:
@@ -177,9 +176,7 @@ class _Building:
                 for n, thing in enumerate(self.world.things):
                     friction = [float(thing.friction)] * 2 + [0, 0, 0]
                     for own in self.geoms[n]:
-                        self._add_pair(
-                            name, own, (link, n), condim=3, friction=friction, solreffriction=STICKING
-                        )
+                        self._add_pair(name, own, (link, n), condim=3, friction=friction, solreffriction=STICKING)
 
     def compiled(self) -> WorldModel:
         model = self.spec.compile()
@@ -222,10 +219,10 @@ class _Building:
             for each, center, radius in zip(names, centers, radii, strict=True):
                 self._add_ball(body, each, center, radius, **kwargs)
         else:
-            kind, size = _primitive(self.mujoco, shape)
+            kind, size = primitive(self.mujoco, shape)
             names = [f"{name} 0"]
             body.add_geom(name=names[0], type=kind, size=size, condim=3, **kwargs)
-        self.whose |= {each: whose for each in names}
+        self.whose |= dict.fromkeys(names, whose)
         return names
 
     def _add_ball(self, body: Any, name: str, center: Any, radius: Any, **kwargs: Any) -> None:
@@ -252,13 +249,13 @@ def spring_solref(stiffness: Any, mass: Any) -> np.ndarray:
     return -np.stack(np.broadcast_arrays(share * stiffness, share * damping), -1)
 
 
-def _primitive(mujoco: Any, shape: Shape) -> tuple[Any, list[float]]:
+def primitive(mujoco: Any, shape: Shape) -> tuple[Any, list[float]]:
     kinds = mujoco.mjtGeom
     if isinstance(shape, Sphere):
-        return kinds.mjGEOM_SPHERE, [float(shape.radius), 0, 0]
+        return kinds.mjGEOM_SPHERE, [float(shape.radius), 0.0, 0.0]
     if isinstance(shape, Box):
         return kinds.mjGEOM_BOX, [float(edge) / 2 for edge in (shape.length, shape.width, shape.height)]
     if isinstance(shape, (Cylinder, Capsule)):
         kind = kinds.mjGEOM_CYLINDER if isinstance(shape, Cylinder) else kinds.mjGEOM_CAPSULE
-        return kind, [float(shape.radius), float(shape.height) / 2, 0]
+        return kind, [float(shape.radius), float(shape.height) / 2, 0.0]
     raise ValueError(f"an object is a {type(shape).__name__}: expected a Sphere, Box, Cylinder, Capsule or SphereTree")

@@ -1,14 +1,13 @@
 """What every engine answers: where the objects of a world are a step later, and what acted on them on the way."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from jaxgrasp.hand.detection import Contacts
-from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.hand import HandFrames
 from jaxgrasp.world.many_bodies import WorldState
-
 
 HAND, TABLE, OBSTACLES = -1, -2, -3
 """What touches an object and is none."""
@@ -46,13 +45,13 @@ def summed_loads(
     owners: Int[np.ndarray, "m 2"],
     points: Float[np.ndarray, "m 3"],
     forces: Float[np.ndarray, "m 3"],
-    centers: Float[np.ndarray, "N 3"],
+    centers: Float[AnyArray, "N 3"],
 ) -> Loads:
     """The loads of contact forces.
 
     Args:
-        owners: the object that each force acts on, and what exerts it: an object that feels its opposite, or HAND, TABLE
-            or OBSTACLES.
+        owners: the object that each force acts on, and what exerts it: an object that feels its opposite, or
+            HAND, TABLE or OBSTACLES.
         points: where they act [m].
         forces: on the first of each [N].
         centers: of the objects [m].
@@ -76,9 +75,12 @@ class Step(NamedTuple):
     """After it."""
     loads: Loads
     gained: Float[np.ndarray, "N 6"]
-    """Rate of momentum, linear and angular, of each object [N, N.m]: of one that a guide holds, what it carries too."""
+    """Rate of momentum, linear and angular, of each object [N, N.m]."""
+    solved: bool
+    """Whether the engine solved its own equations as closely as it means to."""
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Moves the objects of one world; it knows the world from when it was made."""
 

@@ -7,14 +7,15 @@ what is faster than its own size in a step passes through another.
 """
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.grip.motion import Motion, mobility, moved
+from jaxgrasp.grip.motion import Motion, moved
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.world.contact_list import ContactList, hand_contact_list, together, world_contact_list
-from jaxgrasp.world.impulse_program import Impulses, jacobian, least_constraint
-from jaxgrasp.world.led_bodies import led, link_motion
+from jaxgrasp.world.impulse_program import Impulses, jacobian, least_constraint, mobilities_of
+from jaxgrasp.world.led_bodies import Motions, led, link_motion
 from jaxgrasp.world.many_bodies import World, WorldState, masses
 from jaxgrasp.world.physics import HandMove, Loads, Step, summed_loads
 
@@ -52,25 +53,14 @@ class QuasiStaticEngine:
             world_contact_list(world, placed, AHEAD + 2 * fast * dt),
             hand_contact_list(world, hand.contacts, links, motion),
         )
-        mobilities = self._mobilities(placed)
+        mobilities = mobilities_of(world, self._masses, placed)
         alone = self._alone(state, mobilities, dt)
         impulses = _impulses(contacts, placed, alone, mobilities, dt)
         velocity = alone + np.einsum("nij,nj->ni", mobilities, impulses.on_things)
-        new = Motion(velocity[:, :3], velocity[:, 3:])
+        new = Motions(velocity[:, :3], velocity[:, 3:])
         after = WorldState(self._moved(placed, new, dt), new)
         gained = (self._masses.momentum(after) - self._masses.momentum(state)) / dt
-        return Step(after, _loads(contacts, placed, impulses, dt), gained)
-
-    def _mobilities(self, placed: Pose) -> Float[np.ndarray, "N 6 6"]:
-        """Motion of each object by impulse; of a guided one along its guide alone."""
-        weights = self._masses
-        found = np.zeros((len(weights.mass), 6, 6))
-        found[:, :3, :3] = np.eye(3) / weights.mass[:, None, None]
-        found[:, 3:, 3:] = np.linalg.inv(weights.turned(placed.rotation))
-        scene = self.world.scene
-        if scene.guide is not None:
-            found[0] = _guided(scene.body, Pose(placed.origin[0], placed.rotation[0]), scene.guide)
-        return found
+        return Step(after, _loads(contacts, placed, impulses, dt), gained, impulses.solved)
 
     def _alone(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
         """How objects would move after a step if nothing touched them: they keep their momentum, but for gravity."""
@@ -89,23 +79,20 @@ class QuasiStaticEngine:
             alone[0] = mobilities[0] @ momentum[0]
         return alone
 
-    def _moved(self, placed: Pose, motion: Motion, dt: float) -> Pose:
+    def _moved(self, placed: Pose, motion: Motions, dt: float) -> Pose:
         after = led(placed, motion, dt)
         guide = self.world.scene.guide
         if guide is not None:
-            first = Motion(motion.linear[0], motion.angular[0])
+            first = Motion(jnp.asarray(motion.linear[0]), jnp.asarray(motion.angular[0]))
             there = jax.device_get(_led_along(Pose(placed.origin[0], placed.rotation[0]), first, dt, guide))
             after.origin[0], after.rotation[0] = there.origin, there.rotation
         return after
 
 
-_guided = jax.jit(mobility)
 _led_along = jax.jit(moved)
 
 
-def _impulses(
-    contacts: ContactList, placed: Pose, alone: np.ndarray, mobilities: np.ndarray, dt: float
-) -> Impulses:
+def _impulses(contacts: ContactList, placed: Pose, alone: np.ndarray, mobilities: np.ndarray, dt: float) -> Impulses:
     rows, axes = jacobian(contacts, placed.origin)
     approach = np.einsum("minj,nj->mi", rows, alone) - np.einsum("mij,mj->mi", axes, contacts.carried)
     spring = np.isfinite(contacts.stiffness)

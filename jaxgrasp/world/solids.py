@@ -19,6 +19,9 @@ CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 class Solid:
     """A convex solid that stands somewhere."""
 
+    has_rim = False
+    """Whether it has an edge that is not straight."""
+
     def __init__(self, placed: Pose):
         self.origin = np.asarray(placed.origin, float)
         self.rotation = np.asarray(placed.rotation, float)
@@ -143,6 +146,8 @@ class CapsuleSolid(RoundSolid):
 
 class CylinderSolid(RoundSolid):
     """A cylinder of this height."""
+
+    has_rim = True
 
     def _own_feature(self, direction: np.ndarray) -> np.ndarray:
         across = np.linalg.norm(direction[:2])

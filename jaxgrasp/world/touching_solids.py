@@ -4,6 +4,7 @@ The plane is that of the largest gap among directions that can matter: normals o
 corners, axes and balls. What the two reach it with is cut to what they share.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +17,15 @@ THIN = 1e-6
 """Half the width for which a line or a place counts [m]."""
 SAME = 1e-5
 """Places closer than that are one [m]."""
-LEANING = 0.2 + np.pi / 4 * np.arange(8)
-"""Directions in the plane in which the outermost places of a patch are kept; along no edge of most."""
+MANY = 8
+"""So many places of a patch are kept at most."""
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 CLOSEST = 8
 """So many of the shortest ways between two solids count as directions."""
+STARTS = 4
+"""So many of the best directions are improved, where there is a rim."""
+STEPS = 0.2 * 0.7 ** np.arange(24)
+"""Lengths of steps by which a direction is improved."""
 TIE = 1e-9
 """By how much more an edge across an edge must keep apart than a face [m]."""
 
@@ -49,10 +54,7 @@ def patch_between(first: Solid, second: Solid, within: float) -> Patch | None:
     way = first.origin - second.origin
     if np.linalg.norm(way) > first.extent() + second.extent() + within:
         return None
-    directions, handicap = _directions(first, second)
-    gaps = directions @ way - first.reach(-directions) - second.reach(directions)
-    best = int(np.argmax(gaps - handicap))
-    normal, gap = directions[best], float(gaps[best])
+    normal, gap = _furthest_apart(first, second)
     if gap > within:
         return None
     plane = _across(normal)
@@ -67,6 +69,38 @@ def patch_between(first: Solid, second: Solid, within: float) -> Patch | None:
     return Patch(_outermost(shared @ plane.T + height * normal, normal), normal, gap)
 
 
+def _furthest_apart(first: Solid, second: Solid) -> tuple[np.ndarray, float]:
+    """The direction in which the gap between two solids is largest, and that gap.
+
+    Where flat faces and straight edges meet it is among the directions that are tried; a rim is followed from there.
+    """
+
+    def gaps(directions: np.ndarray) -> np.ndarray:
+        return directions @ (first.origin - second.origin) - first.reach(-directions) - second.reach(directions)
+
+    directions, handicap = _directions(first, second)
+    found = gaps(directions) - handicap
+    order = np.argsort(-found)
+    normal, gap = directions[order[0]], float(found[order[0]])
+    if not (first.has_rim or second.has_rim) or handicap[order[0]] == 0:
+        return normal, gap
+    climbed = [_climb(gaps, directions[start]) for start in order[:STARTS]]
+    return max(climbed, key=lambda one: one[1])
+
+
+def _climb(gaps: Callable[[np.ndarray], np.ndarray], normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """A direction of a larger gap near another, and that gap."""
+    gap = float(gaps(normal[None])[0])
+    for k, size in enumerate(STEPS):
+        # Turned each time, since gaps have ridges.
+        around = normal + size * _compass(float(k)) @ _across(normal).T
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        further = gaps(around)
+        if further.max() > gap:
+            normal, gap = around[np.argmax(further)], float(further.max())
+    return normal, gap
+
+
 def _directions(first: Solid, second: Solid) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions from the second to the first in which they may be apart, and what each is put back by."""
     faces = np.concatenate([first.axes(), second.axes()])
@@ -78,6 +112,12 @@ def _directions(first: Solid, second: Solid) -> tuple[np.ndarray, np.ndarray]:
     handicap = np.where(np.arange(len(found)) < 2 * len(faces), 0, TIE)
     sound = length > SAME
     return found[sound] / length[sound, None], handicap[sound]
+
+
+def _compass(turned: float) -> np.ndarray:
+    """``(8, 2)``: directions in the plane."""
+    angles = turned + np.pi / 4 * np.arange(MANY)
+    return np.stack([np.cos(angles), np.sin(angles)], 1)
 
 
 def _shortest(ways: np.ndarray) -> np.ndarray:
@@ -140,11 +180,9 @@ def _turn(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> float:
 
 
 def _outermost(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Of the points of a patch the few that its others lie between, each once."""
-    leaning = np.stack([np.cos(LEANING), np.sin(LEANING)], 1) @ _across(normal).T
-    furthest = np.unique(np.argmax(points @ leaning.T, 0))
-    kept: list[np.ndarray] = []
-    for point in points[furthest]:
-        if all(np.linalg.norm(point - other) > SAME for other in kept):
-            kept.append(point)
-    return np.array(kept)
+    """The points of a patch, each once; of many those that go furthest in some directions."""
+    apart = np.linalg.norm(points[:, None] - points, axis=-1) < SAME
+    points = points[np.argmax(apart, 1) == np.arange(len(points))]
+    if len(points) <= MANY:
+        return points
+    return points[np.unique(np.argmax(points @ _across(normal) @ _compass(0.2).T, 0))]

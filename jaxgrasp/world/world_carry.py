@@ -5,7 +5,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 
 from jaxgrasp.grip.carry import Instant
 from jaxgrasp.grip.monitor import Hold, Law
@@ -30,8 +29,10 @@ class WorldInstant(NamedTuple):
     """What the hand exerts on each, and what its joints feel of it."""
     loads: Loads
     """What acted on each until the next instant, by the engine."""
-    gained: Float[Array, "N 6"]
+    gained: Float[np.ndarray, "N 6"]
     """Rate of each object's momentum until then [N, N.m]."""
+    solved: bool
+    """Whether the engine solved its own equations as closely as it means to."""
 
     @property
     def gripped(self) -> Instant:
@@ -95,6 +96,6 @@ def world_carry(
         step = engine.step(state, HandMove(jax.device_get(touches.contacts), now, later), dt)
         wrench = step.gained + weights - step.loads.by_world
         share = hand_share(world, posture, state.placed, touches, wrench, law=law)
-        instants.append(WorldInstant(state, share, step.loads, step.gained))
+        instants.append(WorldInstant(state, share, step.loads, step.gained, step.solved))
         state = step.state
     return instants

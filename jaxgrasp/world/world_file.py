@@ -74,7 +74,7 @@ def _depth(one: _Named, other: _Named) -> float:
     centers, radii = _balls(one.shape, one.placed)
     if isinstance(other.shape, SphereTree):
         its, sizes = _balls(other.shape, other.placed)
-        apart = [np.min(np.linalg.norm(center - its, axis=1) - sizes) for center in centers]
+        apart = np.array([np.min(np.linalg.norm(center - its, axis=1) - sizes) for center in centers])
     else:
         own = (centers - np.asarray(other.placed.origin)) @ np.asarray(other.placed.rotation)
         apart = np.asarray(signed_distance(other.shape, jnp.asarray(own))[0])

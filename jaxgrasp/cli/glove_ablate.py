@@ -8,13 +8,14 @@ from jaxgrasp.cli.machine import say_compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
-from jaxgrasp.grip.scene_file import gripped_scene, load_scene, scene_path
+from jaxgrasp.grip.scene_file import check_without_others, gripped_scene, load_scene, scene_path
 from jaxgrasp.lab.ablation import JointLoss, joint_losses
 
 
 def ablate_command(arguments: Ablate) -> int:
     """A line a joint, and the same as CSV where it is asked for."""
     file = load_scene(scene_path(arguments.scene))
+    check_without_others(file)
     model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
     set_up_jax("float64")
     say_compiling("the hand and its contacts")

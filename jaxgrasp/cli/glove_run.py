@@ -23,7 +23,7 @@ from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, scene_path
+from jaxgrasp.grip.scene_file import SceneFile, check_without_others, gripped_scene, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.model.hand import Pose
@@ -44,6 +44,7 @@ def run_command(arguments: Run) -> int:
     if arguments.connect and arguments.port is not None:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
     file = load_scene(scene_path(arguments.scene))
+    check_without_others(file)
     alignment = _check_ends(arguments)
     if arguments.listen:
         return _serve(arguments, model, options)

@@ -10,6 +10,7 @@ from jaxgrasp.grip.scene import Scene
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.led_bodies import Motions
 
 
@@ -84,6 +85,7 @@ def _moments(k: int, shape: Shape) -> list[float]:
     return moments
 
 
+@checked
 def at_rest(placed: Pose) -> WorldState:
     """A world whose objects do not move yet.
 

@@ -16,8 +16,9 @@ from jaxgrasp.world.physics import HAND, OBSTACLES, TABLE
 if TYPE_CHECKING:
     import mujoco
 
-UNMOVED = 1e6
-"""Mass of a link's body [kg]: a newton for a second moves it by less than a micrometre a second."""
+UNMOVED = 1e3
+"""Mass of a link's body [kg]: a newton in a step of a millisecond makes it a micrometre a second slower. More of it
+would hide the objects' own inertia from the solver's tolerance."""
 RIGID = (0.004, 1.0)
 """Time constant [s] and damping ratio of contacts among objects, and with the table."""
 IMPEDANCE = 0.9
@@ -106,7 +107,7 @@ class _Building:
         spec.option.gravity = np.asarray(world.scene.gravity, float)
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = RATIO
-        spec.option.tolerance = 1e-10
+        spec.option.tolerance = 1e-13
         self.guide = None if world.scene.guide is None else read_guide(np.asarray(world.scene.guide, float))
         self.whose: dict[str, tuple[int, int]] = {}
         self.pairs: list[tuple[int, int]] = []

@@ -181,8 +181,9 @@ def _turn(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> float:
 
 def _outermost(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """The points of a patch, each once; of many those that go furthest in some directions."""
-    apart = np.linalg.norm(points[:, None] - points, axis=-1) < SAME
-    points = points[np.argmax(apart, 1) == np.arange(len(points))]
+    same = np.linalg.norm(points[:, None] - points, axis=-1) < SAME
+    # In the middle of those that are one, since a ball that is held a micrometre beside its lowest place rolls.
+    points = np.array([points[same[k]].mean(0) for k in np.unique(np.argmax(same, 1))])
     if len(points) <= MANY:
         return points
     return points[np.unique(np.argmax(points @ _across(normal) @ _compass(0.2).T, 0))]

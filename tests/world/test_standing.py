@@ -29,7 +29,7 @@ def proves_a_fall(world, centers, found) -> bool:
     return work > 0 and float(resisting.max(initial=0)) <= 1e-5 * np.abs(rate).max()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_each_level_carries_what_is_above_it(seed):
     masses = np.random.default_rng(seed).uniform(0.1, 2, 4).tolist()
     world, state = tower(masses, 0.2)
@@ -110,6 +110,7 @@ def test_nothing_touches_and_all_falls():
     assert {HAND, TABLE, OBSTACLES}.isdisjoint(found.contacts.second.tolist())
 
 
+@pytest.mark.slow
 def test_a_mesh_out_of_its_principal_frame_is_refused():
     world, state = tower([0.1])
     tree = sphere_tree(Box(0.04, 0.04, 0.04), 2)

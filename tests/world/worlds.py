@@ -29,17 +29,18 @@ def world_with(
     hand: Hand | None = None,
     frame: np.ndarray | None = None,
     stiffness: float = 2000.0,
+    skin: float = 0.8,
     **scene: object,
 ) -> tuple[World, WorldState]:
     """Objects on a table, all seen from a frame that is turned; without a hand of its own, one that is far away."""
     frame = np.eye(3) if frame is None else frame
     hand = parallel_jaw() if hand is None else hand
-    things = [Thing(Body(s, m), 0.8, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
+    things = [Thing(Body(s, m), skin, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
     made = Scene(
         hand,
         things[0].body,
         Pose(np.zeros(3), frame),
-        0.8,
+        skin,
         stiffness,
         np.ones(len(hand.links)),
         frame @ np.array(gravity),

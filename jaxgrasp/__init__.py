@@ -12,7 +12,20 @@ from importlib import import_module as _import_module
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 if _TYPE_CHECKING:
-    from jaxgrasp import batch, glove, grip, hand, interop, lab, literature, psychophysics, quality, report, sensitivity
+    from jaxgrasp import (
+        batch,
+        glove,
+        grip,
+        hand,
+        interop,
+        lab,
+        literature,
+        psychophysics,
+        quality,
+        report,
+        sensitivity,
+        world,
+    )
     from jaxgrasp.batch.contact_sets import ContactSets
     from jaxgrasp.batch.evaluation import Evaluation, evaluate
     from jaxgrasp.batch.file_error import GraspFileError
@@ -95,6 +108,7 @@ _ROOMS = (
     "quality",
     "report",
     "sensitivity",
+    "world",
 )
 
 __all__ = sorted([*_HOME, *_ROOMS])  # noqa: PLE0605

@@ -8,7 +8,7 @@ from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import check_writable, replace_file
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
-from jaxgrasp.grip.scene_file import load_scene, scene_path
+from jaxgrasp.grip.scene_file import check_without_others, load_scene, scene_path
 from jaxgrasp.lab.ablation import JointLoss, joint_losses
 from jaxgrasp.lab.loaded_scene import loaded_scene
 
@@ -16,6 +16,7 @@ from jaxgrasp.lab.loaded_scene import loaded_scene
 def ablate_command(arguments: Ablate) -> int:
     """A line a joint, and the same as CSV where it is asked for."""
     file = load_scene(scene_path(arguments.scene))
+    check_without_others(file)
     model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
     if arguments.out is not None:
         check_writable(arguments.out.parent)

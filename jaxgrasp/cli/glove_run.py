@@ -28,7 +28,7 @@ from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alig
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.grip.human_scale import beyond_human
 from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, load_scene, scene_path
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, check_without_others, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -54,6 +54,7 @@ def run_command(arguments: Run) -> int:
     if arguments.connect and arguments.port is not None:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
     file = load_scene(scene_path(arguments.scene))
+    check_without_others(file)
     alignment = _check_ends(arguments)
     if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
         raise ValueError("view needs a glove, by port or connect: it shows the engine's side of the loop")

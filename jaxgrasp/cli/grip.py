@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxgrasp.cli.grip_arguments import Grip
+from jaxgrasp.cli.grip_world import carried_world, moved_world, said_of_others
 from jaxgrasp.cli.machine import compiling, provenance, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.terminal import announce, show
@@ -22,7 +23,9 @@ from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry, TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
 from jaxgrasp.hand.grip_type import GripType, grip_type
+from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.lab.loaded_scene import loaded_scene
+from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.grip_over_time import History, history
 from jaxgrasp.validation.fields import check_finite, check_positive
@@ -54,9 +57,12 @@ def grip_command(arguments: Grip) -> int:
     check_writable(arguments.out)
     for line in beyond_human(file):
         announce(line)
+    if arguments.engine == "mujoco":
+        import_mujoco("engine mujoco")
     set_up_jax("float64")
     with compiling("the hand and its contacts"):
         made = loaded_scene(file)
+        world = moved_world(file, made, arguments.engine) if file.other or arguments.engine else None
     hand, closed = made.scene.hand, made.closed
     show(f"closed on the {_solid(file)}: {int(made.contacts.present.sum())} contacts, {_words(made.kind)}")
     postures = lift_and_turn(
@@ -67,11 +73,19 @@ def grip_command(arguments: Grip) -> int:
         axis=np.array([1.0, 0.0, 0.0]),
         release=Posture(closed.wrist, made.open) if arguments.release else None,
     )
+    dt = float(times[1] - times[0])
     with compiling("both laws, and what the object does"):
-        record = stacked(carry(made.scene, postures, made.placed, float(times[1] - times[0]), law=made.law))
+        if world is None:
+            record, others = stacked(carry(made.scene, postures, made.placed, dt, law=made.law)), None
+        else:
+            record, others = carried_world(world, postures, dt, made.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
     summary = {"grip": _words(made.kind)} | _summary(hand, times, record) | _unbalanced(record)
-    _write(arguments.out, hand, times, postures, record, summary)
+    columns = _columns(hand, times, postures, record)
+    if others is not None:
+        summary |= others.summary
+        columns |= others.columns
+    _write(arguments.out, columns, summary)
     show(_said(summary))
     for line in too_strong(summary["largest_resisting_torque_Nm"]):
         announce(line)
@@ -100,10 +114,10 @@ def _words(kind: GripType) -> str:
     return kind.name.lower().replace("_", " ")
 
 
-def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: Instant, summary: dict) -> None:
-    """Everything over time in arrays, and in words what a person asks first."""
+def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Instant) -> dict[str, AnyArray]:
+    """Everything over time in arrays."""
     ticks = record.tick
-    columns = {
+    return {
         "time": times,
         "wrist_origin": postures.wrist.origin,
         "wrist_rotation": postures.wrist.rotation,
@@ -130,6 +144,10 @@ def _write(out: Path, hand: Hand, times: np.ndarray, postures: Posture, record: 
         "joints": np.array(hand.joints),
         "links": np.array([link.name for link in hand.links]),
     }
+
+
+def _write(out: Path, columns: dict[str, AnyArray], summary: dict) -> None:
+    """All arrays, and in words what a person asks first."""
     replace_file(out / "grip.npz", lambda stream: np.savez_compressed(stream, **jax.device_get(columns)))
     text = json.dumps(summary, indent=2)
     replace_file(out / "grip.json", lambda stream: stream.write(text.encode()))
@@ -217,6 +235,8 @@ def _said(found: dict) -> str:
         f"largest torque against flexion: {found['largest_resisting_torque_Nm']:.3f} N.m, "
         f"{found['its_joint']} at {found['its_time_s']:.2f} s",
     ]
+    if "others" in found:
+        lines.append(said_of_others(found["others"]))
     if found["first_not_stable_s"] is not None:
         lines.insert(1, f"not stable for the first time at {found['first_not_stable_s']:.2f} s")
     return "\n".join(lines)

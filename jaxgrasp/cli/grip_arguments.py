@@ -17,6 +17,9 @@ class Grip:
     scene: str | None = None
     """TOML file of a scene, or the name of a ready one (`jaxgrasp scene list`): it has the hand, the object, the
     grip and its law, and what is said of these here does not count."""
+    engine: Literal["quasi-static", "mujoco"] | None = None
+    """What moves the objects of a scene that has others beside the gripped one: our own engine, which is taken where
+    none is named, or MuJoCo's (needs the extra `hands`)."""
     object: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
     """What is gripped; in a power grip it lies across the palm."""
     grip: Literal["power", "precision-3", "precision-5"] = "power"

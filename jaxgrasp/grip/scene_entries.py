@@ -154,13 +154,27 @@ def _check_inertia(numbers: tuple[float, ...]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObstacleEntry(SolidEntry):
-    """A table ``[[obstacle]]``: what stands or moves in the way of object and hand."""
+class PlacedEntry(SolidEntry):
+    """A shape that stands in the world."""
 
     at: tuple[float, ...]
     """Place of its centre, from the object's at first, along the world's axes [m]."""
     turn: tuple[float, ...] = (0.0, 0.0, 0.0)
     """Turn of the shape: an axis in the world, as long as the angle [rad]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_vectors(self, "at", "turn")
+
+    def rotation(self) -> Array:
+        """Its axes in the world, as columns."""
+        return rotation_by(jnp.array(self.turn))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObstacleEntry(PlacedEntry):
+    """A table ``[[obstacle]]``: what stands or moves in the way of object and hand."""
+
     stiffness: float = 2000.0
     """K of eq. 1, of each part of the object that touches [N/m]."""
     friction: float = 0.0
@@ -176,7 +190,6 @@ class ObstacleEntry(SolidEntry):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_not_negative(self, "stiffness", "friction", "damping")
-        check_vectors(self, "at", "turn")
         for k, row in enumerate(self.path):
             if len(row) not in (4, 7) or not all(map(math.isfinite, row)):
                 raise ValueError(f"path[{k}] is {list(row)}: expected a time and three or six finite numbers")
@@ -190,9 +203,18 @@ class ObstacleEntry(SolidEntry):
         rows = jnp.array([(*row, 0.0, 0.0, 0.0)[:7] for row in self.path])
         return ObstaclePath(rows[:, 0], rows[:, 1:4], rows[:, 4:])
 
-    def rotation(self) -> Array:
-        """Its axes in the world, as columns."""
-        return rotation_by(jnp.array(self.turn))
+
+@dataclass(frozen=True, kw_only=True)
+class OtherEntry(ObjectEntry, PlacedEntry):
+    """A table ``[[other]]``: a further object, which moves by what hand, table and objects do to it."""
+
+    rubbing: float = 0.5
+    """Coulomb's coefficient between it and the table or another object; of two objects the larger counts, and the
+    table's friction is that of the gripped one."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_not_negative(self, "rubbing")
 
 
 @dataclass(frozen=True, kw_only=True)

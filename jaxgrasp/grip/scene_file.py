@@ -4,7 +4,7 @@ import os
 from dataclasses import dataclass, field, fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from jaxgrasp.grip.scene_entries import (
     HandEntry,
     ObjectEntry,
     ObstacleEntry,
+    OtherEntry,
     TableEntry,
     WorldEntry,
 )
@@ -39,6 +40,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
+Entry = TypeVar("Entry")
 LONGEST_NAME = 200
 APART = 1e-5
 """How deep an obstacle may be in the object at first [m]: rounding."""
@@ -56,11 +58,13 @@ class SceneFile:
     world: WorldEntry = field(default_factory=WorldEntry)
     guide: GuideEntry | None = None
     obstacle: tuple[ObstacleEntry, ...] = ()
+    other: tuple[OtherEntry, ...] = ()
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """What each table says, by its name; what is not given is left out."""
         named = {name: getattr(self, name) for name in (*TABLES, "guide")}
-        named |= {f"obstacle[{k}]": entry for k, entry in enumerate(self.obstacle)}
+        for kind in ("obstacle", "other"):
+            named |= {f"{kind}[{k}]": entry for k, entry in enumerate(getattr(self, kind))}
         said = {name: vars(entry).items() for name, entry in named.items() if entry is not None}
         return {name: {key: value for key, value in entry if value is not None} for name, entry in said.items()}
 
@@ -124,19 +128,33 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
         name,
         **{key: made_from(kind, given.get(key, {}), key) for key, kind in TABLES.items()},
         guide=made_from(GuideEntry, given["guide"], "guide") if "guide" in given else None,
-        obstacle=_obstacles(given.get("obstacle", [])),
+        obstacle=_each(ObstacleEntry, given, "obstacle"),
+        other=_each(OtherEntry, given, "other"),
     )
     folder = Path(path).parent
     mesh, hand = (
         _existing(*one, folder) for one in (("object.mesh", found.object.mesh), ("hand.file", found.hand.file))
     )
-    return replace(found, object=replace(found.object, mesh=mesh), hand=replace(found.hand, file=hand))
+    others = tuple(
+        replace(entry, mesh=_existing(f"other[{k}].mesh", entry.mesh, folder)) for k, entry in enumerate(found.other)
+    )
+    return replace(found, object=replace(found.object, mesh=mesh), hand=replace(found.hand, file=hand), other=others)
 
 
-def _obstacles(given: object) -> tuple[ObstacleEntry, ...]:
-    if not isinstance(given, list):
-        raise ValueError(f"obstacle is {given!r}: expected tables [[obstacle]]")
-    return tuple(made_from(ObstacleEntry, one, f"obstacle[{k}]") for k, one in enumerate(given))
+def check_without_others(file: SceneFile) -> None:
+    """Raise ValueError for a scene of more objects than the gripped one, which not every command moves."""
+    if file.other:
+        raise ValueError(
+            f"scene has {len(file.other)} tables [[other]]: expected none, `jaxgrasp grip --scene` takes them"
+        )
+
+
+def _each(kind: type[Entry], given: dict[str, Any], name: str) -> tuple[Entry, ...]:
+    """The entries of an array of tables; none where it is not given."""
+    tables = given.get(name, [])
+    if not isinstance(tables, list):
+        raise ValueError(f"{name} is {tables!r}: expected tables [[{name}]]")
+    return tuple(made_from(kind, one, f"{name}[{k}]") for k, one in enumerate(tables))
 
 
 def _existing(name: str, given: str | None, folder: Path) -> str | None:

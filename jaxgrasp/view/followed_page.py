@@ -15,7 +15,7 @@ from jaxgrasp.view.latency import Latency
 from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
-from jaxgrasp.view.standing import standing_surfaces
+from jaxgrasp.view.standing_surfaces import standing_surfaces
 from jaxgrasp.view.view_slots import Carried, ViewFrame
 from jaxgrasp.view.viewer import EYE, Viewer
 

@@ -10,7 +10,7 @@ from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
 from jaxgrasp.view.live_hand import Controls, LiveHand
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
-from jaxgrasp.view.standing import standing_surfaces
+from jaxgrasp.view.standing_surfaces import standing_surfaces
 from jaxgrasp.view.viewer import EYE, Viewer
 
 REACH = 40.0

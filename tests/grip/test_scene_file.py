@@ -73,6 +73,16 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ),
         ("[[obstacle]]\nat = [0, 0, 1]\ndamping = -1", "obstacle[0]: damping is -1.0: expected a finite number, 0 or"),
         ("[table]\ntouches_hand = 1", "table.touches_hand is 1: expected true or false"),
+        ("[other]\nat = [0, 0, 1]", "other is {'at': [0, 0, 1]}: expected tables [[other]]"),
+        ("[[other]]\nmass = 1", "other[0] has no 'at'"),
+        ("[[other]]\nat = [0, 0, 1]\nmas = 1", "other[0] has 'mas': did you mean 'mass'?"),
+        (
+            "[[other]]\nat = [0, 0, 1]\n[[other]]\nat = [0, 0, 2]\nmass = 0",
+            "other[1]: mass is 0.0: expected a positive",
+        ),
+        ("[[other]]\nat = [0, 0, 1]\nrubbing = -1", "other[0]: rubbing is -1.0: expected a finite number, 0 or more"),
+        ("[[other]]\nat = [0, 0, 1]\nturn = [0, 1]", "other[0]: turn is [0.0, 1.0]: expected three finite numbers"),
+        ('[[other]]\nat = [0, 0, 1]\nmesh = "cup.stl"', "other[0].mesh is 'cup.stl': there is no such file"),
         ('[guide]\nkind = "hinge"', "guide has no 'axis'"),
         ('[guide]\nkind = "hinge"\naxis = [0, 0, 0]', "guide: axis is [0.0, 0.0, 0.0]: expected a direction"),
         ('[guide]\nkind = "slide"\naxis = [0, 0, 1]\npitch = 1', "guide: pitch is 1.0: expected none of a slide"),
@@ -103,7 +113,7 @@ def test_ready_scenes_are_listed_and_checked(folder, capsys):
         assert name in said and main(["scene", "check", name]) == 0
     assert main(["scene", "check", "nowhere"]) == 1
     assert (
-        "scene is 'nowhere': expected a TOML file, or one of ball, box, cylinder, door_handle, peg"
+        "scene is 'nowhere': expected a TOML file, or one of ball, box, cylinder, door_handle, peg, stack"
         in capsys.readouterr().err
     )
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.grip.table_support import FADE
 from jaxgrasp.lab.felt_objects import TRAVEL, LawOfAngles, felt_object, resistances
 from jaxgrasp.lab.simulated_weight import CarriedPlate, G, rendering_of
 from jaxgrasp.lab.stimuli import PredictedGloveStimulus
@@ -68,11 +69,14 @@ def test_inertia_is_felt_as_it_is_lifted_fast(felt, plate):
 
 def test_torques_are_in_proportion_to_the_weight_and_near_the_exact_law(felt, plate):
     way = felt.postures()
-    one, _, ticks = lifted(plate, 1.0, way, 0.05)
+    one, heights, ticks = lifted(plate, 1.0, way, 0.05)
     three, _, _ = lifted(plate, 3.0, way, 0.05)
-    way, one, three = (each[alone(ticks)] for each in (way, one, three))
-    np.testing.assert_allclose(three[1:], 3 * one[1:], atol=2e-4)
-    np.testing.assert_allclose(plate.on_the_way(3.0)[1:], three[1:], atol=2e-4)
+    np.testing.assert_allclose(plate.on_the_way(3.0), 3 * one[alone(ticks)], atol=1e-12)
+    # Nothing rests on what it lay on any more.
+    chosen = alone(ticks) & (heights - heights[0] > FADE)
+    way, one, three = (each[chosen] for each in (way, one, three))
+    assert len(way) > 100
+    np.testing.assert_allclose(three, 3 * one, atol=2e-4)
     exact = np.asarray(resistances(felt, way, 1.0))
     whole = felt_object(StimulusPlan("weight", FIG_8), MODEL)
     high = np.array([float(whole.share(angles)) for angles in way]) == 1
@@ -84,7 +88,7 @@ def test_nothing_is_felt_of_nothing_and_the_way_has_an_end(felt, plate):
     start = np.asarray(felt.start)
     plate.begin(0.0)
     assert not np.any(plate.tick(0.0, start).law.torques)
-    past = start + np.array([1.2 if name in ("index MP", "middle MP") else 0.0 for name in MODEL.joints])
+    past = start + np.array([0.8 if name in ("index MP", "middle MP") else 0.0 for name in MODEL.joints])
     path = start + np.linspace(0, 1, 120)[:, None] * (past - start)
     torques, heights, ticks = lifted(plate, 0.5, path, 0.05)
     assert heights[-1] - heights[0] > TRAVEL and not ticks[-1].is_alone
@@ -96,6 +100,7 @@ def test_a_plan_says_which(felt, plate):
     assert isinstance(rendering_of(StimulusPlan("weight"), felt, MODEL), LawOfAngles)
     predicted = PredictedGloveStimulus(felt, MODEL, plate).predict(1.0)
     by_law = PredictedGloveStimulus(felt, MODEL).predict(1.0)
-    assert predicted.torque == pytest.approx(by_law.torque, rel=0.5) and not predicted.saturated
+    # Of two fingers one bears more, and none bears more than all of it.
+    assert by_law.torque < predicted.torque < 2 * by_law.torque and not predicted.saturated
     with pytest.raises(ValueError, match="rendering is 'simulated': expected 'exact' of a torque"):
         StimulusPlan("torque", rendering="simulated")

@@ -1,0 +1,93 @@
+"""``jaxgrasp grip`` in a scene of many objects: what the engine moves, and what became of the others."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxgrasp.cli.terminal import show
+from jaxgrasp.grip.carry import Instant, stacked
+from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile
+from jaxgrasp.model.hand import Posture
+from jaxgrasp.world.engines import EngineName, engine_of
+from jaxgrasp.world.many_bodies import World, WorldState
+from jaxgrasp.world.physics import Engine
+from jaxgrasp.world.world_carry import world_carry
+from jaxgrasp.world.world_file import world_of
+
+STAYED = 1e-3
+"""What went less far than that stayed where it was [m]."""
+
+
+class MovedWorld(NamedTuple):
+    """A world at first, and the engine that moves it."""
+
+    world: World
+    state: WorldState
+    engine: Engine
+    name: EngineName
+
+
+class OthersRecord(NamedTuple):
+    """What became of the objects beside the gripped one."""
+
+    columns: dict[str, np.ndarray]
+    summary: dict
+
+
+def moved_world(file: SceneFile, made: GrippedScene, engine: EngineName | None) -> MovedWorld:
+    """The world of a file, by the engine that is named, or ours.
+
+    Raises:
+        ValueError: for objects that begin inside one another.
+        ImportError: without what the engine needs.
+    """
+    world, state = world_of(file, made)
+    name = engine or "quasi-static"
+    return MovedWorld(world, state, engine_of(name, world, state), name)
+
+
+def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> tuple[Instant, OthersRecord]:
+    """The gripped object's record, and the others'."""
+    count = len(moved.world.others)
+    show(f"{count} more object{'' if count == 1 else 's'}, moved by the engine {moved.name}")
+    instants = world_carry(moved.world, moved.engine, postures, moved.state, dt, law=law)
+    record = stacked([instant.gripped for instant in instants])
+    states, shares, loads = (
+        jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *parts))
+        for parts in (
+            [instant.state for instant in instants],
+            [(instant.share.exerted, instant.share.touches.contacts.points) for instant in instants],
+            [instant.loads for instant in instants],
+        )
+    )
+    exerted, points = shares
+    columns = {
+        "others_origin": states.placed.origin[:, 1:],
+        "others_rotation": states.placed.rotation[:, 1:],
+        "others_forces": exerted[:, 1:],
+        "others_points": points[:, 1:],
+        "loads_by_table": loads.by_table,
+        "loads_by_obstacles": loads.by_obstacles,
+        "loads_by_things": loads.by_things,
+    }
+    ways = np.linalg.norm(states.placed.origin - states.placed.origin[0], axis=-1)[:, 1:]
+    summary = {
+        "engine": moved.name,
+        "not_solved": int(sum(not instant.solved for instant in instants)),
+        "others": {
+            "furthest_m": ways.max(0).tolist(),
+            "touched_by_hand": np.any(exerted[:, 1:], (0, 2, 3)).tolist(),
+        },
+    }
+    return record, OthersRecord(columns, summary)
+
+
+def said_of_others(others: dict) -> str:
+    """A line on each of them."""
+    lines = []
+    for k, (way, touched) in enumerate(zip(others["furthest_m"], others["touched_by_hand"], strict=True)):
+        went = "stayed where it was" if way < STAYED else f"went {100 * way:.1f} cm away at most"
+        lines.append(f"other[{k}] {went}, " + ("the hand touched it" if touched else "the hand did not touch it"))
+    return "\n".join(lines)

@@ -1,0 +1,172 @@
+"""A world by MuJoCo's engine (extra ``hands``): objects, table, obstacles and guide as its bodies, the hand led along.
+
+- The skin's balls are those that contacts are found with. Each touches objects by a pair of its own, whose stiffness is
+  set at every step so that a link presses by K c depth (eq. 6), however many of its balls touch.
+- A link has a body too heavy to be pushed aside, whose motion is prescribed: MuJoCo's mocap bodies have no velocity, so
+  that they could not drag anything along.
+- Obstacles are springs without friction, as in [`jaxgrasp.grip.Obstacle`][]; what objects are to one another and to the
+  table is nearly rigid.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.model.hand import Pose
+from jaxgrasp.world.led_bodies import Motions, led, link_motion
+from jaxgrasp.world.many_bodies import World, WorldState, masses
+from jaxgrasp.world.mujoco_model import spring_solref, world_model
+from jaxgrasp.world.physics import HAND, HandMove, Loads, Step, summed_loads
+
+SUBSTEP = 1e-3
+"""Longest step of MuJoCo's [s]."""
+SOFTEST = 1e-3
+"""Part of K that each ball of a link has at least, for what it meets within a step."""
+
+
+class MujocoEngine:
+    """MuJoCo's answer to how a world goes on; its state is that of the last step, which MuJoCo starts from."""
+
+    def __init__(self, world: World, state: WorldState):
+        """Build the model.
+
+        Args:
+            world: what stays the same.
+            state: where its objects are at first: a guided object's joints are those of that place.
+
+        Raises:
+            ImportError: without MuJoCo.
+            ValueError: for a guide of more than one twist, and shapes that MuJoCo does not have.
+        """
+        self._mujoco = import_mujoco("MujocoEngine")
+        self._weights = masses(world.things)
+        self._at_first = state.placed
+        self._parts = parts = world_model(self._mujoco, world, self._weights, state.placed)
+        self.model, self.data = parts.model, self._mujoco.MjData(parts.model)
+        pressing = np.asarray(world.scene.contributions, float)[:, None] * [float(t.stiffness) for t in world.things]
+        self._stiffness = np.where(parts.pair_links >= 0, pressing[parts.pair_links, parts.pair_things], 0)
+        self._of_hand = np.flatnonzero(parts.pair_links >= 0)
+        self._free = [n for n in range(len(parts.bodies)) if n > 0 or parts.guide is None]
+        joints = [int(self.model.body_jntadr[parts.bodies[n]]) for n in self._free]
+        self._places, self._rates = self._addresses(joints)
+        links = range(len(world.scene.hand.links))
+        self._link_places, self._link_rates = self._addresses(
+            [int(self.model.body_jntadr[self.model.body(f"link {k}").id]) for k in links]
+        )
+
+    def _addresses(self, joints: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Of free joints: ``(n, 7)`` in qpos, ``(n, 6)`` in qvel."""
+        places, rates = (np.array(adr[joints], int) for adr in (self.model.jnt_qposadr, self.model.jnt_dofadr))
+        return places[:, None] + np.arange(7), rates[:, None] + np.arange(6)
+
+    def step(self, state: WorldState, hand: HandMove, dt: float) -> Step:
+        """The world a step later, in as many of MuJoCo's as it takes; see [`jaxgrasp.world.Engine`][]."""
+        mujoco, model, data = self._mujoco, self.model, self.data
+        count = math.ceil(dt / SUBSTEP - 1e-9)
+        model.opt.timestep = dt / count
+        links, motion = link_motion(hand.now, hand.later, dt)
+        self._put(state)
+        pushes, solved = [], True
+        for k in range(count):
+            self._lead(led(links, motion, k * model.opt.timestep), motion)
+            if k == 0:
+                self._soften()
+            mujoco.mj_step(model, data)
+            pushes.append(self._pushes())
+            solved = solved and max(data.solver_niter) < model.opt.iterations
+        after = self._taken()
+        gained = (self._weights.momentum(after) - self._weights.momentum(state)) / dt
+        return Step(after, Loads(*(np.mean(parts, 0) for parts in zip(*pushes, strict=True))), gained, solved)
+
+    def _put(self, state: WorldState) -> None:
+        """Objects where the state has them."""
+        data, placed, motion = self.data, state.placed, state.motion
+        free = Pose(placed.origin[self._free], placed.rotation[self._free])
+        self._set(self._places, self._rates, free, Motions(motion.linear[self._free], motion.angular[self._free]))
+        guide = self._parts.guide
+        if guide is None:
+            return
+        way = placed.origin[0] - self._at_first.origin[0]
+        turn = Rotation.from_matrix(placed.rotation[0] @ self._at_first.rotation[0].T)
+        if guide.slides:
+            data.joint("slide").qpos[0] = guide.axis @ way
+            data.joint("slide").qvel[0] = guide.axis @ motion.linear[0]
+        if guide.turns:
+            angle = guide.axis @ turn.as_rotvec()
+            data.joint("hinge").qpos[0] = guide.axis @ way / guide.pitch if guide.slides else angle
+            data.joint("hinge").qvel[0] = guide.axis @ motion.angular[0]
+
+    def _lead(self, links: Pose, motion: Motions) -> None:
+        """Links where the hand has them, and how they move."""
+        self._set(self._link_places, self._link_rates, links, motion)
+
+    def _set(self, places: np.ndarray, rates: np.ndarray, placed: Pose, motion: Motions) -> None:
+        """Places and rates of free joints; these turn in their bodies' own frames."""
+        quaternions = Rotation.from_matrix(placed.rotation).as_quat()[:, [3, 0, 1, 2]]
+        self.data.qpos[places] = np.concatenate([placed.origin, quaternions], 1)
+        spins = np.einsum("nji,nj->ni", placed.rotation, motion.angular)
+        self.data.qvel[rates] = np.concatenate([motion.linear, spins], 1)
+
+    def _soften(self) -> None:
+        """Springs of the hand, so that all balls of a link together press by K c times its depth.
+
+        A link's depth is the mean of its balls', each weighted by its square (see [`jaxgrasp.hand.find_contacts`][]).
+        """
+        mujoco, model, data, parts = self._mujoco, self.model, self.data, self._parts
+        if not len(self._of_hand):
+            return
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        depths = np.maximum(-data.contact.dist, 0)
+        owners, of_links = parts.owners[data.contact.geom], parts.links[data.contact.geom]
+        by_hand = (owners == HAND).any(1)
+        link, thing = of_links.max(1)[by_hand], owners.max(1)[by_hand]
+        sums = np.zeros((3, parts.links.max() + 1, len(parts.bodies)))
+        for power in (1, 2, 3):
+            np.add.at(sums[power - 1], (link, thing), depths[by_hand] ** power)
+        one, square, cube = sums
+        share = np.where(one > 0, cube / np.where(one > 0, square * one, 1), 1)
+        pairs = self._of_hand
+        stiffness = self._stiffness[pairs] * np.maximum(
+            share[parts.pair_links[pairs], parts.pair_things[pairs]], SOFTEST
+        )
+        model.pair_solref[pairs] = spring_solref(stiffness, self._weights.mass[parts.pair_things[pairs]])
+
+    def _pushes(self) -> Loads:
+        """What contacts exert."""
+        data, parts = self.data, self._parts
+        contact = data.contact
+        acts = np.flatnonzero(contact.efc_address >= 0)
+        first, frames = contact.efc_address[acts], contact.frame[acts].reshape(-1, 3, 3)
+        has_friction = contact.dim[acts] > 1
+        along = np.stack(
+            [data.efc_force[np.where(has_friction, first + i, first)] * (has_friction | (i == 0)) for i in range(3)], 1
+        )
+        # From a contact's first geom to its second; an object comes first here.
+        forces = np.einsum("ci,cij->cj", along, frames)
+        owners = parts.owners[contact.geom[acts]][:, ::-1]
+        turned = owners[:, 0] < 0
+        owners[turned], forces[turned] = owners[turned, ::-1], -forces[turned]
+        return summed_loads(owners, contact.pos[acts], forces, data.xipos[parts.bodies])
+
+    def _taken(self) -> WorldState:
+        """Where objects are, and how they move."""
+        mujoco, model, data, parts = self._mujoco, self.model, self.data, self._parts
+        mujoco.mj_kinematics(model, data)
+        origin, rotation = data.xpos[parts.bodies].copy(), data.xmat[parts.bodies].reshape(-1, 3, 3).copy()
+        linear, angular = np.zeros((2, len(parts.bodies), 3))
+        rates = data.qvel[self._rates]
+        linear[self._free] = rates[:, :3]
+        angular[self._free] = np.einsum("nij,nj->ni", rotation[self._free], rates[:, 3:])
+        guide = parts.guide
+        if guide is not None:
+            if guide.turns:
+                angular[0] = data.joint("hinge").qvel[0] * guide.axis
+                linear[0] = np.cross(angular[0], origin[0] - guide.point)
+            if guide.slides:
+                linear[0] += data.joint("slide").qvel[0] * guide.axis
+        return WorldState(Pose(origin, rotation), Motions(linear, angular))

@@ -1,0 +1,95 @@
+"""What every engine answers: where the objects of a world are a step later, and what acted on them on the way."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.model.arrays import AnyArray, Float, Int
+from jaxgrasp.model.hand import HandFrames
+from jaxgrasp.world.many_bodies import WorldState
+
+HAND, TABLE, OBSTACLES = -1, -2, -3
+"""What touches an object and is none."""
+
+
+class HandMove(NamedTuple):
+    """What the hand does in a step."""
+
+    contacts: Contacts
+    """``(N, L)``: of its links with the objects at first."""
+    now: HandFrames
+    """Its frames at first."""
+    later: HandFrames
+    """Those at the end; every link moves steadily from one to the other."""
+
+
+class Loads(NamedTuple):
+    """What acts on each of N objects, as wrenches about its centre along the world's axes: means over a step."""
+
+    by_table: Float[np.ndarray, "N 6"]
+    """[N, N.m]"""
+    by_obstacles: Float[np.ndarray, "N 6"]
+    by_things: Float[np.ndarray, "N N 6"]
+    """On each object (first axis) by each other one."""
+    by_hand: Float[np.ndarray, "N 6"]
+    """As the engine has it."""
+
+    @property
+    def by_world(self) -> Float[np.ndarray, "N 6"]:
+        """By all but the hand."""
+        return self.by_table + self.by_obstacles + self.by_things.sum(1)
+
+
+def summed_loads(
+    owners: Int[np.ndarray, "m 2"],
+    points: Float[np.ndarray, "m 3"],
+    forces: Float[np.ndarray, "m 3"],
+    centers: Float[AnyArray, "N 3"],
+) -> Loads:
+    """The loads of contact forces.
+
+    Args:
+        owners: the object that each force acts on, and what exerts it: an object that feels its opposite, or
+            HAND, TABLE or OBSTACLES.
+        points: where they act [m].
+        forces: on the first of each [N].
+        centers: of the objects [m].
+    """
+    count = len(centers)
+    total = np.zeros((count, count + 3, 6))
+    for sign, (mine, its) in ((1.0, owners.T), (-1.0, owners.T[::-1])):
+        on = np.flatnonzero(mine >= 0)
+        pushes = sign * forces[on]
+        wrenches = np.concatenate([pushes, np.cross(points[on] - centers[mine[on]], pushes)], 1)
+        # What is no object comes after the objects.
+        np.add.at(total, (mine[on], np.where(its[on] < 0, count - 1 - its[on], its[on])), wrenches)
+    by = {source: total[:, count - 1 - source] for source in (HAND, TABLE, OBSTACLES)}
+    return Loads(by[TABLE], by[OBSTACLES], total[:, :count], by[HAND])
+
+
+class Step(NamedTuple):
+    """A step in time."""
+
+    state: WorldState
+    """After it."""
+    loads: Loads
+    gained: Float[np.ndarray, "N 6"]
+    """Rate of momentum, linear and angular, of each object [N, N.m]."""
+    solved: bool
+    """Whether the engine solved its own equations as closely as it means to."""
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Moves the objects of one world; it knows the world from when it was made."""
+
+    def step(self, state: WorldState, hand: HandMove, dt: float) -> Step:
+        """The world a step later.
+
+        Args:
+            state: of all objects at first.
+            hand: what the hand does.
+            dt: how long it takes [s].
+        """
+        ...

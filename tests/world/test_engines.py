@@ -1,0 +1,116 @@
+"""Both engines against balances of their own steps: weights, falls, slopes, overhangs, and Newton's laws."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxgrasp.hand import Box, Sphere
+from tests.world.worlds import BLOCK, ENGINES, G, left_alone, some_turn, tower, world_with
+
+BOTH = pytest.mark.parametrize("name", ENGINES)
+WEIGHT_ERROR = {"quasi-static": 1e-6, "mujoco": 1e-4}
+"""Of the whole weight, at rest."""
+
+
+def of_world(name, world, state, seconds, dt=0.01):
+    return left_alone(world, ENGINES[name](world, state), state, seconds, dt)
+
+
+@pytest.mark.slow
+@BOTH
+def test_a_stack_at_rest_carries_what_is_above(name):
+    masses = [0.3, 0.2, 0.5]
+    world, state = tower(masses, 0.2)
+    last = of_world(name, world, state, 0.5)[-1]
+    error = WEIGHT_ERROR[name] * G * sum(masses)
+    np.testing.assert_allclose(last.loads.by_table[0, :3], [0, 0, G * sum(masses)], atol=error)
+    np.testing.assert_allclose(last.loads.by_things[1, 0, :3], [0, 0, G * 0.7], atol=error)
+    np.testing.assert_allclose(last.loads.by_things[2, 1, :3], [0, 0, G * 0.5], atol=error)
+    assert last.solved and np.abs(last.state.placed.origin - state.placed.origin).max() < 2e-4
+
+
+@pytest.mark.slow
+@BOTH
+@pytest.mark.parametrize("overhang", [0.2, 0.45, 0.55, 0.8])
+def test_a_block_that_stands_out_beyond_half_falls(name, overhang):
+    world, state = tower([0.3, 0.2], overhang)
+    last = of_world(name, world, state, 0.4)[-1]
+    fallen = state.placed.origin[1, 2] - last.state.placed.origin[1, 2]
+    assert fallen > 5e-3 if overhang > 0.5 else fallen < 1e-4
+
+
+@pytest.mark.slow
+@BOTH
+@pytest.mark.parametrize("rubbing", [0.45, 0.55])
+def test_a_block_slides_where_the_slope_exceeds_the_friction(name, rubbing):
+    """And gains speed by what is left of gravity."""
+    slope = np.arctan(0.5)
+    gravity = (G * np.sin(slope), 0.0, -G * np.cos(slope))
+    world, state = world_with([BLOCK], np.array([[0, 0, 0.02]]), [0.2], rubbing=rubbing, gravity=gravity)
+    speed = of_world(name, world, state, 0.4)[-1].state.motion.linear[0, 0]
+    expected = max(0.0, 0.4 * G * (np.sin(slope) - rubbing * np.cos(slope)))
+    assert speed == pytest.approx(expected, rel=0.03, abs=1e-3)
+
+
+@pytest.mark.slow
+@BOTH
+def test_what_is_released_falls_and_keeps_its_spin(name):
+    world, state = world_with([Sphere(0.02), Box(0.05, 0.03, 0.02)], np.array([[0, 0, 2.0], [1, 0, 3.0]]), [0.1, 0.2])
+    state.motion.angular[1] = [1.0, 2.0, 3.0]
+    steps = of_world(name, world, state, 0.3)
+    engine_step = 0.01 if name == "quasi-static" else 0.001
+    fallen = state.placed.origin[:, 2] - steps[-1].state.placed.origin[:, 2]
+    # An engine that gives gravity's speed at once is half a step ahead.
+    np.testing.assert_allclose(fallen, G * 0.3 * (0.3 + engine_step) / 2, rtol=1e-9)
+    gained = np.stack([step.gained for step in steps])
+    np.testing.assert_allclose(gained[..., :3].mean(0), [[0, 0, -G * 0.1], [0, 0, -G * 0.2]], atol=1e-9)
+    np.testing.assert_allclose(gained[:, 1, 3:], 0, atol=2e-5)
+
+
+@pytest.mark.slow
+@BOTH
+def test_motion_is_what_the_loads_make_of_it(name):
+    """Of a tower that tips over: mass times acceleration is weight and loads, and what two exert on each other is
+    opposite, moments about one point too."""
+    masses = np.array([0.3, 0.2])
+    world, state = tower(masses.tolist(), 0.7)
+    steps = of_world(name, world, state, 0.3)
+    before = state
+    for step in steps:
+        momentum = masses[:, None] * (step.state.motion.linear - before.motion.linear) / 0.01
+        weight = masses[:, None] * [0, 0, -G]
+        np.testing.assert_allclose(momentum, weight + step.loads.by_world[:, :3] + step.loads.by_hand[:, :3], atol=1e-6)
+        one, other = step.loads.by_things[0, 1], step.loads.by_things[1, 0]
+        np.testing.assert_allclose(one[:3], -other[:3], atol=1e-12)
+        arm = before.placed.origin[1] - before.placed.origin[0]
+        about_first = other[3:] + np.cross(arm, other[:3])
+        # The centres move on while a step of many is averaged.
+        moved = np.abs(step.state.placed.origin - before.placed.origin).max() * np.linalg.norm(other[:3])
+        np.testing.assert_allclose(one[3:], -about_first, atol=2 * moved + 1e-9)
+        before = step.state
+
+
+@pytest.mark.slow
+@BOTH
+def test_turning_the_world_turns_what_happens(name):
+    turn = some_turn(5)
+    ends = []
+    for frame in (np.eye(3), turn):
+        world, state = tower([0.3, 0.2], 0.2, frame=frame)
+        last = of_world(name, world, state, 0.2)[-1]
+        ends.append((last.state.placed.origin @ frame, last.loads.by_table[:, :3] @ frame))
+    (one, loads), (other, turned) = ends
+    np.testing.assert_allclose(other, one, atol=1e-6)
+    np.testing.assert_allclose(turned, loads, atol=1e-4)
+
+
+@pytest.mark.slow
+@BOTH
+def test_the_order_of_the_objects_does_not_matter(name):
+    shapes, centers = [BLOCK, Sphere(0.02)], np.array([[0, 0, 0.02], [0.1, 0, 0.05]])
+    ends = []
+    for order in ([0, 1], [1, 0]):
+        world, state = world_with([shapes[k] for k in order], centers[order], [[0.3, 0.1][k] for k in order])
+        last = of_world(name, world, state, 0.2)[-1]
+        ends.append(jax.tree.map(lambda part, order=order: part[np.argsort(order)], (last.state, last.loads.by_table)))
+    jax.tree.map(lambda one, other: np.testing.assert_allclose(one, other, atol=1e-5), *ends)

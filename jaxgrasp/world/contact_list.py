@@ -27,7 +27,7 @@ class ContactList(NamedTuple):
     """[m]; negative where what touches reaches in."""
     friction: Float[np.ndarray, "m"]
     stiffness: Float[np.ndarray, "m"]
-    """Of springs [N/m]; inf where nothing gives."""
+    """Stiffness of springs [N/m]; inf where nothing gives."""
     carried: Float[np.ndarray, "m 3"]
     """Velocity of what is no object [m/s]."""
 

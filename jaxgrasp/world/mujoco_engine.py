@@ -59,7 +59,7 @@ class MujocoEngine:
         )
 
     def _addresses(self, joints: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Of free joints: ``(n, 7)`` in qpos, ``(n, 6)`` in qvel."""
+        """Indices of free joints: ``(n, 7)`` in qpos, ``(n, 6)`` in qvel."""
         places, rates = (np.array(adr[joints], int) for adr in (self.model.jnt_qposadr, self.model.jnt_dofadr))
         return places[:, None] + np.arange(7), rates[:, None] + np.arange(6)
 

@@ -50,7 +50,7 @@ class WorldModel(NamedTuple):
     bodies: np.ndarray
     """``(N,)``: ids of the objects' bodies."""
     guide: Guide | None
-    """Of the first object."""
+    """That of the first object."""
 
 
 class Guide(NamedTuple):

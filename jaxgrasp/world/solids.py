@@ -32,7 +32,7 @@ class Solid:
 
     @abstractmethod
     def _own_feature(self, direction: np.ndarray) -> np.ndarray:
-        """Likewise in its own frame."""
+        """What it says, in its own frame."""
 
     @abstractmethod
     def reach(self, directions: np.ndarray) -> np.ndarray:
@@ -56,7 +56,7 @@ class Solid:
 
     @abstractmethod
     def _own_nearest(self, points: np.ndarray) -> np.ndarray:
-        """Likewise in its own frame."""
+        """What it says, in its own frame."""
 
 
 class BallSolid(Solid):

@@ -20,7 +20,7 @@ BALANCED = 1e-9
 NEARLY = 1e-2
 """Part of free fall below which forces close by are looked for that leave nothing."""
 FALLING = 1e-4
-"""Likewise the part above which what is left proves a fall: an interior point ends at the root of its gap."""
+"""The part above which what is left proves a fall: an interior point ends at the root of its gap."""
 HARDLY = (1e-3, 0.0)
 """Parts of the largest force below which contacts are first taken to press not at all."""
 INSIDE = 1e-9

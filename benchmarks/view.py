@@ -79,6 +79,7 @@ def frames(plan: Plan) -> dict:
         "links": len(hand.made.scene.hand.links),
         "contacts": int(seen.there.sum()),
         "compiling_s": compiling,
+        "load": os.getloadavg()[0],
         "milliseconds": {name: spread(np.array(one)) for name, one in ways.items()},
         "saved_megabytes": len(html) / 1e6,
     }

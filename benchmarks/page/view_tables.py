@@ -31,7 +31,8 @@ def _frames(found: dict) -> str:
     ]
     return (
         f"## From a posture to a picture\n\nA hand of {found['links']} links with {found['contacts']} contacts; "
-        f"milliseconds. Asked: 50 to a drawn frame. The first posture takes {found['compiling_s']:.0f} s where the "
+        f"milliseconds, while {found['load']:.0f} processes wanted the processors (the load average). Asked: 50 to a "
+        f"drawn frame. The first posture takes {found['compiling_s']:.0f} s where the "
         f"compiled code is kept. The page in a file is {found['saved_megabytes']:.1f} MB; asked: 5.\n\n"
         + table(["way", "median", "99 of 100", "of the processors, median"], rows)
     )

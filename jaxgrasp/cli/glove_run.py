@@ -159,11 +159,11 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         angles = np.asarray(made.closed.angles)
         haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
         warm_up(haptics, pose_at(jnp.zeros(3)))
-    feed = _feed(arguments, haptics, made, law)
-    tracker = _tracker(arguments)
+    tracker, feed = _tracker(arguments), None
     wrist = Wrist(tracker, alignment)
-    end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     try:
+        feed = _feed(arguments, haptics, made, law)
+        end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         if arguments.connect is not None:
             times = _as_engine(arguments, haptics, wrist, end, feed)
         else:

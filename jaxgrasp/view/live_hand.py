@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy.spatial.transform import Rotation
 
 from jaxgrasp.grip.carry import CarryState, closest_to, go_on, led_tick, missed_by, set_down
 from jaxgrasp.grip.monitor import Law
@@ -23,7 +24,6 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, pose_matrix
 
 SHORTEST, LONGEST = 1e-3, 0.05
@@ -122,10 +122,10 @@ class LiveHand:
         return eqx.tree_at(where, self._scene, tuple(jnp.asarray(value, float) for value in new))
 
     def _posture(self, controls: Controls) -> Posture:
-        wrist = self.made.closed.wrist
-        turn = rotation_by(jnp.array([controls.turn, 0.0, 0.0]))
-        moved = Pose(jnp.asarray(wrist.origin) + controls.lift, turn @ jnp.asarray(wrist.rotation))
-        return Posture(moved, jnp.asarray(controls.angles, float))
+        # In NumPy: what is small costs JAX more to call than to compute.
+        wrist, turn = self.made.closed.wrist, Rotation.from_euler("x", controls.turn).as_matrix()
+        moved = np.asarray(wrist.origin) + controls.lift, turn @ np.asarray(wrist.rotation)
+        return Posture(Pose(*map(jnp.asarray, moved)), jnp.asarray(controls.angles, float))
 
     def _seen(self, placed: Pose, frames: HandFrames, tick: Tick, judged: Judged) -> Seen:
         fetched = jax.device_get((frames.links, placed, tick, judged))

@@ -94,7 +94,7 @@ class Viewer:
         """The object on its way along a twist, from 0 to 1 of it."""
         if self._drawn is not None:
             with self.server.atomic():
-                _place(self._object, escaped(self._drawn.object_pose, twist, self._drawn.origin, share))
+                _place([self._object], escaped(self._drawn.object_pose, twist, self._drawn.origin, share)[None])
             self.server.flush()
 
     def set_edges(self, lines: np.ndarray) -> None:
@@ -127,9 +127,10 @@ class Viewer:
         return page.replace("</body>", f'<aside style="{CORNER}">{words}</aside></body>')
 
     def _place_bodies(self, links: np.ndarray | None, object_pose: np.ndarray) -> None:
-        for handle, pose in zip(self._links, () if links is None else links, strict=False):
-            _place(handle, pose)
-        _place(self._object, object_pose)
+        bodies, poses = [self._object], object_pose[None]
+        if links is not None:
+            bodies, poses = [*bodies, *self._links], np.concatenate([poses, links])
+        _place(bodies, poses)
 
     def _light(self) -> None:
         """Soft light from all sides, and some from above one shoulder: colours stay those of the reports."""
@@ -201,9 +202,10 @@ class Viewer:
         self._instances(f"{name}/heads", head(), arrows.heads)
 
 
-def _place(handle: Any, pose: np.ndarray) -> None:
-    handle.position = pose[:, 3]
-    handle.wxyz = Rotation.from_matrix(pose[:, :3]).as_quat(scalar_first=True)
+def _place(bodies: Sequence[Any], poses: np.ndarray) -> None:
+    turns = Rotation.from_matrix(poses[:, :, :3]).as_quat(scalar_first=True)
+    for body, pose, turn in zip(bodies, poses, turns, strict=True):
+        body.position, body.wxyz = pose[:, 3], turn
 
 
 def _floats(array: np.ndarray) -> np.ndarray:

@@ -16,6 +16,8 @@ OBJECT_STORE = 200 << 20
 """Bytes of Ray's shared memory on this machine: what passes through it are names and reports."""
 
 CONNECT_SECONDS = 10.0
+STARTS = 3
+"""Ray gives up after half a minute, which on a machine that is busy is too little to start in."""
 
 
 class ClusterError(OSError):
@@ -55,7 +57,16 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
             yield ray
             return
         _check_address(where)
-        own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
+        _begin(ray, where, cpus)
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+def _begin(ray: Any, where: str, cpus: int | None) -> None:
+    own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
+    for left in reversed(range(STARTS if where == LOCAL else 1)):
         try:
             with _no_stderr():
                 ray.init(
@@ -65,13 +76,12 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
                     configure_logging=False,
                     **(own if where == LOCAL else {}),
                 )
-        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-            line = str(error).strip().split("\n")[0]
-            raise ClusterError(f"no cluster is found at {where!r} ({line}): ray start --head begins one") from None
-        try:
-            yield ray
-        finally:
+            return
+        except Exception as error:  # Ray lets out errors of many kinds, plain ones too.
             ray.shutdown()
+            if not left:
+                line = str(error).strip().split("\n")[0]
+                raise ClusterError(f"no cluster is found at {where!r} ({line}): ray start --head begins one") from None
 
 
 def _check_address(where: str) -> None:

@@ -81,7 +81,13 @@ def _begin(ray: Any, where: str, cpus: int | None) -> None:
             ray.shutdown()
             if not left:
                 line = str(error).strip().split("\n")[0]
-                raise ClusterError(f"no cluster is found at {where!r} ({line}): ray start --head begins one") from None
+                if where == LOCAL:
+                    raise ClusterError(f"Ray does not start on this machine ({line})") from None
+                raise _not_found(where, line) from None
+
+
+def _not_found(where: str, why: object) -> ClusterError:
+    return ClusterError(f"no cluster is found at {where!r} ({why}): ray start --head begins one")
 
 
 def _check_address(where: str) -> None:
@@ -96,7 +102,7 @@ def _check_address(where: str) -> None:
     try:
         socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
-        raise ClusterError(f"no cluster is found at {where!r} ({error}): ray start --head begins one") from None
+        raise _not_found(where, error) from None
 
 
 @contextmanager

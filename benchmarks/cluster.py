@@ -124,7 +124,9 @@ def run(arguments: list[str], out: Path) -> dict:
     begun = time.perf_counter()
     with Watch(out) as watch:
         environment = os.environ | {MARK: watch.mark}
-        subprocess.run([*command, "--overwrite"], check=True, capture_output=True, env=environment)
+        done = subprocess.run([*command, "--overwrite"], capture_output=True, text=True, env=environment)
+        if done.returncode:
+            raise RuntimeError(done.stderr)
         wall = time.perf_counter() - begun
     summary = json.loads((out / "summary.json").read_text())
     return {

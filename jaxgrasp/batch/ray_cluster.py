@@ -16,6 +16,8 @@ OBJECT_STORE = 200 << 20
 """Bytes of Ray's shared memory on this machine: what passes through it are names and reports."""
 
 CONNECT_SECONDS = 10.0
+STARTS = 3
+"""Ray gives up after half a minute, which on a machine that is busy is too little to start in."""
 
 
 class ClusterError(OSError):
@@ -55,7 +57,16 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
             yield ray
             return
         _check_address(where)
-        own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
+        _begin(ray, where, cpus)
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+def _begin(ray: Any, where: str, cpus: int | None) -> None:
+    own = {"num_cpus": cpus, "object_store_memory": OBJECT_STORE, "include_dashboard": False}
+    for left in reversed(range(STARTS if where == LOCAL else 1)):
         try:
             with _no_stderr():
                 ray.init(
@@ -65,13 +76,18 @@ def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
                     configure_logging=False,
                     **(own if where == LOCAL else {}),
                 )
-        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-            line = str(error).strip().split("\n")[0]
-            raise ClusterError(f"no cluster is found at {where!r} ({line}): ray start --head begins one") from None
-        try:
-            yield ray
-        finally:
+            return
+        except Exception as error:  # Ray lets out errors of many kinds, plain ones too.
             ray.shutdown()
+            if not left:
+                line = str(error).strip().split("\n")[0]
+                if where == LOCAL:
+                    raise ClusterError(f"Ray does not start on this machine ({line})") from None
+                raise _not_found(where, line) from None
+
+
+def _not_found(where: str, why: object) -> ClusterError:
+    return ClusterError(f"no cluster is found at {where!r} ({why}): ray start --head begins one")
 
 
 def _check_address(where: str) -> None:
@@ -86,7 +102,7 @@ def _check_address(where: str) -> None:
     try:
         socket.create_connection((host, int(port)), CONNECT_SECONDS).close()
     except (OSError, OverflowError) as error:
-        raise ClusterError(f"no cluster is found at {where!r} ({error}): ray start --head begins one") from None
+        raise _not_found(where, error) from None
 
 
 @contextmanager

@@ -30,8 +30,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(not Path("/proc/self/environ"
 METHODS = ("B", "B-optimum")
 OPTIONS = ["--methods", *METHODS, "--chunk", "128", "--no-report", "--cluster", "local", "--workers", "2"]
 MARK = "JAXGRASP_TEST_CLUSTER"
-PATIENCE = 240.0
-"""Seconds: Ray takes half a minute to start on a machine that is busy."""
+PATIENCE = 900.0
+"""Seconds: on a machine that is busy Ray takes minutes to start, and compiling as long."""
 
 
 def marked(mark: str) -> list[int]:

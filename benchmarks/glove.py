@@ -294,8 +294,9 @@ def long_run(plan: Plan) -> dict:
         begin = {name: memory(one) for name, one in (("host", glove.child.process.pid), ("this", os.getpid()))}
         begun, arming = time.perf_counter(), 1
         end = begun + 60 * plan.minutes
-        goes_there = False
+        goes_there, loads = False, []
         while time.perf_counter() < end:
+            loads.append(os.getloadavg()[0])
             simulator.order(bend=[0.6 if goes_there else 0.3] * CHANNELS, lasts=1.0)
             goes_there = not goes_there
             time.sleep(1.0)
@@ -316,6 +317,8 @@ def long_run(plan: Plan) -> dict:
         "minutes": plan.minutes,
         "grown_megabytes": {name: size / 2**20 for name, size in grown.items()},
         "armings": arming,
+        "load": [min(loads), max(loads)],
+        "processors": os.cpu_count(),
         "summary": glove.summary,
         "device": {name: device[name] for name in ("accepted", "missing", "stale")} | {"refused": refused},
         "device_frames": {"heard": report["heard"], "missing": report["missing"]},

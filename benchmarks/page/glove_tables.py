@@ -104,5 +104,7 @@ def _long_run(found: dict) -> str:
         f"latest {summary['worst']:.1f} ms late. Memory grew by {grown['host']:.2f} MB (I/O process). Armed "
         f"{found['armings']} times. In the last session the device accepted {device['accepted']:,}, missed "
         f"{device['missing']:,}, found {device['stale']:,} stale, refused {device['refused']:,}; of its own frames "
-        f"{lost:,} did not come. At most {found['most_in_flight']:.1f} frames on their way to it."
+        f"{lost:,} did not come. At most {found['most_in_flight']:.1f} frames on their way to it. Load of "
+        f"the machine meanwhile, other work included: {found['load'][0]:.0f} to {found['load'][1]:.0f}, on "
+        f"{found['processors']} processors."
     )

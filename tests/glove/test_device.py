@@ -495,6 +495,13 @@ def test_the_c_program_keeps_within_its_channels(firmware):
     assert theirs.limits.channels == CHANNELS
     theirs = Compiled(firmware, channels=2, most=(500, -1, *(500,) * 12), continuous=(900, 0, *(9,) * 12))
     assert list(theirs.limits.most)[:3] == [500, 0, 0] and list(theirs.limits.continuous)[:3] == [500, 0, 0]
+    for options, message in (
+        ({"heating": 65_536}, "heating is 65536: expected 0 to 65535"),
+        ({"most": [5] * 13}, "most are 13: expected one for each of 14 channels"),
+        ({"continuous": [5] * 13 + [-1]}, r"continuous\[13\] is -1: expected 0 to 32767"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Device(**options)
     for channels in (0, 15, 200):
         with pytest.raises(ValueError, match=f"channels is {channels}: expected 1 to 14"):
             Device(channels=channels)

@@ -25,6 +25,8 @@ LONGEST_STEP = 20_000
 """Time that a step counts as at most [us], so that no pause allows a jump."""
 LONGEST_COOLING = 8000
 """Time for which motors count as cooling in one step at most [ms], so that 64 bits hold every product."""
+MOST_HEATING = 2**16 - 1
+"""Longest time constant of motors [10 ms]."""
 FADING = 5
 """A motor's largest count fades to what it bears for ever over the last fifth of its warmth."""
 ANSWERS = (Kind.CAPABILITY, Kind.LIMITS, Kind.CONTINUOUS)
@@ -92,17 +94,20 @@ class Device:
             channels: how many of the 14 it has.
             most: largest count, of all channels or of each.
             continuous: largest count that each channel's motor bears for ever; ``most`` if None, or 0.
-            heating: time constant by which motors warm and cool [10 ms].
+            heating: time constant by which motors warm and cool [10 ms]; 0 for none that warm.
             slew: largest change [counts/ms].
             quantum: torque of a count [1e-7 N.m].
             watchdog: time after which it latches, from when it sent what the newest command answers [ms].
             seed: below 2^32, another each time it is switched on, of the numbers that ARM must repeat.
 
         Raises:
-            ValueError: for channels that no frame has, and counts that are not one for each of them.
+            ValueError: for channels that no frame has, counts that are not one for each of them, and a time constant
+                that does not fit its place.
         """
         if not 1 <= channels <= CHANNELS:
             raise ValueError(f"channels is {channels}: expected 1 to {CHANNELS}")
+        if not 0 <= heating <= MOST_HEATING:
+            raise ValueError(f"heating is {heating}: expected 0 to {MOST_HEATING}")
         self._most = _each("most", (most,) * channels if isinstance(most, int) else most, channels)
         lasting = self._most if continuous is None else _each("continuous", continuous, channels)
         self._continuous = [min(one or peak, peak) for one, peak in zip(lasting, self._most, strict=True)]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.glove.protocol.device import Device
+from jaxgrasp.glove.protocol.device import MOST_HEATING, Device
 from jaxgrasp.glove.protocol.frames import Flag, Frame, Kind
 from jaxgrasp.glove.sensors import Sensors
 from jaxgrasp.glove.simulated.cable import Cable
@@ -49,7 +49,8 @@ class SimulatedGlove:
             channels=len(model.joints),
             most=model.most_counts,
             continuous=model.continuous_counts,
-            heating=round(100 * model.heating),
+            # What a frame has no room for fades sooner.
+            heating=min(max(round(100 * model.heating), 1), MOST_HEATING),
             slew=round(model.rate / model.quantum / 1000),
             quantum=round(model.quantum * 1e7),
             seed=random.randrange(2**32),

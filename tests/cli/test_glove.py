@@ -95,7 +95,8 @@ def test_simulate_and_monitor(folder):
         done = subprocess.run([*COMMAND, "monitor", "--seconds", "2"], capture_output=True, text=True, check=True)
         glove.terminate()
     lines = done.stdout.splitlines()
-    assert len(lines) > 10 and "ms old" in lines[-1]
+    assert len(lines) > 10 and "ms old" in lines[-2] and "[mN\N{MIDDLE DOT}m]" in lines[-1]
+    assert "tMP" in lines[1] and "rPIP" in lines[1] and max(map(len, lines[1:])) < 100, "a screen of 100 columns"
 
 
 @POSIX
@@ -183,9 +184,9 @@ def test_monitor_lucidgloves(folder, capsys):
 
     def monitor(line: bytes) -> int:
         # An opened port forgets what came before.
-        speaks = threading.Timer(0.1, os.write, (ours, line))
+        speaks = threading.Timer(0.4, os.write, (ours, line))
         speaks.start()
-        options = ["--device", "lucidgloves", "--port", "port", "--full-scale", "4092", "--seconds", "0.5"]
+        options = ["--device", "lucidgloves", "--port", "port", "--full-scale", "4092", "--seconds", "1"]
         code = main(["glove", "monitor", *options])
         speaks.join()
         return code

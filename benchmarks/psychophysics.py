@@ -41,6 +41,8 @@ WIDTHS = {
     PsychometricShape.WEIBULL: 0.8,
     PsychometricShape.DIFFERENCE: 1.0,
 }
+MOST = (0.05, 0.1)
+"""Largest shares of lapses that a fit may find."""
 LAPSES = (0.0, 0.04)
 """Shares of trials answered wrong for want of attention."""
 REAL = 0.10
@@ -114,20 +116,32 @@ def lapses(effort: Effort) -> list[dict]:
         observer = Observer(WEBER[1], lapse=lapse)
         truth = float(brentq(lambda level, o=observer: o.hit_probability(2.0, 2.0 * (1 + level)) - 0.75, 0.01, 1.0))
         for trials in (40, 120):
-            plans: dict[str, Settings] = {
-                f"adaptive, believing in {shape}": Adaptive(trials=trials, shape=shape)
-                for shape in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE)
-            }
-            plans["staircase, 1 up 2 down"] = Staircase(interleaved=1, reversals=trials, trials=trials)
-            for name, settings in plans.items():
-                found = _many_persons(settings, observer, truth, effort.runs)
-                rows.append({"procedure": name, "lapse": lapse, "trials": trials, **found})
+            for name, settings, most in _lapse_cases(trials):
+                found = _many_persons(settings, observer, truth, effort.runs, most)
+                rows.append({"procedure": name, "lapse": lapse, "trials": trials, "most": most, **found})
     return rows
 
 
-def _many_persons(settings: Settings, observer: Observer, truth: float, runs: int) -> dict[str, float | None]:
+def _lapse_cases(trials: int) -> list[tuple[str, Settings, float]]:
+    """Procedures, and the largest share of lapses that their fit may find."""
+    staircase = Staircase(interleaved=1, reversals=trials, trials=trials)
+    weibull, difference = (
+        (f"adaptive, believing in {shape}", Adaptive(trials=trials, shape=shape))
+        for shape in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE)
+    )
+    both = [
+        (name, settings, most)
+        for name, settings in (difference, ("staircase, 1 up 2 down", staircase))
+        for most in MOST
+    ]
+    return [(*weibull, MOST[0]), *both]
+
+
+def _many_persons(
+    settings: Settings, observer: Observer, truth: float, runs: int, most: float = 0.05
+) -> dict[str, float | None]:
     """Bias, spread and coverage of the thresholds of as many simulated sessions."""
-    found = [_one_person(settings, observer, seed) for seed in range(runs)]
+    found = [_one_person(settings, observer, seed, most) for seed in range(runs)]
     estimates = np.array([one.estimate if np.isfinite(one.estimate) else np.inf for one in found])
     low, middle, high = np.quantile(estimates, [0.1587, 0.5, 0.8413], method="nearest")
     return {
@@ -138,8 +152,8 @@ def _many_persons(settings: Settings, observer: Observer, truth: float, runs: in
     }
 
 
-def _one_person(settings: Settings, observer: Observer, seed: int) -> Threshold:
-    """The threshold of a simulated session, as it is found by default where levels follow the answers."""
+def _one_person(settings: Settings, observer: Observer, seed: int, most: float) -> Threshold:
+    """The threshold of a simulated session, of the shape that is fitted by default where levels follow the answers."""
     procedure, rng = settings.begin(random.Random(seed)), np.random.default_rng(seed)
     levels, right = [], []
     while (presented := procedure.next()) is not None:
@@ -147,7 +161,9 @@ def _one_person(settings: Settings, observer: Observer, seed: int) -> Threshold:
         levels.append(presented.level)
         right.append(bool(is_right))
         procedure.score(float(is_right))
-    return threshold(count(np.array(levels), np.array(right)), model=Model(PsychometricShape.DIFFERENCE))
+    return threshold(
+        count(np.array(levels), np.array(right)), model=Model(PsychometricShape.DIFFERENCE, lapse=(0.0, most))
+    )
 
 
 def power(effort: Effort) -> list[dict]:

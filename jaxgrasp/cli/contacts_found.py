@@ -35,6 +35,7 @@ def write_contacts(
     if not usable.any():
         raise ValueError(f"none of the {len(found)} grasps can be used: {'; '.join(words)}{hint}")
     sets = replace(found, labels=labels).rows(np.flatnonzero(usable))
+    out.parent.mkdir(parents=True, exist_ok=True)
     save_grasps(out, sets)
     sizes = Counter(sets.sizes.tolist())
     shares = ", ".join(f"{count} with {size}" for size, count in sorted(sizes.items()))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxgrasp.cli.experiment_arguments import Analyse, HowAnalysed
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_criterion, suited_shape
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, suited_criterion, suited_lapse, suited_shape
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.finding import Finding
 from jaxgrasp.psychophysics.analysis.likelihood import Model
@@ -36,7 +36,7 @@ def analyse_command(arguments: Analyse) -> int:
 
 def analysed(arguments: HowAnalysed) -> tuple[Answers, Analysis]:
     """A folder's answers, and what they say."""
-    if not 0 <= arguments.lapse < 0.5:
+    if arguments.lapse is not None and not 0 <= arguments.lapse < 0.5:
         raise ValueError(f"lapse is {arguments.lapse}: expected 0 or more, and less than 0.5")
     answers = load_experiment(arguments.folder)
     settings = AnalysisSettings(
@@ -48,7 +48,8 @@ def analysed(arguments: HowAnalysed) -> tuple[Answers, Analysis]:
 def _model(arguments: HowAnalysed, plan: Plan) -> Model:
     """Lines know nothing of lapses."""
     shape = arguments.shape or suited_shape(plan)
-    most = arguments.lapse if arguments.method in ("likelihood", "posterior") else 0.0
+    lapse = suited_lapse(plan) if arguments.lapse is None else arguments.lapse
+    most = lapse if arguments.method in ("likelihood", "posterior") else 0.0
     criterion = suited_criterion(plan) if arguments.criterion is None else arguments.criterion
     return Model(PsychometricShape(shape), criterion, 0.5, (0.0, most))
 

@@ -90,8 +90,8 @@ class HowAnalysed:
     stimuli, `difference` for staircases, and the plan's own for the adaptive method."""
     criterion: float | None = None
     """Hit ratio at the threshold; 0.75 where neither this nor an adaptive plan says otherwise."""
-    lapse: float = 0.05
-    """Largest share of lapses that a fit may find."""
+    lapse: float | None = None
+    """Largest share of lapses that a fit may find; where not given, 0.05, and 0.1 where levels follow the answers."""
     interval: Literal["profile", "credible", "bootstrap", "bca"] | None = None
     """Kind of interval of each threshold; as the method has it, where not given."""
     saturated: Literal["include", "exclude"] = "exclude"

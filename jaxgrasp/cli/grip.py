@@ -185,7 +185,7 @@ def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
     """What was asked for, and by which versions it was answered."""
     moves = {name: _in_units(name, getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
     entries = {
-        f"{table} {key}": f"{_in_units(key, value)}"
+        f"{table} {key}": _in_units(key, value)
         for table, said in file.tables().items()
         for key, value in said.items()
         if not (key == "scale" and file.object.mesh is None)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxgrasp.cli.import_arguments import ImportGrasps
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.printable import message_line
+from jaxgrasp.files.replace import check_writable
 from jaxgrasp.interop.contact_records import ContactRecords
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.fields import check_not_negative
@@ -21,7 +22,8 @@ Read = TypeVar("Read", GraspPoses, ContactRecords)
 
 
 def check_import(arguments: ImportGrasps, *needed: Path) -> None:
-    """Raise ValueError for arguments that every format refuses, and for files that are not there."""
+    """Raise ValueError for arguments that every format refuses, and for files that are not there; OSError for an
+    output that could not be written."""
     check_not_negative(arguments, "friction", "mass")
     if not np.all(np.isfinite(arguments.gravity)):
         raise ValueError(f"gravity is {arguments.gravity}: expected finite numbers [m/s^2]")
@@ -32,6 +34,7 @@ def check_import(arguments: ImportGrasps, *needed: Path) -> None:
     for path in (*arguments.files, *needed):
         if not path.is_file():
             raise ValueError(f"{path} is no file" if path.exists() else f"{path}: no such file")
+    check_writable(arguments.out.parent)
 
 
 def read_files(arguments: ImportGrasps, read: Callable[[Path], Read]) -> list[Read]:

@@ -1,6 +1,7 @@
 """The serial line: bytes that come and go without ever waiting for them."""
 
 import contextlib
+import errno
 import os
 from abc import ABC, abstractmethod
 from typing import Any
@@ -72,6 +73,8 @@ class SerialLine(Line):
         except _GONE as error:
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else str(error)
+            if number in (errno.EAGAIN, errno.EBUSY):
+                reason = "another program has it"
             raise LineError(f"port {port} cannot be opened: {reason}") from None
 
     def read(self) -> bytes:

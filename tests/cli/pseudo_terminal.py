@@ -1,9 +1,8 @@
 """A person at a pseudo-terminal: reads the screen, and types when asked."""
 
-import contextlib
 import os
 import select
-import signal
+import subprocess
 import time
 from collections.abc import Callable
 
@@ -15,32 +14,22 @@ class PersonAtTerminal:
 
     def __init__(self, command: list[str]) -> None:
         """The command runs."""
-        import pty
-
         self.screen = ""
         self._seen = 0
-        self._child, self._terminal = pty.fork()
-        if not self._child:
-            with contextlib.suppress(OSError):
-                os.execvp(command[0], command)
-            os._exit(127)
+        self._terminal, theirs = os.openpty()
+        self._process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True)
+        os.close(theirs)
 
     def __enter__(self) -> "PersonAtTerminal":
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._child:
-            with contextlib.suppress(ProcessLookupError, ChildProcessError):
-                os.kill(self._child, signal.SIGKILL)
-                os.waitpid(self._child, 0)
+        self._process.kill()
+        self._process.wait()
         os.close(self._terminal)
 
     def type(self, text: str) -> None:
         os.write(self._terminal, text.encode() + b"\n")
-
-    def interrupt(self) -> None:
-        """Ctrl-C."""
-        os.write(self._terminal, b"\x03")
 
     def reads(self, text: str, patience: float = 60.0) -> str:
         """All that came up to a text that is waited for; what comes before it is passed over."""
@@ -64,8 +53,7 @@ class PersonAtTerminal:
                     self._seen = len(self.screen)
                     self.type(answer())
                     break
-        status, self._child = os.waitpid(self._child, 0)[1], 0
-        return os.waitstatus_to_exitcode(status)
+        return self._process.wait()
 
     def _more(self) -> bool:
         """Wait a moment for more; False at the end of it all."""

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
+from jaxgrasp.files.lock import locked
 from jaxgrasp.glove.calibrate import load_sensors
+from jaxgrasp.glove.line import SerialLine
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.glove.sensors import Encoders
 
@@ -95,7 +97,31 @@ def test_simulate_and_monitor(folder):
         done = subprocess.run([*COMMAND, "monitor", "--seconds", "2"], capture_output=True, text=True, check=True)
         glove.terminate()
     lines = done.stdout.splitlines()
-    assert len(lines) > 10 and "ms old" in lines[-1]
+    assert len(lines) > 10 and "ms old" in lines[-2] and "[mN\N{MIDDLE DOT}m]" in lines[-1]
+    assert "tMP" in lines[1] and "rPIP" in lines[1] and max(map(len, lines[1:])) < 100, "a screen of 100 columns"
+
+
+@POSIX
+def test_a_port_that_another_program_has(capsys):
+    ours, theirs = os.openpty()
+    line = SerialLine(os.ttyname(theirs), 115_200)
+    try:
+        assert main(["glove", "run", "--port", line.port]) == 1
+        assert f"port {line.port} cannot be opened: another program has it" in capsys.readouterr().err
+    finally:
+        line.close()
+        os.close(ours)
+        os.close(theirs)
+
+
+@POSIX
+def test_what_a_killed_simulated_glove_left_is_taken_over_and_a_living_one_is_not(folder, capsys):
+    (folder / "old").symlink_to("/dev/pts/99999")
+    assert main(["glove", "simulate", "--port", "old", "--seconds", "0.1"]) == 0
+    assert "a simulated glove waits at old" in capsys.readouterr().out and not list(folder.iterdir())
+    with locked(folder, what="new"):
+        assert main(["glove", "simulate", "--port", "new", "--seconds", "0.1"]) == 1
+    assert "port is new, which another simulated glove has: process" in capsys.readouterr().err
 
 
 class Bench:
@@ -160,9 +186,9 @@ def test_monitor_lucidgloves(folder, capsys):
 
     def monitor(line: bytes) -> int:
         # An opened port forgets what came before.
-        speaks = threading.Timer(0.1, os.write, (ours, line))
+        speaks = threading.Timer(0.4, os.write, (ours, line))
         speaks.start()
-        options = ["--device", "lucidgloves", "--port", "port", "--full-scale", "4092", "--seconds", "0.5"]
+        options = ["--device", "lucidgloves", "--port", "port", "--full-scale", "4092", "--seconds", "1"]
         code = main(["glove", "monitor", *options])
         speaks.join()
         return code

@@ -77,6 +77,13 @@ def suited_criterion(plan: Plan) -> float:
     return plan.procedure.criterion if isinstance(plan.procedure, Adaptive) else Model.criterion
 
 
+def suited_lapse(plan: Plan) -> float:
+    """Largest share of lapses that a fit may find, where nobody says it."""
+    # With lapses of 4 % the smaller bound leaves intervals that miss the threshold too often, and a bias; without any
+    # lapses the larger one costs nothing (benchmarks/results/psychophysics.md).
+    return 0.1 if plan.procedure.follows_answers else Model.lapse[1]
+
+
 def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:
     own = [one for one in trials if one["reference"] == reference]
     clean = [one for one in own if not one["saturated"]]

@@ -5,7 +5,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, Cell, cell_of, suited_criterion, suited_shape
+from jaxgrasp.psychophysics.analysis.cell import (
+    AnalysisSettings,
+    Cell,
+    cell_of,
+    suited_criterion,
+    suited_lapse,
+    suited_shape,
+)
 from jaxgrasp.psychophysics.analysis.comparison import Comparison, Group, comparison_of, group_of, line_of
 from jaxgrasp.psychophysics.analysis.likelihood import Model
 from jaxgrasp.psychophysics.analysis.matched_settings import Matched, matched
@@ -130,7 +137,7 @@ def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
         )
     if settings.model is not None:
         return settings
-    return replace(settings, model=Model(suited_shape(plan), suited_criterion(plan)))
+    return replace(settings, model=Model(suited_shape(plan), suited_criterion(plan), lapse=(0.0, suited_lapse(plan))))
 
 
 def _matched(who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Matched:

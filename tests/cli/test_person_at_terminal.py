@@ -14,7 +14,7 @@ from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.running.records import read_records
 from jaxgrasp.psychophysics.running.session import run_experiment
 from jaxgrasp.psychophysics.stimulus import PredictedStimulus, Rendered
-from jaxgrasp.psychophysics.study import StudyPlan
+from jaxgrasp.psychophysics.study_plan import StudyPlan
 from tests.cli.pseudo_terminal import PersonAtTerminal
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs pseudo-terminals")

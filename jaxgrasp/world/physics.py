@@ -69,7 +69,7 @@ def summed_loads(
 
 
 class Step(NamedTuple):
-    """A step in time."""
+    """What an engine answers for one step in time."""
 
     state: WorldState
     """After it."""

@@ -26,7 +26,11 @@ from tests.batch.conftest import make_sets
 
 pytest.importorskip("ray")
 parquet = pytest.importorskip("pyarrow.parquet")
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="reads /proc")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.realtime,
+    pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="reads /proc"),
+]
 METHODS = ("B", "B-optimum")
 OPTIONS = ["--methods", *METHODS, "--chunk", "128", "--no-report", "--cluster", "local", "--workers", "2"]
 MARK = "JAXGRASP_TEST_CLUSTER"

@@ -147,6 +147,8 @@ def _watch(
     with contextlib.suppress(KeyboardInterrupt):
         while (now := time.perf_counter()) < end:
             turn(now)
+            if is_there() and lines == 0:
+                next_shown = now
             if now >= next_shown:
                 next_shown = now + (SHOWN_EVERY if is_there() else TROUBLE_EVERY)
                 # On a screen the names do not scroll away; in a file they stand once.

@@ -20,6 +20,8 @@ import os
 from datetime import UTC, datetime
 from typing import Any
 
+from jaxgrasp.validation.checked import checked
+
 
 def append_latch(path: str | os.PathLike, record: dict[str, Any]) -> None:
     """Write a line, whole: in one piece, at the file's end, after the end of a line that was cut.
@@ -45,6 +47,7 @@ def check_latch_log(path: str | os.PathLike) -> None:
     open(path, "ab").close()
 
 
+@checked
 def read_latches(path: str | os.PathLike) -> list[dict[str, Any]]:
     """The records of a log, oldest first; what a host that died left of a line is left out.
 

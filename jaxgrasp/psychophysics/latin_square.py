@@ -1,6 +1,9 @@
 """Balanced Latin squares, by which the order of conditions is counterbalanced over persons."""
 
+from jaxgrasp.validation.checked import checked
 
+
+@checked
 def balanced_latin_square(count: int) -> list[list[int]]:
     """Orders of as many conditions, from 0: a row for each person in turn.
 

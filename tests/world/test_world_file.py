@@ -24,7 +24,7 @@ def made() -> GrippedScene:
     zero = jnp.zeros((2, 3))
     contacts = Contacts(zero, zero.at[:, 0].set(1), zero[:, 0], zero[:, 0], jnp.asarray(0))
     placed = Pose(jnp.asarray(state.placed.origin[0]), jnp.asarray(state.placed.rotation[0]))
-    return GrippedScene(world.scene, posture, placed, contacts, GripType.NONE, "optimum")
+    return GrippedScene(world.scene, posture, posture.angles, placed, contacts, GripType.NONE, "optimum")
 
 
 def block(*at: float, **kwargs) -> OtherEntry:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers
 from jaxgrasp.psychophysics.plan import UNITS, Plan
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
+from jaxgrasp.validation.checked import checked
 
 Row = list[str]
 INTENSITY = "INTENSITY"
@@ -116,6 +117,7 @@ PERSONS = [
 ]
 
 
+@checked
 def tidy_tables(answers: Answers, found: Analysis) -> dict[str, list[Row]]:
     """Tables by the names of their files, each with a head: units in brackets, ratios without.
 

@@ -2,6 +2,8 @@
 
 from typing import IO, Any
 
+from jaxgrasp.validation.optional_library import optional_library
+
 MISSING = "Parquet files need pyarrow: pip install 'jaxgrasp[table]'"
 
 
@@ -11,13 +13,7 @@ def arrow_library() -> Any:
     Raises:
         ImportError: where it is not installed, with the command that does it.
     """
-    try:
-        import pyarrow
-        import pyarrow.compute
-        import pyarrow.parquet
-    except ImportError:
-        raise ImportError(MISSING) from None
-    return pyarrow
+    return optional_library("pyarrow", "pyarrow.compute", "pyarrow.parquet", missing=MISSING)
 
 
 def parquet_writer(arrow: Any, stream: IO[bytes], schema: Any) -> Any:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from jaxgrasp.validation.optional_library import optional_library
+
 MISSING = "--cluster needs Ray: pip install 'jaxgrasp[cluster]'"
 QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal"}
 """Settings of Ray's own processes: nothing is sent to its makers, and warnings of its inner working are not shown."""
@@ -30,12 +32,7 @@ def ray_library() -> Any:
     Raises:
         ImportError: where it is not installed, with the command that does it.
     """
-    try:
-        import ray
-        import ray.data
-    except ImportError:
-        raise ImportError(MISSING) from None
-    return ray
+    return optional_library("ray", "ray.data", missing=MISSING)
 
 
 @contextmanager

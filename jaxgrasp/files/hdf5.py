@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from jaxgrasp.validation.optional_library import optional_library
+
 MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
 
 
@@ -11,8 +13,4 @@ def hdf5_library() -> Any:
     Raises:
         ImportError: where it is not installed, with the command that does it.
     """
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError(MISSING) from None
-    return h5py
+    return optional_library("h5py", missing=MISSING)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
+from jaxgrasp.validation.optional_library import optional_library
 
 MISSING = "meshes need trimesh and scipy: pip install 'jaxgrasp[mesh]'"
 CHUNK = 4096
@@ -148,11 +149,7 @@ class MeshSurface:
 
     @cached_property
     def _tree(self) -> Any:
-        try:
-            from scipy.spatial import cKDTree
-        except ImportError:
-            raise ImportError(MISSING) from None
-        return cKDTree(self._centers)
+        return optional_library("scipy.spatial", missing=MISSING).cKDTree(self._centers)
 
     def nearest(self, points: np.ndarray) -> NearestPoints:
         """Distances and feet of points ``(P, 3)``."""
@@ -206,8 +203,4 @@ class MeshSurface:
 
 
 def _import_trimesh() -> Any:
-    try:
-        import trimesh
-    except ImportError:
-        raise ImportError(MISSING) from None
-    return trimesh
+    return optional_library("trimesh", missing=MISSING)

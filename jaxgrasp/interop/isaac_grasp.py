@@ -22,6 +22,7 @@ from jaxgrasp.files.printable import shortened
 from jaxgrasp.interop.file_records import by_name, field, frame, numbers, read_each, read_text, rotation
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
+from jaxgrasp.validation.optional_library import optional_library
 
 MISSING = "isaac_grasp files need PyYAML: pip install 'jaxgrasp[mesh]'"
 
@@ -70,10 +71,7 @@ def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, k
 
 
 def _yaml(path: str | Path) -> Any:
-    try:
-        import yaml
-    except ImportError:
-        raise ImportError(MISSING) from None
+    yaml = optional_library("yaml", missing=MISSING)
     text = read_text(path)
     try:
         depth = 0

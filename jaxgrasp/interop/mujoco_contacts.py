@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.validation.checked import checked
+from jaxgrasp.validation.optional_library import optional_library
 
 if TYPE_CHECKING:
     import mujoco
@@ -101,11 +102,7 @@ def from_mujoco(
 
 def import_mujoco(user: str) -> Any:
     """MuJoCo, or one line that says what to install for the function that needs it."""
-    try:
-        import mujoco
-    except ImportError:
-        raise ImportError(f"{user} needs MuJoCo: pip install 'jaxgrasp[hands]'") from None
-    return mujoco
+    return optional_library("mujoco", missing=f"{user} needs MuJoCo: pip install 'jaxgrasp[hands]'")
 
 
 def _parts(mujoco: Any, model: mujoco.MjModel, body: str | int) -> np.ndarray:

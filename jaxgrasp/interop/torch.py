@@ -20,6 +20,7 @@ from jax import Array
 
 from jaxgrasp.force import distribution, margin, slip
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.validation.optional_library import optional_library
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -165,11 +166,7 @@ def to_torch(array: Array) -> Tensor:
 
 def _torch() -> Any:
     """PyTorch, or one line that says what to install."""
-    try:
-        import torch
-    except ImportError:
-        raise ImportError("jaxgrasp.interop.torch needs PyTorch: pip install 'jaxgrasp[torch]'") from None
-    return torch
+    return optional_library("torch", missing="jaxgrasp.interop.torch needs PyTorch: pip install 'jaxgrasp[torch]'")
 
 
 def _check_alike(tensors: list[Tensor]) -> None:

@@ -9,6 +9,7 @@ from importlib.resources import files
 import numpy as np
 
 from jaxgrasp.report.look import text
+from jaxgrasp.validation.optional_library import optional_library
 
 MISSING = "the report needs plotly: pip install 'jaxgrasp[report]'"
 
@@ -26,11 +27,8 @@ def plotly_bundle() -> str:
     The Python package ships the full library alone, 4.8 MB. Compressed it adds 2 MB to the page, and every
     browser since 2023 has the decompressor.
     """
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError:
-        raise ImportError(MISSING) from None
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), 9, mtime=0)).decode()
+    library = optional_library("plotly.offline", missing=MISSING)
+    return base64.b64encode(gzip.compress(library.get_plotlyjs().encode(), 9, mtime=0)).decode()
 
 
 def asset(name: str) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxgrasp.files.replace import replace_file
+from jaxgrasp.validation.optional_library import optional_library
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -14,10 +15,7 @@ DPI = 130
 
 def check_matplotlib(who: str = "the figure needs") -> None:
     """Raise ImportError with the pip command where matplotlib is not installed."""
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise ImportError(f"{who} matplotlib: pip install 'jaxgrasp[report]'") from None
+    optional_library("matplotlib.figure", missing=f"{who} matplotlib: pip install 'jaxgrasp[report]'")
 
 
 def write_png(path: Path, figure: "Figure") -> None:

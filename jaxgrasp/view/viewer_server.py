@@ -7,6 +7,8 @@ import socket
 from collections.abc import Iterator
 from typing import Any
 
+from jaxgrasp.validation.optional_library import optional_library
+
 MISSING = "the live scene needs viser: pip install 'jaxgrasp[view]'"
 HOST, PORT = "127.0.0.1", 8080
 TRIED = 200
@@ -40,11 +42,10 @@ def serving(host: str = HOST, port: int = PORT, label: str = "jaxgrasp") -> Iter
 
 def quiet_viser() -> Any:
     """The class of servers that say nothing on the terminal, and whose scene nobody can have shared elsewhere."""
-    try:
-        import rich
-        import viser
-    except ImportError:
-        raise ImportError(MISSING) from None
+    optional_library("viser", missing=MISSING)
+    import rich
+    import viser
+
     # It says where it listens, when it stops and which browser is of another version; we say what a person needs. What
     # is no request, or ends in its middle, is nothing to report.
     rich.get_console().quiet = True

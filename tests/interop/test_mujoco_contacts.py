@@ -1,6 +1,6 @@
 """Laws of ``from_mujoco``: MuJoCo's own forces balance the wrench that we read off its state."""
 
-import builtins
+import sys
 
 import jaxtyping
 import numpy as np
@@ -232,13 +232,6 @@ def test_bad_arguments_are_named(resting, monkeypatch, arguments, message):
 
 
 def test_without_mujoco_one_line_says_what_to_install(monkeypatch, resting):
-    real = builtins.__import__
-
-    def missing(name, *rest, **more):
-        if name == "mujoco":
-            raise ImportError(name)
-        return real(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[hands\]'"):
         from_mujoco(*resting, "object")

@@ -1,6 +1,5 @@
 """PyTorch has JAX's forces, margins and derivatives, in shared memory; PyTorch's own finite differences judge them."""
 
-import builtins
 import subprocess
 import sys
 
@@ -220,14 +219,7 @@ def test_doubles_without_jaxs_64_bit_mode_are_refused_and_pytorch_is_imported_la
 
 
 def test_without_pytorch_one_line_says_what_to_install(monkeypatch):
-    real = builtins.__import__
-
-    def missing(name, *rest, **more):
-        if name == "torch":
-            raise ImportError(name)
-        return real(name, *rest, **more)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
+    monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(ImportError, match=r"pip install 'jaxgrasp\[torch\]'"):
         grasp_torch.from_jax(lambda x: x)
 

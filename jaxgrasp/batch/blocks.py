@@ -36,13 +36,7 @@ def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
 
 
 def _in_buckets(sizes: np.ndarray, buckets: tuple[int, ...]) -> np.ndarray:
-    """The least of these widths, in ascending order, that holds each grasp."""
-    too_large = np.flatnonzero(sizes > buckets[-1])
-    if len(too_large):
-        at = too_large[0]
-        raise ValueError(
-            f"grasp {at} has {sizes[at]} contacts: expected at most {buckets[-1]}, the largest of contacts"
-        )
+    """The least of these widths, in ascending order, that holds each grasp; the last holds them all."""
     return np.asarray(buckets)[np.searchsorted(buckets, sizes)]
 
 

@@ -160,6 +160,8 @@ def answers(
         GraspError: for the first fault, unless told to skip what is bad.
     """
     good, kept = (sets, np.arange(len(sets))) if checked else usable(sets, skip_bad, first)
+    if buckets is not None:
+        _check_fit(good.sizes, first + kept, buckets[-1])
     results = run(engine, good, chunk, buckets)
     return Answers(
         good,
@@ -170,6 +172,16 @@ def answers(
         least_friction_of(good) if least_friction else None,
         len(sets) - len(good),
     )
+
+
+def _check_fit(sizes: np.ndarray, numbers: np.ndarray, largest: int) -> None:
+    """Raise ValueError for grasps, by their numbers in the input, that no bucket holds."""
+    too_large = np.flatnonzero(sizes > largest)
+    if len(too_large):
+        at = too_large[0]
+        raise ValueError(
+            f"grasp {numbers[at]} has {sizes[at]} contacts: expected at most {largest}, the largest of contacts"
+        )
 
 
 def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:

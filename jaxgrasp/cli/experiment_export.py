@@ -15,8 +15,8 @@ from jaxgrasp.psychophysics.analysis.tidy import Row, tidy_tables
 def export_command(arguments: Export) -> int:
     """Read, analyse, write."""
     out = arguments.folder / "export" if arguments.out is None else arguments.out
-    tables = tidy_tables(*analysed(arguments))
     check_writable(out)
+    tables = tidy_tables(*analysed(arguments))
     out.mkdir(parents=True, exist_ok=True)
     for name, rows in tables.items():
         replace_file(out / name, partial(_write, rows))

@@ -11,7 +11,7 @@ from jaxgrasp.cli.terminal import show
 from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.scene_entries import TableEntry
-from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
+from jaxgrasp.grip.scene_file import SceneFile, check_without_others, load_scene, scene_path
 from jaxgrasp.hand.mesh import load_mesh
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.faults import GraspError
@@ -65,6 +65,7 @@ def _live(arguments: View) -> int:
     file = SceneFile(name="a cylinder", table=TableEntry(below=BELOW))
     if arguments.file is not None:
         file = load_scene(scene_path(arguments.file))
+        check_without_others(file)
     set_up_jax("float64")
     with compiling("the hand, its contacts and both laws"):
         made = loaded_scene(file)

@@ -100,7 +100,8 @@ def _obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obsta
     there, going = jax.jvp(lambda when: path.moved(obstacle.placed, when), (now,), (jnp.ones_like(now),))
     spin = going.rotation @ there.rotation.T
     motion = Motion(going.origin, jnp.array([spin[2, 1], spin[0, 2], spin[1, 0]]))
-    return replace(obstacle, placed=there, motion=motion)
+    # It is there: asked for another time, it would go the way once more.
+    return replace(obstacle, placed=there, motion=motion, path=None)
 
 
 def check_scene(scene: Scene) -> None:

@@ -36,7 +36,7 @@ class ViewFeed:
         """
         quiet_viser()
         for port in ports:
-            check_free(HOST, port)
+            check_free(HOST, port, "--view-port")
         self._folder = tempfile.TemporaryDirectory(prefix="jaxgrasp-view-")
         folder = Path(self._folder.name)
         self._slot = Slot(folder / SLOT, ViewFrame.size(channels, more), create=True)

@@ -71,18 +71,18 @@ def refuse_uploads(server: Any) -> None:
     server.on_client_connect(refuse)
 
 
-def check_free(host: str, port: int) -> None:
-    """Raise OSError, with another one, where a port is taken."""
+def check_free(host: str, port: int, option: str = "--port") -> None:
+    """Raise OSError, with another one for the command's ``option``, where a port is taken."""
     if not 0 <= port < 65536:
         raise ValueError(f"port is {port}: expected 0 to 65535")
     if port and (fault := _fault(host, port)) is not None:
-        raise OSError(taken(host, port) if fault == "taken" else f"cannot listen at {host}:{port}: {fault}")
+        raise OSError(taken(host, port, option) if fault == "taken" else f"cannot listen at {host}:{port}: {fault}")
 
 
-def taken(host: str, port: int) -> str:
+def taken(host: str, port: int, option: str = "--port") -> str:
     """What to say of a port that is taken."""
     free = next((other for other in range(port + 1, min(port + TRIED, 65536)) if _fault(host, other) is None), None)
-    hint = "" if free is None else f"; {free} is free: --port {free}"
+    hint = "" if free is None else f"; {free} is free: {option} {free}"
     return f"port {port} of {host} is in use{hint}"
 
 

@@ -124,6 +124,10 @@ def test_a_batch_that_cannot_be_used_is_said(sets, evaluator):
     bad["wrench"][4, 0] = np.nan
     with pytest.raises(jaxgrasp.GraspError, match=r"wrench\[4\]"):
         evaluator(bad)
+    with pytest.raises(ValueError, match="grasp 5 has 3 contacts: expected at most 2"):
+        bad["wrench"][:5, 0] = np.nan
+        replace(evaluator, contacts=(2,), skip_bad=True)(bad)
+    bad["wrench"][:4] = as_batch(sets)["wrench"][:4]
     kept = replace(evaluator, skip_bad=True)(bad)
     assert len(kept["name"]) == len(sets) - 1 and "grasp 4" not in kept["name"]
 

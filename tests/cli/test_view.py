@@ -27,6 +27,7 @@ def refused(arguments: list[str], capsys) -> str:
         (["nowhere"], "scene is 'nowhere': expected a TOML file, or one of ball"),
         (["ball", "--mesh", "mug.stl"], "mesh is given without a file of grasps: expected .npz, .csv"),
         (["--normals", "outward"], "normals is given without a file of grasps"),
+        (["stack"], "scene has 2 tables [[other]]: expected none"),
         (["--seconds", "0"], "seconds is 0.0: expected a positive number"),
         (["--port", "70000"], "port is 70000: expected 0 to 65535"),
     ],

@@ -60,6 +60,9 @@ def test_an_obstacle_moves_as_its_path_does(outline):
         spin = Rotation.from_matrix(after.placed.rotation @ before.placed.rotation.T).as_rotvec() / 2e-5
         np.testing.assert_allclose(now.motion.linear, linear, atol=1e-8)
         np.testing.assert_allclose(now.motion.angular, spin, atol=1e-8)
+        # Whoever asks again of what is there moves it no further.
+        there = at_time(world, time)
+        jax.tree.map(np.testing.assert_array_equal, at_time(there, 0.3).obstacles, there.obstacles)
     for time in (-1.0, 9.0):
         assert not np.any(place(time).motion.linear) and not np.any(place(time).motion.angular)
 

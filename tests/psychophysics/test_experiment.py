@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from jaxgrasp.psychophysics.analysis.anova import repeated_measures
-from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings
+from jaxgrasp.psychophysics.analysis.cell import AnalysisSettings, suited_criterion, suited_lapse, suited_shape
 from jaxgrasp.psychophysics.analysis.experiment import Answers, analyse, load_experiment
 from jaxgrasp.psychophysics.analysis.likelihood import Model
+from jaxgrasp.psychophysics.analysis.tidy import tidy_tables
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.plan import Plan, SessionPlan
+from jaxgrasp.psychophysics.procedures.adaptive import Adaptive
 from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
@@ -81,3 +83,18 @@ def test_missing_trials_are_said(folder):
     notes = analyse(Answers(answers.plan, part), SETTINGS).notes
     assert any("S0 at" in note and "58 of 240 trials" in note for note in notes)
     assert any("no trial" in note for note in notes)
+
+
+def test_answers_without_other_records_make_tables(folder):
+    answers = answers_of(folder, 1)
+    tables = tidy_tables(Answers(answers.plan, answers.trials), analyse(answers, SETTINGS))
+    known = tidy_tables(answers, analyse(answers, SETTINGS))
+    assert tables["trials.csv"] == known["trials.csv"] and len(tables["persons.csv"]) == 2
+
+
+@pytest.mark.parametrize("criterion", [0.75, 0.89, 0.9, 0.95])
+def test_an_adaptive_plans_own_criterion_is_analysed(criterion):
+    """Whatever a plan allows, the model that suits it allows too."""
+    plan = Plan(method="adaptive", procedure=Adaptive(criterion=criterion))
+    model = Model(suited_shape(plan), suited_criterion(plan), lapse=(0.0, suited_lapse(plan)))
+    assert model.criterion == criterion < 1 - model.lapse[1]

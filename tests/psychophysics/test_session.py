@@ -300,6 +300,8 @@ def test_records_that_are_not_those_of_the_plan(folder):
         ([first, changed(one, answer=3)], "trial 1: answer is 3: expected 1 or 2"),
         ([first, changed(one, saturated=None)], "trial 1: saturated is None"),
         ([first, changed(one, felt=[1])], r"trial 1: felt is \[1\]: expected two numbers"),
+        ([first, changed(one, whole=3)], "trial 1: whole is 3: expected two numbers"),
+        ([first, changed(one, moved="ab")], "trial 1: moved is 'ab': expected two numbers"),
         ([one, two], "no first record"),
         ([changed(first, format=9), one], "has format 9: expected 1"),
         ([changed(first, plan=[1]), one], "has no plan in its first record"),

@@ -33,6 +33,8 @@ def test_a_port_in_use_is_said_with_one_that_is_free():
         with pytest.raises(OSError, match=rf"port {port} of 127.0.0.1 is in use; (\d+) is free: --port \1") as said:
             check_free("127.0.0.1", port)
         check_free("127.0.0.1", int(str(said.value).split()[-1]))
+        with pytest.raises(OSError, match=r"(\d+) is free: --view-port \1"):
+            check_free("127.0.0.1", port, "--view-port")
 
 
 @pytest.mark.parametrize("port", [-1, 65536])

@@ -77,11 +77,20 @@ def suited_criterion(plan: Plan) -> float:
     return plan.procedure.criterion if isinstance(plan.procedure, Adaptive) else Model.criterion
 
 
+MOST_LAPSES = 0.1
+"""Largest share of lapses that a fit may find where levels follow the answers."""
+
+
 def suited_lapse(plan: Plan) -> float:
     """Largest share of lapses that a fit may find, where nobody says it."""
     # With lapses of 4 % the smaller bound leaves intervals that miss the threshold too often, and a bias; without any
     # lapses the larger one costs nothing (benchmarks/results/psychophysics.md).
-    return 0.1 if plan.procedure.follows_answers else Model.lapse[1]
+    if not plan.procedure.follows_answers:
+        return Model.lapse[1]
+    # A criterion that such lapses leave no room for was checked against the procedure's own.
+    if isinstance(plan.procedure, Adaptive) and plan.procedure.criterion >= 1 - MOST_LAPSES:
+        return plan.procedure.lapse
+    return MOST_LAPSES
 
 
 def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord], settings: AnalysisSettings) -> Cell:

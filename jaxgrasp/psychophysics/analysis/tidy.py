@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 from jaxgrasp.psychophysics.analysis.experiment import Analysis, Answers
-from jaxgrasp.psychophysics.plan import UNITS, Plan
+from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
 from jaxgrasp.validation.checked import checked
 
@@ -33,7 +33,7 @@ def _told(question: str) -> Callable[[dict[str, Any]], Any]:
 
 def _each(name: str, place: int) -> Callable[[TrialRecord], Any]:
     """One of the two intervals, of records that have them."""
-    return lambda record: dict(enumerate(record.get(name) or ())).get(place)
+    return lambda record: (record.get(name) or (None, None))[place]
 
 
 def _pair(name: str, unit: str, meaning: str, key: str = "") -> list[Column]:
@@ -141,7 +141,7 @@ def tidy_tables(answers: Answers, found: Analysis) -> dict[str, list[Row]]:
 
 def _person(answers: Answers, who: str) -> dict[str, Any]:
     """A row of persons: what stands in that person's other records."""
-    records = answers.others[who]
+    records = answers.others.get(who, [])
     by_kind = {kind: [one for one in records if one["record"] == kind] for kind in {one["record"] for one in records}}
     agreed = [one for one in by_kind.get("consent", ()) if one.get("agreed")]
     told = by_kind.get("about", [{}])[-1].get("answers")
@@ -152,13 +152,13 @@ def _person(answers: Answers, who: str) -> dict[str, Any]:
         "discarded": len(by_kind.get("discarded", ())),
         "resumed": len(by_kind.get("resumed", ())),
         "consent_at": agreed[-1].get("at") if agreed else None,
-        "begun_at": records[0].get("at"),
+        "begun_at": by_kind.get("begun", [{}])[0].get("at"),
         "about": told if isinstance(told, dict) else {},
     }
 
 
 def _unit(column: Column, plan: Plan) -> str:
-    return UNITS[plan.stimulus.kind] if column.unit == INTENSITY else column.unit
+    return plan.stimulus.unit if column.unit == INTENSITY else column.unit
 
 
 def _title(column: Column, plan: Plan) -> str:

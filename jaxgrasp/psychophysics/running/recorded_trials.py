@@ -105,7 +105,8 @@ def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
     where = f"{path}, trial {trial.number}"
     if not isinstance(record.get("saturated"), bool):
         raise RecordError(f"{where}: saturated is {record.get('saturated')!r}: expected true or false")
-    for name in ("felt", "torque", "durations"):
+    # Earlier records have neither of the last two.
+    for name in ("felt", "torque", "durations", *(name for name in ("whole", "moved") if name in record)):
         if not _is_pair(record.get(name)):
             raise RecordError(f"{where}: {name} is {record.get(name)!r}: expected two numbers")
     if trial.task == "setting":

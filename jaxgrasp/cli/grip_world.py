@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxgrasp.cli.terminal import show
@@ -55,7 +54,7 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
     instants = world_carry(moved.world, moved.engine, postures, moved.state, dt, law=law)
     record = stacked([instant.gripped for instant in instants])
     states, shares, loads = (
-        jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *parts))
+        stacked(parts)
         for parts in (
             [instant.state for instant in instants],
             [(instant.share.exerted, instant.share.touches.contacts.points) for instant in instants],

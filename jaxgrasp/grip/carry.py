@@ -12,7 +12,7 @@ pressed into. A guide carries what it can of all that. Table and obstacles stop 
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -58,8 +58,11 @@ class Instant(NamedTuple):
     """What they and the table leave of the wrench [N, N.m]."""
 
 
-def stacked(record: list[Instant]) -> Instant:
-    """All instants in one: NumPy arrays with a leading axis of time."""
+Record = TypeVar("Record")
+
+
+def stacked(record: list[Record]) -> Record:
+    """Trees of all instants in one: NumPy arrays with a leading axis of time."""
     return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
 
 
@@ -100,11 +103,7 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
         ValueError: for postures without that axis, a step of time that is not positive, a guide that is none, and
             obstacles without the object's outline.
     """
-    if not dt > 0:
-        raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
-    check_scene(scene)
-    if np.ndim(postures.angles) != 2:
-        raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
+    check_instants(scene, postures, dt)
     frames = pose_hand(scene.hand, postures)
     count = frames.axes.shape[0]
     carried = set_down(scene, placed)
@@ -115,6 +114,15 @@ def carry(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law 
         instant, carried = advance(scene, dt, carried, posture, now, later, law=law)
         instants.append(instant)
     return instants
+
+
+def check_instants(scene: Scene, postures: Posture, dt: float) -> None:
+    """Raise ValueError for what no hand can go through in this scene."""
+    if not dt > 0:
+        raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
+    check_scene(scene)
+    if np.ndim(postures.angles) != 2:
+        raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
 
 
 def set_down(scene: Scene, placed: Pose) -> CarryState:

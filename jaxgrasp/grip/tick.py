@@ -14,7 +14,7 @@ from jaxgrasp.grip.slipping import cut_to_cones, resultant
 from jaxgrasp.grip.table_support import STANDING, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
-from jaxgrasp.hand.to_grasp import grasp_from_contacts
+from jaxgrasp.hand.to_grasp import grasp_about
 from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
@@ -109,9 +109,7 @@ def observe(
 def touched(scene: Scene, posture: Posture, placed: Pose) -> Touches:
     """What the hand touches, with obstacles as they are in the scene."""
     contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
-    world = grasp_from_contacts(contacts, scene.friction, scene.stiffness, scene.contributions)
-    points = world.points - jnp.asarray(placed.origin)[..., None, :]
-    grasp = Grasp(points, world.normals, world.friction, world.squeeze, world.present)
+    grasp = grasp_about(placed.origin, contacts, scene.friction, scene.stiffness, scene.contributions)
     return Touches(contacts, grasp, hand_torques(scene, posture))
 
 

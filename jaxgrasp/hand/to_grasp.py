@@ -74,3 +74,16 @@ def grasp_from_contacts(
         squeeze=squeezing(contributions, stiffness, depths),
         present=contacts.present,
     )
+
+
+def grasp_about(
+    origin: Float[AnyArray, "*batch 3"],
+    contacts: Contacts,
+    friction: Float[AnyArray, "*#batch"] | float,
+    stiffness: Float[AnyArray, "*#batch"] | float,
+    contributions: Float[AnyArray, "L"] | float,
+) -> Grasp:
+    """As ``grasp_from_contacts``, but in a frame at this place of the world, along its axes."""
+    world = grasp_from_contacts(contacts, friction, stiffness, contributions)
+    points = world.points - jnp.asarray(origin)[..., None, :]
+    return Grasp(points, world.normals, world.friction, world.squeeze, world.present)

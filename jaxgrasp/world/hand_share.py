@@ -18,7 +18,7 @@ from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.hand.sphere_tree import SphereTree
-from jaxgrasp.hand.to_grasp import grasp_from_contacts
+from jaxgrasp.hand.to_grasp import grasp_about
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, Pose, Posture
@@ -65,9 +65,7 @@ def touched_things(world: World, posture: Posture, placed: Pose) -> ThingTouches
         for name in ("friction", "stiffness")
     )
     contributions = jnp.asarray(world.scene.contributions)
-    found = grasp_from_contacts(contacts, friction, stiffness, contributions)
-    points = found.points - jnp.asarray(placed.origin)[:, None]
-    grasp = Grasp(points, found.normals, found.friction, found.squeeze, found.present)
+    grasp = grasp_about(placed.origin, contacts, friction, stiffness, contributions)
     return ThingTouches(contacts, grasp, contacts.present * stiffness * contributions)
 
 
@@ -127,7 +125,8 @@ def cut_share(
     assessment = judged(grasp, closed, optimum, law)
     slips = (assessment.hold == Hold.SLIPPING)[:, None, None]
     exerted = jnp.where(slips, cut_to_cones(grasp, assessment.forces), assessment.forces)
-    return _felt(world, posture, touches, wrench, assessment, exerted)
+    blocked = hand_torques(world.scene, posture)
+    return _felt(world, posture, touches, wrench, assessment, exerted, blocked)
 
 
 @jax.jit
@@ -138,17 +137,22 @@ def _closest(world: World, posture: Posture, placed: Pose, share: HandShare) -> 
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
     slips = (share.assessment.hold == Hold.SLIPPING)[:, None, None]
     exerted = jnp.where(slips, closest.forces, share.exerted)
-    return _felt(world, posture, touches, share.wrench, share.assessment, exerted)
+    return _felt(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
 
 
 def _felt(
-    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Array
+    world: World,
+    posture: Posture,
+    touches: ThingTouches,
+    wrench: Array,
+    assessment: Assessment,
+    exerted: Array,
+    blocked: Array,
 ) -> HandShare:
     hand = world.scene.hand
     torques = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted)
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
     missed = jnp.where(slips, wrench - resultant(touches.grasp.points, exerted), 0)
-    blocked = hand_torques(world.scene, posture)
     return HandShare(touches, wrench, assessment, exerted, missed, jnp.sum(torques, 0) + blocked, blocked)
 
 

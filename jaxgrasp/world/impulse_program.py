@@ -17,6 +17,7 @@ import numpy as np
 from jaxgrasp.grip.motion import mobility
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.world.contact_list import ContactList
 from jaxgrasp.world.many_bodies import Masses, World
@@ -62,9 +63,7 @@ def jacobian(
     the normal first."""
     count, n = len(contacts.first), len(centers)
     normals = contacts.normals
-    east = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), 1)] if count else normals)
-    east = east / np.linalg.norm(east, axis=1, keepdims=True) if count else east
-    axes = np.stack([normals, east, np.cross(normals, east)], 1)
+    axes = np.stack([normals, *tangents(normals, np)], 1)
     rows = np.zeros((count, 3, n, 6))
     index = np.arange(count)
     for sign, owner in ((1.0, contacts.first), (-1.0, contacts.second)):

@@ -71,8 +71,11 @@ def masses(things: tuple[Thing, ...]) -> Masses:
     """Mass and moments of each.
 
     Raises:
-        ValueError: for a mesh whose frame is not that of its principal axes.
+        ValueError: for an inertia of an object's own, and a mesh whose frame is not that of its principal axes.
     """
+    for k, thing in enumerate(things):
+        if thing.body.inertia is not None:
+            raise ValueError(f"object {k} has an inertia of its own: expected a uniform density among several objects")
     mass = np.array([float(thing.body.mass) for thing in things])
     moments = np.array([_moments(k, thing.body.shape) for k, thing in enumerate(things)])
     return Masses(mass, mass[:, None] * moments)

@@ -1,6 +1,6 @@
 """Convex solids in the world, in NumPy: how far they reach in a direction, and with which of their places."""
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -16,7 +16,7 @@ SIDES = 16
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
 
 
-class Solid:
+class Solid(ABC):
     """A convex solid that stands somewhere."""
 
     has_rim = False

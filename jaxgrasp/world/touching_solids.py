@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.world.solids import Solid
 
 THIN = 1e-6
@@ -127,9 +128,7 @@ def _shortest(ways: np.ndarray) -> np.ndarray:
 
 def _across(normal: np.ndarray) -> np.ndarray:
     """``(3, 2)``: unit vectors in the plane of a normal, as columns."""
-    east = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    east /= np.linalg.norm(east)
-    return np.stack([east, np.cross(normal, east)], 1)
+    return np.stack(tangents(normal, np), 1)
 
 
 def _shared(one: np.ndarray, other: np.ndarray) -> np.ndarray:

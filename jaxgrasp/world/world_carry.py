@@ -6,9 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrasp.grip.carry import Instant
+from jaxgrasp.grip.carry import Instant, check_instants
 from jaxgrasp.grip.monitor import Hold, Law
-from jaxgrasp.grip.scene import check_scene
 from jaxgrasp.grip.tick import Tick
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import Float
@@ -81,11 +80,7 @@ def world_carry(
         ValueError: for postures without that axis, a step of time that is not positive, and as
             [`jaxgrasp.grip.carry`][] does.
     """
-    if not dt > 0:
-        raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
-    check_scene(world.scene)
-    if np.ndim(postures.angles) != 2:
-        raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
+    check_instants(world.scene, postures, dt)
     frames = jax.device_get(pose_hand(world.scene.hand, postures))
     count = frames.axes.shape[0]
     weights = np.asarray(weight_wrench(masses(world.things).mass, jnp.zeros(3), world.scene.gravity))

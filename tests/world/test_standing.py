@@ -117,3 +117,10 @@ def test_a_mesh_out_of_its_principal_frame_is_refused():
     askew = eqx.tree_at(lambda t: t.moments, tree, np.full(3, np.nan))
     with pytest.raises(ValueError, match="object 0 has moments of inertia .*: expected a mesh in its principal_frame"):
         stands(eqx.tree_at(lambda w: w.scene.body.shape, world, askew), state.placed)
+
+
+def test_an_inertia_that_engines_would_leave_out_is_refused():
+    world, state = tower([0.2, 0.3])
+    others = eqx.tree_at(lambda w: w.others[0].body.inertia, world, 1e-4 * np.eye(3), is_leaf=lambda x: x is None)
+    with pytest.raises(ValueError, match="object 1 has an inertia of its own: expected a uniform density"):
+        stands(others, state.placed)

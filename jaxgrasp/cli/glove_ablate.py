@@ -1,12 +1,12 @@
 """``jaxgrasp glove ablate``: which of a glove's joints matter for a scene."""
 
-import csv
-import io
+from collections.abc import Iterable, Sequence
 
 from jaxgrasp.cli.glove_arguments import Ablate
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import check_writable, replace_file
+from jaxgrasp.files.csv_rows import write_rows
+from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
 from jaxgrasp.grip.scene_file import check_without_others, load_scene, scene_path
 from jaxgrasp.lab.ablation import JointLoss, joint_losses
@@ -29,14 +29,12 @@ def ablate_command(arguments: Ablate) -> int:
         numbers = f"{1e3 * one.torque:14.1f} {one.felt:16.1%} {-one.contacts:+9d} {-one.squeeze:+8.1%}"
         show(f"{one.joint:18s} {numbers}  {'yes' if one.holds else 'no'}")
     if arguments.out is not None:
-        replace_file(arguments.out, lambda stream: stream.write(_csv(losses).encode()))
+        write_rows(arguments.out, _rows(losses))
         show(f"written: {arguments.out}")
     return 0
 
 
-def _csv(losses: list[JointLoss]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["joint", "torque [N.m]", "share felt", "contacts lost", "squeeze lost", "holds"])
-    writer.writerows([(one.joint, *(f"{x:.6g}" for x in one[1:5]), int(one.holds)) for one in losses])
-    return text.getvalue()
+def _rows(losses: list[JointLoss]) -> Iterable[Sequence]:
+    yield ["joint", "torque [N.m]", "share felt", "contacts lost", "squeeze lost", "holds"]
+    for one in losses:
+        yield [one.joint, *(f"{x:.6g}" for x in one[1:5]), int(one.holds)]

@@ -1,9 +1,7 @@
 """``jaxgrasp glove run``: the virtual hand in a glove, in virtual time or now, on one computer or on two."""
 
-import csv
-import io
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
@@ -14,7 +12,8 @@ from jaxgrasp.cli.glove_arguments import Run
 from jaxgrasp.cli.glove_orders import FIRST, Orders
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import announce, show
-from jaxgrasp.files.replace import check_writable, replace_file
+from jaxgrasp.files.csv_rows import write_rows
+from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.devices import device_kind
 from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
@@ -94,7 +93,7 @@ def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
         story = grasp_and_lift(model, arguments.law, loaded_scene(file))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
-    replace_file(table, lambda stream: stream.write(_rows(story, model).encode()))
+    write_rows(table, _rows(story, model))
     show(_said(story))
     show(f"written: {table}")
     picture = arguments.out / "glove.png"
@@ -107,19 +106,16 @@ def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     return 0
 
 
-def _rows(story: Story, model: GloveModel) -> str:
+def _rows(story: Story, model: GloveModel) -> Iterable[Sequence]:
     """A row each five milliseconds: torques at the glove, angles, and the object's height."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     torques, angles = (
         [f"{name} {joint}" for joint in model.joints] for name in ("against flexion [N.m]", "angle [rad]")
     )
-    writer.writerow(["time [s]", *torques, *angles, "height [m]"])
+    yield ["time [s]", *torques, *angles, "height [m]"]
     heights = np.interp(story.times, story.ticks, story.heights)
     for k in range(0, len(story.times), 5):
         numbers = (*story.torques[k], *story.angles[k], heights[k])
-        writer.writerow([f"{story.times[k]:.3f}", *(f"{number:.6g}" for number in numbers)])
-    return text.getvalue()
+        yield [f"{story.times[k]:.3f}", *(f"{number:.6g}" for number in numbers)]
 
 
 def _said(story: Story) -> str:

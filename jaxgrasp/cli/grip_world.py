@@ -8,6 +8,7 @@ from jaxgrasp.cli.terminal import show
 from jaxgrasp.grip.carry import Instant, stacked
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile
+from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Posture
 from jaxgrasp.world.engines import EngineName, engine_of
 from jaxgrasp.world.many_bodies import World, WorldState
@@ -31,7 +32,7 @@ class MovedWorld(NamedTuple):
 class OthersRecord(NamedTuple):
     """What became of the objects beside the gripped one."""
 
-    columns: dict[str, np.ndarray]
+    columns: dict[str, AnyArray]
     summary: dict
 
 
@@ -53,15 +54,8 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
     show(f"{count} more object{'' if count == 1 else 's'}, moved by the engine {moved.name}")
     instants = world_carry(moved.world, moved.engine, postures, moved.state, dt, law=law)
     record = stacked([instant.gripped for instant in instants])
-    states, shares, loads = (
-        stacked(parts)
-        for parts in (
-            [instant.state for instant in instants],
-            [(instant.share.exerted, instant.share.touches.contacts.points) for instant in instants],
-            [instant.loads for instant in instants],
-        )
-    )
-    exerted, points = shares
+    states, loads = stacked([(instant.state, instant.loads) for instant in instants])
+    exerted, points = stacked([(one.share.exerted, one.share.touches.contacts.points) for one in instants])
     columns = {
         "others_origin": states.placed.origin[:, 1:],
         "others_rotation": states.placed.rotation[:, 1:],

@@ -1,7 +1,5 @@
 """``jaxgrasp sensitivity``: which parameters matter along a task, and how."""
 
-import csv
-import io
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,7 +10,8 @@ from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.files.replace import check_writable, replace_file
+from jaxgrasp.files.csv_rows import write_rows
+from jaxgrasp.files.replace import check_writable
 from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.naming import Labels
@@ -46,8 +45,8 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
     with compiling("the task and its derivatives"):
         found = study(task, times, methods, arguments.by, arguments.vary, arguments.values, labels)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    _write_table(arguments.out / "sensitivity.csv", _curves(found, fingers))
-    _write_table(arguments.out / "ranking.csv", _rankings(found))
+    write_rows(arguments.out / "sensitivity.csv", _curves(found, fingers))
+    write_rows(arguments.out / "ranking.csv", _rankings(found))
     show("\n".join(_said(found, fingers, arguments.finger)))
     show(f"written: {arguments.out / 'sensitivity.csv'}, {arguments.out / 'ranking.csv'}")
     if arguments.report:
@@ -60,12 +59,6 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
         except ImportError as error:
             show(f"no figure: {error}")
     return 0
-
-
-def _write_table(path: Path, rows: Iterable[Sequence]) -> None:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    replace_file(path, lambda stream: stream.write(text.getvalue().encode()))
 
 
 def _curves(found: Study, fingers: Sequence[str]) -> Iterable[Sequence]:

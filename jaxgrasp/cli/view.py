@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.batch.sources import Adjustments, open_source
+from jaxgrasp.batch.sources import FORMATS, Adjustments, open_source
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.cli.view_arguments import View
@@ -24,7 +24,6 @@ from jaxgrasp.view.live_page import LivePage
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.viewer_server import check_free, quiet_viser, serving
 
-GRASPS = (".npz", ".csv", ".parquet", ".h5", ".hdf5")
 BELOW = 0.4
 """How far the table is below the object that a hand holds from the start [m]."""
 
@@ -36,11 +35,11 @@ def view_command(arguments: View) -> int:
     quiet_viser()
     if arguments.save is None:
         check_free(arguments.host, arguments.port)
-    if arguments.file is not None and Path(arguments.file).suffix.lower() in GRASPS:
+    if arguments.file is not None and Path(arguments.file).suffix.lower() in FORMATS:
         return _grasps(arguments, arguments.file)
     for name in ("mesh", "normals", "scale"):
         if getattr(arguments, name) != getattr(View, name):
-            raise ValueError(f"{name} is given without a file of grasps: expected {', '.join(GRASPS)}")
+            raise ValueError(f"{name} is given without a file of grasps: expected {', '.join(FORMATS)}")
     return _live(arguments)
 
 

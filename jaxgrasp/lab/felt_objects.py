@@ -225,10 +225,8 @@ class LawOfAngles(Rendering):
     """A felt object's own law: its torques at the angles of the instant, whatever was before."""
 
     def __init__(self, felt: FeltObject) -> None:
-        """Compiled before anything is armed: what compiles meanwhile would hold laws up, and the glove lets go."""
         self._felt, self._intensity = felt, 0.0
         self._postures = felt.postures()
-        self.tick(0.0, self._postures[0])
 
     def begin(self, intensity: float) -> None:
         self._intensity = intensity

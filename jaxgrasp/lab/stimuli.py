@@ -55,6 +55,8 @@ class GloveStimulus(PredictedGloveStimulus):
     ) -> None:
         """A stimulus of no intensity, in a glove that someone arms; ``watch`` is told of each law, quickly."""
         super().__init__(felt, model, rendering)
+        # What compiles once the glove is armed would hold laws up, and it lets go.
+        self._rendering.tick(0.0, np.zeros(len(model.joints)))
         self._glove, self._watch = glove, watch
         self._ends = threading.Event()
         self._lock = threading.Lock()

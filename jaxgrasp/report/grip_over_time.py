@@ -9,8 +9,9 @@ from jaxgrasp.grip.carry import Instant
 from jaxgrasp.grip.monitor import Hold, Touch
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.hand.kinematics import ancestry, pose_hand
-from jaxgrasp.model.hand import Hand, Pose, Posture
+from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.look import counted
+from jaxgrasp.report.surfaces import pose_matrix
 
 VERBS = {Touch.HOLDS: "hold", Touch.SLIDES: "slide", Touch.PULLS: "pull"}
 
@@ -84,8 +85,8 @@ def history(scene: Scene, postures: Posture, times: np.ndarray, record: Instant)
         joint_fingers=_joint_fingers(scene.hand),
         joints=scene.hand.joints,
         times=np.asarray(times, float),
-        link_poses=_matrices(links),
-        object_pose=_matrices(record.placed),
+        link_poses=pose_matrix(links),
+        object_pose=pose_matrix(record.placed),
         points=np.asarray(ticks.contacts.points),
         normals=np.asarray(ticks.contacts.normals),
         forces=np.asarray(ticks.assessment.forces),
@@ -95,10 +96,6 @@ def history(scene: Scene, postures: Posture, times: np.ndarray, record: Instant)
         torques=np.asarray(ticks.torques),
         hold=np.asarray(record.hold),
     )
-
-
-def _matrices(pose: Pose) -> np.ndarray:
-    return np.concatenate([np.asarray(pose.rotation), np.asarray(pose.origin)[..., None]], -1)
 
 
 def _joint_fingers(hand: Hand) -> tuple[str, ...]:

@@ -28,7 +28,15 @@ from jaxgrasp.report.cases import DrawnCases
 from jaxgrasp.report.grasp_in_3d import Case, force_arrows, framed
 from jaxgrasp.report.look import INK, MUTED, OBJECT_COLOUR, SKIN_COLOUR, degrees, method_title, number, table, text
 from jaxgrasp.report.sections import figure_html
-from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, mesh_surface, moved, placed, shape_surface
+from jaxgrasp.report.surfaces import (
+    DrawnSurface,
+    link_surfaces,
+    mesh_surface,
+    moved,
+    placed,
+    pose_matrix,
+    shape_surface,
+)
 from jaxgrasp.report.worst_cases import cases_html
 from jaxgrasp.validation.checked import checked
 
@@ -153,8 +161,7 @@ def _hand(hand: Hand | None, posture: Posture | None) -> list[dict]:
     if hand is None or posture is None:
         return []
     check_posture(hand, posture)
-    frames = pose_hand(hand, posture).links
-    poses = np.concatenate([np.asarray(frames.rotation), np.asarray(frames.origin)[..., None]], -1)
+    poses = pose_matrix(pose_hand(hand, posture).links)
     if poses.ndim != 3:
         raise ValueError(f"posture has angles of shape {np.shape(posture.angles)}: expected one posture")
     corners, faces, first = [], [], 0
@@ -173,8 +180,7 @@ def _object(thing: Mesh | Shape | None, pose: Pose | None) -> list[dict]:
         return []
     surface = mesh_surface(thing) if isinstance(thing, Mesh) else shape_surface(thing)
     if pose is not None:
-        at = np.concatenate([np.asarray(pose.rotation, float), np.asarray(pose.origin, float)[:, None]], 1)
-        surface = moved(surface, at)
+        surface = moved(surface, pose_matrix(pose))
     traces = [_surface("object", surface, OBJECT_COLOUR, OBJECT_OPACITY)]
     if len(surface.lines):
         line = {"type": "scatter3d", "mode": "lines", "name": "edges", "line": {"color": MUTED, "width": 2}}

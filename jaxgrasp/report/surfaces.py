@@ -7,7 +7,7 @@ import numpy as np
 from jaxgrasp.hand.mesh import Mesh
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Shifted, Sphere
 from jaxgrasp.hand.sphere_tree import SphereTree
-from jaxgrasp.model.hand import Hand
+from jaxgrasp.model.hand import Hand, Pose
 from jaxgrasp.report.grasp_in_3d import across
 
 SIDES = 16
@@ -62,7 +62,7 @@ def shape_surface(shape: Shape) -> DrawnSurface:
         case Capsule(radius=radius, height=height):
             return _rounded(float(radius), float(height))
         case Cylinder(radius=radius, height=height):
-            return _prism(float(radius) * _circle(ROUND), float(height), ROUND // 4)
+            return _prism(float(radius) * circle(ROUND), float(height), ROUND // 4)
         case Box(length=length, width=width, height=height):
             square = np.array([[1.0, 1], [-1, 1], [-1, -1], [1, -1]])
             return _prism(square * [float(length) / 2, float(width) / 2], float(height), 1)
@@ -85,10 +85,10 @@ def arrow() -> DrawnSurface:
     A corner (u, v, s, h) stands at tail + size (u e1 + v e2) + (s length + h size) d for an arrow along d, whose
     head has the length ``size``.
     """
-    ring = _circle(ARROW_SIDES)
+    ring = circle(ARROW_SIDES)
     place = [(SHAFT, 0, 0), (SHAFT, 1, -1), (HEAD, 1, -1), (0, 1, 0)]
     rings = [np.column_stack([radius * ring, np.tile([s, h], (ARROW_SIDES, 1))]) for radius, s, h in place]
-    return DrawnSurface(np.concatenate(rings), _bands(len(place), ARROW_SIDES))
+    return DrawnSurface(np.concatenate(rings), bands(len(place), ARROW_SIDES))
 
 
 def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
@@ -105,6 +105,11 @@ def arrows(tails: np.ndarray, vectors: np.ndarray, head: float) -> DrawnSurface:
     count = len(template.corners)
     faces = template.faces + count * np.arange(len(tails))[:, None, None]
     return DrawnSurface(corners.swapaxes(0, 1).reshape(-1, 3), faces.reshape(-1, 3))
+
+
+def pose_matrix(pose: Pose) -> np.ndarray:
+    """Poses as matrices ``(..., 3, 4)``."""
+    return np.concatenate([np.asarray(pose.rotation), np.asarray(pose.origin)[..., None]], -1)
 
 
 def placed(corners: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -127,16 +132,16 @@ def _balls(centers: np.ndarray, radii: np.ndarray) -> DrawnSurface:
 def _globe(axis: np.ndarray, sides: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions all around, in rings about an axis, and the triangles between them."""
     first, second = across(axis[None])
-    ring, rings = _circle(sides), sides // 2
+    ring, rings = circle(sides), sides // 2
     around = ring[:, :1] * first + ring[:, 1:] * second
     slopes = np.pi * (np.arange(rings) + 0.5) / rings
     # The poles are rings of no size.
     slopes = np.concatenate([[np.pi], slopes[::-1], [0.0]])[:, None, None]
     directions = np.cos(slopes) * axis + np.sin(slopes) * around
-    return directions.reshape(-1, 3), _bands(rings + 2, sides)
+    return directions.reshape(-1, 3), bands(rings + 2, sides)
 
 
-def _bands(rings: int, sides: int) -> np.ndarray:
+def bands(rings: int, sides: int) -> np.ndarray:
     """Triangles between rings of corners, ring after ring; counter-clockwise seen from outside."""
     at = np.arange(sides)
     after = (at + 1) % sides
@@ -146,7 +151,8 @@ def _bands(rings: int, sides: int) -> np.ndarray:
     return (band + sides * np.arange(rings - 1)[:, None, None]).reshape(-1, 3)
 
 
-def _circle(count: int) -> np.ndarray:
+def circle(count: int) -> np.ndarray:
+    """Places ``(count, 2)`` around a circle of radius 1."""
     turn = 2 * np.pi * np.arange(count) / count
     return np.column_stack([np.cos(turn), np.sin(turn)])
 
@@ -155,7 +161,7 @@ def _rounded(radius: float, height: float) -> DrawnSurface:
     """A capsule about z, with its two meridians and the rims of its straight part."""
     ends = np.array([[0, 0, -height / 2], [0, 0, height / 2]])
     skin = hull(ends, np.full(2, radius), ROUND)
-    ring = _circle(ROUND)
+    ring = circle(ROUND)
     flat = np.zeros(ROUND)
     rims = [radius * np.column_stack([ring, flat]) + end for end in (ends if height else ends[:1])]
     upper = np.where(ring[:, 1] >= 0, height / 2, -height / 2)

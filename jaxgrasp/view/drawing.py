@@ -38,9 +38,8 @@ class Drawing(NamedTuple):
     load: Arrows
     """What pulls at the object."""
     scale: Scale
-    escape: np.ndarray | None
-    """The twist ``(6,)`` along which the object escapes, about ``origin``."""
     origin: np.ndarray
+    """About which the object turns where it escapes ``(3,)`` [m]."""
 
 
 def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawing:
@@ -65,7 +64,6 @@ def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawin
         },
         load=_load(seen, size),
         scale=scale,
-        escape=seen.escape,
         origin=np.asarray(seen.origin, float),
     )
 

@@ -2,10 +2,13 @@
 
 import time
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxgrasp.glove.loop.slot import Slot
 from jaxgrasp.glove.model import GloveModel
@@ -14,13 +17,13 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.hand.shapes import Box, Cylinder
 from jaxgrasp.lab.felt_objects import PALM_UP, WIDTH, FeltObject, Lifted, Squeezed
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
+from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand
-from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, shape_surface
+from jaxgrasp.report.surfaces import DrawnSurface, link_surfaces, pose_matrix, shape_surface
 from jaxgrasp.view.followed_page import glove_html
 from jaxgrasp.view.latency import Latency
 from jaxgrasp.view.page_loop import RATE
 from jaxgrasp.view.panel_words import bars_html
-from jaxgrasp.view.seen import pose_matrix
 from jaxgrasp.view.trial_words import experimenter_html, subject_html
 from jaxgrasp.view.view_slots import TrialNow, ViewFrame
 from jaxgrasp.view.viewer import Viewer
@@ -43,9 +46,9 @@ class FeltScene:
             felt.worn if isinstance(felt, Lifted | Squeezed) else glove_hand(self.hand, model, open_angles(self.hand))
         )
         self._links = jax.jit(lambda angles: pose_hand(self.hand, self._worn.posture(angles, PALM_UP)).links)
-        self._pads = jax.jit(lambda angles: felt.pads(angles)[1]) if isinstance(felt, Lifted | Squeezed) else None
+        self._at_rest = _at_rest(felt)
 
-    @property
+    @cached_property
     def thing(self) -> DrawnSurface | None:
         """The object in its own frame: a bar along y, a block whose x goes from the fingers to the thumb."""
         if isinstance(self._felt, Lifted):
@@ -62,22 +65,34 @@ class FeltScene:
         return pose_matrix(jax.device_get(self._links(angles))), self._object(angles)
 
     def _object(self, angles: np.ndarray) -> np.ndarray:
-        felt, place = self._felt, np.eye(3, 4)
-        if self._pads is None:
-            return place
-        if isinstance(felt, Lifted):
-            resting = np.asarray(self._pads(felt.start)).mean(0)
-            now = np.asarray(self._pads(angles)).mean(0)
+        place = self._at_rest.copy()
+        if isinstance(self._felt, Lifted):
+            now = np.asarray(_middle(self._felt, angles)) + np.array([0.0, 0.0, BAR])
             # Fingers that sink below its rest leave the bar there.
-            place[:, 3] = now if now[2] > resting[2] else resting
-            place[2, 3] += BAR
-        elif isinstance(felt, Squeezed):
-            x = np.asarray(felt.inward())
-            y = np.cross([0.0, 0.0, 1.0], x) if abs(x[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], x)
-            y /= np.linalg.norm(y)
-            place[:, :3] = np.stack([x, y, np.cross(x, y)], 1)
-            place[:, 3] = np.asarray(self._pads(felt.start)).mean(0) + WIDTH / 2 * x
+            place[:, 3] = now if now[2] > place[2, 3] else place[:, 3]
         return place
+
+
+@jax.jit
+def _middle(felt: Lifted | Squeezed, angles: AnyArray) -> Array:
+    """The middle of the pads ``(3,)`` [m]."""
+    return jnp.mean(felt.pads(angles)[1], 0)
+
+
+def _at_rest(felt: FeltObject) -> np.ndarray:
+    """The object's pose ``(3, 4)`` before anything is felt."""
+    place = np.eye(3, 4)
+    if isinstance(felt, Lifted | Squeezed):
+        place[:, 3] = np.asarray(_middle(felt, felt.start))
+    if isinstance(felt, Lifted):
+        place[2, 3] += BAR
+    elif isinstance(felt, Squeezed):
+        x = np.asarray(felt.inward())
+        y = np.cross([0.0, 0.0, 1.0], x) if abs(x[2]) < 0.9 else np.cross([0.0, 1.0, 0.0], x)
+        y /= np.linalg.norm(y)
+        place[:, :3] = np.stack([x, y, np.cross(x, y)], 1)
+        place[:, 3] += WIDTH / 2 * x
+    return place
 
 
 class ExperimentPages:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.batch.worst import case_title, cases_of
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.grip.monitor import Assessment, Law
 from jaxgrasp.grip.monitor import judged as assess
@@ -33,7 +34,8 @@ class GraspSteps:
         self._why = found.why.ravel()
         self._orders = orders(self._why == Reason.HOLDS, _ranked(found.results["B"]))
         self._width = sets.largest
-        self._sizes = np.where(sets.reach() > 0, sets.reach(), BESIDE_A_HAND) / BESIDE_A_HAND
+        reach = sets.reach()
+        self._sizes = np.where(reach > 0, reach / BESIDE_A_HAND, 1.0)
         self.size = float(np.median(self._sizes))
         """How many times as large grasps are as one of a human hand, mostly."""
 
@@ -46,10 +48,8 @@ class GraspSteps:
 
     def title(self, problem: int) -> str:
         """Its own name, or its number; with its wrench where there are several."""
-        grasp, wrench = divmod(problem, self.sets.wrenches)
-        name = str(self.sets.labels["name"][grasp]) if "name" in self.sets.labels else ""
-        title = name or f"grasp {grasp}"
-        return f"{title}, wrench {wrench}" if self.sets.wrenches > 1 else title
+        case = cases_of(self.sets, {}, "B", [problem], np.arange(len(self.sets)))[0]
+        return case_title(case, self.sets.wrenches > 1)
 
     def size_of(self, problem: int) -> float:
         """How many times as large it is as a grasp of a human hand."""

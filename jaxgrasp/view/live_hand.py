@@ -24,7 +24,8 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, pose_matrix
+from jaxgrasp.report.surfaces import pose_matrix
+from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both
 
 SHORTEST, LONGEST = 1e-3, 0.05
 """Times that a step counts as at least and at most [s]: a pause does not throw the object."""

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.hand.human_hand import is_human, open_angles
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
 from jaxgrasp.view.live_hand import Controls, LiveHand
 from jaxgrasp.view.page_loop import PageLoop
@@ -112,7 +111,7 @@ class LivePage(PageLoop):
     def _add_hand(self, gui: Any) -> None:
         hand = self._hand.made.scene.hand
         self._closed = np.asarray(self._first.angles)
-        self._open = open_angles(hand) if is_human(hand) else np.zeros(len(hand.joints))
+        self._open = np.asarray(self._hand.made.open)
         self._flexes = np.array(["abduction" not in name for name in hand.joints])
         self._slider(gui, "bend", "fingers [% of the way]", -100.0, 15.0, 0.25, 0.0)
         with gui.add_folder("wrist", expand_by_default=False):

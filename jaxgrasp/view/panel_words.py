@@ -105,10 +105,10 @@ def contacts_html(seen: Seen) -> str:
     there = np.flatnonzero(seen.there)
     if not len(there):
         return ""
-    forces = [(seen.forces(answer), margins) for _, answer, margins in seen.answers()]
+    forces, touches = [(seen.forces(answer), margins) for _, answer, margins in seen.answers()], seen.touches
     rows = []
     for i in there.tolist():
-        touch = Touch(int(seen.touches[i]))
+        touch = Touch(int(touches[i]))
         cells = "".join(
             f'<td style="text-align:right;padding-left:9px">{_force(force[i], float(margins[i]))}</td>'
             for force, margins in forces

@@ -9,7 +9,6 @@ from jax import Array
 from jaxgrasp.force.slip import friction_margin
 from jaxgrasp.grip.monitor import Assessment, Law, Touch, judged
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.solution import Solution, Verdict, is_balanced
 
 
@@ -99,8 +98,3 @@ def judged_by_both(grasp: Grasp, assessment: Assessment) -> Judged:
     closed, optimum = assessment.closed, assessment.optimum
     margins = [friction_margin(grasp, answer.forces, answer.moments) for answer in (closed, optimum)]
     return Judged((margins[0], margins[1]), judged(grasp, closed, optimum, "closed-form").touches)
-
-
-def pose_matrix(pose: Pose) -> np.ndarray:
-    """Poses as matrices ``(..., 3, 4)``."""
-    return np.concatenate([np.asarray(pose.rotation), np.asarray(pose.origin)[..., None]], -1)

@@ -4,8 +4,7 @@ import numpy as np
 
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.report.surfaces import DrawnSurface, moved, shape_surface
-from jaxgrasp.view.seen import pose_matrix
+from jaxgrasp.report.surfaces import DrawnSurface, moved, pose_matrix, shape_surface
 
 NEAR = 0.2
 """How far below an object a table is worth showing [m]."""

@@ -3,7 +3,7 @@
 import math
 from enum import IntEnum
 
-from jaxgrasp.psychophysics.plan import QUESTIONS
+from jaxgrasp.psychophysics.plan import QUESTIONS, UNITS
 from jaxgrasp.report.look import INK, MUTED, number
 from jaxgrasp.view.view_slots import TrialNow
 
@@ -41,14 +41,13 @@ def subject_html(now: TrialNow, kind: str) -> str:
 
 def experimenter_html(now: TrialNow, kind: str) -> str:
     """Everything of a trial: what is rendered, the right answer, and how many were right."""
-    units = {"weight": "N", "stiffness": "N/m", "torque": "N·m"}[kind]
     rows = [("just now", Phase(int(now.phase)).name.lower())]
     if math.isfinite(now.number):
         rows.append(("trial", f"{now.number:.0f} of {now.most:.0f} at most"))
-        rows.append(("first", f"{number(now.first)} {units}"))
-        rows.append(("second", f"{number(now.second)} {units}"))
+        rows.append(("first", f"{number(now.first)} {UNITS[kind]}"))
+        rows.append(("second", f"{number(now.second)} {UNITS[kind]}"))
         if math.isfinite(now.setting):
-            rows.append(("set to", f"{number(now.setting)} {units}"))
+            rows.append(("set to", f"{number(now.setting)} {UNITS[kind]}"))
         else:
             rows.append((QUESTIONS[kind], "the first" if now.first > now.second else "the second"))
     if now.answered:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.view.seen import pose_matrix
+from jaxgrasp.report.surfaces import pose_matrix
 
 CARRIED, TRIAL = 30, 9
 """Numbers of a [`Carried`][] and of a [`TrialNow`][]."""

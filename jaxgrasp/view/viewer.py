@@ -4,13 +4,14 @@ Nothing is decided here: what a page shows stands in a Drawing, and what it says
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxgrasp.report.look import MUTED, OBJECT_COLOUR, SKIN_COLOUR, TABLE_COLOUR
-from jaxgrasp.report.surfaces import DrawnSurface, hull
+from jaxgrasp.report.surfaces import DrawnSurface, bands, circle, hull
 from jaxgrasp.view.drawing import Drawing
 from jaxgrasp.view.escape import escaped
 from jaxgrasp.view.instances import Arrows, Instances, rgb
@@ -225,16 +226,19 @@ def segments(lines: np.ndarray) -> np.ndarray:
     return pairs[np.isfinite(pairs).all((1, 2))]
 
 
+@cache
 def ball() -> DrawnSurface:
     """A ball of radius 1."""
     return hull(np.zeros((1, 3)), np.ones(1), 12)
 
 
+@cache
 def cone() -> DrawnSurface:
     """From its apex at the origin to a rim of radius 1 at z = 1, open."""
     return _between(0.0, 1.0)
 
 
+@cache
 def head() -> DrawnSurface:
     """An arrow's head: from a closed base of radius 1 at the origin to its apex at z = 1."""
     sides = _between(1.0, 0.0)
@@ -244,6 +248,7 @@ def head() -> DrawnSurface:
     return DrawnSurface(np.vstack([sides.corners, base]), np.vstack([sides.faces, disc]))
 
 
+@cache
 def shaft() -> DrawnSurface:
     """A tube of radius 1 from the origin to z = 1."""
     return _between(1.0, 1.0)
@@ -251,11 +256,6 @@ def shaft() -> DrawnSurface:
 
 def _between(low: float, high: float) -> DrawnSurface:
     """A surface between two rims about z, at 0 and at 1, of these radii."""
-    turn = 2 * np.pi * np.arange(ROUND) / ROUND
-    ring = np.column_stack([np.cos(turn), np.sin(turn)])
-    corners = np.vstack(
-        [np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))]
-    )
-    at, after = np.arange(ROUND), (np.arange(ROUND) + 1) % ROUND
-    faces = np.vstack([np.column_stack([at, after, after + ROUND]), np.column_stack([at, after + ROUND, at + ROUND])])
-    return DrawnSurface(corners, faces)
+    ring = circle(ROUND)
+    rims = [np.column_stack([radius * ring, np.full(ROUND, z)]) for radius, z in ((low, 0.0), (high, 1.0))]
+    return DrawnSurface(np.vstack(rims), bands(2, ROUND))

@@ -78,11 +78,12 @@ def test_contacts_have_the_colours_of_the_reports():
 
 
 def test_forces_that_balance_nothing_are_not_drawn_and_the_object_escapes_along_minus_the_certificate():
-    drawn = drawing(seen(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING))
+    escaping = seen(optimum=Verdict.INFEASIBLE, hold=Hold.SLIPPING)
+    drawn = drawing(escaping)
     assert drawn.forces["B-optimum"].shafts.scales.max() <= NOTHING
     assert drawn.forces["B"].shafts.scales[:2, 2].min() > 1e-3
-    np.testing.assert_array_equal(drawn.escape, [0, 0, -1, 0, 0, 0])
-    assert drawing(seen()).escape is None
+    np.testing.assert_array_equal(escaping.escape, [0, 0, -1, 0, 0, 0])
+    assert seen().escape is None
 
 
 def test_a_scale_stays_while_it_serves():

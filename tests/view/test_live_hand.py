@@ -10,9 +10,9 @@ from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
 from jaxgrasp.grip.tick import observe
 from jaxgrasp.hand.human_hand import open_angles
 from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.report.surfaces import pose_matrix
 from jaxgrasp.view import live_hand
 from jaxgrasp.view.live_hand import LiveHand
-from jaxgrasp.view.seen import pose_matrix
 
 pytestmark = pytest.mark.slow
 

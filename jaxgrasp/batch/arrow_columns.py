@@ -81,8 +81,8 @@ def flat_column(arrow: Any, path: Path, name: str, values: Any) -> FlatColumn:
     return FlatColumn(values.to_numpy(zero_copy_only=False).reshape(rows, *sides), sizes)
 
 
-def check_sizes(path: Path, name: str, sizes: np.ndarray, known: np.ndarray, first: int = 0) -> None:
-    """That grasps have as many contacts in this column as in the others; ``first`` is the number of the first.
+def check_sizes(path: Path, name: str, sizes: np.ndarray, known: np.ndarray) -> None:
+    """That grasps have as many contacts in this column as in the others.
 
     Raises:
         GraspFileError: for the first one that has not.
@@ -90,9 +90,7 @@ def check_sizes(path: Path, name: str, sizes: np.ndarray, known: np.ndarray, fir
     differs = np.flatnonzero(known != sizes)
     if len(differs):
         at = differs[0]
-        raise GraspFileError(
-            path, f"{name}[{first + at}] has {sizes[at]} contacts: expected {known[at]}, as the others"
-        )
+        raise GraspFileError(path, f"{name}[{at}] has {sizes[at]} contacts: expected {known[at]}, as the others")
 
 
 def _text(arrow: Any, path: Path, name: str, values: Any) -> np.ndarray:

@@ -71,12 +71,13 @@ def blocks(sets: ContactSets, chunk: int, devices: int, buckets: tuple[int, ...]
         for start in range(0, len(every), size):
             rows = every[start : start + size]
             chosen = sets if len(rows) == len(sets) else sets.rows(rows)
-            wide = partial(_widen, missing=size - len(rows), repeats=sets.wrenches)
+            wide = partial(widened, missing=size - len(rows), repeats=sets.wrenches)
             grasp, limits = jax.tree.map(wide, (chosen.padded(int(width)), chosen.limits(int(width))))
-            yield Block(rows, grasp, limits, _widen(chosen.wrench, size - len(rows), 1).reshape(-1, 6))
+            yield Block(rows, grasp, limits, widened(chosen.wrench, size - len(rows)).reshape(-1, 6))
 
 
-def _widen(array: np.ndarray, missing: int, repeats: int) -> np.ndarray:
+def widened(array: np.ndarray, missing: int, repeats: int = 1) -> np.ndarray:
+    """An array with so many zeros behind its last entry, and each entry so many times."""
     if missing:
         array = np.concatenate([array, np.zeros((missing, *array.shape[1:]), array.dtype)])
     return np.repeat(array, repeats, 0) if repeats > 1 else array

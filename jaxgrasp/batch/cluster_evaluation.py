@@ -4,11 +4,11 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.arrow import opened_parquet
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.ray_cluster import LOCAL, connected, mapped
@@ -90,11 +90,8 @@ def read_inputs(files: Sequence[Path], skip_damaged: bool, announce: Callable[[s
 
 
 def _rows(file: Path) -> int:
-    arrow = arrow_library()
-    try:
-        return arrow.parquet.read_metadata(file).num_rows
-    except (arrow.ArrowException, OSError) as error:
-        raise GraspFileError(file, f"it cannot be read as Parquet ({error})") from error
+    with opened_parquet(file) as parquet:
+        return parquet.metadata.num_rows
 
 
 def evaluate_on_cluster(
@@ -147,7 +144,7 @@ def evaluate_on_cluster(
 
 
 def _with_earlier(task: ShardTask, folder: ShardFolder) -> ShardTask:
-    return ShardTask(task.path, task.file, task.first, folder.entry(task.file))
+    return replace(task, earlier=folder.entry(task.file))
 
 
 def _reports(

@@ -3,7 +3,7 @@
 A program for each shape of a batch would round in a way of its own.
 """
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxgrasp.batch.blocks import widened
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.force.slip import friction_margin, spin_force
 from jaxgrasp.model.grasp import Grasp
@@ -38,17 +39,10 @@ def margins(sets: ContactSets, forces: np.ndarray, moments: np.ndarray | None) -
             moment = None if moments is None else moments[own, wrench]
             given = (sets.normals[own], sets.friction[own], torsion, forces[own, wrench], moment)
             count = len(given[1])
-            found = _program()(jax.tree.map(_filled, given))
+            found = _program()(jax.tree.map(partial(widened, missing=TILE - count), given))
             margin[own, wrench], beyond[own, wrench] = (np.asarray(one)[:count] for one in found)
     starts = sets.offsets[:-1]
     return np.minimum.reduceat(margin, starts), np.maximum(np.maximum.reduceat(beyond, starts), 0)
-
-
-def _filled(array: np.ndarray) -> np.ndarray:
-    """A tile's array, with zeros where there are no more contacts."""
-    if len(array) == TILE:
-        return array
-    return np.concatenate([array, np.zeros((TILE - len(array), *array.shape[1:]), array.dtype)])
 
 
 @cache

@@ -1,6 +1,6 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -9,7 +9,7 @@ import numpy as np
 from jaxgrasp.batch.blocks import blocks
 from jaxgrasp.batch.contact_margins import margins
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
-from jaxgrasp.batch.engine import Engine, MethodResult, Times
+from jaxgrasp.batch.engine import ANSWERED, Engine, MethodResult, Times
 from jaxgrasp.batch.qualities import Columns, least_friction_of, measure_all, summarise_qualities
 from jaxgrasp.batch.rankings import rank
 from jaxgrasp.batch.reasons import reasons
@@ -219,13 +219,7 @@ def _with_margins(arrays: dict[str, np.ndarray], sets: ContactSets) -> MethodRes
 
 BY_CONTACT = ("forces", "moments", "normal_multiplier")
 MOSTLY_ZERO = ("certificate", "force_bound")
-
-
-ALWAYS = tuple(
-    field.name
-    for field in fields(MethodResult)
-    if field.default is MISSING and field.name not in ("margin", "violation")
-)
+ALWAYS = tuple(name for name in ANSWERED if name != "moments")
 """What every method answers."""
 
 

@@ -7,13 +7,12 @@ Columns are those of [`columnar`][jaxgrasp.batch.columnar]: ``points`` and ``nor
 import json
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library, parquet_writer
+from jaxgrasp.batch.arrow import arrow_library, opened_parquet, parquet_writer
 from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, our_columns
 from jaxgrasp.batch.columnar import ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.contact_sets import ContactSets
@@ -70,7 +69,7 @@ class ParquetArchive:
         if not path.exists():
             raise FileNotFoundError(2, "No such file or directory", str(path))
         self.path = path
-        with self._opened() as file:
+        with opened_parquet(path) as file:
             ours = our_columns(path, file.schema_arrow.names)
         self._sizes: np.ndarray | None = None
         self._offsets = np.zeros(1, np.int64)
@@ -83,17 +82,9 @@ class ParquetArchive:
 
     def parts(self, name: str) -> Iterator[FlatColumn]:
         """A column, some rows at a time."""
-        with self._opened() as file:
+        with opened_parquet(self.path) as file:
             for batch in file.iter_batches(ROWS_READ, columns=[name]):
                 yield flat_column(self._arrow, self.path, name, batch.column(0))
-
-    @contextmanager
-    def _opened(self) -> Iterator[Any]:
-        try:
-            with self._arrow.parquet.ParquetFile(self.path, page_checksum_verification=True) as file:
-                yield file
-        except (self._arrow.ArrowException, OSError) as error:
-            raise GraspFileError(self.path, f"it cannot be read as Parquet ({error})") from error
 
     def _checked(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
         """Shape and type of a column, all of whose rows are of one kind."""

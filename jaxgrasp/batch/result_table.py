@@ -179,10 +179,10 @@ def _by_row(shard: Shard) -> _RowOrder:
 def contact_columns(shard: Shard) -> dict[str, np.ndarray]:
     """``METHOD.forces`` and ``METHOD.moments`` by row: ``(N * W, n, ...)``, or arrays of arrays of different sizes."""
     order = _by_row(shard)
-    columns = {}
+    columns, uniform = {}, len(np.unique(order.sizes)) == 1
     for name in _of_contacts(shard):
         flat = shard[name][order.contact, order.wrench]
-        if len(set(order.sizes)) == 1:
+        if uniform:
             columns[name] = flat.reshape(len(order.sizes), -1, *flat.shape[1:])
         else:
             columns[name] = np.empty(len(order.sizes), object)

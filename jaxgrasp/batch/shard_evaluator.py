@@ -13,7 +13,7 @@ import numpy as np
 from jaxgrasp.batch.arrow import arrow_library
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
-from jaxgrasp.batch.evaluation import Answers, answers
+from jaxgrasp.batch.evaluation import Answers
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.manifest import hashed, is_whole
 from jaxgrasp.batch.name_checksum import MODULUS, names_checksum
@@ -120,16 +120,7 @@ class ShardEvaluator:
 
     def _answers(self, engine: Engine, raw: ContactSets, task: ShardTask, first: int) -> Answers:
         """The answers of a chunk; a fault is said by its number in the file, results are numbered through all files."""
-        plan = self._plan
-        found = answers(
-            engine,
-            plan.adjustments.apply(raw).astype(np.dtype(plan.dtype)),
-            self._measures,
-            least_friction=plan.least_friction,
-            skip_bad=plan.skip_bad,
-            first=first,
-            chunk=plan.chunk,
-        )
+        found = self._plan.answers(engine, raw, self._measures, first=first, chunk=self._plan.chunk)
         return found._replace(numbers=found.numbers + task.first)
 
 
@@ -171,11 +162,12 @@ class _Account:
             OSError: where that is not what was evaluated.
         """
         with arrow_library().parquet.ParquetFile(path) as file:
-            wrenches = [name for name in ("wrench",) if name in file.schema_arrow.names]
-            for batch in file.iter_batches(columns=["name", *wrenches]):
-                columns = {name: batch[name].to_numpy(zero_copy_only=False) for name in ("name", *wrenches)}
-                first = columns["wrench"] == 0 if wrenches else slice(None)
-                self.names_out = (self.names_out + names_checksum(columns["name"][first])) % MODULUS
+            columns = [name for name in ("name", "wrench") if name in file.schema_arrow.names]
+            for batch in file.iter_batches(columns=columns):
+                names = batch["name"].to_numpy(zero_copy_only=False)
+                if "wrench" in columns:
+                    names = names[batch["wrench"].to_numpy() == 0]
+                self.names_out = (self.names_out + names_checksum(names)) % MODULUS
                 self.rows += len(batch)
         if (self.names_out + self.names_aside) % MODULUS != self.names_in:
             raise OSError("what was written reads back otherwise")

@@ -42,9 +42,9 @@ class ShardFolder:
         Raises:
             GraspFileError: as for ``Manifest``, and where it holds results of files that are no longer asked for.
         """
-        self.folder, self._files = folder, list(files)
+        self.folder, self._files = folder, dict.fromkeys(files)
         identity = {"kind": "a file of results for each file", **options, "versions": versions}
-        self._file = Manifest(folder, identity, OURS, resume, overwrite, set(self._files).__contains__)
+        self._file = Manifest(folder, identity, OURS, resume, overwrite, self._files.__contains__)
         self._entries = {entry["file"]: entry for entry in self._file.content["shards"]}
         self._written = 0.0
         gone = next((name for name in self._entries if name not in self._files), None)
@@ -59,7 +59,7 @@ class ShardFolder:
         """Make room: remove an earlier, finished evaluation and leftovers of an interrupt, and nothing else."""
         self._file.drop_earlier(BESIDE)
         self._drop_partial()
-        self._file.content |= {"complete": False, "summary": None}
+        self._file.content["complete"] = False
         self.write()
 
     def _drop_partial(self) -> None:

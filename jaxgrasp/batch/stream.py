@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, Times
-from jaxgrasp.batch.evaluation import answers
+from jaxgrasp.batch.evaluation import Answers, answers
 from jaxgrasp.batch.shards import ResultFolder
 from jaxgrasp.batch.sources import Adjustments, GraspSource
 from jaxgrasp.batch.summary import Summary
@@ -57,6 +57,28 @@ class StreamPlan:
             "skip_bad": self.skip_bad,
             "adjustments": adjusted,
         }
+
+    def answers(
+        self,
+        engine: Engine,
+        raw: ContactSets,
+        measures: tuple[Measure, ...],
+        *,
+        first: int,
+        chunk: int,
+        checked: bool = False,
+    ) -> Answers:
+        """All that the plan asks of grasps as they were read, the first of which has the number ``first``."""
+        return answers(
+            engine,
+            self.adjustments.apply(raw).astype(np.dtype(self.dtype)),
+            measures,
+            least_friction=self.least_friction,
+            skip_bad=self.skip_bad,
+            checked=checked,
+            first=first,
+            chunk=chunk,
+        )
 
 
 @dataclass(frozen=True)
@@ -151,16 +173,7 @@ def _evaluate_chunk(
     start: int,
     raw: ContactSets,
 ) -> _Chunk:
-    found = answers(
-        engine,
-        plan.adjustments.apply(raw).astype(np.dtype(plan.dtype)),
-        measures,
-        least_friction=plan.least_friction,
-        skip_bad=plan.skip_bad,
-        checked=checked,
-        first=start,
-        chunk=rows_per_shape,
-    )
+    found = plan.answers(engine, raw, measures, first=start, chunk=rows_per_shape, checked=checked)
     return _Chunk(start, start + len(raw), found.arrays(), found.summary(measures))
 
 

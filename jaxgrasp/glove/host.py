@@ -322,7 +322,7 @@ class GloveHost(GloveDevice):
         """Each channel's own bounds, after which nothing more is to be said."""
         self._unsaid.remove(frame.kind)
         peak = frame.kind == Kind.LIMITS
-        bounds = self.model.most_counts if peak or self.model.continuous is None else self.model.continuous_counts
+        bounds = self.model.most_counts if peak else self.model.continuous_counts
         for joint, count, most in zip(self.model.joints, frame.values, bounds, strict=False):
             if not 0 <= count <= most:
                 for_ever = "" if peak else " for ever"
@@ -380,8 +380,7 @@ class GloveHost(GloveDevice):
     def _why_not_enabled(self) -> str:
         if Flag.LATCHED not in self._flags:
             return "the device is not armed"
-        known = self._cause in Cause._value2member_map_
-        return f"the device latched: {REASONS[Cause(self._cause)] if known else f'cause {self._cause}'}"
+        return f"the device latched: {REASONS.get(self._cause, f'cause {self._cause}')}"
 
     def _check_link(self, now: float) -> None:
         """Trip where the device's words are late, or lack something."""

@@ -143,23 +143,23 @@ def _on_mesh(given: Inputs, within: Callable[[Inputs], Any]) -> Any:
 def _on_devices(solve: Solve, given: Inputs, sharing: str, tails: tuple, devices: int) -> Any:
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
         raise ValueError("devices is given inside another program, which says itself where its data are: leave it out")
-    local_mesh(devices)
+    mesh = local_mesh(devices)
     flat = _flat(given, sharing, tails, np)
     size = math.prod(flat.batch)
     share = max(1, -(-size // devices))
     room = next((room for room in SIZES if room >= share), -(-share // SIZES[-1]) * SIZES[-1])
     own = jax.tree.map(np.asarray, (flat.fields, flat.each))
-    answer = over_devices(_of_flat(solve), own, size, room, devices)
+    answer = over_devices(_of_flat(solve), own, size, room, mesh)
     return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), answer)
 
 
 @cache
 def _of_flat(solve: Solve) -> Solve:
-    """The solver of what NumPy has brought into one leading axis."""
+    """The solver of what NumPy has brought into one leading axis, perhaps with so many problems alone."""
 
-    def run(flat: tuple[dict[str, Array], dict[str, Array]]) -> Any:
+    def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array | None = None) -> Any:
         fields, each = flat
-        return solve(ProblemBatch(**fields), **each)
+        return solve(ProblemBatch(**fields, count=count), **each)
 
     return run
 
@@ -315,9 +315,4 @@ def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
 @cache
 def _flat_program(solve: Solve) -> Callable:
     """The program for pieces of what NumPy has brought into one leading axis."""
-
-    def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array) -> Any:
-        fields, each = flat
-        return solve(ProblemBatch(**fields, count=count), **each)
-
-    return jax.jit(run, compiler_options=compile_options())
+    return jax.jit(_of_flat(solve), compiler_options=compile_options())

@@ -26,7 +26,7 @@ def local_mesh(devices: int) -> Mesh:
     return Mesh(np.array(available[:devices]), (AXIS,))
 
 
-def over_devices(solve: Callable[..., Any], own: Any, size: int, room: int, devices: int) -> Any:
+def over_devices(solve: Callable[..., Any], own: Any, size: int, room: int, mesh: Mesh) -> Any:
     """``solve(own)`` for ``size`` problems, the leading axis of whose arrays is spread over the devices.
 
     Args:
@@ -34,20 +34,19 @@ def over_devices(solve: Callable[..., Any], own: Any, size: int, room: int, devi
         own: NumPy arrays of ``size`` problems; those of another leading size are shared by all of them.
         size: of the batch.
         room: problems for each device, for which its program is compiled; zeros stand where there are no more.
-        devices: how many.
+        mesh: the devices, from ``local_mesh``.
 
     Returns:
         Arrays ``(size, ...)``, spread as their problems are.
     """
-    mesh = local_mesh(devices)
     leaves, structure = jax.tree.flatten(own)
     spread = tuple(array.ndim > 0 and len(array) == size for array in leaves)
     put = [
-        jax.device_put(_filled(array, room * devices) if apart else array, NamedSharding(mesh, _spec(apart)))
+        jax.device_put(_filled(array, room * mesh.size) if apart else array, NamedSharding(mesh, _spec(apart)))
         for array, apart in zip(leaves, spread, strict=True)
     ]
     answer = _program(solve, mesh, structure, spread)(put)
-    return answer if size == room * devices else jax.tree.map(lambda array: array[:size], answer)
+    return answer if size == room * mesh.size else jax.tree.map(lambda array: array[:size], answer)
 
 
 def _filled(array: np.ndarray, room: int) -> np.ndarray:

@@ -14,8 +14,8 @@ import time
 import pytest
 
 from jaxgrasp.cli.main import main
+from jaxgrasp.psychophysics.analysis.experiment import load_experiment
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 from tests.cli.pseudo_terminal import PersonAtTerminal
 
 PLAN = """
@@ -170,7 +170,7 @@ def test_a_person_stops_and_goes_on(folder, monkeypatch, capsys):
     assert main(command) == 1
     out, err = capsys.readouterr()
     assert "all answers are in" in err and "which one was stronger, 1 or 2?" in out
-    assert [one["answer"] for one in read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]] == [1, 2]
+    assert [one["answer"] for one in load_experiment(folder / "jaxgrasp-experiment").trials["S1"]] == [1, 2]
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n" + "\n\n1\n" * 2 + "\n" + "\n\n1\n" * 4))
     assert main(command) == 0
     assert "5 trials are in" in capsys.readouterr().out
@@ -185,7 +185,7 @@ def test_a_person_matches(folder, monkeypatch, capsys):
     monkeypatch.setattr(experiment_run, "_felt", lambda *_: (IdealStimulus(), lambda: None))
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n+\nr\nc\n?\n+\n-\n\n" + "\n\n"))
     assert main(["experiment", "run", "plan.toml", "--subject", "S1", "--port", "nowhere"]) == 0
-    first, second = read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]
+    first, second = load_experiment(folder / "jaxgrasp-experiment").trials["S1"]
     assert first["setting"] == pytest.approx(first["second"] + 0.2) and second["setting"] == second["second"]
     assert main(["experiment", "analyse", "jaxgrasp-experiment"]) == 0
     assert "2 settings, error" in capsys.readouterr().out
@@ -223,7 +223,7 @@ def test_a_person_at_a_screen_of_their_own_sees_neither_stimuli_nor_torques(fold
     assert "Bend your index MP joint to and fro" in seat.screen and "torque" not in seat.screen
     assert "0.05" not in seat.screen and "0.06" in desk.screen and "N\N{MIDDLE DOT}m" in desk.screen
     assert "which one" not in desk.screen and "trial 5: " in desk.screen
-    for one in read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")[2]:
+    for one in load_experiment(folder / "jaxgrasp-experiment").trials["S1"]:
         assert min(one["moved"]) >= 5 and min(one["durations"]) > 0.5
 
 
@@ -252,7 +252,7 @@ def test_in_a_glove(folder):
                 process.stdin.close()
             process.wait(60)
         glove.terminate()
-    _, _, trials = read_experiment(folder / "jaxgrasp-experiment" / "S1.jsonl")
+    trials = load_experiment(folder / "jaxgrasp-experiment").trials["S1"]
     assert len(trials) == 5 and not any(one["saturated"] for one in trials)
     for one in trials:
         assert max(one["torque"]) == pytest.approx(max(one["first"], one["second"]))
@@ -317,7 +317,7 @@ def test_ten_observers_through_all_commands(folder, monkeypatch, capsys, method,
     assert main(["experiment", "export", "jaxgrasp-experiment"]) == 0
     out = folder / "jaxgrasp-experiment" / "export"
     tables = {name: list(csv.DictReader((out / f"{name}.csv").read_text().splitlines())) for name in TABLES}
-    records = {path.stem: read_experiment(path)[2] for path in (folder / "jaxgrasp-experiment").glob("*.jsonl")}
+    records = load_experiment(folder / "jaxgrasp-experiment").trials
     assert [row["trial"] for row in tables["trials"] if row["subject"] == "S04"] == [
         str(one["number"]) for one in records["S04"]
     ]

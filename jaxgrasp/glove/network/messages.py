@@ -121,7 +121,7 @@ class Exchange:
                 self.stale += 1
                 return None
             self.missing += ahead - 1
-        elif last is not None and self._is_answered and now - self._arrived < TAKEN:
+        elif self._is_answered and now - self._arrived < TAKEN:
             # Two that speak at once would take turns; but only who answers us keeps others away, no recording.
             self.stale += 1
             return None

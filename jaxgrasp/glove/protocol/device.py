@@ -58,7 +58,7 @@ class Cause(IntEnum):
     """The emergency stop: its own button, or a host's STOP."""
 
 
-REASONS = {
+REASONS: dict[int, str] = {
     Cause.NONE: "nothing",
     Cause.WATCHDOG: "no command came in time",
     Cause.GREETED: "a host began anew",

@@ -20,7 +20,7 @@ from jaxgrasp.psychophysics.analysis.notes import notes_on
 from jaxgrasp.psychophysics.analysis.weber import WeberLine
 from jaxgrasp.psychophysics.plan import Plan
 from jaxgrasp.psychophysics.procedures.staircase import Staircase, staircase_threshold
-from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, read_experiment
+from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord, experiment_of
 from jaxgrasp.psychophysics.running.records import RecordError, read_records, subjects
 from jaxgrasp.psychophysics.running.session import EVERYONE
 from jaxgrasp.validation.checked import checked
@@ -86,8 +86,9 @@ def load_experiment(folder: str | os.PathLike) -> Answers:
     """
     plan, trials, simulated, others = None, {}, [], {}
     for path in subjects(Path(folder)):
-        own, observer, trials[path.stem] = read_experiment(path)
-        others[path.stem] = [one for one in read_records(path)[0] if one["record"] != "trial"]
+        records = read_records(path)[0]
+        own, observer, trials[path.stem] = experiment_of(records, path)
+        others[path.stem] = [one for one in records if one["record"] != "trial"]
         if plan is not None and own != plan:
             raise RecordError(f"{path} was made with another plan than the others in {folder}")
         plan = own

@@ -15,15 +15,16 @@ from jaxgrasp.psychophysics.trial import Trial, level_of
 TrialRecord = dict[str, Any]
 
 
-def read_experiment(path: Path) -> tuple[Plan, dict[str, float] | None, list[TrialRecord]]:
+def experiment_of(records: list[dict[str, Any]], path: Path) -> tuple[Plan, dict[str, float] | None, list[TrialRecord]]:
     """The plan of a person's file, the observer who was simulated, if any, and the trials that the plan leads to.
 
     Raises:
-        RecordError: for a file that is none of these, by the trial and the field.
+        RecordError: for records that are none of these, by the trial and the field.
     """
-    first, *rest = _records(path)
-    plan = _plan(first, path)
-    return plan, _observer(first, path), replay(Schedule(plan, path.stem), path.stem, [first, *rest], path)
+    if not records:
+        raise RecordError(f"{path} has no first record of an experiment")
+    plan = _plan(records[0], path)
+    return plan, _observer(records[0], path), replay(Schedule(plan, path.stem), path.stem, records, path)
 
 
 def replay(schedule: Schedule, subject: str, records: list[dict[str, Any]], path: Path) -> list[TrialRecord]:
@@ -69,13 +70,6 @@ def _check_same(was: Plan, now: Plan, path: Path) -> None:
     for key, value in now.table().items():
         if recorded[key] != value:
             raise RecordError(f"{path} was begun with another plan: {key} was {recorded[key]!r}, and now is {value!r}")
-
-
-def _records(path: Path) -> list[dict[str, Any]]:
-    records = read_records(path)[0]
-    if not records:
-        raise RecordError(f"{path} has no first record of an experiment")
-    return records
 
 
 def _plan(first: dict[str, Any], path: Path) -> Plan:

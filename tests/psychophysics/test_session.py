@@ -21,7 +21,6 @@ from jaxgrasp.psychophysics.procedures.constant_stimuli import ConstantStimuli
 from jaxgrasp.psychophysics.procedures.matching import Matching
 from jaxgrasp.psychophysics.psychometric import PsychometricShape
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
-from jaxgrasp.psychophysics.running.recorded_trials import read_experiment
 from jaxgrasp.psychophysics.running.records import Journal, RecordError, read_records
 from jaxgrasp.psychophysics.running.session import run_experiment
 from jaxgrasp.psychophysics.schedule import Schedule
@@ -57,7 +56,7 @@ def run(plan: Plan, folder: Path, person=None, **options) -> int:
 
 def lasting(folder: Path) -> list[dict]:
     """All trials on record, but for when they were."""
-    _, _, trials = read_experiment(folder / "S1.jsonl")
+    trials = load_experiment(folder).trials["S1"]
     return [{key: value for key, value in one.items() if key not in ("at", "seconds", "durations")} for one in trials]
 
 

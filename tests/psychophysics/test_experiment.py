@@ -31,6 +31,18 @@ def answers_of(folder, people: int, stimulus=None, plan: Plan = PLAN, observers=
     return load_experiment(folder)
 
 
+@pytest.fixture(scope="module")
+def five(tmp_path_factory) -> Answers:
+    """Four persons who are alike, and a fifth who guesses."""
+    return answers_of(tmp_path_factory.mktemp("five"), 5, observers=[OBSERVER] * 4 + [Observer(5.0)])
+
+
+def first(answers: Answers, people: int) -> Answers:
+    """Those of the first so many persons."""
+    trials, others = ({f"S{k}": own[f"S{k}"] for k in range(people)} for own in (answers.trials, answers.others))
+    return Answers(answers.plan, trials, answers.simulated[:people], others)
+
+
 @pytest.mark.slow
 def test_what_is_there_is_found(folder):
     """Weber fractions of persons and of all, the line through JNDs, and that references differ."""
@@ -65,30 +77,28 @@ def test_a_reference_without_thresholds_is_left_out(folder):
     assert any("differences of 0.163 on average were felt as" in note for note in found.notes)
 
 
-def test_who_has_none_is_named(folder):
+def test_who_has_none_is_named(five):
     """A person who guesses is left out by name, and it is said what that does."""
-    observers = [OBSERVER] * 4 + [Observer(5.0)]
-    found = analyse(answers_of(folder, 5, observers=observers), SETTINGS)
+    found = analyse(five, SETTINGS)
     assert found.comparison.subjects == ("S0", "S1", "S2", "S3")
     assert any(note.startswith("S4: not in the analysis of variance") for note in found.notes)
 
 
-def test_too_few_are_not_compared(folder):
-    assert analyse(answers_of(folder, 2), SETTINGS).comparison is None
+def test_too_few_are_not_compared(five):
+    assert analyse(first(five, 2), SETTINGS).comparison is None
 
 
-def test_missing_trials_are_said(folder):
-    answers = answers_of(folder, 1)
-    part = {"S0": answers.trials["S0"][:300]}
-    notes = analyse(Answers(answers.plan, part), SETTINGS).notes
+def test_missing_trials_are_said(five):
+    part = {"S0": five.trials["S0"][:300]}
+    notes = analyse(Answers(five.plan, part), SETTINGS).notes
     assert any("S0 at" in note and "58 of 240 trials" in note for note in notes)
     assert any("no trial" in note for note in notes)
 
 
-def test_answers_without_other_records_make_tables(folder):
-    answers = answers_of(folder, 1)
-    tables = tidy_tables(Answers(answers.plan, answers.trials), analyse(answers, SETTINGS))
-    known = tidy_tables(answers, analyse(answers, SETTINGS))
+def test_answers_without_other_records_make_tables(five):
+    answers = first(five, 1)
+    found = analyse(answers, SETTINGS)
+    tables, known = tidy_tables(Answers(answers.plan, answers.trials), found), tidy_tables(answers, found)
     assert tables["trials.csv"] == known["trials.csv"] and len(tables["persons.csv"]) == 2
 
 

@@ -1,8 +1,6 @@
 """Forces by an objective: known answers, an independent oracle, bounds, invariance, derivatives, bad input."""
 
-from collections.abc import Callable
 from functools import cache, partial
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -84,30 +82,6 @@ def padded_pinch(wrench: np.ndarray, *, least: float, most: float, torsion: floa
     return grasp, wrench, limits
 
 
-class Linearized(NamedTuple):
-    """A batch's values near some data."""
-
-    value: jax.Array
-    forward: jax.Array
-    """How they change along a move of the data."""
-    gradient: tuple[Grasp, jax.Array, Limits]
-    """Of their sum."""
-
-
-@cache
-def linearized(objective: str) -> Callable[[tuple, tuple], Linearized]:
-    """From (grasp, wrench, limits) and a move of them: one program for all that asks for derivatives."""
-
-    def value(data):
-        return best_forces(data[0], data[1], objective, limits=data[2]).value
-
-    def both(data, moved):
-        found, forward = jax.linearize(value, data)
-        return Linearized(found, forward(moved), jax.linear_transpose(forward, data)(jnp.ones_like(found))[0])
-
-    return jax.jit(both)
-
-
 def test_two_antipodal_contacts_have_known_answers():
     load = np.zeros((COUNT, 6))
     load[:, 2] = 2
@@ -173,8 +147,10 @@ def test_an_absent_contact_has_no_derivative(objective):
     turned[:, :, 2, 0] = 0.04
     limits = eqx.tree_at(lambda x: x.torque_map, limits, turned)
 
-    data = jax.tree.map(jnp.asarray, (grasp, wrench, limits))
-    moves, *_ = linearized(objective)(data, data).gradient
+    def total(grasp):
+        return jnp.sum(best_forces(grasp, wrench, objective, limits=limits).value)
+
+    moves = jax.grad(total)(jax.tree.map(jnp.asarray, grasp))
     assert not np.asarray(moves.friction)[:, 2:].any() and not np.asarray(moves.points)[:, 2:].any()
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(moves))
 
@@ -317,9 +293,10 @@ def test_forward_reverse_and_finite_differences_agree(objective, limited):
     def value(data):
         return best_forces(data[0], data[1], objective, limits=data[2]).value
 
-    found, forward, gradient = linearized(objective)(data, moved)
+    found, forward = jax.jvp(value, (data,), (moved,))
     assert np.isfinite(found).all()
-    pulled = sum(jnp.sum(g * m) for g, m in zip(jax.tree.leaves(gradient), jax.tree.leaves(moved), strict=True))
+    _, back = jax.vjp(value, data)
+    pulled = sum(jnp.sum(g * m) for g, m in zip(jax.tree.leaves(back(jnp.ones_like(found))[0]), jax.tree.leaves(moved)))
     assert np.isclose(pulled, forward.sum(), rtol=1e-8, atol=1e-8)
     # A margin is found to 1e-7, no better.
     step, near = (3e-4, 3e-3) if objective == "largest_margin" else (1e-5, 1e-4)

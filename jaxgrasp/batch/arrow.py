@@ -8,12 +8,12 @@ MISSING = "Parquet files need pyarrow: pip install 'jaxgrasp[table]'"
 
 
 def arrow_library() -> Any:
-    """pyarrow with its modules for Parquet and for computing.
+    """pyarrow with its modules for Parquet, for computing and for file systems.
 
     Raises:
         ImportError: where it is not installed, with the command that does it.
     """
-    return optional_library("pyarrow", "pyarrow.compute", "pyarrow.parquet", missing=MISSING)
+    return optional_library("pyarrow", "pyarrow.compute", "pyarrow.fs", "pyarrow.parquet", missing=MISSING)
 
 
 def parquet_writer(arrow: Any, stream: IO[bytes], schema: Any) -> Any:

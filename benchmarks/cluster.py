@@ -30,6 +30,8 @@ SHARD = 62_500
 DISTINCT = 16
 """Files that differ; what is more is the same again, under other names."""
 CONTACTS = 5
+COMMAND, WORKER, RAY = "command", "workers", "Ray"
+"""Whose processes: those of neither the command nor the workers are Ray's own."""
 MARK = "JAXGRASP_BENCHMARK_CLUSTER"
 TICKS = os.sysconf("SC_CLK_TCK")
 PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -42,7 +44,7 @@ class Seen(NamedTuple):
     """Seconds."""
     resident: float
     """Most at any look [MiB]."""
-    is_worker: bool
+    role: str
 
 
 class Watch:
@@ -80,18 +82,27 @@ class Watch:
             return
         fields = (folder / "stat").read_text().rsplit(")", 1)[1].split()
         resident = int((folder / "statm").read_text().split()[1]) * PAGE / (1 << 20)
-        before = self._seen.get(folder.name, Seen(0, 0, False))
-        # A worker takes its name once it is at work.
-        worker = before.is_worker or b"ray::MapWorker" in (folder / "cmdline").read_bytes()
+        before = self._seen.get(folder.name, Seen(0, 0, RAY))
         cpu = (int(fields[11]) + int(fields[12])) / TICKS
-        self._seen[folder.name] = Seen(max(cpu, before.cpu), max(resident, before.resident), worker)
+        role = before.role if before.role != RAY else role_of((folder / "cmdline").read_bytes())
+        self._seen[folder.name] = Seen(max(cpu, before.cpu), max(resident, before.resident), role)
 
-    @property
-    def cpu(self) -> float:
-        return sum(one.cpu for one in self._seen.values())
+    def cpu(self) -> dict[str, float]:
+        """Seconds by role."""
+        found = dict.fromkeys((COMMAND, WORKER, RAY), 0.0)
+        for one in self._seen.values():
+            found[one.role] += one.cpu
+        return found
 
-    def resident(self, workers: bool) -> float:
-        return max((one.resident for one in self._seen.values() if one.is_worker or not workers), default=0)
+    def resident(self, *roles: str) -> float:
+        return max((one.resident for one in self._seen.values() if one.role in roles), default=0)
+
+
+def role_of(command: bytes) -> str:
+    """Whose process it is; a worker takes its name once it is at work."""
+    if b"ray::MapWorker" in command:
+        return WORKER
+    return COMMAND if b"jaxgrasp.cli.main" in command else RAY
 
 
 def write_files(folder: Path, count: int) -> list[Path]:
@@ -132,10 +143,11 @@ def run(arguments: list[str], out: Path) -> dict:
     return {
         "wall_seconds": wall,
         "working_seconds": summary["seconds"],
-        "cpu_seconds": watch.cpu,
+        "cpu_seconds": sum(watch.cpu().values()),
+        "cpu_seconds_of": watch.cpu(),
         "first_file_seconds": watch.first_file,
-        "worker_mib": watch.resident(workers=True),
-        "largest_mib": watch.resident(workers=False),
+        "worker_mib": watch.resident(WORKER),
+        "largest_mib": watch.resident(COMMAND, WORKER, RAY),
         "verdicts": {name: method["verdicts"] for name, method in summary["summary"]["methods"].items()},
     }
 
@@ -160,55 +172,73 @@ def measure(count: int) -> dict:
         return found
 
 
+RUNS = {"plain": "plain", "workers_1": "1 worker", "workers_2": "2 workers"}
+
+
 def page(report: dict) -> str:
     lines = [
         "# What a cluster costs",
         "",
         "`python -m benchmarks.cluster --out benchmarks/results`. Grasps of five contacts, Parquet in and out, both",
         f"closed forms and both optima, on {report['machine']['cores']} cores of {report['machine']['processor']}.",
-        "Others may have been at work on the machine: CPU seconds are what to compare, of all processes of a run,",
-        "Ray's own and starting among them.",
+        "Others were at work on the machine: CPU seconds are what to compare, of all processes of a run, as they",
+        "start too; wall time, and what Ray spends while it waits, hang on how busy it was. Beside plain is",
+        "how much more CPU time all of a run takes than plain `evaluate` does.",
         "",
-        "| grasps | files | run | CPU s | wall s | CPU µs a grasp | first file s | worker MiB |",
-        "|---|---|---|---|---|---|---|---|",
+        "| grasps | files | run | CPU s | command, workers, Ray | beside plain | wall s | first file s | worker MiB |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
-        for name, what in (("plain", "plain"), ("workers_1", "1 worker"), ("workers_2", "2 workers")):
+        for name, what in RUNS.items():
             one = row[name]
-            first = "-" if one["first_file_seconds"] is None else f"{one['first_file_seconds']:.1f}"
+            parts = ", ".join(f"{seconds:.0f}" for seconds in one["cpu_seconds_of"].values())
+            more = "-" if name == "plain" else f"{one['cpu_seconds'] / row['plain']['cpu_seconds'] - 1:+.0%}"
+            first = "-" if one["first_file_seconds"] is None else f"{one['first_file_seconds']:.0f}"
             memory = one["largest_mib"] if name == "plain" else one["worker_mib"]
-            each = 1e6 * one["cpu_seconds"] / row["grasps"]
             lines.append(
-                f"| {row['grasps']:,} | {row['files']} | {what} | {one['cpu_seconds']:.1f} | {one['wall_seconds']:.1f} "
-                f"| {each:.1f} | {first} | {memory:.0f} |"
+                f"| {row['grasps']:,} | {row['files']} | {what} | {one['cpu_seconds']:.1f} | {parts} | {more} "
+                f"| {one['wall_seconds']:.0f} | {first} | {memory:.0f} |"
             )
-    largest = report["rows"][-1]
-    lines += [
-        "",
+    return "\n".join([*lines, "", *_each_more(report["rows"]), ""])
+
+
+def _each_more(rows: list[dict]) -> list[str]:
+    """What a grasp costs without starting: the slope over the two largest counts."""
+    lines = []
+    if len(rows) > 1:
+        small, large = rows[-2:]
+        count = large["grasps"] - small["grasps"]
+        each = {name: 1e6 * (large[name]["cpu_seconds"] - small[name]["cpu_seconds"]) / count for name in RUNS}
+        shown = ", ".join(f"{each[name]:.1f} µs by {what}" for name, what in RUNS.items())
+        lines.append(
+            f"From {small['grasps']:,} to {large['grasps']:,} grasps each one more takes, of CPU time, {shown}."
+        )
+    largest = rows[-1]
+    lines.append(
         f"Input {largest['input_bytes'] / largest['grasps']:.0f} bytes a grasp, "
-        f"results {largest['output_bytes'] / largest['grasps']:.0f}.",
-        "",
-    ]
-    return "\n".join(lines)
+        f"results {largest['output_bytes'] / largest['grasps']:.0f}."
+    )
+    return lines
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"), help="folder of the two files")
-    parser.add_argument("--largest", type=int, default=1_000_000, help="10,000,000 takes a quarter of an hour alone")
+    parser.add_argument("--grasps", type=int, nargs="+", default=[10_000, 100_000, 1_000_000, 10_000_000])
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    counts = [count for count in (10_000, 100_000, 1_000_000, 10_000_000) if count <= arguments.largest]
     with tempfile.TemporaryDirectory() as scratch:
         write_files(Path(scratch) / "in", 2 * 1_000)
         run([str(Path(scratch) / "in"), "--cluster", "local"], Path(scratch) / "out")
         run([str(joined([*(Path(scratch) / "in").iterdir()], Path(scratch) / "w.parquet"))], Path(scratch) / "plain")
-    report = {"machine": machine(), "rows": []}
-    for count in counts:
-        report["rows"].append(measure(count))
-        (arguments.out / "cluster.json").write_text(json.dumps(report, indent=1) + "\n")
+    path = arguments.out / "cluster.json"
+    earlier = json.loads(path.read_text())["rows"] if path.exists() else []
+    rows = {row["grasps"]: row for row in earlier}
+    for count in arguments.grasps:
+        rows[count] = measure(count)
+        report = {"machine": machine(), "rows": [rows[key] for key in sorted(rows)]}
+        path.write_text(json.dumps(report, indent=1) + "\n")
         (arguments.out / "cluster.md").write_text(page(report))
-        print(page(report).splitlines()[-7:], flush=True)
 
 
 if __name__ == "__main__":

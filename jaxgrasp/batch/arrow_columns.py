@@ -1,7 +1,7 @@
 """Columns of Arrow, one row for each grasp, as the flat arrays that [`columnar`][jaxgrasp.batch.columnar] describes."""
 
+import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ class ArrayColumn:
     def close(self) -> None: ...
 
 
-def our_columns(path: Path, names: list[str]) -> list[str]:
+def our_columns(path: os.PathLike, names: list[str]) -> list[str]:
     """Those of these columns that are read; offsets are in the lists themselves.
 
     Raises:
@@ -52,7 +52,7 @@ class FlatColumn:
     """``(N,)``: contacts of each row, where it belongs to contacts."""
 
 
-def flat_column(arrow: Any, path: Path, name: str, values: Any) -> FlatColumn:
+def flat_column(arrow: Any, path: os.PathLike, name: str, values: Any) -> FlatColumn:
     """An Arrow array of grasps' rows as a flat one.
 
     Raises:
@@ -81,7 +81,7 @@ def flat_column(arrow: Any, path: Path, name: str, values: Any) -> FlatColumn:
     return FlatColumn(values.to_numpy(zero_copy_only=False).reshape(rows, *sides), sizes)
 
 
-def check_sizes(path: Path, name: str, sizes: np.ndarray, known: np.ndarray) -> None:
+def check_sizes(path: os.PathLike, name: str, sizes: np.ndarray, known: np.ndarray) -> None:
     """That grasps have as many contacts in this column as in the others.
 
     Raises:
@@ -93,7 +93,7 @@ def check_sizes(path: Path, name: str, sizes: np.ndarray, known: np.ndarray) -> 
         raise GraspFileError(path, f"{name}[{at}] has {sizes[at]} contacts: expected {known[at]}, as the others")
 
 
-def _text(arrow: Any, path: Path, name: str, values: Any) -> np.ndarray:
+def _text(arrow: Any, path: os.PathLike, name: str, values: Any) -> np.ndarray:
     if arrow.types.is_dictionary(values.type):
         values = values.dictionary_decode()
     if not (arrow.types.is_string(values.type) or arrow.types.is_large_string(values.type)):

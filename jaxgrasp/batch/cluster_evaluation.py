@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.batch.arrow import opened_parquet
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.parquet_file import opened_parquet
 from jaxgrasp.batch.ray_cluster import LOCAL, connected, mapped
+from jaxgrasp.batch.remote_file import RemoteFile, remote_files
 from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardReport, ShardTask
 from jaxgrasp.batch.shard_folder import ShardFolder
 from jaxgrasp.batch.stream import StreamPlan, StreamResult
@@ -33,19 +34,25 @@ class ClusterPlan:
     """Whether to name files that cannot be read and go on with the others."""
 
 
-def parquet_files(paths: Sequence[Path]) -> list[Path]:
+def parquet_files(paths: Sequence[Path | RemoteFile]) -> list[Path | RemoteFile]:
     """The files of grasps that are meant: these, or in place of a folder those in it, in the order of their names.
+
+    Of addresses, those that fit a pattern such as ``s3://bucket/folder/part-*.parquet`` too.
 
     Raises:
         GraspFileError: for other files, a folder without any, and names that come twice.
     """
-    files: list[Path] = []
+    files: list[Path | RemoteFile] = []
     for path in paths:
-        inside = sorted(path.glob(f"*{ENDING}")) if path.is_dir() else [path]
+        inside: Sequence[Path | RemoteFile]
+        if isinstance(path, RemoteFile):
+            inside = remote_files(path, ENDING)
+        else:
+            inside = sorted(path.glob(f"*{ENDING}")) if path.is_dir() else [path]
         if not inside:
             raise GraspFileError(path, f"it holds no file that ends in {ENDING}")
         files += inside
-    seen: dict[str, Path] = {}
+    seen: dict[str, Path | RemoteFile] = {}
     for file in files:
         if file.suffix != ENDING or file.name.startswith("."):
             raise GraspFileError(file, f"a cluster reads files that end in {ENDING}: jaxgrasp convert makes them")
@@ -66,7 +73,7 @@ class ShardInputs:
     """Those that cannot be opened."""
 
 
-def read_inputs(files: Sequence[Path], skip_damaged: bool, announce: Callable[[str], None]) -> ShardInputs:
+def read_inputs(files: Sequence[Path | RemoteFile], skip_damaged: bool, announce: Callable[[str], None]) -> ShardInputs:
     """What the ends of the files say of them.
 
     Raises:
@@ -76,7 +83,8 @@ def read_inputs(files: Sequence[Path], skip_damaged: bool, announce: Callable[[s
     first = 0
     for file in files:
         try:
-            count = _rows(file)
+            with opened_parquet(file) as opened:
+                count = opened.metadata.num_rows
         except GraspFileError as error:
             if not skip_damaged:
                 raise
@@ -87,11 +95,6 @@ def read_inputs(files: Sequence[Path], skip_damaged: bool, announce: Callable[[s
         found.grasps[file.name] = count
         first += count
     return found
-
-
-def _rows(file: Path) -> int:
-    with opened_parquet(file) as parquet:
-        return parquet.metadata.num_rows
 
 
 def evaluate_on_cluster(

@@ -14,10 +14,10 @@
 Other columns are left alone.
 """
 
+import os
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -59,8 +59,10 @@ class ColumnOfRows(Protocol):
 class Archive(Protocol):
     """Where columns lie, by their names."""
 
-    path: Path
     names: list[str]
+
+    @property
+    def path(self) -> os.PathLike: ...
 
     def checksum(self) -> int: ...
 

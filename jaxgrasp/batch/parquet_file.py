@@ -7,16 +7,18 @@ Columns are those of [`columnar`][jaxgrasp.batch.columnar]: ``points`` and ``nor
 import json
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxgrasp.batch.arrow import arrow_library, opened_parquet, parquet_writer
+from jaxgrasp.batch.arrow import arrow_library, parquet_writer
 from jaxgrasp.batch.arrow_columns import ArrayColumn, FlatColumn, check_sizes, flat_column, our_columns
 from jaxgrasp.batch.columnar import ColumnarGrasps, ColumnOfRows
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.batch.remote_file import RemoteFile
 from jaxgrasp.files.replace import replace_file
 
 ROWS = 65_536
@@ -64,12 +66,12 @@ class ParquetArchive:
     All of it is read once as it is opened, which checks it.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: "Path | RemoteFile"):
         self._arrow = arrow_library()
-        if not path.exists():
+        if isinstance(path, Path) and not path.exists():
             raise FileNotFoundError(2, "No such file or directory", str(path))
         self.path = path
-        with opened_parquet(path) as file:
+        with opened_parquet(self.path) as file:
             ours = our_columns(path, file.schema_arrow.names)
         self._sizes: np.ndarray | None = None
         self._offsets = np.zeros(1, np.int64)
@@ -121,6 +123,24 @@ class ParquetArchive:
     def close(self) -> None: ...
 
 
+@contextmanager
+def opened_parquet(path: "Path | RemoteFile") -> Iterator[Any]:
+    """pyarrow's file of Parquet, here or elsewhere.
+
+    Raises:
+        GraspFileError: where it cannot be opened, and for what cannot be read of it within the block.
+    """
+    arrow = arrow_library()
+    try:
+        with (
+            path.opened() if isinstance(path, RemoteFile) else nullcontext(path) as source,
+            arrow.parquet.ParquetFile(source, page_checksum_verification=True) as file,
+        ):
+            yield file
+    except (arrow.ArrowException, OSError) as error:
+        raise GraspFileError(path, f"it cannot be read as Parquet ({error})") from error
+
+
 def _content(array: np.ndarray) -> bytes:
     """What a checksum is of, whatever pieces it comes in: texts without what fills them up to the longest."""
     if array.dtype.kind == "U":
@@ -128,7 +148,7 @@ def _content(array: np.ndarray) -> bytes:
     return np.ascontiguousarray(array).tobytes()
 
 
-def open_parquet(path: Path, fill: dict[str, float] | None = None) -> ColumnarGrasps:
+def open_parquet(path: "Path | RemoteFile", fill: dict[str, float] | None = None) -> ColumnarGrasps:
     """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
     return ColumnarGrasps(ParquetArchive(path), fill)
 

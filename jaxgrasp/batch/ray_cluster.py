@@ -11,8 +11,9 @@ from typing import Any
 from jaxgrasp.validation.optional_library import optional_library
 
 MISSING = "--cluster needs Ray: pip install 'jaxgrasp[cluster]'"
-QUIET = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal"}
-"""Settings of Ray's own processes: nothing is sent to its makers, and warnings of its inner working are not shown."""
+SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal", "RAY_worker_niceness": "0"}
+"""Settings of Ray's own processes: nothing is sent to its makers, warnings of its inner working are not shown, and
+workers are as urgent as the command, where Ray would have them wait for all else that runs on the machine."""
 LOCAL = "local"
 OBJECT_STORE = 200 << 20
 """Bytes of Ray's shared memory on this machine: what passes through it are names and reports."""
@@ -105,7 +106,7 @@ def _check_address(where: str) -> None:
 @contextmanager
 def _settings() -> Iterator[None]:
     """Ray reads them as it is imported and when it starts processes; what the user set stays."""
-    added = {name: value for name, value in QUIET.items() if name not in os.environ}
+    added = {name: value for name, value in SETTINGS.items() if name not in os.environ}
     os.environ.update(added)
     try:
         yield

@@ -17,6 +17,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.hdf5_file import open_hdf5, write_hdf5
 from jaxgrasp.batch.npz_file import open_npz, write_npz
 from jaxgrasp.batch.parquet_file import open_parquet, write_parquet
+from jaxgrasp.batch.remote_file import RemoteFile, read_place
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
@@ -126,7 +127,11 @@ def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments(
         GraspFileError: for a directory, another ending, and a file that is damaged or lacks what it needs.
         ImportError: for a kind whose library is not installed.
     """
-    path = Path(path)
+    path = read_place(path)
+    if isinstance(path, RemoteFile):
+        if path.suffix != ".parquet":
+            raise GraspFileError(path, "it lies elsewhere: expected Parquet, or a file of this machine")
+        return open_parquet(path, adjustments.fill)
     if path.is_dir():
         raise GraspFileError(path, f"it is a directory: expected a file that ends in {ENDINGS}")
     return file_format(path).open(path, adjustments.fill)

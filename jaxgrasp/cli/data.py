@@ -3,13 +3,14 @@
 from importlib.resources import files
 from pathlib import Path
 
+from jaxgrasp.batch.remote_file import RemoteFile
 from jaxgrasp.batch.sources import Adjustments, GraspSource, open_source
 from jaxgrasp.cli.data_arguments import Data
 
 SHIPPED = "simulated_grips.npz"
 
 
-def data_path(file: Path | None) -> Path:
+def data_path(file: "Path | RemoteFile | None") -> "Path | RemoteFile":
     """The file asked for, or the one that ships with the package."""
     return file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
 

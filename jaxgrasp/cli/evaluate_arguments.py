@@ -15,9 +15,10 @@ MethodName = Literal["A", "B", "A-optimum", "B-optimum"]
 class Evaluate(Convention):
     """Compute closed forms and constrained optima of every grasp, sum them up, and write results and a report."""
 
-    file: tyro.conf.Positional[tuple[Path, ...]] = ()
+    file: tyro.conf.Positional[tuple[str, ...]] = ()
     """A file of grasps (.npz, .csv, .parquet, .h5); the simulated grips that ship with the package where not given.
-    With --cluster any number of Parquet files, or folders of them."""
+    With --cluster any number of Parquet files, or folders of them; of an object store too, by address:
+    s3://bucket/folder/*.parquet."""
     methods: tuple[MethodName, ...] = ("A", "B", "A-optimum", "B-optimum")
     """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
     quality: str = ""

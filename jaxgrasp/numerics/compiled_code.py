@@ -52,3 +52,10 @@ def compile_options() -> dict[str, str | bool] | None:
     Known of some versions alone; another may not know the option, and would refuse it.
     """
     return {"xla_cpu_use_fusion_emitters": False} if is_known_xla() else None
+
+
+def compile_quickly_options() -> dict[str, str | bool | int] | None:
+    """Options for programs that run once or a few times: compiled in half the time, to code several times as slow."""
+    if jax.default_backend() != "cpu":
+        return None
+    return {**(compile_options() or {}), "xla_backend_optimization_level": 0}

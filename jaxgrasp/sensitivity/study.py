@@ -1,6 +1,7 @@
 """The paper's sensitivity analysis as a whole: slip angles along a task by several methods, and what moves them."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -10,7 +11,7 @@ from jaxgrasp.model.task import Task
 from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels
 from jaxgrasp.sensitivity.outputs import Output, friction_reserve
-from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, sensitivity_trajectory
+from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, trajectory_call
 
 RESERVE_INSTANTS = 64
 """At so many instants at most the reserve is looked at, which takes a thousand times as long as a slip angle."""
@@ -51,14 +52,19 @@ def study(
         ValueError: as [`jaxgrasp.sensitivity.sensitivity_trajectory`][] does.
     """
     slips = {
-        method: sensitivity_trajectory(
-            task, times, Output("slip_angle", method), by, vary={vary: values}, labels=labels
+        method: trajectory_call(
+            task, times, Output("slip_angle", method), by, vary={vary: values}, labels=labels, once=True
         )
         for method in methods
     }
     some = times[:: -(-len(times) // RESERVE_INSTANTS)]
     ours = {name: these for name, these in labels.items() if name != "slip_angle"}
-    return Study(slips, sensitivity_trajectory(task, some, friction_reserve, by, labels=ours))
+    reserve = trajectory_call(task, some, friction_reserve, by, labels=ours, once=True)
+    # Nearly all of the time is compiling, which another core can do as well; what takes longest begins first.
+    with ThreadPoolExecutor() as pool:
+        found = pool.submit(reserve)
+        others = {method: pool.submit(call) for method, call in slips.items()}
+        return Study({method: one.result() for method, one in others.items()}, found.result())
 
 
 def at_worst(matrix: SensitivityMatrix, *, largest: bool) -> SensitivityMatrix:

@@ -1,7 +1,7 @@
 """Sensitivity trajectories: outputs over time along a task, how parameters move them, and what if (section II-G.3)."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from itertools import chain
 from typing import Any
 
@@ -15,6 +15,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries as faults_in
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.task import Task
+from jaxgrasp.numerics.compiled_code import compile_quickly_options
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
 from jaxgrasp.sensitivity.naming import (
     Entry,
@@ -92,6 +93,25 @@ def sensitivity_trajectory(
         ValueError: for times that do not ascend, names that are unknown, parameters that are not finite, a task that
             returns no grasp and wrench, and an output that lacks the axis of the times.
     """
+    return trajectory_call(task, times, output, by, vary=vary, labels=labels)()
+
+
+def trajectory_call(
+    task: Task,
+    times: AnyArray | Sequence[float],
+    output: OutputOf,
+    by: Iterable[str] | None = None,
+    *,
+    vary: Mapping[str, Sequence[float]] | None = None,
+    labels: Labels | None = None,
+    once: bool = False,
+) -> Callable[[], SensitivityTrajectory]:
+    """What gives the trajectory, once the arguments are known to be good; calls of several may run side by side.
+
+    Args:
+        task, times, output, by, vary, labels: as for [`jaxgrasp.sensitivity.sensitivity_trajectory`][], as are errors.
+        once: whether to compile quickly, to slower code.
+    """
     instants = read_times(times)
     task = as_arrays(task)
     entries = entries_of(task.parameters, labels)
@@ -103,13 +123,17 @@ def sensitivity_trajectory(
     values = tuple(jnp.asarray(_read_row(f"values of {name}", these)) for name, these in (vary or {}).items())
     together = tuple(dict.fromkeys((*wanted, *chain(*tried))))
     forward = len(together) <= len(outputs)
-    here, nominal, derivatives, curves = _along(task, output, instants, together, forward, tried, values)
-    matrix = SensitivityMatrix(derivatives, nominal, here, outputs, together)
-    varied = [_varied(matrix, *one) for one in zip(tried, values, curves, strict=True)]
-    if together != wanted:
-        kept = slice(len(wanted))
-        matrix = SensitivityMatrix(derivatives[..., kept], nominal, here[kept], outputs, wanted)
-    return SensitivityTrajectory(instants, matrix, dict(zip(vary or {}, varied, strict=True)))
+
+    def call() -> SensitivityTrajectory:
+        here, nominal, derivatives, curves = _program(once)(task, output, instants, together, forward, tried, values)
+        matrix = SensitivityMatrix(derivatives, nominal, here, outputs, together)
+        varied = [_varied(matrix, *one) for one in zip(tried, values, curves, strict=True)]
+        if together != wanted:
+            kept = slice(len(wanted))
+            matrix = SensitivityMatrix(derivatives[..., kept], nominal, here[kept], outputs, wanted)
+        return SensitivityTrajectory(instants, matrix, dict(zip(vary or {}, varied, strict=True)))
+
+    return call
 
 
 def _varied(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array, curves: Array) -> VariedCurves:
@@ -119,7 +143,12 @@ def _varied(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array, 
     return VariedCurves(values, curves, matrix.nominal + rise)
 
 
-@eqx.filter_jit
+@cache
+def _program(once: bool) -> Callable[..., tuple[Array, Array, Array, list[Array]]]:
+    options: dict[str, Any] = {"compiler_options": compile_quickly_options()} if once else {}
+    return eqx.filter_jit(_along, **options)
+
+
 def _along(
     task: Task,
     output: OutputOf,

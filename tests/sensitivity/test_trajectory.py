@@ -10,6 +10,7 @@ from jaxgrasp.grip import Task
 from jaxgrasp.sensitivity import Output, cylinder_task, sensitivity_trajectory
 from jaxgrasp.sensitivity.naming import with_values
 from jaxgrasp.sensitivity.paper_task import FINGERS, INDEX_CONTRIBUTIONS
+from jaxgrasp.sensitivity.trajectory import trajectory_call
 
 TIMES = np.linspace(0.013, 3.987, 31)
 """None of them an instant at which a finger comes to its cone, where a derivative has two sides."""
@@ -113,6 +114,14 @@ def _first_slip(method: str):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_code_that_is_compiled_quickly_says_the_same():
+    asked = (cylinder_task(), TIMES, OUTPUTS["A"], BY)
+    found, quickly = (trajectory_call(*asked, vary={"radius": (0.04,)}, once=once)() for once in (False, True))
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(quickly), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+
+
 def test_varied_curves_and_their_prediction():
     here = float(cylinder_task().parameters.held.contributions[INDEX])
     values = (*INDEX_CONTRIBUTIONS, here, 1.01 * here, 1.005 * here)

@@ -1,0 +1,113 @@
+"""Files in an object store, or wherever else pyarrow reads from, by their addresses: ``s3://bucket/folder/a.parquet``.
+
+What an address says after ``?``, such as a region, goes to pyarrow; credentials come from the environment or a profile,
+as with the store's own tools.
+"""
+
+import fnmatch
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import SplitResult, urlsplit
+
+from jaxgrasp.batch.arrow import arrow_library
+from jaxgrasp.batch.file_error import GraspFileError
+
+MARK = "://"
+WILD = "*?["
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file by its address; of a path it has what is asked of files of grasps."""
+
+    address: str
+
+    def __str__(self) -> str:
+        return self.address
+
+    __fspath__ = __str__
+
+    @property
+    def name(self) -> str:
+        """The last part of its path."""
+        return PurePosixPath(urlsplit(self.address).path).name
+
+    @property
+    def suffix(self) -> str:
+        """The ending of its name."""
+        return PurePosixPath(self.name).suffix
+
+    def absolute(self) -> "RemoteFile":
+        """An address is that already."""
+        return self
+
+    @contextmanager
+    def opened(self) -> Iterator[Any]:
+        """The file, for pyarrow to read from.
+
+        Raises:
+            FileNotFoundError: where there is none.
+            OSError: where it cannot be reached.
+        """
+        files, path = _file_system(self.address)
+        with files.open_input_file(path) as stream:
+            yield stream
+
+
+def read_place(text: str | os.PathLike) -> "Path | RemoteFile":
+    """A path of this machine, or an address."""
+    said = os.fspath(text)
+    return RemoteFile(said) if MARK in said else Path(said)
+
+
+def remote_files(place: RemoteFile, ending: str) -> list[RemoteFile]:
+    """The files that an address means: itself, those that fit its last part, ``part-*.parquet``, or those in a folder.
+
+    Args:
+        place: whose last part may hold ``*``, ``?`` that no query follows, and ``[...]``.
+        ending: of the names of files in a folder.
+
+    Raises:
+        GraspFileError: for an address that cannot be read, or where there is nothing.
+    """
+    parts, pattern = _parts(place.address), f"*{ending}"
+    folder = PurePosixPath(parts.path)
+    if any(mark in folder.name for mark in WILD):
+        folder, pattern = folder.parent, folder.name
+    elif folder.suffix == ending:
+        return [place]
+    arrow = arrow_library()
+    try:
+        files, path = _file_system(parts._replace(path=str(folder)).geturl())
+        found = files.get_file_info(arrow.fs.FileSelector(path, allow_not_found=True))
+    except (arrow.ArrowException, OSError) as error:
+        raise GraspFileError(place, f"it cannot be listed ({_first_line(error)})") from error
+    names = sorted(one.base_name for one in found if one.is_file and fnmatch.fnmatchcase(one.base_name, pattern))
+    return [RemoteFile(parts._replace(path=str(folder / name)).geturl()) for name in names]
+
+
+def _parts(address: str) -> SplitResult:
+    parts = urlsplit(address)
+    if parts.username is not None:
+        shown = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+        raise GraspFileError(shown, "the address holds credentials: expected them in the environment or a profile")
+    return parts
+
+
+def _file_system(address: str) -> tuple[Any, str]:
+    """pyarrow's file system for an address, and the path there."""
+    arrow = arrow_library()
+    _parts(address)
+    try:
+        files, path = arrow.fs.FileSystem.from_uri(address)
+    except arrow.ArrowInvalid as error:
+        raise GraspFileError(address, f"the address cannot be used ({_first_line(error)})") from error
+    return files, path
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0]

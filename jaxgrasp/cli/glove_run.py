@@ -30,7 +30,7 @@ from jaxgrasp.grip.human_scale import beyond_human
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, check_without_others, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
-from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
+from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
@@ -158,7 +158,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
         law = arguments.law or made.law
         angles = np.asarray(made.closed.angles)
         haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
-        warm_up(haptics, pose_at(jnp.zeros(3)))
+        haptics.warm_up(pose_at(jnp.zeros(3)))
     tracker, feed = _tracker(arguments), None
     wrist = Wrist(tracker, alignment)
     try:

@@ -84,6 +84,9 @@ class Scene(eqx.Module):
     table_touches_hand: bool = eqx.field(static=True, default=False)
     """Whether the hand's own links are stopped by the table, or go through: fingers around what lies on a table would
     be in it."""
+    torsion: float | AnyArray | None = None
+    """Torsional friction of the hand's contacts with the object [m]; all are hard where not given. Table and obstacles
+    are hard always."""
 
 
 def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
@@ -115,6 +118,8 @@ def check_scene(scene: Scene) -> None:
         if not guide.any():
             raise ValueError("guide is all zeros: expected a twist in one of its columns at least")
     _check_not_negative("table_friction", scene.table_friction, "0 or more")
+    if scene.torsion is not None:
+        _check_not_negative("torsion", scene.torsion, "0 or more [m]")
     if not isinstance(scene.obstacles, tuple):
         raise ValueError(f"obstacles is a {type(scene.obstacles).__name__}: expected a tuple of Obstacles")
     for k, obstacle in enumerate(scene.obstacles):

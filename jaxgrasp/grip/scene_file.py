@@ -217,6 +217,7 @@ def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
         outline=outline,
         table_friction=file.table.friction,
         table_touches_hand=file.table.touches_hand,
+        torsion=file.object.torsion or None,
     )
     return GrippedScene(scene, closed, jnp.asarray(way.open), placed, contacts, kind, file.grip.law)
 

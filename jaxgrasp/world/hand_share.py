@@ -1,6 +1,7 @@
 """What a hand exerts on every object that it touches, by the package's own laws, and what its joints feel of it all."""
 
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
 from jaxgrasp.grip.motion import guide_at, spatial_inertia
 from jaxgrasp.grip.obstacles import hand_torques
-from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.grip.slipping import Exerted, cut_to_cones
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
@@ -22,7 +23,7 @@ from jaxgrasp.hand.to_grasp import grasp_from_contacts
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.world.many_bodies import World
+from jaxgrasp.world.many_bodies import Thing, World
 
 
 class ThingTouches(eqx.Module):
@@ -47,12 +48,19 @@ class HandShare(eqx.Module):
     exerted: Float[Array, "N L 3"]
     """What it exerts [N]: the law's forces where they hold; of an object that slips by the closed form, each as far as
     its friction goes, by the optimum those that come closest; none on what it does not touch."""
+    moments: Float[Array, "N L"] | None
+    """What soft fingers exert about their normals with that [N.m]; None where all contacts are hard."""
     missed: Float[Array, "N 6"]
     """What the exerted forces leave of the wrench of objects that slip [N, N.m]."""
     torques: Float[Array, "J"]
     """On the joints, by objects, table and obstacles [N.m]: negative where they resist a positive angle."""
     blocked: Float[Array, "J"]
     """What of them is by table and obstacles, where the hand itself touches them [N.m]."""
+
+    @property
+    def by_hand(self) -> Exerted:
+        """Forces and moments of the hand."""
+        return Exerted(self.exerted, self.moments)
 
 
 @jax.jit
@@ -65,10 +73,16 @@ def touched_things(world: World, posture: Posture, placed: Pose) -> ThingTouches
         for name in ("friction", "stiffness")
     )
     contributions = jnp.asarray(world.scene.contributions)
-    found = grasp_from_contacts(contacts, friction, stiffness, contributions)
-    points = found.points - jnp.asarray(placed.origin)[:, None]
-    grasp = Grasp(points, found.normals, found.friction, found.squeeze, found.present)
+    found = grasp_from_contacts(contacts, friction, stiffness, contributions, _torsion(things, contacts.depths.dtype))
+    grasp = eqx.tree_at(lambda g: g.points, found, found.points - jnp.asarray(placed.origin)[:, None])
     return ThingTouches(contacts, grasp, contacts.present * stiffness * contributions)
+
+
+def _torsion(things: tuple[Thing, ...], dtype: Any) -> Array | None:
+    """``(N, 1)``: torsional friction of the hand's contacts with each; None where all are hard."""
+    if all(thing.torsion is None for thing in things):
+        return None
+    return jnp.stack([jnp.asarray(0.0 if thing.torsion is None else thing.torsion, dtype) for thing in things])[:, None]
 
 
 def _contacts(hand: Hand, posture: Posture, shapes: list[Shape], placed: Pose) -> Contacts:
@@ -125,8 +139,8 @@ def cut_share(
     grasp = touches.grasp
     closed, optimum = closed_form_and_optimum(grasp, wrench, free=_free(world, placed))
     assessment = judged(grasp, closed, optimum, law)
-    slips = (assessment.hold == Hold.SLIPPING)[:, None, None]
-    exerted = jnp.where(slips, cut_to_cones(grasp, assessment.forces), assessment.forces)
+    slips = assessment.hold == Hold.SLIPPING
+    exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
     return _felt(world, posture, touches, wrench, assessment, exerted)
 
 
@@ -136,20 +150,20 @@ def _closest(world: World, posture: Posture, placed: Pose, share: HandShare) -> 
     inertia = jnp.stack([spatial_inertia(thing.body, placed.rotation[n]) for n, thing in enumerate(world.things)])
     touches = share.touches
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
-    slips = (share.assessment.hold == Hold.SLIPPING)[:, None, None]
-    exerted = jnp.where(slips, closest.forces, share.exerted)
+    exerted = Exerted(closest.forces, closest.moments).where(share.assessment.hold == Hold.SLIPPING, share.by_hand)
     return _felt(world, posture, touches, share.wrench, share.assessment, exerted)
 
 
 def _felt(
-    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Array
+    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Exerted
 ) -> HandShare:
-    hand = world.scene.hand
-    torques = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted)
+    hand, grasp = world.scene.hand, touches.grasp
+    points, couples = touches.contacts.points, exerted.couples(grasp)
+    torques = jnp.sum(joint_torques(hand, pose_hand(hand, posture), points, exerted.forces, couples), 0)
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
-    missed = jnp.where(slips, wrench - resultant(touches.grasp.points, exerted), 0)
+    missed = jnp.where(slips, wrench - exerted.wrench(grasp), 0)
     blocked = hand_torques(world.scene, posture)
-    return HandShare(touches, wrench, assessment, exerted, missed, jnp.sum(torques, 0) + blocked, blocked)
+    return HandShare(touches, wrench, assessment, exerted.forces, exerted.moments, missed, torques + blocked, blocked)
 
 
 def _free(world: World, placed: Pose) -> Array | None:

@@ -24,6 +24,8 @@ class Thing(eqx.Module):
     """K of eq. 6, between it and the hand [N/m]."""
     rubbing: float | AnyArray
     """Coulomb's coefficient between it and the table or another thing; of two things the larger counts."""
+    torsion: float | AnyArray | None = None
+    """Torsional friction of the hand's contacts with it [m]; they are hard where not given."""
 
 
 class World(eqx.Module):
@@ -37,7 +39,7 @@ class World(eqx.Module):
     def things(self) -> tuple[Thing, ...]:
         """All objects, the gripped one first."""
         scene = self.scene
-        return (Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction), *self.others)
+        return (Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction, scene.torsion), *self.others)
 
 
 class WorldState(NamedTuple):

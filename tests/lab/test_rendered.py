@@ -11,7 +11,7 @@ import pytest
 
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.grip import Hold, monitor, observe
-from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.grip.slipping import Exerted, cut_to_cones, resultant
 from jaxgrasp.grip.tick import touched
 from jaxgrasp.hand import Posture, pose_hand
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
@@ -112,7 +112,7 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
     assert gained[2] > 0.1 * weight[2]
     contacts, grasp, _ = touched(scene[0], posture, haptics.placed)
     felt, at_rest = (
-        by_work(scene[0], posture, np.asarray(contacts.points), np.asarray(cut_to_cones(grasp, forces)))
+        by_work(scene[0], posture, np.asarray(contacts.points), np.asarray(cut_to_cones(grasp, Exerted(forces)).forces))
         for forces in (closed_by_numpy(grasp, weight + gained), closed_by_numpy(grasp, weight))
     )
     np.testing.assert_allclose(np.abs(torques[-1]), np.abs(felt), atol=1e-6)
@@ -134,7 +134,7 @@ def test_what_is_felt_balances_what_moves_by_the_optimum(scene):
     forces = np.asarray(held.exerted)
     # Judged by their own laws: they balance mass and acceleration, and stay inside the cones.
     np.testing.assert_allclose(np.asarray(resultant(grasp.points, forces)), wrench, atol=1e-8)
-    np.testing.assert_allclose(np.asarray(cut_to_cones(grasp, forces)), forces, atol=1e-9)
+    np.testing.assert_allclose(cut_to_cones(grasp, Exerted(forces)).forces, forces, atol=1e-9)
     assert gained[2] == pytest.approx(UP, rel=1e-6)
     expected = by_work(scene[0], posture, np.asarray(contacts.points), forces)
     np.testing.assert_allclose(np.abs(torques[-1]), np.abs(expected), atol=1e-6)
@@ -163,7 +163,7 @@ def test_what_slips_is_felt_no_firmer_than_its_friction(scene, law):
     instant = haptics.instant
     assert instant.hold == Hold.SLIPPING
     grasp = instant.tick.grasp
-    np.testing.assert_allclose(cut_to_cones(grasp, instant.exerted), instant.exerted, atol=1e-7)
+    np.testing.assert_allclose(cut_to_cones(grasp, Exerted(instant.exerted)).forces, instant.exerted, atol=1e-7)
     left = np.asarray(instant.tick.wrench) - np.asarray(resultant(grasp.points, instant.exerted))
     np.testing.assert_allclose(instant.missed, left, atol=1e-6)
     assert np.linalg.norm(left[:3]) > 1.0
@@ -183,7 +183,7 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
             continue
         found += 1
         assert assessed.hold == Hold.SLIPPING
-        cut = cut_to_cones(grasp, assessed.forces)
+        cut = cut_to_cones(grasp, assessed.exerted).forces
         assert np.linalg.norm(np.asarray(resultant(grasp.points, cut)) - wrench) > 1e-6
         if found == 3:
             return

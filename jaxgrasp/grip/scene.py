@@ -93,10 +93,11 @@ def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
     """The scene with its obstacles where they are at a time, and as they move [s]."""
     if all(obstacle.path is None for obstacle in scene.obstacles):
         return scene
-    return eqx.tree_at(lambda s: s.obstacles, scene, tuple(_obstacle_at(one, time) for one in scene.obstacles))
+    return eqx.tree_at(lambda s: s.obstacles, scene, tuple(obstacle_at(one, time) for one in scene.obstacles))
 
 
-def _obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obstacle:
+def obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obstacle:
+    """An obstacle where it is at a time, and as it moves [s]."""
     if (path := obstacle.path) is None:
         return obstacle
     now = jnp.asarray(time, float)

@@ -127,7 +127,7 @@ def hand_share(
     """
     share = cut_share(world, posture, placed, touches, jnp.asarray(wrench), law=law)
     if law == "optimum" and bool(jnp.any(share.assessment.hold == Hold.SLIPPING)):
-        return _closest(world, posture, placed, share)
+        return closest_share(world, posture, placed, share)
     return share
 
 
@@ -145,7 +145,7 @@ def cut_share(
 
 
 @jax.jit
-def _closest(world: World, posture: Posture, placed: Pose, share: HandShare) -> HandShare:
+def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare) -> HandShare:
     """The forces that come closest to what no allowed ones exert, by how what is missed moves the object."""
     inertia = jnp.stack([spatial_inertia(thing.body, placed.rotation[n]) for n, thing in enumerate(world.things)])
     touches = share.touches
@@ -157,13 +157,18 @@ def _closest(world: World, posture: Posture, placed: Pose, share: HandShare) -> 
 def _felt(
     world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Exerted
 ) -> HandShare:
-    hand, grasp = world.scene.hand, touches.grasp
-    points, couples = touches.contacts.points, exerted.couples(grasp)
-    torques = jnp.sum(joint_torques(hand, pose_hand(hand, posture), points, exerted.forces, couples), 0)
+    torques, blocked = felt_torques(world, posture, touches, exerted)
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
-    missed = jnp.where(slips, wrench - exerted.wrench(grasp), 0)
+    missed = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
+    return HandShare(touches, wrench, assessment, exerted.forces, exerted.moments, missed, torques, blocked)
+
+
+def felt_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Exerted) -> tuple[Array, Array]:
+    """Torques on the joints by what the hand exerts and by all else that it touches, and by the latter alone [N.m]."""
+    hand, couples = world.scene.hand, exerted.couples(touches.grasp)
+    each = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted.forces, couples)
     blocked = hand_torques(world.scene, posture)
-    return HandShare(touches, wrench, assessment, exerted.forces, exerted.moments, missed, torques + blocked, blocked)
+    return jnp.sum(each, 0) + blocked, blocked
 
 
 def _free(world: World, placed: Pose) -> Array | None:

@@ -3,13 +3,16 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Body
-from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.scene import Obstacle, Scene, at_time, obstacle_at
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.led_bodies import Motions
 
@@ -41,6 +44,25 @@ class World(eqx.Module):
         scene = self.scene
         return (Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction, scene.torsion), *self.others)
 
+    @property
+    def has_paths(self) -> bool:
+        """Whether any obstacle moves."""
+        return any(obstacle.path is not None for obstacle in self.scene.obstacles)
+
+    def at_time(self, time: Float[AnyArray, ""] | float) -> "World":
+        """The world with its obstacles where they are at a time, and as they move [s]."""
+        return World(at_time(self.scene, time), self.others)
+
+    def obstacles_at(self, time: float) -> tuple[Obstacle, ...]:
+        """Its obstacles at a time, in NumPy."""
+        obstacles = self.scene.obstacles
+        return jax.device_get(_obstacles_at(obstacles, time)) if self.has_paths else obstacles
+
+
+@jax.jit
+def _obstacles_at(obstacles: tuple[Obstacle, ...], time: AnyArray | float) -> tuple[Obstacle, ...]:
+    return tuple(obstacle_at(one, time) for one in obstacles)
+
 
 class WorldState(NamedTuple):
     """Where the N objects of a world are, in its order, and how they move; NumPy arrays of float64."""
@@ -49,6 +71,8 @@ class WorldState(NamedTuple):
     """``(N,)``"""
     motion: Motions
     """``(N, 3)`` each: of the centres, and about them."""
+    time: float = 0.0
+    """At which obstacles are where their paths have them [s]."""
 
 
 class Masses(NamedTuple):
@@ -78,6 +102,11 @@ def masses(things: tuple[Thing, ...]) -> Masses:
     mass = np.array([float(thing.body.mass) for thing in things])
     moments = np.array([_moments(k, thing.body.shape) for k, thing in enumerate(things)])
     return Masses(mass, mass[:, None] * moments)
+
+
+def holding_weights(world: World) -> Float[np.ndarray, "N 6"]:
+    """The wrenches that hold the objects' weights, about their centres [N, N.m]."""
+    return np.asarray(weight_wrench(masses(world.things).mass, jnp.zeros(3), world.scene.gravity))
 
 
 def _moments(k: int, shape: Shape) -> list[float]:

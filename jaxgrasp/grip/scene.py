@@ -93,10 +93,22 @@ def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
     """The scene with its obstacles where they are at a time, and as they move [s]."""
     if all(obstacle.path is None for obstacle in scene.obstacles):
         return scene
-    return eqx.tree_at(lambda s: s.obstacles, scene, tuple(obstacle_at(one, time) for one in scene.obstacles))
+    return eqx.tree_at(lambda s: s.obstacles, scene, tuple(_obstacle_at(one, time) for one in scene.obstacles))
 
 
-def obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obstacle:
+def obstacles_now(scene: Scene, time: float) -> tuple[Obstacle, ...]:
+    """The obstacles of a scene where they are at a time, and as they move [s]; of those that move in NumPy."""
+    if all(obstacle.path is None for obstacle in scene.obstacles):
+        return scene.obstacles
+    return jax.device_get(_obstacles_at(scene.obstacles, time))
+
+
+@jax.jit
+def _obstacles_at(obstacles: tuple[Obstacle, ...], time: AnyArray | float) -> tuple[Obstacle, ...]:
+    return tuple(_obstacle_at(one, time) for one in obstacles)
+
+
+def _obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obstacle:
     """An obstacle where it is at a time, and as it moves [s]."""
     if (path := obstacle.path) is None:
         return obstacle

@@ -45,8 +45,12 @@ class Followed(NamedTuple):
     """``(N,)``"""
     wrenches: Float[np.ndarray, "N 6"]
     """What accelerates the object; of several, what the hand exerts on each [N, N.m]."""
-    time: float
+    contributions: Float[np.ndarray, "L"]
+    """Of the links, as they count."""
+    time: float = 0.0
     """Since the scene began [s]."""
+    grip: GripType | None = None
+    """The grip whose contributions count; None where they do not follow it."""
 
 
 class Felt(NamedTuple):
@@ -161,8 +165,12 @@ class Haptics(HandHaptics):
 
     @property
     def followed(self) -> Followed:
-        placed = Pose(np.asarray(self.placed.origin)[None], np.asarray(self.placed.rotation)[None])
-        return Followed(placed, np.asarray(self.inertial)[None], float(self._state.carried.time))
+        state = self._state
+        contributions = self.scene.contributions if state.grip is None else state.grip.contributions
+        wanted = (self.placed, state.inertial, contributions, state.carried.time)
+        placed, inertial, contributions, time = jax.device_get(wanted)
+        there = Pose(np.asarray(placed.origin)[None], np.asarray(placed.rotation)[None])
+        return Followed(there, inertial[None], np.asarray(contributions), float(time), self.grip)
 
     @property
     def instant(self) -> Instant | None:

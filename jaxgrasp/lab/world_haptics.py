@@ -77,7 +77,7 @@ class WorldHaptics(HandHaptics):
     @property
     def followed(self) -> Followed:
         wrench = self._weights if self._instant is None else self._instant.wrench
-        return Followed(self.state.placed, wrench, self.state.time)
+        return Followed(self.state.placed, wrench, np.asarray(self.world.scene.contributions), self.state.time)
 
     def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
         look, feel = _programs()

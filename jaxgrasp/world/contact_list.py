@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.grip.scene import Obstacle
+from jaxgrasp.grip.scene import Obstacle, obstacles_now
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose
@@ -82,7 +82,7 @@ def world_contact_list(world: World, placed: Pose, within: float, time: float = 
     """Where objects touch one another, the table and obstacles, or are closer to it than ``within`` [m], at a time."""
     things, found, stand = world.things, _Rows(), solids(world, placed)
     rubbing = [float(thing.rubbing) for thing in things]
-    fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in world.obstacles_at(time)]
+    fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in obstacles_now(world.scene, time)]
     for n, solid in enumerate(stand):
         on_table = table_patch(solid, world.scene.table)
         if on_table.gap <= within:

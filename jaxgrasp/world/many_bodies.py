@@ -3,12 +3,11 @@
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Body
-from jaxgrasp.grip.scene import Obstacle, Scene, at_time, obstacle_at
+from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
@@ -44,24 +43,9 @@ class World(eqx.Module):
         scene = self.scene
         return (Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction, scene.torsion), *self.others)
 
-    @property
-    def has_paths(self) -> bool:
-        """Whether any obstacle moves."""
-        return any(obstacle.path is not None for obstacle in self.scene.obstacles)
-
     def at_time(self, time: Float[AnyArray, ""] | float) -> "World":
         """The world with its obstacles where they are at a time, and as they move [s]."""
         return World(at_time(self.scene, time), self.others)
-
-    def obstacles_at(self, time: float) -> tuple[Obstacle, ...]:
-        """Its obstacles at a time, in NumPy."""
-        obstacles = self.scene.obstacles
-        return jax.device_get(_obstacles_at(obstacles, time)) if self.has_paths else obstacles
-
-
-@jax.jit
-def _obstacles_at(obstacles: tuple[Obstacle, ...], time: AnyArray | float) -> tuple[Obstacle, ...]:
-    return tuple(obstacle_at(one, time) for one in obstacles)
 
 
 class WorldState(NamedTuple):

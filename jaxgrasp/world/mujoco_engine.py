@@ -15,6 +15,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxgrasp.grip.scene import obstacles_now
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Pose
@@ -54,7 +55,7 @@ class MujocoEngine:
         self._free = [n for n in range(len(parts.bodies)) if n > 0 or parts.guide is None]
         joints = [int(self.model.body_jntadr[parts.bodies[n]]) for n in self._free]
         self._places, self._rates = self._addresses(joints)
-        self._world = world
+        self._scene = world.scene
         self._moving = [k for k, obstacle in enumerate(world.scene.obstacles) if obstacle.path is not None]
         led = [f"link {k}" for k in range(len(world.scene.hand.links))] + [f"obstacle {k}" for k in self._moving]
         self._led_places, self._led_rates = self._addresses(
@@ -106,7 +107,7 @@ class MujocoEngine:
 
     def _lead(self, links: Pose, motion: Motions, time: float) -> None:
         """Links where the hand has them, moving obstacles where their paths do, and how they move."""
-        there = self._world.obstacles_at(time) if self._moving else ()
+        there = obstacles_now(self._scene, time) if self._moving else ()
         parts: list[tuple[AnyArray, ...]] = [(links.origin, links.rotation, *motion)]
         for obstacle in (there[k] for k in self._moving):
             assert obstacle.motion is not None, "what has a path moves"

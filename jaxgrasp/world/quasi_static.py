@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Motion, moved
-from jaxgrasp.grip.scene import Obstacle
+from jaxgrasp.grip.scene import Obstacle, obstacles_now
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.world.contact_list import ContactList, hand_contact_list, together, world_contact_list
@@ -51,7 +51,7 @@ class QuasiStaticEngine:
         world, placed = self.world, state.placed
         links, motion = link_motion(hand.now, hand.later, dt)
         fast = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(world.scene.gravity)
-        fast += max((_speed(one) for one in world.obstacles_at(state.time)), default=0.0)
+        fast += max((_speed(one) for one in obstacles_now(world.scene, state.time)), default=0.0)
         contacts = together(
             world_contact_list(world, placed, AHEAD + 2 * fast * dt, state.time),
             hand_contact_list(world, hand.contacts, links, motion),

@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.grip import Body, Hold, Scene, carry, observe
 from jaxgrasp.grip.scene_entries import GripEntry, ObjectEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene
 from jaxgrasp.grip.slipping import Exerted, cut_to_cones
-from jaxgrasp.hand import Box, Hand, Link, Pose, Posture, pose_hand
+from jaxgrasp.hand import Box, Hand, Link, Pose, Posture
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import padded
+from tests.lab.joint_work import MODEL, by_work
 
-MODEL = lrp_hand_master()
 DT, UP, G = 0.01, 3.0, 9.81
 MASS, FRICTION, TORSION = 0.1, 0.5, 0.004
 
@@ -107,27 +106,6 @@ def most_loaded(tick, friction: float, torsion: float) -> float:
     across = np.linalg.norm(forces - along[:, None] * normals, axis=-1)
     assert along.min() >= -1e-9
     return float(np.max((across / friction) ** 2 + (moments / torsion) ** 2 - along**2))
-
-
-def by_work(hand, posture: Posture, points: np.ndarray, forces: np.ndarray, couples: np.ndarray) -> np.ndarray:
-    """Torques against flexion of the glove's joints: what forces and couples work as each joint turns a little."""
-    step = 1e-5
-
-    def links(place: int, by: float):
-        angles = np.asarray(posture.angles).copy()
-        angles[place] += by
-        found = pose_hand(hand, Posture(posture.wrist, angles)).links
-        return np.asarray(found.origin), np.asarray(found.rotation)
-
-    own_origin, own_turn = links(0, 0.0)
-    own = np.einsum("lji,lj->li", own_turn, points - own_origin)
-    torques = []
-    for place in MODEL.places(hand.joints):
-        (ahead, ahead_turn), (back, back_turn) = links(place, step), links(place, -step)
-        way = ahead + np.einsum("lij,lj->li", ahead_turn, own) - back - np.einsum("lij,lj->li", back_turn, own)
-        turn = Rotation.from_matrix(ahead_turn @ back_turn.swapaxes(-1, -2)).as_rotvec()
-        torques.append((np.sum(forces * way) + np.sum(couples * turn)) / (2 * step))
-    return np.array(torques)
 
 
 def test_what_a_finger_drags_and_turns_is_cut_alike():

@@ -152,8 +152,8 @@ def _newtons(seen: Seen) -> float:
 def _row(name: str, largest: float, torques: list[tuple[float, str]]) -> str:
     """A joint's name, a bar for each torque and its colour, and the numbers."""
     numbers = "".join(
-        f'<span style="width:3.6em;font-variant-numeric:tabular-nums;color:{INK if k == 0 else MUTED}">{_signed(t)}</span>'
-        for k, (t, _) in enumerate(torques)
+        f'<span style="width:3.6em;font-variant-numeric:tabular-nums;color:{colour}">{_signed(t)}</span>'
+        for (t, _), colour in zip(torques, (INK, MUTED), strict=False)
     )
     bars = "".join(_bar(float(t), largest, colour, 9 // len(torques)) for t, colour in torques)
     return (

@@ -145,7 +145,8 @@ def check_without_others(file: SceneFile) -> None:
     """Raise ValueError for a scene of more objects than the gripped one, which not every command moves."""
     if file.other:
         raise ValueError(
-            f"scene has {len(file.other)} tables [[other]]: expected none, `jaxgrasp grip --scene` takes them"
+            f"scene has {len(file.other)} tables [[other]]: expected none, `jaxgrasp grip --scene` and "
+            "`jaxgrasp glove run` take them"
         )
 
 

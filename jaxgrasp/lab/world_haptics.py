@@ -12,7 +12,6 @@ from jax import Array, lax
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import check_scene
-from jaxgrasp.grip.slipping import Exerted
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
@@ -169,10 +168,10 @@ def _feel(
 
     def closest() -> tuple[Array, Array, HandShare]:
         found = closest_share(world, worn.posture(angles, wrist_pose), placed, share)
-        exerted: Exerted = found.by_hand
 
         def torques_at(angles: Array) -> Array:
-            return worn.resisting(felt_torques(world, worn.posture(angles, wrist_pose), share.touches, exerted)[0])
+            posture = worn.posture(angles, wrist_pose)
+            return worn.resisting(felt_torques(world, posture, share.touches, found.exerted)[0])
 
         return *with_slope(torques_at, angles), found
 

@@ -1,7 +1,6 @@
 """What a hand exerts on every object that it touches, by the package's own laws, and what its joints feel of it all."""
 
 from functools import partial
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,7 +13,7 @@ from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
 from jaxgrasp.grip.motion import guide_at, spatial_inertia
 from jaxgrasp.grip.obstacles import hand_torques
-from jaxgrasp.grip.slipping import Exerted, cut_to_cones
+from jaxgrasp.grip.slipping import cut_to_cones, resultant
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
@@ -23,7 +22,7 @@ from jaxgrasp.hand.to_grasp import grasp_from_contacts
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Hand, Pose, Posture
-from jaxgrasp.world.many_bodies import Thing, World
+from jaxgrasp.world.many_bodies import World
 
 
 class ThingTouches(eqx.Module):
@@ -48,19 +47,12 @@ class HandShare(eqx.Module):
     exerted: Float[Array, "N L 3"]
     """What it exerts [N]: the law's forces where they hold; of an object that slips by the closed form, each as far as
     its friction goes, by the optimum those that come closest; none on what it does not touch."""
-    moments: Float[Array, "N L"] | None
-    """What soft fingers exert about their normals with that [N.m]; None where all contacts are hard."""
     missed: Float[Array, "N 6"]
     """What the exerted forces leave of the wrench of objects that slip [N, N.m]."""
     torques: Float[Array, "J"]
     """On the joints, by objects, table and obstacles [N.m]: negative where they resist a positive angle."""
     blocked: Float[Array, "J"]
     """What of them is by table and obstacles, where the hand itself touches them [N.m]."""
-
-    @property
-    def by_hand(self) -> Exerted:
-        """Forces and moments of the hand."""
-        return Exerted(self.exerted, self.moments)
 
 
 @jax.jit
@@ -73,16 +65,9 @@ def touched_things(world: World, posture: Posture, placed: Pose) -> ThingTouches
         for name in ("friction", "stiffness")
     )
     contributions = jnp.asarray(world.scene.contributions)
-    found = grasp_from_contacts(contacts, friction, stiffness, contributions, _torsion(things, contacts.depths.dtype))
+    found = grasp_from_contacts(contacts, friction, stiffness, contributions)
     grasp = eqx.tree_at(lambda g: g.points, found, found.points - jnp.asarray(placed.origin)[:, None])
     return ThingTouches(contacts, grasp, contacts.present * stiffness * contributions)
-
-
-def _torsion(things: tuple[Thing, ...], dtype: Any) -> Array | None:
-    """``(N, 1)``: torsional friction of the hand's contacts with each; None where all are hard."""
-    if all(thing.torsion is None for thing in things):
-        return None
-    return jnp.stack([jnp.asarray(0.0 if thing.torsion is None else thing.torsion, dtype) for thing in things])[:, None]
 
 
 def _contacts(hand: Hand, posture: Posture, shapes: list[Shape], placed: Pose) -> Contacts:
@@ -141,7 +126,7 @@ def cut_share(
     assessment = judged(grasp, closed, optimum, law)
     slips = assessment.hold == Hold.SLIPPING
     exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
-    return _felt(world, posture, touches, wrench, assessment, exerted)
+    return _felt(world, posture, touches, wrench, assessment, exerted.forces)
 
 
 @jax.jit
@@ -150,23 +135,24 @@ def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare
     inertia = jnp.stack([spatial_inertia(thing.body, placed.rotation[n]) for n, thing in enumerate(world.things)])
     touches = share.touches
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
-    exerted = Exerted(closest.forces, closest.moments).where(share.assessment.hold == Hold.SLIPPING, share.by_hand)
+    slips = (share.assessment.hold == Hold.SLIPPING)[:, None, None]
+    exerted = jnp.where(slips, closest.forces, share.exerted)
     return _felt(world, posture, touches, share.wrench, share.assessment, exerted)
 
 
 def _felt(
-    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Exerted
+    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Array
 ) -> HandShare:
     torques, blocked = felt_torques(world, posture, touches, exerted)
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
-    missed = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
-    return HandShare(touches, wrench, assessment, exerted.forces, exerted.moments, missed, torques, blocked)
+    missed = jnp.where(slips, wrench - resultant(touches.grasp.points, exerted), 0)
+    return HandShare(touches, wrench, assessment, exerted, missed, torques, blocked)
 
 
-def felt_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Exerted) -> tuple[Array, Array]:
+def felt_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Array) -> tuple[Array, Array]:
     """Torques on the joints by what the hand exerts and by all else that it touches, and by the latter alone [N.m]."""
-    hand, couples = world.scene.hand, exerted.couples(touches.grasp)
-    each = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted.forces, couples)
+    hand = world.scene.hand
+    each = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted)
     blocked = hand_torques(world.scene, posture)
     return jnp.sum(each, 0) + blocked, blocked
 

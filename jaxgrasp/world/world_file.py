@@ -53,7 +53,7 @@ def world_of(file: SceneFile, made: GrippedScene) -> tuple[World, WorldState]:
         for other in chain([gripped], others[:k], obstacles):
             _refuse(one.name, _depth(one, other), other.name)
     things = [
-        Thing(Body(one.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing, entry.torsion or None)
+        Thing(Body(one.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing)
         for one, entry in zip(others, file.other, strict=True)
     ]
     everything = [gripped, *others]

@@ -39,7 +39,7 @@ class Plan(NamedTuple):
 
 QUICK = Plan(frames=5, grasps=20, seconds=2.0)
 LOOP, BENT = 100.0, 0.15
-"""Ticks a second, and by how much farther the joints are bent than the grip [rad], so that 14 links touch."""
+"""Ticks a second, and by how much farther the joints are bent than the grip [rad], so that 14 links or more touch."""
 
 
 def live_hand() -> Any:

@@ -194,17 +194,25 @@ def beside(plan: Plan) -> dict:
     with ViewFeed(len(places), more, shown, (0,)) as feed, reading(feed.addresses[0]) as frames:
         loop(feed)
         frames.clear()
+        before = processor_seconds(feed.process_id)
         followed = loop(feed)
-        arrived = len(frames)
+        arrived, spent = len(frames), processor_seconds(feed.process_id) - before
     return {
         "links": len(made.scene.hand.links),
         "contacts": int(np.median(contacts)),
         "load": os.getloadavg()[0],
         "niceness": os.nice(0),
         "frames": arrived / plan.seconds,
+        "frame_ms": 1e3 * spent / max(arrived, 1),
         "alone": alone,
         "followed": followed,
     }
+
+
+def processor_seconds(process: int) -> float:
+    """What a process has had of the processors (Linux) [s]."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager

@@ -47,7 +47,8 @@ def _beside(found: dict) -> str:
         f"## Beside a haptic loop\n\nA hand of {found['links']} links with {found['contacts']} contacts, a loop of 100 "
         f"ticks a second in one process (its niceness {found['niceness']}) and the page in another; the load average "
         f"was {found['load']:.0f}. {found['frames']:.0f} frames a second come to a client that reads all and draws "
-        "nothing; asked: 30.\n\n" + table(["loop", "ticks a second", "median ms of a tick", "99 of 100"], rows)
+        f"nothing; asked: 30. A frame takes the page {found['frame_ms']:.0f} ms of a processor.\n\n"
+        + table(["loop", "ticks a second", "median ms of a tick", "99 of 100"], rows)
     )
 
 

@@ -53,7 +53,7 @@ class Followed(NamedTuple):
     """The grip whose contributions count; None where they do not follow it."""
 
 
-class Felt(NamedTuple):
+class TickAnswer(NamedTuple):
     """What one tick found."""
 
     torques: Array
@@ -84,7 +84,7 @@ class HandHaptics(ABC):
         """Where everything is."""
 
     @abstractmethod
-    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
+    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
         """What is felt so long after the tick before [s], 0 for the first; ``kept`` is the share of what was felt of
         accelerations that is kept."""
 
@@ -186,14 +186,14 @@ class Haptics(HandHaptics):
         """The grip whose contributions count; None where they do not follow it."""
         return None if self._state.grip is None else GripType(int(self._state.grip.kind))
 
-    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
+    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
         state, become, found = self._program(self._state, angles, wrist, passed, kept)
 
         def keep() -> None:
             self._passed = become if passed > 0 else None
             self._state, self.placed = state, state.carried.placed
 
-        return Felt(found.torques, found.slope, keep)
+        return TickAnswer(found.torques, found.slope, keep)
 
 
 def _is_a_hands(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:

@@ -15,7 +15,7 @@ from jaxgrasp.grip.scene import check_scene
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
-from jaxgrasp.lab.haptic_loop import Felt, Followed, HandHaptics
+from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.compiled_code import compile_options
@@ -78,7 +78,7 @@ class WorldHaptics(HandHaptics):
         wrench = self._weights if self._instant is None else self._instant.wrench
         return Followed(self.state.placed, wrench, np.asarray(self.world.scene.contributions), self.state.time)
 
-    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> Felt:
+    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
         look, feel = _programs()
         given = jnp.asarray(wrist.origin), jnp.asarray(wrist.rotation)
         before = self._instant
@@ -110,7 +110,7 @@ class WorldHaptics(HandHaptics):
             self.state, self.share = state, share
             self._instant = _Instant(state, frames, jax.device_get(share.touches.contacts), wrench)
 
-        return Felt(torques, slope, keep)
+        return TickAnswer(torques, slope, keep)
 
     def warm_up(self, wrist: Pose) -> None:
         super().warm_up(wrist)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.grip.scene import Obstacle, obstacles_now
+from jaxgrasp.grip.scene import Obstacle
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose
@@ -78,11 +78,15 @@ def solids(world: World, placed: Pose) -> list[Solid]:
     ]
 
 
-def world_contact_list(world: World, placed: Pose, within: float, time: float = 0.0) -> ContactList:
-    """Where objects touch one another, the table and obstacles, or are closer to it than ``within`` [m], at a time."""
+def world_contact_list(
+    world: World, placed: Pose, within: float, obstacles: tuple[Obstacle, ...] | None = None
+) -> ContactList:
+    """Where objects touch one another, the table and obstacles, or are closer to it than ``within`` [m]; ``obstacles``
+    are those of the scene where they now are, if any moves."""
     things, found, stand = world.things, _Rows(), solids(world, placed)
     rubbing = [float(thing.rubbing) for thing in things]
-    fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in obstacles_now(world.scene, time)]
+    around = world.scene.obstacles if obstacles is None else obstacles
+    fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in around]
     for n, solid in enumerate(stand):
         on_table = table_patch(solid, world.scene.table)
         if on_table.gap <= within:

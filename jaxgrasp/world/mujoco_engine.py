@@ -57,9 +57,9 @@ class MujocoEngine:
         self._places, self._rates = self._addresses(joints)
         self._scene = world.scene
         self._moving = [k for k, obstacle in enumerate(world.scene.obstacles) if obstacle.path is not None]
-        led = [f"link {k}" for k in range(len(world.scene.hand.links))] + [f"obstacle {k}" for k in self._moving]
+        prescribed = [f"link {k}" for k in range(len(world.scene.hand.links))] + [f"obstacle {k}" for k in self._moving]
         self._led_places, self._led_rates = self._addresses(
-            [int(self.model.body_jntadr[self.model.body(name).id]) for name in led]
+            [int(self.model.body_jntadr[self.model.body(name).id]) for name in prescribed]
         )
 
     def _addresses(self, joints: list[int]) -> tuple[np.ndarray, np.ndarray]:

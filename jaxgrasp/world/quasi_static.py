@@ -19,6 +19,7 @@ from jaxgrasp.world.impulse_program import Impulses, compile_programs, jacobian,
 from jaxgrasp.world.led_bodies import Motions, led, link_motion
 from jaxgrasp.world.many_bodies import World, WorldState, masses
 from jaxgrasp.world.physics import HandMove, Loads, Step, summed_loads
+from jaxgrasp.world.solids import solid_of
 from jaxgrasp.world.touching_solids import MANY
 
 AHEAD = 2e-3
@@ -51,9 +52,10 @@ class QuasiStaticEngine:
         world, placed = self.world, state.placed
         links, motion = link_motion(hand.now, hand.later, dt)
         fast = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(world.scene.gravity)
-        fast += max((_speed(one) for one in obstacles_now(world.scene, state.time)), default=0.0)
+        obstacles = obstacles_now(world.scene, state.time)
+        fast += max(map(_speed, obstacles), default=0.0)
         contacts = together(
-            world_contact_list(world, placed, AHEAD + 2 * fast * dt, state.time),
+            world_contact_list(world, placed, AHEAD + 2 * fast * dt, obstacles),
             hand_contact_list(world, hand.contacts, links, motion),
         )
         mobilities = mobilities_of(world, self._masses, placed)
@@ -103,8 +105,11 @@ _led_along = jax.jit(moved)
 
 
 def _speed(obstacle: Obstacle) -> float:
-    """How fast an obstacle's centre moves [m/s]."""
-    return 0.0 if obstacle.motion is None else float(np.linalg.norm(obstacle.motion.linear))
+    """How fast any part of an obstacle moves at most [m/s]."""
+    if obstacle.motion is None:
+        return 0.0
+    turning = np.linalg.norm(obstacle.motion.angular) * solid_of(obstacle.shape, obstacle.placed).extent()
+    return float(np.linalg.norm(obstacle.motion.linear) + turning)
 
 
 def _impulses(contacts: ContactList, placed: Pose, alone: np.ndarray, mobilities: np.ndarray, dt: float) -> Impulses:

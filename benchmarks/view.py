@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,9 +33,13 @@ PICTURES = Path("benchmarks/results")
 class Plan(NamedTuple):
     frames: int = 100
     grasps: int = 1000
+    seconds: float = 20.0
+    """For how long a loop ticks beside a page."""
 
 
-QUICK = Plan(frames=5, grasps=20)
+QUICK = Plan(frames=5, grasps=20, seconds=2.0)
+LOOP, BENT = 100.0, 0.15
+"""Ticks a second, and by how much farther the joints are bent than the grip [rad], so that 14 links or more touch."""
 
 
 def live_hand() -> Any:
@@ -147,6 +151,100 @@ def steps(plan: Plan) -> dict:
     }
 
 
+def beside(plan: Plan) -> dict:
+    """Frames a second that reach a browser beside a haptic loop that ticks, and how punctual that is with and without.
+
+    The browser is a client that reads everything and draws nothing: Chromium without a graphics card would take both
+    processors for itself.
+    """
+    from jaxgrasp.glove.loop.exchange import GloveState
+    from jaxgrasp.glove.loop.tick_times import TickTimes
+    from jaxgrasp.glove.model import lrp_hand_master
+    from jaxgrasp.lab.haptic_loop import Haptics, pose_at
+    from jaxgrasp.view.view_feed import ViewFeed
+    from jaxgrasp.view.view_slots import Carried, ViewFrame
+
+    made, model = live_hand().made, lrp_hand_master()
+    closed = np.asarray(made.closed.angles)
+    haptics = Haptics(made.scene, model, closed, made.placed, "optimum")
+    places, wrist = list(haptics.worn.places), pose_at(np.zeros(3))
+    haptics.warm_up(wrist)
+    period, none, contacts = 1 / LOOP, np.zeros(len(places)), []
+
+    def loop(feed: ViewFeed | None) -> dict:
+        times, spent = TickTimes(period), []
+        begun = due = time.perf_counter()
+        while (now := time.perf_counter()) < begun + plan.seconds:
+            angles = closed[places] + BENT * (1 + 0.02 * np.sin(8 * now))
+            law = haptics.tick(now, angles, wrist)
+            if feed is not None:
+                state = GloveState(now, 3, 2, now, now, angles, none, none)
+                feed.write(ViewFrame.ticked(state, law, Carried.at(wrist, haptics.followed).vector()))
+            over = time.perf_counter()
+            contacts.append(int(np.sum(haptics.instant.tick.contacts.present)) if haptics.instant else 0)
+            times.add(now - due, over - now)
+            spent.append((1e3 * (over - now), np.nan))
+            due = max(due + period, over)
+            time.sleep(max(0.0, due - time.perf_counter()))
+        return {"ticks": times.summary()["turns"] / plan.seconds, "milliseconds": spread(np.array(spent))}
+
+    alone = loop(None)
+    more = Carried.size(1, len(made.scene.hand.links))
+    shown = {"made": made, "law": "optimum", "worn": haptics.worn}
+    with ViewFeed(len(places), more, shown, (0,)) as feed, reading(feed.addresses[0]) as frames:
+        loop(feed)
+        frames.clear()
+        before = processor_seconds(feed.process_id)
+        followed = loop(feed)
+        arrived, spent = len(frames), processor_seconds(feed.process_id) - before
+    return {
+        "links": len(made.scene.hand.links),
+        "contacts": int(np.median(contacts)),
+        "load": os.getloadavg()[0],
+        "niceness": os.nice(0),
+        "frames": arrived / plan.seconds,
+        "frame_ms": 1e3 * spent / max(arrived, 1),
+        "alone": alone,
+        "followed": followed,
+    }
+
+
+def processor_seconds(process: int) -> float:
+    """What a process has had of the processors (Linux) [s]."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def reading(address: str) -> Iterator[list[float]]:
+    """When each frame of a page came to a client that reads all and draws nothing."""
+    import viser
+    import zstandard
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    frames: list[float] = []
+    version = [f"viser-v{viser.__version__}"]
+    with connect(address.replace("http", "ws"), subprotocols=version, max_size=None, compression=None) as line:
+
+        def read() -> None:
+            with suppress(ConnectionClosed):
+                for message in line:
+                    # Two lengths, then what is said, compressed; numbers come after it.
+                    size = int.from_bytes(message[8:16], "little")
+                    said = zstandard.ZstdDecompressor().decompressobj().decompress(message[16 : 16 + size])
+                    if b"data-latency" in said:
+                        frames.append(time.perf_counter())
+
+        reader = threading.Thread(target=read)
+        reader.start()
+        try:
+            yield frames
+        finally:
+            line.close()
+            reader.join()
+
+
 def pictures(plan: Plan) -> list[str]:
     """A live hand, one out of which the object escapes, and the worst of the shipped grasps, in the real viewer."""
     from jaxgrasp.view.grasp_page import GraspPage
@@ -215,7 +313,7 @@ def memory() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-SECTIONS = {"frames": frames, "steps": steps, "pictures": pictures}
+SECTIONS = {"frames": frames, "steps": steps, "beside": beside, "pictures": pictures}
 
 
 if __name__ == "__main__":

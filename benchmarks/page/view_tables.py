@@ -19,7 +19,7 @@ def page(report: dict) -> str:
         f"Made by `python -m benchmarks.view`. {facts['processor']}, {facts['cores']} cores, {facts['system']}, "
         f"Python {facts['python']}.",
     ]
-    sections: dict[str, Callable[[Any], str]] = {"frames": _frames, "steps": _steps}
+    sections: dict[str, Callable[[Any], str]] = {"frames": _frames, "beside": _beside, "steps": _steps}
     parts += [write(report[name]) for name, write in sections.items() if name in report]
     return "\n\n".join(parts) + "\n"
 
@@ -35,6 +35,20 @@ def _frames(found: dict) -> str:
         f"drawn frame. The first posture takes {found['compiling_s']:.0f} s where the "
         f"compiled code is kept. The page in a file is {found['saved_megabytes']:.1f} MB; asked: 5.\n\n"
         + table(["way", "median", "99 of 100", "of the processors, median"], rows)
+    )
+
+
+def _beside(found: dict) -> str:
+    rows = [
+        [name, f"{one['ticks']:.0f}", f"{one['milliseconds']['median']:.1f}", f"{one['milliseconds']['p99']:.1f}"]
+        for name, one in (("alone", found["alone"]), ("beside the page", found["followed"]))
+    ]
+    return (
+        f"## Beside a haptic loop\n\nA hand of {found['links']} links with {found['contacts']} contacts, a loop of 100 "
+        f"ticks a second in one process (its niceness {found['niceness']}) and the page in another; the load average "
+        f"was {found['load']:.0f}. {found['frames']:.0f} frames a second come to a client that reads all and draws "
+        f"nothing; asked: 30. A frame takes the page {found['frame_ms']:.0f} ms of a processor.\n\n"
+        + table(["loop", "ticks a second", "median ms of a tick", "99 of 100"], rows)
     )
 
 

@@ -26,14 +26,16 @@ from jaxgrasp.glove.network.link_key import VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
 from jaxgrasp.grip.human_scale import beyond_human
-from jaxgrasp.grip.monitor import Law
-from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, check_without_others, load_scene, scene_path
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
-from jaxgrasp.lab.haptic_loop import Haptics, pose_at, run_loop, warm_up
+from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at, run_loop
 from jaxgrasp.lab.loaded_scene import loaded_scene
+from jaxgrasp.lab.world_haptics import WorldHaptics
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.glove_picture import write_glove_picture
 from jaxgrasp.validation.fields import check_positive
+from jaxgrasp.world.quasi_static import QuasiStaticEngine
+from jaxgrasp.world.world_file import world_of
 
 if TYPE_CHECKING:
     from jaxgrasp.view.view_feed import ViewFeed
@@ -53,7 +55,11 @@ def run_command(arguments: Run) -> int:
     if arguments.connect and arguments.port is not None:
         raise ValueError("port and connect were both given: the glove is here, or elsewhere")
     file = load_scene(scene_path(arguments.scene))
-    check_without_others(file)
+    if arguments.follow_grip and file.other:
+        raise ValueError(
+            f"follow-grip was given, and the scene has {len(file.other)} tables [[other]]: expected none, since what a "
+            "grip asks for is known of one object"
+        )
     alignment = _check_ends(arguments)
     if arguments.view and (arguments.listen or (arguments.port is None and arguments.connect is None)):
         raise ValueError("view needs a glove, by port or connect: it shows the engine's side of the loop")
@@ -90,7 +96,8 @@ def _check_ends(arguments: Run) -> Alignment | None:
 def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
     check_writable(arguments.out)
     with compiling(f"{COMPILED}, and playing the whole story"):
-        story = grasp_and_lift(model, arguments.law, loaded_scene(file))
+        made = loaded_scene(file)
+        story = grasp_and_lift(model, arguments.law, made, _haptics(arguments, model, file, made))
     arguments.out.mkdir(parents=True, exist_ok=True)
     table = arguments.out / "glove.csv"
     write_rows(table, _rows(story, model))
@@ -151,14 +158,12 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
     """Compute contacts and forces, for a glove here or elsewhere."""
     with compiling(COMPILED):
         made = loaded_scene(file)
-        law = arguments.law or made.law
-        angles = np.asarray(made.closed.angles)
-        haptics = Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
-        warm_up(haptics, pose_at(jnp.zeros(3)))
+        haptics = _haptics(arguments, model, file, made)
+        haptics.warm_up(pose_at(jnp.zeros(3)))
     tracker, feed = _tracker(arguments), None
     wrist = Wrist(tracker, alignment)
     try:
-        feed = _feed(arguments, haptics, made, law)
+        feed = _feed(arguments, haptics, made)
         end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
         if arguments.connect is not None:
             times = _as_engine(arguments, haptics, wrist, end, feed)
@@ -183,22 +188,36 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
     return 0
 
 
-def _feed(arguments: Run, haptics: Haptics, made: GrippedScene, law: Law) -> "ViewFeed | None":
+def _haptics(arguments: Run, model: GloveModel, file: SceneFile, made: GrippedScene) -> Haptics | WorldHaptics:
+    """The computing side of one object, or of a world of several, which our own engine moves."""
+    law, angles = arguments.law or made.law, np.asarray(made.closed.angles)
+    if not file.other:
+        return Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
+    world, state = world_of(file, made)
+    return WorldHaptics(world, model, angles, state, QuasiStaticEngine(world, state), law)
+
+
+def _feed(arguments: Run, haptics: Haptics | WorldHaptics, made: GrippedScene) -> "ViewFeed | None":
     """The page, where it is asked for, which compiles before anything is armed."""
     if not arguments.view:
         return None
     from jaxgrasp.view.view_feed import ViewFeed
-    from jaxgrasp.view.view_slots import CARRIED
+    from jaxgrasp.view.view_slots import Carried
 
-    shown = {"made": made, "law": law, "worn": haptics.worn}
+    shown: dict[str, Any] = {"made": made, "law": haptics.law, "worn": haptics.worn}
+    things = 1
+    if isinstance(haptics, WorldHaptics):
+        shown |= {"world": haptics.world, "state": haptics.state}
+        things = len(haptics.world.things)
+    more = Carried.size(things, len(made.scene.hand.links))
     with compiling("the page"):
-        feed = ViewFeed(len(haptics.model.joints), CARRIED, shown, (arguments.view_port,))
+        feed = ViewFeed(len(haptics.model.joints), more, shown, (arguments.view_port,))
     show(f"open {feed.addresses[0]} in a browser")
     return feed
 
 
 def watched(
-    haptics: Haptics, state: Callable[[], GloveState | None], feed: "ViewFeed | None"
+    haptics: HandHaptics, state: Callable[[], GloveState | None], feed: "ViewFeed | None"
 ) -> tuple[Callable[[float, Any, Pose], TorqueLaw], Callable[[], GloveState | None]]:
     """A tick that lets a page know what it read and computed, and the glove's state, which it does that with."""
     if feed is None:
@@ -214,7 +233,7 @@ def watched(
     def tick(now: float, angles: Any, wrist: Pose) -> TorqueLaw:
         law, read_last = haptics.tick(now, angles, wrist), latest[0]
         if read_last is not None:
-            carried = Carried.at(wrist, haptics.placed, haptics.inertial)
+            carried = Carried.at(wrist, haptics.followed)
             feed.write(ViewFrame.ticked(read_last, law, carried.vector()))
         return law
 
@@ -222,7 +241,7 @@ def watched(
 
 
 def _as_engine(
-    arguments: Run, haptics: Haptics, wrist: "Wrist", end: float | None, feed: "ViewFeed | None"
+    arguments: Run, haptics: Haptics | WorldHaptics, wrist: "Wrist", end: float | None, feed: "ViewFeed | None"
 ) -> TickTimes:
     host, port = _address("connect", arguments.connect or "")
     channels = len(haptics.model.joints)

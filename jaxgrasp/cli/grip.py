@@ -117,7 +117,8 @@ def _words(kind: GripType) -> str:
 def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Instant) -> dict[str, AnyArray]:
     """Everything over time in arrays."""
     ticks = record.tick
-    return {
+    moments = ticks.assessment.moments
+    return ({} if moments is None else {"moments": moments}) | {
         "time": times,
         "wrist_origin": postures.wrist.origin,
         "wrist_rotation": postures.wrist.rotation,

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.force.reachable import Reachable, reachable_wrench
+from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.grip.falling import fallen, gone_on, led_on
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.motion import (
@@ -35,10 +35,10 @@ from jaxgrasp.grip.motion import (
 )
 from jaxgrasp.grip.obstacles import stop
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
+from jaxgrasp.grip.slipping import Exerted
 from jaxgrasp.grip.tick import Tick, Touches, assessed, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.validation.checked import checked
 
@@ -56,6 +56,8 @@ class Instant(NamedTuple):
     """What the contacts exert on the object [N]."""
     missed: Float[Array, "6"]
     """What they and the table leave of the wrench [N, N.m]."""
+    moments: Float[Array, "L"] | None = None
+    """What soft fingers exert on the object about their normals [N.m]; None where all are hard."""
 
 
 Record = TypeVar("Record")
@@ -148,10 +150,10 @@ def advance(
     """
     tick, led = _tick(scene, dt, carried, posture, now, later, law=law)
     hold = Hold(int(tick.assessment.hold))
-    exerted, missed = tick.exerted, missed_by(tick)
+    exerted, missed = tick.by_hand, missed_by(tick)
     if law == "optimum" and bool(tick.slips):
         exerted, missed = closest_to(scene, tick, carried.placed)
-    instant = Instant(carried.placed, tick, hold, bool(carried.stands), exerted, missed)
+    instant = Instant(carried.placed, tick, hold, bool(carried.stands), exerted.forces, missed, exerted.moments)
     return instant, go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
 
 
@@ -204,21 +206,16 @@ def _followed(
 
 def missed_by(tick: Tick) -> Array:
     """What the contacts leave of a wrench: nothing where they hold it, or the table does."""
-    return jnp.where((tick.assessment.hold == Hold.STABLE) | tick.rests, 0, tick.left_by(tick.exerted))
+    return jnp.where((tick.assessment.hold == Hold.STABLE) | tick.rests, 0, tick.left_by(tick.by_hand))
 
 
-def closest_to(scene: Scene, tick: Tick, placed: Pose) -> tuple[Array, Array]:
-    """The forces that come closest to a tick's wrench, which no allowed ones exert, and what they leave of it."""
-    left = tick.wrench - tick.support
-    closest = closest_forces(scene, tick.grasp, left, placed)
-    return closest.forces, left - closest.wrench
-
-
-def closest_forces(scene: Scene, grasp: Grasp, wrench: Array, placed: Pose) -> Reachable:
-    """What comes closest to a wrench that no allowed forces exert, by how what is missed moves the object."""
-    inertia = spatial_inertia(scene.body, placed.rotation)
+def closest_to(scene: Scene, tick: Tick, placed: Pose) -> tuple[Exerted, Array]:
+    """What comes closest to a tick's wrench, which no allowed forces exert, by how what it leaves moves the object; and
+    what it leaves."""
+    left, inertia = tick.wrench - tick.support, spatial_inertia(scene.body, placed.rotation)
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
-    return reachable_wrench(grasp, wrench, inertia=inertia, free=free)
+    closest = reachable_wrench(tick.grasp, left, inertia=inertia, free=free)
+    return Exerted(closest.forces, closest.moments), left - closest.wrench
 
 
 @jax.jit

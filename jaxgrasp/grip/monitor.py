@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.slip import spin_force
-from jaxgrasp.grip.slipping import applied_forces
+from jaxgrasp.grip.slipping import Exerted, applied_forces
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_held
@@ -59,8 +59,15 @@ class Assessment(eqx.Module):
     forces: Float[Array, "*batch n 3"]
     """Contact forces by the applied law, on the object [N]; zero where the object is lost. Where they balance nothing
     their derivative is that of forces that stay as they are."""
+    moments: Float[Array, "*batch n"] | None
+    """What soft fingers exert about their normals, likewise [N.m]; None where all contacts are hard."""
     disagrees: Array
     """``(...)`` Whether the closed form slips while the optimum shows forces that hold."""
+
+    @property
+    def exerted(self) -> Exerted:
+        """Forces and moments by the applied law."""
+        return Exerted(self.forces, self.moments)
 
 
 @checked
@@ -108,13 +115,15 @@ def judged(grasp: Grasp, closed: Solution, optimum: Solution, law: Law) -> Asses
     # What cannot be told from the data is not lost: the verdicts say INVALID_DATA.
     lost = ~jnp.any(there, -1) & (closed.verdict != Verdict.INVALID_DATA)
     holds = is_held(applied.verdict)
+    exerted = applied_forces(applied)
     state = jnp.where(lost, Hold.LOST, jnp.where(holds, Hold.STABLE, Hold.SLIPPING))
     return Assessment(
         closed=closed,
         optimum=optimum,
         hold=state.astype(jnp.int32),
         touches=_touches(grasp, applied, there, holds),
-        forces=applied_forces(applied),
+        forces=exerted.forces,
+        moments=exerted.moments,
         disagrees=is_held(optimum.verdict) & ~is_held(closed.verdict),
     )
 

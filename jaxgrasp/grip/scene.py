@@ -84,6 +84,9 @@ class Scene(eqx.Module):
     table_touches_hand: bool = eqx.field(static=True, default=False)
     """Whether the hand's own links are stopped by the table, or go through: fingers around what lies on a table would
     be in it."""
+    torsion: float | AnyArray | None = None
+    """Torsional friction of the hand's contacts with the object [m]; all are hard where not given. Table and obstacles
+    are hard always."""
 
 
 def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
@@ -93,7 +96,20 @@ def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
     return eqx.tree_at(lambda s: s.obstacles, scene, tuple(_obstacle_at(one, time) for one in scene.obstacles))
 
 
+def obstacles_now(scene: Scene, time: float) -> tuple[Obstacle, ...]:
+    """The obstacles of a scene where they are at a time, and as they move [s]; of those that move in NumPy."""
+    if all(obstacle.path is None for obstacle in scene.obstacles):
+        return scene.obstacles
+    return jax.device_get(_obstacles_at(scene.obstacles, time))
+
+
+@jax.jit
+def _obstacles_at(obstacles: tuple[Obstacle, ...], time: AnyArray | float) -> tuple[Obstacle, ...]:
+    return tuple(_obstacle_at(one, time) for one in obstacles)
+
+
 def _obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obstacle:
+    """An obstacle where it is at a time, and as it moves [s]."""
     if (path := obstacle.path) is None:
         return obstacle
     now = jnp.asarray(time, float)
@@ -115,6 +131,8 @@ def check_scene(scene: Scene) -> None:
         if not guide.any():
             raise ValueError("guide is all zeros: expected a twist in one of its columns at least")
     _check_not_negative("table_friction", scene.table_friction, "0 or more")
+    if scene.torsion is not None:
+        _check_not_negative("torsion", scene.torsion, "0 or more [m]")
     if not isinstance(scene.obstacles, tuple):
         raise ValueError(f"obstacles is a {type(scene.obstacles).__name__}: expected a tuple of Obstacles")
     for k, obstacle in enumerate(scene.obstacles):

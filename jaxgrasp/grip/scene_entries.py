@@ -106,11 +106,14 @@ class ObjectEntry(SolidEntry):
     """Coulomb's coefficient between hand and object."""
     stiffness: float = 400.0
     """K of eq. 6 [N/m]."""
+    torsion: float = 0.0
+    """Torsional friction of soft fingers on it [m]: the moment about a contact's normal that a newton of normal force
+    holds; 0 for hard ones."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_positive(self, "mass", "scale")
-        check_not_negative(self, "friction", "stiffness")
+        check_not_negative(self, "friction", "stiffness", "torsion")
         check_vectors(self, "centre_of_mass")
         if self.inertia is not None:
             _check_inertia(self.inertia)

@@ -145,7 +145,8 @@ def check_without_others(file: SceneFile) -> None:
     """Raise ValueError for a scene of more objects than the gripped one, which not every command moves."""
     if file.other:
         raise ValueError(
-            f"scene has {len(file.other)} tables [[other]]: expected none, `jaxgrasp grip --scene` takes them"
+            f"scene has {len(file.other)} tables [[other]]: expected none, `jaxgrasp grip --scene` and "
+            "`jaxgrasp glove run` take them"
         )
 
 
@@ -217,6 +218,7 @@ def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
         outline=outline,
         table_friction=file.table.friction,
         table_touches_hand=file.table.touches_hand,
+        torsion=file.object.torsion or None,
     )
     return GrippedScene(scene, closed, jnp.asarray(way.open), placed, contacts, kind, file.grip.law)
 

@@ -17,7 +17,7 @@ from jax import Array
 from jaxgrasp.force.distribution import closed_form, closed_form_and_optimum
 from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.slipping import applied_forces, cut_to_cones, resultant
+from jaxgrasp.grip.slipping import Exerted, applied_forces, cut_to_cones, resultant
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
@@ -45,8 +45,8 @@ class TableSupport(NamedTuple):
 
     wrench: Float[Array, "*batch 6"]
     """About the object's centre [N, N.m], of an object that stands."""
-    forces: Float[Array, "*batch L 3"]
-    """What the hand exerts beside that [N], by the law that is asked for."""
+    exerted: Exerted
+    """What the hand exerts beside that, by the law that is asked for."""
     share: Float[Array, "*batch"]
     """How much of the support there is: 1 for an object that stands, 0 for one clear of the table or not to be held."""
 
@@ -113,7 +113,14 @@ def held_beside_table(
 def _of_hand(three: Solution, links: int) -> Solution:
     """The hand's own answer among the three."""
     first = jax.tree.map(lambda x: x[0], three)
-    return replace(first, forces=first.forces[..., :links, :])
+    own = _by_hand(Exerted(first.forces, first.moments), links)
+    return replace(first, forces=own.forces, moments=own.moments)
+
+
+def _by_hand(exerted: Exerted, links: int) -> Exerted:
+    """What the hand's own contacts exert, which are the first."""
+    moments = exerted.moments
+    return Exerted(exerted.forces[..., :links, :], None if moments is None else moments[..., :links])
 
 
 def _wide(condition: Array, like: Array) -> Array:
@@ -126,15 +133,15 @@ def _supported(
     """What the table carries by a solution of hand and table together, as far as it does."""
     links = grasp.points.shape[-2]
     applied = applied_forces(found)
-    forces, pushes = applied[..., :links, :], applied[..., links:, :]
-    reaction = resultant(points, pushes)
+    exerted = _by_hand(applied, links)
+    reaction = resultant(points, applied.forces[..., links:, :])
     rests = is_held(found.verdict)
     if law == "closed-form":
         left = wrench - reaction
-        forces = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
-        slipping = jnp.linalg.norm((left - resultant(grasp.points, forces))[..., :3], axis=-1)
+        exerted = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
+        slipping = jnp.linalg.norm((left - exerted.wrench(grasp))[..., :3], axis=-1)
         rests = rests & (slipping <= SLACK * jnp.linalg.norm(wrench[..., :3], axis=-1))
-    return TableSupport(reaction, forces, jnp.where(rests, jnp.max(shares, -1), 0))
+    return TableSupport(reaction, exerted, jnp.where(rests, jnp.max(shares, -1), 0))
 
 
 def _with_table(
@@ -153,6 +160,7 @@ def _with_table(
         jnp.full(shares.shape, scene.table_friction, shares.dtype),
         jnp.zeros_like(shares),
         (shares > 0).astype(shares.dtype),
+        None if grasp.torsion is None else jnp.zeros_like(shares),
     )
     axis = shares.ndim - 1
     both = jax.tree.map(lambda own, table: jnp.concatenate([own, table], axis), grasp, of_table)

@@ -10,7 +10,7 @@ from jaxgrasp.grip.monitor import Assessment, Hold, Law
 from jaxgrasp.grip.motion import Motion, guide_at
 from jaxgrasp.grip.obstacles import hand_torques, world_wrench
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
-from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.grip.slipping import Exerted, cut_to_cones
 from jaxgrasp.grip.table_support import STANDING, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
@@ -56,6 +56,8 @@ class Tick(eqx.Module):
     """What the hand exerts on the object [N]: beside the support, the applied law's forces where it holds or the object
     rests; where it slips, each of them cut to its friction. Where no allowed forces hold,
     [`jaxgrasp.reachable_wrench`][] has those that come closest."""
+    moments: Float[Array, "*batch L"] | None
+    """What soft fingers exert about their normals with that [N.m]; None where all contacts are hard."""
     torques: Float[Array, "*batch J"]
     """On the joints, by what the contacts exert [N.m], those with table and obstacles too: negative where they resist a
     positive angle."""
@@ -67,9 +69,14 @@ class Tick(eqx.Module):
         """Whether the object slips through the hand, and does not rest on the table."""
         return (self.assessment.hold == Hold.SLIPPING) & ~self.rests
 
-    def left_by(self, exerted: Float[AnyArray, "*batch L 3"]) -> Float[Array, "*batch 6"]:
-        """What forces of the hand and the table's support leave of the wrench [N, N.m]."""
-        return self.wrench - self.support - resultant(self.grasp.points, exerted)
+    @property
+    def by_hand(self) -> Exerted:
+        """Forces and moments of the hand."""
+        return Exerted(self.exerted, self.moments)
+
+    def left_by(self, exerted: Exerted) -> Float[Array, "*batch 6"]:
+        """What the hand's forces and moments and the table's support leave of the wrench [N, N.m]."""
+        return self.wrench - self.support - exerted.wrench(self.grasp)
 
 
 @checked
@@ -109,7 +116,8 @@ def observe(
 def touched(scene: Scene, posture: Posture, placed: Pose) -> Touches:
     """What the hand touches, with obstacles as they are in the scene."""
     contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
-    grasp = grasp_about(placed.origin, contacts, scene.friction, scene.stiffness, scene.contributions)
+    origin = placed.origin
+    grasp = grasp_about(origin, contacts, scene.friction, scene.stiffness, scene.contributions, scene.torsion)
     return Touches(contacts, grasp, hand_torques(scene, posture))
 
 
@@ -133,14 +141,28 @@ def assessed(
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law)
     slips = assessment.hold == Hold.SLIPPING
-    alone = jnp.where(slips[..., None, None], cut_to_cones(grasp, assessment.forces), assessment.forces)
+    alone = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
     # It stays on the table, unless the hand that does not hold it pulls it up by more than its weight, if askew.
     up = jnp.asarray(scene.table.rotation)[:, 2]
-    lifts = slips & (jnp.sum(alone, -2) @ up > (wrench - inertial)[..., :3] @ up)
+    lifts = slips & (jnp.sum(alone.forces, -2) @ up > (wrench - inertial)[..., :3] @ up)
     share = jnp.where(lifts, 0, table.share)
-    exerted = alone + share[..., None, None] * (table.forces - alone)
-    torques = joint_torques(scene.hand, frames, contacts.points, exerted) + blocked
+    exerted = alone.towards(table.exerted, share)
+    couples = exerted.couples(grasp)
+    torques = joint_torques(scene.hand, frames, contacts.points, exerted.forces, couples) + blocked
     rests = slips & (share > STANDING)
     support = share[..., None] * table.wrench
     stiffness = contacts.present * scene.contributions * scene.stiffness
-    return Tick(contacts, grasp, stiffness, wrench, inertial, assessment, support, rests, exerted, torques, blocked)
+    return Tick(
+        contacts=contacts,
+        grasp=grasp,
+        stiffness=stiffness,
+        wrench=wrench,
+        inertial=inertial,
+        assessment=assessment,
+        support=support,
+        rests=rests,
+        exerted=exerted.forces,
+        moments=exerted.moments,
+        torques=torques,
+        blocked=blocked,
+    )

@@ -202,6 +202,7 @@ def joint_torques(
     frames: HandFrames,
     points: Float[AnyArray, "*batch L 3"],
     forces: Float[AnyArray, "*batch L 3"],
+    couples: Float[AnyArray, "*batch L 3"] | None = None,
 ) -> Float[Array, "*batch J"]:
     """What contact forces do to the joints: J^T (-f) [N.m].
 
@@ -214,12 +215,17 @@ def joint_torques(
         frames: of the posed hand, from [`jaxgrasp.hand.pose_hand`][].
         points: one contact of each link, in the world [m], such as those of [`jaxgrasp.hand.find_contacts`][].
         forces: on the object [N]; zero where a link does not touch.
+        couples: what soft contacts exert on the object beside them, as vectors [N.m]; none where not given.
     """
-    for name, array in (("points", points), ("forces", forces)):
+    given = {"points": points, "forces": forces} | ({} if couples is None else {"couples": couples})
+    for name, array in given.items():
         check_numbers(name, array, (len(hand.links), 3))
     moves = ancestry(hand).T.astype(float)
     felt = -jnp.asarray(forces)
     total = jnp.einsum("jl,...lc->...jc", moves, felt)
-    moment = jnp.einsum("jl,...lc->...jc", moves, jnp.cross(jnp.asarray(points), felt))
+    turning = jnp.cross(jnp.asarray(points), felt)
+    if couples is not None:
+        turning = turning - couples
+    moment = jnp.einsum("jl,...lc->...jc", moves, turning)
     felt_there = jnp.where(hand.slides[:, None], total, moment - jnp.cross(frames.joints.origin, total))
     return jnp.sum(frames.axes * felt_there, -1)

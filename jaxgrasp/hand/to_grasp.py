@@ -53,6 +53,7 @@ def grasp_from_contacts(
     friction: Float[AnyArray, "*#batch"] | float,
     stiffness: Float[AnyArray, "*#batch"] | float,
     contributions: Float[AnyArray, "L"] | float = 1.0,
+    torsion: Float[AnyArray, "*#batch"] | float | None = None,
 ) -> Grasp:
     """The Grasp that contacts make, its squeezing forces by eq. 6.
 
@@ -62,17 +63,23 @@ def grasp_from_contacts(
         stiffness: K of each contact or of all [N/m]; of two springs in series, object and fingertip, that is
             1 / (1 / K_object + 1 / K_finger).
         contributions: c of each link, as from [`jaxgrasp.hand.link_contributions`][].
+        torsion: torsional friction of soft fingers, for each contact or for all [m]; all are hard where not given.
 
     Returns:
         Contacts of the world's frame, in which the wrench must be written too.
     """
     depths = contacts.depths
+
+    def each(coefficient: AnyArray | float) -> Array:
+        return jnp.broadcast_to(jnp.asarray(coefficient, depths.dtype), depths.shape)
+
     return Grasp(
         points=contacts.points,
         normals=contacts.normals,
-        friction=jnp.broadcast_to(jnp.asarray(friction, depths.dtype), depths.shape),
+        friction=each(friction),
         squeeze=squeezing(contributions, stiffness, depths),
         present=contacts.present,
+        torsion=None if torsion is None else each(torsion),
     )
 
 
@@ -82,8 +89,9 @@ def grasp_about(
     friction: Float[AnyArray, "*#batch"] | float,
     stiffness: Float[AnyArray, "*#batch"] | float,
     contributions: Float[AnyArray, "L"] | float,
+    torsion: Float[AnyArray, "*#batch"] | float | None = None,
 ) -> Grasp:
     """As ``grasp_from_contacts``, but in a frame at this place of the world, along its axes."""
-    world = grasp_from_contacts(contacts, friction, stiffness, contributions)
+    world = grasp_from_contacts(contacts, friction, stiffness, contributions, torsion)
     points = world.points - jnp.asarray(origin)[..., None, :]
-    return Grasp(points, world.normals, world.friction, world.squeeze, world.present)
+    return Grasp(points, world.normals, world.friction, world.squeeze, world.present, world.torsion)

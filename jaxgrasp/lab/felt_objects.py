@@ -317,7 +317,7 @@ def _resisting(
     free: Float[AnyArray, "6 1"],
 ) -> Float[Array, "channels"]:
     """Torques at the glove's joints from method B's forces on a guided object, whose first contacts are the links'."""
-    forces = applied_forces(closed_form(grasp, wrench, free=free))
+    forces = applied_forces(closed_form(grasp, wrench, free=free)).forces
     index, count = np.array(links), len(links)
     points = jnp.zeros((len(hand.links), 3)).at[index].set(grasp.points[:count])
     on_links = jnp.zeros((len(hand.links), 3)).at[index].set(forces[:count])

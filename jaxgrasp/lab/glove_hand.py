@@ -11,11 +11,12 @@ import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.carry import closest_forces
+from jaxgrasp.grip.carry import closest_to
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.slipping import Exerted
 from jaxgrasp.grip.tick import Tick, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -68,8 +69,8 @@ class Felt(NamedTuple):
     """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
     slope: Float[Array, "channels channels"]
     """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
-    exerted: Float[Array, "L 3"]
-    """What the contacts exert on the object [N], of which the torques are."""
+    exerted: Exerted
+    """What the contacts exert on the object, of which the torques are."""
 
 
 @partial(jax.jit, static_argnames="law")
@@ -123,7 +124,7 @@ def felt(
         return torques, (torques, tick)
 
     slope, (torques, tick) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
-    exerted = tick.exerted
+    exerted = tick.by_hand
     if law == "optimum":
         torques, slope, exerted = lax.cond(
             tick.slips,
@@ -135,17 +136,18 @@ def felt(
 
 def _by_closest_forces(
     scene: Scene, worn: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: Tick
-) -> tuple[Array, Array, Array]:
-    """Torques, their slope, and the forces."""
-    forces = closest_forces(scene, tick.grasp, tick.wrench - tick.support, placed).forces
+) -> tuple[Array, Array, Exerted]:
+    """Torques, their slope, and what the contacts exert."""
+    exerted, _ = closest_to(scene, tick, placed)
+    couples = exerted.couples(tick.grasp)
 
     def torques_at(angles: Array) -> Array:
         posture = worn.posture(angles, wrist)
         frames = pose_hand(scene.hand, posture)
-        torques = joint_torques(scene.hand, frames, tick.contacts.points, forces) + hand_torques(scene, posture)
-        return worn.resisting(torques)
+        torques = joint_torques(scene.hand, frames, tick.contacts.points, exerted.forces, couples)
+        return worn.resisting(torques + hand_torques(scene, posture))
 
-    return *with_slope(torques_at, jnp.asarray(flexions)), forces
+    return *with_slope(torques_at, jnp.asarray(flexions)), exerted
 
 
 def with_slope(

@@ -12,7 +12,7 @@ from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import ObjectEntry
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
-from jaxgrasp.lab.haptic_loop import Haptics, pose_at
+from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture
 from jaxgrasp.validation.checked import checked
@@ -61,18 +61,25 @@ def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
 
 
 @checked
-def grasp_and_lift(model: GloveModel | None = None, law: Law | None = None, scene: GrippedScene | None = None) -> Story:
+def grasp_and_lift(
+    model: GloveModel | None = None,
+    law: Law | None = None,
+    scene: GrippedScene | None = None,
+    haptics: HandHaptics | None = None,
+) -> Story:
     """Play it: close, lift, cut, arm again; a minute or two, most of it compiling.
 
     Args:
         model: of the glove; the paper's where not given.
         law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][]; the scene's where not given.
         scene: hand and object; where not given a cylinder on a table, which slips by the closed form.
+        haptics: what computes the torques, as of a world of several objects; of the scene's object alone where not
+            given.
     """
     model = lrp_hand_master() if model is None else model
     made = gripped_scene(SceneFile()) if scene is None else scene
     closed, placed, hand = made.closed, made.placed, made.scene.hand
-    haptics = Haptics(made.scene, model, np.asarray(closed.angles), placed, law or made.law)
+    haptics = haptics or Haptics(made.scene, model, np.asarray(closed.angles), placed, law or made.law)
     glove = VirtualGlove(model, nominal_sensors(model))
     places = list(model.places(hand.joints))
     glove.order(bend=np.asarray(made.open)[places].tolist(), lasts=0.0)
@@ -93,7 +100,7 @@ def grasp_and_lift(model: GloveModel | None = None, law: Law | None = None, scen
             glove.peer.said = said
             ticks.append(glove.now)
             wanted.append(said.torques)
-            heights.append(float(haptics.placed.origin[2] - placed.origin[2]))
+            heights.append(float(haptics.followed.placed.origin[0, 2] - placed.origin[2]))
         while script and glove.now >= script[0][0]:
             script.pop(0)[1]()
     times, counts, angles = (np.array(part) for part in zip(*glove.record, strict=True))

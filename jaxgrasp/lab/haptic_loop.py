@@ -1,8 +1,11 @@
 """The computing side of the haptic loop: angles to contacts, forces and torques, and where the object goes."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,8 +38,91 @@ SHORTEST = 2e-4
 """Time between two ticks below which the later one only looks: where the object is stays as the earlier left it [s]."""
 
 
+class Followed(NamedTuple):
+    """What a picture of the N objects needs to know, beside the hand."""
+
+    placed: Pose
+    """``(N,)``"""
+    wrenches: Float[np.ndarray, "N 6"]
+    """What accelerates the object; of several, what the hand exerts on each [N, N.m]."""
+    contributions: Float[np.ndarray, "L"]
+    """Of the links, as they count."""
+    time: float = 0.0
+    """Since the scene began [s]."""
+    grip: GripType | None = None
+    """The grip whose contributions count; None where they do not follow it."""
+
+
+class TickAnswer(NamedTuple):
+    """What one tick found."""
+
+    torques: Array
+    """By which the glove is to resist flexion ``(channels,)`` [N.m]."""
+    slope: Array
+    """Their derivative by the flexions [N.m/rad]."""
+    keep: Callable[[], None]
+    """Lets the next tick go on from this one."""
+
+
+class HandHaptics(ABC):
+    """A hand in a glove, and what it feels, driven by ``tick``."""
+
+    others: Float[AnyArray, "J"]
+    """Angles of all joints [rad]; those that the glove does not read stay there."""
+    smoothing: float
+    """Time constant of the accelerations that are felt [s]."""
+    _before: float | None = None
+
+    @property
+    @abstractmethod
+    def worn(self) -> GloveHand:
+        """The hand in its glove."""
+
+    @property
+    @abstractmethod
+    def followed(self) -> Followed:
+        """Where everything is."""
+
+    @abstractmethod
+    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
+        """What is felt so long after the tick before [s], 0 for the first; ``kept`` is the share of what was felt of
+        accelerations that is kept."""
+
+    def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
+        """What the glove is to do, from what it reads.
+
+        Args:
+            now: time [s].
+            angles: of the glove's joints [rad].
+            wrist: of the hand, in the world.
+
+        Returns:
+            A law that is valid if all its numbers are finite, and time, angles and wrist are such as a hand has. After
+            one that is not, the next goes on from before it.
+        """
+        if not (np.isfinite(now) and _is_a_hands(angles, wrist)):
+            return refused_law(now, angles)
+        passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
+        # What has hardly passed, or not at all, says nothing of how fast anything moves.
+        passed = passed if passed >= SHORTEST else 0.0
+        kept = float(np.exp(-passed / self.smoothing)) if self.smoothing > 0 else 0.0
+        found = self.felt_after(passed, kept, np.asarray(angles, float), wrist)
+        law = law_of(now, angles, (found.torques, found.slope))
+        if law.is_valid and (passed > 0 or self._before is None):
+            found.keep()
+            self._before = now
+        return law
+
+    def warm_up(self, wrist: Pose) -> None:
+        """Compile what ticks need, before anything is armed; the objects stay where they are."""
+        spare = copy(self)
+        angles = np.asarray(self.others, float)[list(self.worn.places)]
+        for k in range(2):
+            spare.tick(0.01 * k, angles, wrist)
+
+
 @dataclass
-class Haptics:
+class Haptics(HandHaptics):
     """A hand in a glove and an object, driven by ``tick``; a tick compiles at its first call, some 30 s."""
 
     scene: Scene
@@ -60,7 +146,6 @@ class Haptics:
         self._program = HapticTick(self.scene, self._worn, self.law, self.follows)
         self._begin = self._state = self._program.start(set_down(self.scene, self.placed))
         self._passed: Passed | None = None
-        self._before: float | None = None
 
     def restart(self, scene: Scene, placed: Pose) -> None:
         """Another scene of the same kind, its object at rest there; nothing is compiled for other numbers."""
@@ -76,8 +161,16 @@ class Haptics:
 
     @property
     def worn(self) -> GloveHand:
-        """The hand in its glove."""
         return self._worn
+
+    @property
+    def followed(self) -> Followed:
+        state = self._state
+        contributions = self.scene.contributions if state.grip is None else state.grip.contributions
+        wanted = (self.placed, state.inertial, contributions, state.carried.time)
+        placed, inertial, contributions, time = jax.device_get(wanted)
+        there = Pose(np.asarray(placed.origin)[None], np.asarray(placed.rotation)[None])
+        return Followed(there, inertial[None], np.asarray(contributions), float(time), self.grip)
 
     @property
     def instant(self) -> Instant | None:
@@ -85,37 +178,22 @@ class Haptics:
         if self._passed is None:
             return None
         placed, tick, stands, exerted, missed = self._passed
-        return Instant(placed, tick, Hold(int(tick.assessment.hold)), bool(stands), exerted, missed)
+        hold = Hold(int(tick.assessment.hold))
+        return Instant(placed, tick, hold, bool(stands), exerted.forces, missed, exerted.moments)
 
     @property
     def grip(self) -> GripType | None:
         """The grip whose contributions count; None where they do not follow it."""
         return None if self._state.grip is None else GripType(int(self._state.grip.kind))
 
-    def tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
-        """What the glove is to do, from what it reads.
+    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
+        state, become, found = self._program(self._state, angles, wrist, passed, kept)
 
-        Args:
-            now: time [s].
-            angles: of the glove's joints [rad].
-            wrist: of the hand, in the world.
-
-        Returns:
-            A law that is valid if all its numbers are finite, and time, angles and wrist are such as a hand has. After
-            one that is not, the next goes on from before it.
-        """
-        if not (np.isfinite(now) and _is_a_hands(angles, wrist)):
-            return refused_law(now, angles)
-        passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
-        # What has hardly passed, or not at all, says nothing of how fast anything moves.
-        passed = passed if passed >= SHORTEST else 0.0
-        kept = float(np.exp(-passed / self.smoothing)) if self.smoothing > 0 else 0.0
-        state, become, found = self._program(self._state, np.asarray(angles, float), wrist, passed, kept)
-        law = law_of(now, angles, (found.torques, found.slope))
-        if law.is_valid and (passed > 0 or self._before is None):
+        def keep() -> None:
             self._passed = become if passed > 0 else None
-            self._state, self._before, self.placed = state, now, state.carried.placed
-        return law
+            self._state, self.placed = state, state.carried.placed
+
+        return TickAnswer(found.torques, found.slope, keep)
 
 
 def _is_a_hands(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:
@@ -136,14 +214,6 @@ def refused_law(now: float, angles: Float[np.ndarray, "channels"]) -> TorqueLaw:
     """A law that nobody may follow."""
     channels = len(angles)
     return TorqueLaw(now, False, np.asarray(angles, float), np.zeros(channels), np.zeros((channels, channels)))
-
-
-def warm_up(haptics: Haptics, wrist: Pose) -> None:
-    """Compile what ticks need, before anything is armed; the object stays where it is."""
-    spare = replace(haptics)
-    angles = np.asarray(haptics.others, float)[list(spare._worn.places)]
-    for k in range(2):
-        spare.tick(0.01 * k, angles, wrist)
 
 
 @checked

@@ -15,6 +15,7 @@ from jax import Array
 from jaxgrasp.grip.carry import CarryState, go_on, led_tick, missed_by
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, at_time
+from jaxgrasp.grip.slipping import Exerted
 from jaxgrasp.grip.tick import Tick, Touches, touched
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
@@ -34,8 +35,8 @@ class HapticState(NamedTuple):
     """What the hand touches in those frames, the object and all else where they now are."""
     inertial: Float[Array, "6"]
     """Wrench that accelerates the object, as it is felt [N, N.m]."""
-    exerted: Float[Array, "L 3"]
-    """What is felt: forces on the object [N]."""
+    exerted: Exerted
+    """What is felt of the object."""
     grip: FollowedGrip | None
     """Where contributions follow the grip."""
 
@@ -47,7 +48,7 @@ class Passed(NamedTuple):
     """Where it was."""
     tick: Tick
     stands: Array
-    exerted: Float[Array, "L 3"]
+    exerted: Exerted
     missed: Float[Array, "6"]
 
 
@@ -71,7 +72,8 @@ class HapticTick:
             return pose_hand(scene.hand, posture), touched(scene, posture, carried.placed)
 
         frames, touches = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
-        return HapticState(carried, frames, touches, jnp.zeros(6), jnp.zeros(touches.contacts.points.shape), grip)
+        exerted = Exerted(touches.contacts.points, touches.grasp.torsion)
+        return HapticState(carried, frames, touches, jnp.zeros(6), exerted, grip)
 
     def __call__(
         self, state: HapticState, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
@@ -136,10 +138,10 @@ def _since(
     carried = state.carried
     now = at_time(scene, carried.time)
     tick, led = led_tick(now, passed, carried, state.touches, state.frames, frames, law)
-    hold, exerted, missed = tick.assessment.hold, tick.exerted, missed_by(tick)
+    hold, exerted, missed = tick.assessment.hold, tick.by_hand, missed_by(tick)
     if law == "optimum":
         missed = jnp.where(tick.slips, tick.left_by(state.exerted), missed)
-        exerted = jnp.where(tick.slips, state.exerted, exerted)
+        exerted = state.exerted.where(tick.slips, exerted)
     become = Passed(carried.placed, tick, carried.stands, exerted, missed)
     inertial = jnp.where(hold == Hold.LOST, 0, kept * state.inertial + (1 - kept) * tick.inertial)
     return become, go_on(scene, passed, carried, led, missed, hold, tick.rests), inertial

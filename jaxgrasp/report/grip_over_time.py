@@ -76,7 +76,7 @@ class History:
 def history(scene: Scene, postures: Posture, times: np.ndarray, record: Instant) -> History:
     """What a hand went through, with postures and the stacked record of the same T instants."""
     ticks = record.tick
-    margins = np.asarray(friction_margin(ticks.grasp, ticks.assessment.forces))
+    margins = np.asarray(friction_margin(ticks.grasp, ticks.assessment.forces, ticks.assessment.moments))
     links = pose_hand(scene.hand, postures).links
     there = ticks.contacts.present > 0
     return History(

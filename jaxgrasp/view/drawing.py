@@ -31,6 +31,8 @@ class Drawing(NamedTuple):
     """Poses of the hand's links ``(L, 3, 4)``; None where there is no hand."""
     object_pose: np.ndarray
     """``(3, 4)``"""
+    moving: np.ndarray
+    """Poses of what else moves ``(M, 3, 4)``."""
     contacts: Instances
     cones: Instances
     forces: dict[str, Arrows]
@@ -57,6 +59,7 @@ def drawing(seen: Seen, scale: Scale | None = None, size: float = 1.0) -> Drawin
     return Drawing(
         links=None if seen.hand is None else seen.hand.links,
         object_pose=seen.object_pose,
+        moving=seen.moving,
         contacts=dots(points, there, DOT * size, colours),
         cones=cones(points, normals, np.asarray(seen.grasp.friction), there, CONE * size, colours),
         forces={

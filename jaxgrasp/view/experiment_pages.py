@@ -108,10 +108,8 @@ class ExperimentPages:
         self._asked = servers[0].gui.add_html(subject_html(TrialNow(), kind))
         self._told = servers[1].gui.add_html(experimenter_html(TrialNow(), kind))
         self._glove = servers[1].gui.add_html("")
-        with servers[1].gui.add_folder("torques that are computed"):
+        with servers[1].gui.add_folder("torques, computed and measured"):
             self._torques = servers[1].gui.add_html("")
-        with servers[1].gui.add_folder("torques that the cables' tension measures"):
-            self._measured = servers[1].gui.add_html("")
         self._latency = Latency(servers[1])
         self._vector: np.ndarray | None = None
 
@@ -133,8 +131,7 @@ class ExperimentPages:
         self._show(frame.angles)
         now = TrialNow.of(frame.more)
         self._asked.content, self._told.content = subject_html(now, self._kind), experimenter_html(now, self._kind)
-        self._torques.content = bars_html(self._model.joints, -frame.torques)
-        self._measured.content = bars_html(self._model.joints, -frame.measured)
+        self._torques.content = bars_html(self._model.joints, -frame.torques, -frame.measured)
         self._latency.shown(frame.angles_at)
         self._latency.ask()
         self._glove.content = glove_html(frame, self._latency.text())

@@ -21,11 +21,13 @@ from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.grip.scene_file import GrippedScene
 from jaxgrasp.grip.tick import Tick, observe, touched
 from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.report.surfaces import pose_matrix
+from jaxgrasp.report.surfaces import DrawnSurface, pose_matrix
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both
+from jaxgrasp.view.standing_surfaces import moving_poses
 
 SHORTEST, LONGEST = 1e-3, 0.05
 """Times that a step counts as at least and at most [s]: a pause does not throw the object."""
@@ -74,19 +76,29 @@ class LiveHand:
         """Things as they stand, at rest."""
         return self._looked(self._with(controls), self._posture(controls), self._placed(controls), jnp.zeros(6))
 
-    def follow(self, posture: Posture, placed: Pose, inertial: AnyArray) -> Seen:
-        """A hand that others move, and an object that goes with it.
+    @property
+    def begun(self) -> Followed:
+        """The object at first."""
+        placed = self.made.placed
+        there = Pose(np.asarray(placed.origin)[None], np.asarray(placed.rotation)[None])
+        return Followed(there, np.zeros((1, 6)), np.asarray(self.made.scene.contributions, float))
 
-        Args:
-            posture: of the hand.
-            placed: where the object is.
-            inertial: wrench that accelerates the object ``(6,)`` [N, N.m].
-        """
-        posture, placed, inertial = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (posture, placed, inertial))
-        return self._looked(self._scene, posture, placed, inertial)
+    @property
+    def others(self) -> list[DrawnSurface]:
+        """No further objects."""
+        return []
 
-    def _looked(self, scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray) -> Seen:
-        return self._seen(placed, *_programs().look(scene, posture, placed, inertial, law=self.law))
+    def follow(self, posture: Posture, followed: Followed) -> Seen:
+        """A hand that others move, and an object that goes with it."""
+        own = Pose(followed.placed.origin[0], followed.placed.rotation[0])
+        given = (posture, own, followed.wrenches[0], followed.contributions)
+        posture, placed, inertial, contributions = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)
+        scene = eqx.tree_at(lambda s: s.contributions, self._scene, contributions)
+        return self._looked(scene, posture, placed, inertial, followed.time)
+
+    def _looked(self, scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, time: float = 0.0) -> Seen:
+        frames, tick, judged = _programs().look(scene, posture, placed, inertial, jnp.asarray(time), law=self.law)
+        return self._seen(placed, frames, tick, judged, time)
 
     def step(self, controls: Controls, dt: float) -> Seen:
         """Let time go on: the object goes where it is carried, slips, rests or falls.
@@ -106,7 +118,7 @@ class LiveHand:
             missed = closest_to(scene, tick, carried.placed)[1]
         self._carried = go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
         self._before = posture
-        return self._seen(carried.placed, frames, tick, judged)
+        return self._seen(carried.placed, frames, tick, judged, float(carried.time))
 
     def start_again(self) -> None:
         """The object back to where the controls have it, at rest."""
@@ -128,7 +140,7 @@ class LiveHand:
         moved = np.asarray(wrist.origin) + controls.lift, turn @ np.asarray(wrist.rotation)
         return Posture(Pose(*map(jnp.asarray, moved)), jnp.asarray(controls.angles, float))
 
-    def _seen(self, placed: Pose, frames: HandFrames, tick: Tick, judged: Judged) -> Seen:
+    def _seen(self, placed: Pose, frames: HandFrames, tick: Tick, judged: Judged, time: float) -> Seen:
         fetched = jax.device_get((frames.links, placed, tick, judged))
         links, placed, tick, judged = jax.tree.map(np.asarray, fetched)
         return Seen(
@@ -142,6 +154,7 @@ class LiveHand:
             object_pose=pose_matrix(placed),
             hand=PosedHand(pose_matrix(links), self.made.scene.hand.joints, np.asarray(tick.torques)),
             rests=bool(tick.rests),
+            moving=moving_poses(self.made.scene, time),
         )
 
 
@@ -158,9 +171,9 @@ def _programs() -> _Programs:
 
 
 def _look(
-    scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, *, law: Law
+    scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, time: Array, *, law: Law
 ) -> tuple[HandFrames, Tick, Judged]:
-    tick = observe(scene, posture, placed, inertial, law=law)
+    tick = observe(scene, posture, placed, inertial, law=law, time=time)
     return pose_hand(scene.hand, posture), tick, judged_by_both(tick.grasp, tick.assessment)
 
 

@@ -9,7 +9,7 @@ from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
 from jaxgrasp.view.live_hand import Controls, LiveHand
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
-from jaxgrasp.view.standing_surfaces import standing_surfaces
+from jaxgrasp.view.standing_surfaces import moving_surfaces, standing_surfaces
 from jaxgrasp.view.viewer import EYE, Viewer
 
 REACH = 40.0
@@ -26,7 +26,8 @@ class LivePage(PageLoop):
         scene = hand.made.scene
         self._surface = shape_surface(scene.body.shape)
         standing = standing_surfaces(scene, hand.made.placed)
-        super().__init__(Viewer(server, link_surfaces(scene.hand), self._surface, standing))
+        links = link_surfaces(scene.hand)
+        super().__init__(Viewer(server, links, self._surface, standing, moving=moving_surfaces(scene)))
         self._hand, self._server = hand, server
         self._first = hand.at_first()
         self.sliders: dict[str, Any] = {}

@@ -62,7 +62,7 @@ class PageLoop(ABC):
 
     def run(self, goes_on: Callable[[], bool] = lambda: True) -> None:
         """Show what is asked for until it goes on no more."""
-        before = time.perf_counter()
+        due = before = time.perf_counter()
         while goes_on():
             now = time.perf_counter()
             if self.runs or self._changed.is_set():
@@ -70,7 +70,9 @@ class PageLoop(ABC):
             elif self._twist is not None:
                 self.viewer.show_escape(self._twist, share_at(now - self._since))
             before = now
-            left = 1 / RATE - (time.perf_counter() - now)
+            # What was slept too long is made up for; who is woken early does not wait the longer for it.
+            due = max(min(due, now) + 1 / RATE, time.perf_counter())
+            left = due - time.perf_counter()
             if left > 0 and (self.runs or self._twist is not None):
                 time.sleep(left)
             elif left > 0:

@@ -66,15 +66,20 @@ def torques_html(seen: Seen) -> str:
     return bars_html(seen.hand.joints, seen.hand.torques)
 
 
-def bars_html(joints: Iterable[str], torques: np.ndarray) -> str:
-    """A bar for each joint, in its finger's colour."""
+def bars_html(joints: Iterable[str], torques: np.ndarray, measured: np.ndarray | None = None) -> str:
+    """A bar for each joint, in its finger's colour; below it a grey one of what was measured."""
     joints = list(joints)
-    largest = max(float(np.abs(np.nan_to_num(torques)).max(initial=0)), LEAST_BAR)
+    kinds = [torques] if measured is None else [torques, measured]
+    largest = max(float(np.abs(np.nan_to_num(kinds)).max(initial=0)), LEAST_BAR)
     colours = finger_colours(name.split()[0] for name in joints)
-    rows = [_bar(name, float(t), largest, colours[name.split()[0]]) for name, t in zip(joints, torques, strict=True)]
+    rows = [
+        _row(name, largest, list(zip(each, (colours[name.split()[0]], MUTED), strict=False)))
+        for name, *each in zip(joints, *kinds, strict=True)
+    ]
+    below = "" if measured is None else "; grey, and on the right, what the cables' tension measures"
     head = (
         f'<div style="color:{MUTED};margin-bottom:4px">torques of the joints [N·m], against flexion to the left; '
-        f"a full half is {number(largest)}</div>"
+        f"a full half is {number(largest)}{below}</div>"
     )
     return _block(head + "".join(rows))
 
@@ -144,17 +149,33 @@ def _newtons(seen: Seen) -> float:
     return float(np.linalg.norm(seen.wrench[:3]))
 
 
-def _bar(name: str, torque: float, largest: float, colour: str) -> str:
-    share = min(max(torque / largest, -1.0), 1.0)
-    width, left = 50 * abs(share), 50 if share >= 0 else 50 - 50 * abs(share)
+def _row(name: str, largest: float, torques: list[tuple[float, str]]) -> str:
+    """A joint's name, a bar for each torque and its colour, and the numbers."""
+    numbers = "".join(
+        f'<span style="width:3.6em;font-variant-numeric:tabular-nums;color:{colour}">{_signed(t)}</span>'
+        for (t, _), colour in zip(torques, (INK, MUTED), strict=False)
+    )
+    bars = "".join(_bar(float(t), largest, colour, 9 // len(torques)) for t, colour in torques)
     return (
         '<div style="display:flex;align-items:center;gap:7px;height:16px;font-size:11.5px">'
         f'<span style="width:7.5em;text-align:right;white-space:nowrap">{text(name)}</span>'
-        f'<span style="position:relative;flex:1;height:9px;background:{GRID};border-radius:3px">'
-        f'<span style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:9px;background:{colour};'
-        f'border-radius:3px"></span><span style="position:absolute;left:50%;width:1px;height:9px;background:{INK}">'
-        f'</span></span><span style="width:3.6em;font-variant-numeric:tabular-nums">{torque:.3f}</span></div>'
+        f'<span style="flex:1">{bars}</span>{numbers}</div>'
     )
+
+
+def _bar(torque: float, largest: float, colour: str, height: int) -> str:
+    share = min(max(torque / largest, -1.0), 1.0)
+    width, left = 50 * abs(share), 50 if share >= 0 else 50 - 50 * abs(share)
+    return (
+        f'<span style="display:block;position:relative;height:{height}px;background:{GRID};border-radius:3px">'
+        f'<span style="position:absolute;left:{left:.1f}%;width:{width:.1f}%;height:{height}px;background:{colour};'
+        f'border-radius:3px"></span>'
+        f'<span style="position:absolute;left:50%;width:1px;height:{height}px;background:{INK}"></span></span>'
+    )
+
+
+def _signed(torque: float) -> str:
+    return f"{torque:.3f}".replace("-", "\N{MINUS SIGN}")
 
 
 def _block(content: str) -> str:

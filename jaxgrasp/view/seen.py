@@ -44,6 +44,8 @@ class Seen(NamedTuple):
     hand: PosedHand | None = None
     rests: bool = False
     """Whether the table carries what the hand does not hold."""
+    moving: np.ndarray = np.zeros((0, 3, 4))
+    """Poses of further objects and of obstacles that move."""
 
     @property
     def there(self) -> np.ndarray:

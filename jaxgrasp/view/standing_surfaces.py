@@ -1,8 +1,8 @@
-"""What of a scene never moves: the table's top below the object, where it is near, and obstacles."""
+"""The world around an object: the table's top below it, where it is near, and obstacles, which may move."""
 
 import numpy as np
 
-from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.scene import Scene, obstacles_now
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import DrawnSurface, moved, pose_matrix, shape_surface
 
@@ -13,7 +13,7 @@ EDGE = 0.4
 
 
 def standing_surfaces(scene: Scene, at: Pose) -> list[DrawnSurface]:
-    """Surfaces in the world.
+    """Surfaces in the world of what never moves.
 
     Args:
         scene: whose table and obstacles.
@@ -25,4 +25,18 @@ def standing_surfaces(scene: Scene, at: Pose) -> list[DrawnSurface]:
     if 0 <= middle[2] <= NEAR:
         square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]]) * EDGE / 2 + [middle[0], middle[1], 0]
         found.append(moved(DrawnSurface(square, np.array([[0, 1, 2], [0, 2, 3]])), table))
-    return found + [moved(shape_surface(one.shape), pose_matrix(one.placed)) for one in scene.obstacles]
+    return found + [
+        moved(shape_surface(one.shape), pose_matrix(one.placed)) for one in scene.obstacles if one.path is None
+    ]
+
+
+def moving_surfaces(scene: Scene) -> list[DrawnSurface]:
+    """Surfaces of the obstacles that move, each in its own frame."""
+    return [shape_surface(one.shape) for one in scene.obstacles if one.path is not None]
+
+
+def moving_poses(scene: Scene, time: float) -> np.ndarray:
+    """Where the obstacles that move are at a time ``(M, 3, 4)``."""
+    now = obstacles_now(scene, time)
+    found = [pose_matrix(now[k].placed) for k, one in enumerate(scene.obstacles) if one.path is not None]
+    return np.array(found).reshape(-1, 3, 4)

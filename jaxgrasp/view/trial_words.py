@@ -22,8 +22,7 @@ def subject_html(now: TrialNow, kind: str) -> str:
     """What to do and to answer, and nothing that tells the answer."""
     match Phase(int(now.phase)):
         case Phase.FEELS:
-            which = "reference" if math.isfinite(now.setting) else "first" if now.interval == 1 else "second"
-            asked = f"Feel the {which} one."
+            asked = f"Feel the {_felt(now)} one."
         case Phase.CHOOSES:
             asked = f"Which one was {QUESTIONS[kind]}, 1 or 2?"
         case Phase.ADJUSTS:
@@ -39,9 +38,15 @@ def subject_html(now: TrialNow, kind: str) -> str:
     )
 
 
+def _felt(now: TrialNow) -> str:
+    """Which one a person feels."""
+    return "reference" if math.isfinite(now.setting) else "first" if now.interval == 1 else "second"
+
+
 def experimenter_html(now: TrialNow, kind: str) -> str:
     """Everything of a trial: what is rendered, the right answer, and how many were right."""
-    rows = [("just now", Phase(int(now.phase)).name.lower())]
+    phase = Phase(int(now.phase))
+    rows = [("just now", f"feels the {_felt(now)}" if phase == Phase.FEELS else phase.name.lower())]
     if math.isfinite(now.number):
         rows.append(("trial", f"{now.number:.0f} of {now.most:.0f} at most"))
         rows.append(("first", f"{number(now.first)} {UNITS[kind]}"))

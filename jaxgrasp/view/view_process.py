@@ -22,6 +22,7 @@ from jaxgrasp.numerics.compiled_code import use_cache
 from jaxgrasp.view.experiment_pages import ExperimentPages
 from jaxgrasp.view.followed_page import FollowedPage
 from jaxgrasp.view.live_hand import LiveHand
+from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.view_feed import SHOWN, SLOT
 from jaxgrasp.view.view_slots import ViewFrame
 from jaxgrasp.view.viewer_server import HOST, serving
@@ -61,7 +62,9 @@ def _serve(options: dict[str, Any], over: threading.Event) -> None:
 def _page(servers: list[Any], shown: dict[str, Any], slot: Slot) -> FollowedPage | ExperimentPages:
     if "felt" in shown:
         return ExperimentPages((servers[0], servers[1]), shown["felt"], shown["model"], shown["kind"], slot)
-    return FollowedPage(servers[0], LiveHand(shown["made"], shown["law"]), shown["worn"], slot)
+    made, law = shown["made"], shown["law"]
+    hand = LiveWorld(made, shown["world"], shown["state"], law) if "world" in shown else LiveHand(made, law)
+    return FollowedPage(servers[0], hand, shown["worn"], slot)
 
 
 def _wait_for_end(over: threading.Event) -> None:

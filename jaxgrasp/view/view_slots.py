@@ -2,40 +2,52 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
+from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.surfaces import pose_matrix
 
-CARRIED, TRIAL = 30, 9
-"""Numbers of a [`Carried`][] and of a [`TrialNow`][]."""
+TRIAL = 9
+"""Numbers of a [`TrialNow`][]."""
 
 
 class Carried(NamedTuple):
-    """Where hand and object are, as numbers."""
+    """Where hand and objects are, as numbers."""
 
     wrist: Float[np.ndarray, "3 4"]
-    placed: Float[np.ndarray, "3 4"]
-    inertial: Float[np.ndarray, "6"]
-    """Wrench that accelerates the object [N, N.m]."""
+    followed: Followed
 
     @staticmethod
-    def at(wrist: Pose, placed: Pose, inertial: Any) -> "Carried":
-        """The state of a hand and an object there."""
-        return Carried(pose_matrix(wrist), pose_matrix(placed), np.asarray(inertial))
+    def at(wrist: Pose, followed: Followed) -> "Carried":
+        """The state of a hand there."""
+        return Carried(pose_matrix(wrist), followed)
 
-    def vector(self) -> Float[np.ndarray, "30"]:
+    @staticmethod
+    def size(things: int, links: int) -> int:
+        """Numbers of its vector."""
+        return 14 + 18 * things + links
+
+    def vector(self) -> Float[np.ndarray, "size"]:
         """All of it in one."""
-        return np.concatenate([self.wrist.ravel(), self.placed.ravel(), self.inertial])
+        placed, wrenches, contributions, time, grip = self.followed
+        head = [time, np.nan if grip is None else float(grip)]
+        return np.concatenate([head, self.wrist.ravel(), pose_matrix(placed).ravel(), wrenches.ravel(), contributions])
 
     @staticmethod
-    def of(vector: Float[np.ndarray, "30"]) -> "Carried":
+    def of(vector: Float[np.ndarray, "size"], things: int) -> "Carried":
         """What a vector says."""
-        return Carried(vector[:12].reshape(3, 4), vector[12:24].reshape(3, 4), vector[24:])
+        head, wrist, placed, wrenches, contributions = np.split(vector, np.cumsum([2, 12, 12 * things, 6 * things]))
+        poses = placed.reshape(things, 3, 4)
+        grip = None if np.isnan(head[1]) else GripType(int(head[1]))
+        there = Pose(poses[..., 3], poses[..., :3])
+        followed = Followed(there, wrenches.reshape(things, 6), contributions, float(head[0]), grip)
+        return Carried(wrist.reshape(3, 4), followed)
 
 
 class TrialNow(NamedTuple):

@@ -43,6 +43,8 @@ class Viewer:
         links: Sequence[DrawnSurface] = (),
         thing: DrawnSurface | None = None,
         standing: Sequence[DrawnSurface] = (),
+        others: Sequence[DrawnSurface] = (),
+        moving: Sequence[DrawnSurface] = (),
     ):
         """A page without an instant.
 
@@ -51,6 +53,8 @@ class Viewer:
             links: the skin of the hand's links, each in its own frame.
             thing: the object, in its own frame.
             standing: what never moves, in the world: a table, obstacles.
+            others: further objects, each in its own frame.
+            moving: obstacles that move, likewise.
         """
         self.server, self._scene = server, server.scene
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=BRAND)
@@ -63,6 +67,13 @@ class Viewer:
             self._add_object(thing)
         for k, surface in enumerate(standing):
             self._stand(f"/world/{k}", surface)
+        names = [f"/moving/{k}" for k in range(len(others) + len(moving))]
+        self._moving = [self._scene.add_frame(name, show_axes=False) for name in names]
+        for name, surface in zip(names, others, strict=False):
+            self._add_surface(name, surface)
+            self._add_lines(name, surface)
+        for name, surface in zip(names[len(others) :], moving, strict=True):
+            self._stand(name, surface)
         self._drawn: Drawing | None = None
 
     def look_from(self, eye: np.ndarray, at: np.ndarray) -> None:
@@ -77,6 +88,8 @@ class Viewer:
         """Show an instant; browsers get it whole."""
         with self.server.atomic():
             self._place_bodies(drawn.links, drawn.object_pose)
+            if self._moving:
+                _place(self._moving, drawn.moving)
             self._instances("/cones", cone(), drawn.cones, CONE_OPACITY)
             self._instances("/contacts", ball(), drawn.contacts)
             for name, arrows in drawn.forces.items():
@@ -159,13 +172,21 @@ class Viewer:
             cast_shadow=False,
             receive_shadow=False,
         )
+        self._add_lines(name, surface)
+
+    def _add_lines(self, name: str, surface: DrawnSurface) -> None:
         if len(surface.lines):
             self._scene.add_line_segments(f"{name}/edges", segments(surface.lines), rgb(MUTED), **LINES)
 
     def _add_object(self, thing: DrawnSurface) -> None:
+        self._add_surface("/object", thing)
+        if len(thing.lines):
+            self.set_edges(segments(thing.lines))
+
+    def _add_surface(self, name: str, thing: DrawnSurface) -> None:
         if len(thing.faces):
             self._scene.add_mesh_simple(
-                "/object/surface",
+                f"{name}/surface",
                 thing.corners,
                 thing.faces,
                 color=rgb(OBJECT_COLOUR),
@@ -174,8 +195,6 @@ class Viewer:
                 flat_shading=False,
                 receive_shadow=False,
             )
-        if len(thing.lines):
-            self.set_edges(segments(thing.lines))
 
     def _instances(self, name: str, body: DrawnSurface, there: Instances, opacity: float | None = None) -> None:
         handle = self._parts.get(name)

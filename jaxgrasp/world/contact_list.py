@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxgrasp.grip.scene import Obstacle
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.hand import Hand, Pose
@@ -42,9 +43,23 @@ class _Rows:
     def __init__(self) -> None:
         self.rows: list[tuple] = []
 
-    def add(self, first: int, second: int, patch: Patch, friction: float, stiffness: float = np.inf) -> None:
-        for point in patch.points:
-            self.rows.append((first, second, point, patch.normal, patch.gap, friction, stiffness, np.zeros(3)))
+    def add(
+        self,
+        first: int,
+        second: int,
+        patch: Patch,
+        friction: float,
+        stiffness: float = np.inf,
+        moving: Obstacle | None = None,
+    ) -> None:
+        carried = np.zeros(patch.points.shape)
+        if moving is not None and moving.motion is not None:
+            linear, angular, origin = (
+                np.broadcast_to(part, carried.shape) for part in (*moving.motion, moving.placed.origin)
+            )
+            carried = velocity_at(Motions(linear, angular), origin, patch.points)
+        for point, velocity in zip(patch.points, carried, strict=True):
+            self.rows.append((first, second, point, patch.normal, patch.gap, friction, stiffness, velocity))
 
     def finished(self) -> ContactList:
         nothing = [np.zeros((0, *tail), kind) for tail, kind in COLUMNS]
@@ -63,11 +78,15 @@ def solids(world: World, placed: Pose) -> list[Solid]:
     ]
 
 
-def world_contact_list(world: World, placed: Pose, within: float) -> ContactList:
-    """Where objects touch one another, the table and obstacles, or are closer to it than ``within`` [m]."""
+def world_contact_list(
+    world: World, placed: Pose, within: float, obstacles: tuple[Obstacle, ...] | None = None
+) -> ContactList:
+    """Where objects touch one another, the table and obstacles, or are closer to it than ``within`` [m]; ``obstacles``
+    are those of the scene where they now are, if any moves."""
     things, found, stand = world.things, _Rows(), solids(world, placed)
     rubbing = [float(thing.rubbing) for thing in things]
-    fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in world.scene.obstacles]
+    around = world.scene.obstacles if obstacles is None else obstacles
+    fixed = [(solid_of(obstacle.shape, obstacle.placed), obstacle) for obstacle in around]
     for n, solid in enumerate(stand):
         on_table = table_patch(solid, world.scene.table)
         if on_table.gap <= within:
@@ -75,7 +94,7 @@ def world_contact_list(world: World, placed: Pose, within: float) -> ContactList
         for other, obstacle in fixed:
             patch = patch_between(solid, other, within)
             if patch is not None:
-                found.add(n, OBSTACLES, patch, 0.0, float(obstacle.stiffness))
+                found.add(n, OBSTACLES, patch, 0.0, float(obstacle.stiffness), obstacle)
         for k in range(n):
             patch = patch_between(solid, stand[k], within)
             if patch is not None:

@@ -111,7 +111,7 @@ def hand_share(
     """
     share = cut_share(world, posture, placed, touches, jnp.asarray(wrench), law=law)
     if law == "optimum" and bool(jnp.any(share.assessment.hold == Hold.SLIPPING)):
-        return _closest(world, posture, placed, share)
+        return closest_share(world, posture, placed, share)
     return share
 
 
@@ -123,37 +123,37 @@ def cut_share(
     grasp = touches.grasp
     closed, optimum = closed_form_and_optimum(grasp, wrench, free=_free(world, placed))
     assessment = judged(grasp, closed, optimum, law)
-    slips = (assessment.hold == Hold.SLIPPING)[:, None, None]
-    exerted = jnp.where(slips, cut_to_cones(grasp, assessment.forces), assessment.forces)
-    blocked = hand_torques(world.scene, posture)
-    return _felt(world, posture, touches, wrench, assessment, exerted, blocked)
+    slips = assessment.hold == Hold.SLIPPING
+    exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
+    return _felt(world, posture, touches, wrench, assessment, exerted.forces)
 
 
 @jax.jit
-def _closest(world: World, posture: Posture, placed: Pose, share: HandShare) -> HandShare:
+def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare) -> HandShare:
     """The forces that come closest to what no allowed ones exert, by how what is missed moves the object."""
     inertia = jnp.stack([spatial_inertia(thing.body, placed.rotation[n]) for n, thing in enumerate(world.things)])
     touches = share.touches
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
     slips = (share.assessment.hold == Hold.SLIPPING)[:, None, None]
     exerted = jnp.where(slips, closest.forces, share.exerted)
-    return _felt(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
+    return _felt(world, posture, touches, share.wrench, share.assessment, exerted)
 
 
 def _felt(
-    world: World,
-    posture: Posture,
-    touches: ThingTouches,
-    wrench: Array,
-    assessment: Assessment,
-    exerted: Array,
-    blocked: Array,
+    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Array
 ) -> HandShare:
-    hand = world.scene.hand
-    torques = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted)
+    torques, blocked = felt_torques(world, posture, touches, exerted)
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
     missed = jnp.where(slips, wrench - resultant(touches.grasp.points, exerted), 0)
-    return HandShare(touches, wrench, assessment, exerted, missed, jnp.sum(torques, 0) + blocked, blocked)
+    return HandShare(touches, wrench, assessment, exerted, missed, torques, blocked)
+
+
+def felt_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Array) -> tuple[Array, Array]:
+    """Torques on the joints by what the hand exerts and by all else that it touches, and by the latter alone [N.m]."""
+    hand = world.scene.hand
+    each = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted)
+    blocked = hand_torques(world.scene, posture)
+    return jnp.sum(each, 0) + blocked, blocked
 
 
 def _free(world: World, placed: Pose) -> Array | None:

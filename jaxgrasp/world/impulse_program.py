@@ -8,7 +8,8 @@ nonsmooth rigid multibody dynamics", 2006) makes it convex. What slides at a spe
 on by mu v in a unit of time, and hovers at mu v dt.
 """
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from jaxgrasp.grip.motion import mobility
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.centring import tangents
+from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.world.contact_list import ContactList
 from jaxgrasp.world.many_bodies import Masses, World
@@ -106,7 +108,7 @@ def least_constraint(
         return Impulses(np.zeros((count, 3)), np.zeros((n, 6)), True)
     size = next((size for size in SIZES if size >= count), count)
     padded = _padded(units[:, None] * quadratic * units, linear / largest, friction, 3 * size)
-    point, solved = jax.device_get(_solved(*padded))
+    point, solved = jax.device_get(_program()(*padded))
     own = (largest * units * point[: 3 * count]).reshape(count, 3)
     on_contacts = np.einsum("mi,mij->mj", own, axes)
     return Impulses(on_contacts, np.einsum("minj,mi->nj", rows, own), bool(solved))
@@ -128,7 +130,17 @@ def _padded(quadratic: np.ndarray, linear: np.ndarray, friction: np.ndarray, siz
     return whole, right, cones
 
 
-@jax.jit
+def compile_programs(most: int) -> None:
+    """Compile what so many contacts at most need: otherwise it is done when they first occur."""
+    for size in SIZES[: 1 + next((k for k, size in enumerate(SIZES) if size >= most), len(SIZES))]:
+        _program()(np.eye(3 * size), np.zeros(3 * size), np.ones(size))
+
+
+@cache
+def _program() -> Any:
+    return jax.jit(_solved, compiler_options=compile_options())
+
+
 def _solved(quadratic: jax.Array, linear: jax.Array, friction: jax.Array) -> tuple[jax.Array, jax.Array]:
     count, size = len(friction), len(linear)
     index = jnp.arange(count)

@@ -3,13 +3,15 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Body
-from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.led_bodies import Motions
 
@@ -33,11 +35,19 @@ class World(eqx.Module):
     """Hand, gripped object, table, obstacles, gravity and guide."""
     others: tuple[Thing, ...] = ()
 
+    def __check_init__(self) -> None:
+        if self.scene.torsion is not None:
+            raise ValueError(f"scene.torsion is {self.scene.torsion}: expected None, engines know hard fingers alone")
+
     @property
     def things(self) -> tuple[Thing, ...]:
         """All objects, the gripped one first."""
         scene = self.scene
         return (Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction), *self.others)
+
+    def at_time(self, time: Float[AnyArray, ""] | float) -> "World":
+        """The world with its obstacles where they are at a time, and as they move [s]."""
+        return World(at_time(self.scene, time), self.others)
 
 
 class WorldState(NamedTuple):
@@ -47,6 +57,8 @@ class WorldState(NamedTuple):
     """``(N,)``"""
     motion: Motions
     """``(N, 3)`` each: of the centres, and about them."""
+    time: float = 0.0
+    """At which obstacles are where their paths have them [s]."""
 
 
 class Masses(NamedTuple):
@@ -79,6 +91,11 @@ def masses(things: tuple[Thing, ...]) -> Masses:
     mass = np.array([float(thing.body.mass) for thing in things])
     moments = np.array([_moments(k, thing.body.shape) for k, thing in enumerate(things)])
     return Masses(mass, mass[:, None] * moments)
+
+
+def holding_weights(world: World) -> Float[np.ndarray, "N 6"]:
+    """The wrenches that hold the objects' weights, about their centres [N, N.m]."""
+    return np.asarray(weight_wrench(masses(world.things).mass, jnp.zeros(3), world.scene.gravity))
 
 
 def _moments(k: int, shape: Shape) -> list[float]:

@@ -15,7 +15,9 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxgrasp.grip.scene import obstacles_now
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
+from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.world.led_bodies import Motions, led, link_motion
 from jaxgrasp.world.many_bodies import World, WorldState, masses
@@ -53,9 +55,11 @@ class MujocoEngine:
         self._free = [n for n in range(len(parts.bodies)) if n > 0 or parts.guide is None]
         joints = [int(self.model.body_jntadr[parts.bodies[n]]) for n in self._free]
         self._places, self._rates = self._addresses(joints)
-        links = range(len(world.scene.hand.links))
-        self._link_places, self._link_rates = self._addresses(
-            [int(self.model.body_jntadr[self.model.body(f"link {k}").id]) for k in links]
+        self._scene = world.scene
+        self._moving = [k for k, obstacle in enumerate(world.scene.obstacles) if obstacle.path is not None]
+        prescribed = [f"link {k}" for k in range(len(world.scene.hand.links))] + [f"obstacle {k}" for k in self._moving]
+        self._led_places, self._led_rates = self._addresses(
+            [int(self.model.body_jntadr[self.model.body(name).id]) for name in prescribed]
         )
 
     def _addresses(self, joints: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -72,13 +76,14 @@ class MujocoEngine:
         self._put(state)
         pushes, solved = [], True
         for k in range(count):
-            self._lead(led(links, motion, k * model.opt.timestep), motion)
+            passed = k * model.opt.timestep
+            self._lead(led(links, motion, passed), motion, state.time + passed)
             if k == 0:
                 self._soften()
             mujoco.mj_step(model, data)
             pushes.append(self._pushes())
             solved = solved and max(data.solver_niter) < model.opt.iterations
-        after = self._taken()
+        after = self._taken()._replace(time=state.time + dt)
         gained = (self._weights.momentum(after) - self._weights.momentum(state)) / dt
         return Step(after, Loads(*(np.mean(parts, 0) for parts in zip(*pushes, strict=True))), gained, solved)
 
@@ -100,9 +105,16 @@ class MujocoEngine:
             data.joint("hinge").qpos[0] = guide.axis @ way / guide.pitch if guide.slides else angle
             data.joint("hinge").qvel[0] = guide.axis @ motion.angular[0]
 
-    def _lead(self, links: Pose, motion: Motions) -> None:
-        """Links where the hand has them, and how they move."""
-        self._set(self._link_places, self._link_rates, links, motion)
+    def _lead(self, links: Pose, motion: Motions, time: float) -> None:
+        """Links where the hand has them, moving obstacles where their paths do, and how they move."""
+        there = obstacles_now(self._scene, time) if self._moving else ()
+        parts: list[tuple[AnyArray, ...]] = [(links.origin, links.rotation, *motion)]
+        for obstacle in (there[k] for k in self._moving):
+            assert obstacle.motion is not None, "what has a path moves"
+            own = (obstacle.placed.origin, obstacle.placed.rotation, *obstacle.motion)
+            parts.append(tuple(np.asarray(part)[None] for part in own))
+        origin, rotation, linear, angular = (np.concatenate(column) for column in zip(*parts, strict=True))
+        self._set(self._led_places, self._led_rates, Pose(origin, rotation), Motions(linear, angular))
 
     def _set(self, places: np.ndarray, rates: np.ndarray, placed: Pose, motion: Motions) -> None:
         """Places and rates of free joints; these turn in their bodies' own frames."""

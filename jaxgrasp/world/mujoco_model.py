@@ -128,11 +128,13 @@ class _Building:
         )
 
     def add_obstacle(self, k: int, obstacle: Obstacle) -> None:
-        body = self.spec.worldbody.add_body(
-            name=f"obstacle {k}",
-            pos=np.asarray(obstacle.placed.origin, float),
-            quat=self._quaternion(obstacle.placed.rotation),
-        )
+        if obstacle.path is None:
+            origin, rotation = obstacle.placed.origin, obstacle.placed.rotation
+            body = self.spec.worldbody.add_body(
+                name=f"obstacle {k}", pos=np.asarray(origin, float), quat=self._quaternion(rotation)
+            )
+        else:
+            body = self._add_led(f"obstacle {k}")
         self._add_geoms(body, f"obstacle {k}", obstacle.shape, (OBSTACLES, -1), contype=0, conaffinity=0)
 
     def add_thing(self, n: int, thing: Thing, weights: Masses, placed: Pose) -> None:
@@ -159,17 +161,9 @@ class _Building:
                     self._add_pair(name, own, (-1, n), condim=1, solref=spring)
 
     def add_hand(self) -> None:
-        hand, world = self.world.scene.hand, self.spec.worldbody
+        hand = self.world.scene.hand
         for link, (centers, radii) in enumerate(zip(hand.skin.centers, hand.skin.radii, strict=True)):
-            body = world.add_body(
-                name=f"link {link}",
-                mass=UNMOVED,
-                inertia=[UNMOVED] * 3,
-                ipos=[0, 0, 0],
-                explicitinertial=True,
-                gravcomp=1,
-            )
-            body.add_freejoint()
+            body = self._add_led(f"link {link}")
             for ball in np.flatnonzero(np.asarray(radii) > 0):
                 name = f"link {link} {ball}"
                 self.whose[name] = (HAND, link)
@@ -188,6 +182,14 @@ class _Building:
         pair_links, pair_things = np.array(self.pairs, int).reshape(-1, 2).T
         bodies = np.array([model.body(f"thing {n}").id for n in range(len(self.geoms))])
         return WorldModel(model, owners, links, pair_links, pair_things, bodies, self.guide)
+
+    def _add_led(self, name: str) -> Any:
+        """A body whose motion is prescribed."""
+        body = self.spec.worldbody.add_body(
+            name=name, mass=UNMOVED, inertia=[UNMOVED] * 3, ipos=[0, 0, 0], explicitinertial=True, gravcomp=1
+        )
+        body.add_freejoint()
+        return body
 
     def _add_guide(self, body: Any, guide: Guide, placed: Pose) -> None:
         """Joints in the body's own frame; those of a screw are tied."""

@@ -11,13 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Motion, moved
+from jaxgrasp.grip.scene import Obstacle, obstacles_now
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.world.contact_list import ContactList, hand_contact_list, together, world_contact_list
-from jaxgrasp.world.impulse_program import Impulses, jacobian, least_constraint, mobilities_of
+from jaxgrasp.world.impulse_program import Impulses, compile_programs, jacobian, least_constraint, mobilities_of
 from jaxgrasp.world.led_bodies import Motions, led, link_motion
 from jaxgrasp.world.many_bodies import World, WorldState, masses
 from jaxgrasp.world.physics import HandMove, Loads, Step, summed_loads
+from jaxgrasp.world.solids import solid_of
+from jaxgrasp.world.touching_solids import MANY
 
 AHEAD = 2e-3
 """How far apart solids are that count as meeting in a step, besides their way in it [m]."""
@@ -49,8 +52,10 @@ class QuasiStaticEngine:
         world, placed = self.world, state.placed
         links, motion = link_motion(hand.now, hand.later, dt)
         fast = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(world.scene.gravity)
+        obstacles = obstacles_now(world.scene, state.time)
+        fast += max(map(_speed, obstacles), default=0.0)
         contacts = together(
-            world_contact_list(world, placed, AHEAD + 2 * fast * dt),
+            world_contact_list(world, placed, AHEAD + 2 * fast * dt, obstacles),
             hand_contact_list(world, hand.contacts, links, motion),
         )
         mobilities = mobilities_of(world, self._masses, placed)
@@ -58,9 +63,16 @@ class QuasiStaticEngine:
         impulses = _impulses(contacts, placed, alone, mobilities, dt)
         velocity = alone + np.einsum("nij,nj->ni", mobilities, impulses.on_things)
         new = Motions(velocity[:, :3], velocity[:, 3:])
-        after = WorldState(self._moved(placed, new, dt), new)
+        after = WorldState(self._moved(placed, new, dt), new, state.time + dt)
         gained = (self._masses.momentum(after) - self._masses.momentum(state)) / dt
         return Step(after, _loads(contacts, placed, impulses, dt), gained, impulses.solved)
+
+    def warm_up(self) -> None:
+        """Compile whatever a step may need, which otherwise is done when it first does."""
+        world = self.world
+        things, links, obstacles = len(world.things), len(world.scene.hand.links), len(world.scene.obstacles)
+        patches = things * (things - 1) // 2 + things * (1 + obstacles)
+        compile_programs(things * links + MANY * patches)
 
     def _alone(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
         """How objects would move after a step if nothing touched them: they keep their momentum, but for gravity."""
@@ -90,6 +102,14 @@ class QuasiStaticEngine:
 
 
 _led_along = jax.jit(moved)
+
+
+def _speed(obstacle: Obstacle) -> float:
+    """How fast any part of an obstacle moves at most [m/s]."""
+    if obstacle.motion is None:
+        return 0.0
+    turning = np.linalg.norm(obstacle.motion.angular) * solid_of(obstacle.shape, obstacle.placed).extent()
+    return float(np.linalg.norm(obstacle.motion.linear) + turning)
 
 
 def _impulses(contacts: ContactList, placed: Pose, alone: np.ndarray, mobilities: np.ndarray, dt: float) -> Impulses:

@@ -12,10 +12,9 @@ from jaxgrasp.grip.tick import Tick
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose, Posture
-from jaxgrasp.model.wrench import weight_wrench
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.hand_share import HandShare, hand_share, touched_things
-from jaxgrasp.world.many_bodies import World, WorldState, masses
+from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 from jaxgrasp.world.physics import Engine, HandMove, Loads
 
 
@@ -48,6 +47,7 @@ class WorldInstant(NamedTuple):
             support=by_world,
             rests=jnp.asarray(False),
             exerted=share.exerted[0],
+            moments=None,
             torques=share.torques,
             blocked=share.blocked,
         )
@@ -83,7 +83,7 @@ def world_carry(
     check_instants(world.scene, postures, dt)
     frames = jax.device_get(pose_hand(world.scene.hand, postures))
     count = frames.axes.shape[0]
-    weights = np.asarray(weight_wrench(masses(world.things).mass, jnp.zeros(3), world.scene.gravity))
+    weights = holding_weights(world)
     instants = []
     for k in range(count):
         now, later = (jax.tree.map(lambda x, i=i: x[i], frames) for i in (k, min(k + 1, count - 1)))
@@ -91,7 +91,7 @@ def world_carry(
         touches = touched_things(world, posture, state.placed)
         step = engine.step(state, HandMove(jax.device_get(touches.contacts), now, later), dt)
         wrench = step.gained + weights - step.loads.by_world
-        share = hand_share(world, posture, state.placed, touches, wrench, law=law)
+        share = hand_share(world.at_time(state.time), posture, state.placed, touches, wrench, law=law)
         instants.append(WorldInstant(state, share, step.loads, step.gained, step.solved))
         state = step.state
     return instants

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.grip.motion import Body
+from jaxgrasp.grip.scene import at_time
 from jaxgrasp.grip.scene_file import APART, GrippedScene, SceneFile
 from jaxgrasp.hand.shapes import Shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
@@ -45,7 +46,7 @@ def world_of(file: SceneFile, made: GrippedScene) -> tuple[World, WorldState]:
         for k, entry in enumerate(file.other)
     ]
     gripped = _Named("the object", made.scene.body.shape, Pose(origin, np.asarray(made.placed.rotation, float)))
-    obstacles = [_Named(f"obstacle[{k}]", o.shape, o.placed) for k, o in enumerate(made.scene.obstacles)]
+    obstacles = [_Named(f"obstacle[{k}]", o.shape, o.placed) for k, o in enumerate(at_time(made.scene, 0.0).obstacles)]
     for k, one in enumerate(others):
         deep = -table_patch(solid_of(one.shape, one.placed), made.scene.table).gap
         _refuse(one.name, deep, "the table")
@@ -67,8 +68,10 @@ def _check_plain(file: SceneFile) -> None:
         for key in ("centre_of_mass", "inertia"):
             if (given := getattr(entry, key)) is not None:
                 raise ValueError(f"{name}.{key} is {list(given)}: expected a uniform density among several objects")
+        if entry.torsion:
+            raise ValueError(f"{name}.torsion is {entry.torsion}: expected none among several objects")
     for k, obstacle in enumerate(file.obstacle):
-        for key in ("path", "friction", "damping"):
+        for key in ("friction", "damping"):
             if given := getattr(obstacle, key):
                 raise ValueError(f"obstacle[{k}].{key} is {given}: expected none among several objects")
 

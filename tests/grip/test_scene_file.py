@@ -38,6 +38,8 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ('[object]\nmass = "heavy"', "object.mass is heavy: expected a number"),
         ("[object]\nradius = inf", "object.radius is inf: expected a number"),
         ("[object]\nfriction = -0.1", "object: friction is -0.1: expected a finite number, 0 or more"),
+        ("[object]\ntorsion = -1", "object: torsion is -1.0: expected a finite number, 0 or more"),
+        ("[object]\ntorsion = nan", "object.torsion is nan: expected a number"),
         ('[object]\nshape = "cone"', "object.shape is 'cone': did you mean 'cylinder'?"),
         ('[hand]\nside = "both"', "hand.side is 'both'"),
         ("[hand]\nlength = 0", "hand: length is 0.0: expected a positive number"),

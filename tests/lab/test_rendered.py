@@ -9,19 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.grip import Hold, monitor, observe
-from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.grip.slipping import Exerted, cut_to_cones, resultant
 from jaxgrasp.grip.tick import touched
-from jaxgrasp.hand import Posture, pose_hand
+from jaxgrasp.hand import Posture
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.lab.followed_grip import BLEND, STEADY, first_grip, grip_tables, next_grip
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.grasp import Grasp
+from tests.lab.joint_work import MODEL, by_work
 
 pytestmark = pytest.mark.slow
-MODEL = lrp_hand_master()
 DT, UP = 0.01, 5.0
 """Between two ticks [s]; how the wrist is accelerated upward [m/s^2]."""
 
@@ -42,20 +41,6 @@ def lifted(scene, law: str, ticks: int = 12, smoothing: float = 0.0) -> tuple[Ha
         torques.append(haptics.tick(k * DT, angles, wrist).torques)
         heights.append(np.asarray(haptics.placed.origin))
     return haptics, torques, heights, angles
-
-
-def by_work(made, posture: Posture, points: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Torques against flexion of the glove's joints: what the contacts' forces work as each joint turns a little."""
-    places, step = list(MODEL.places(made.hand.joints)), 1e-6
-
-    def moved(place: int, by: float) -> np.ndarray:
-        angles = np.asarray(posture.angles).copy()
-        angles[place] += by
-        before, after = pose_hand(made.hand, posture), pose_hand(made.hand, Posture(posture.wrist, angles))
-        own = np.einsum("lji,lj->li", before.links.rotation, points - np.asarray(before.links.origin))
-        return np.asarray(after.links.origin) + np.einsum("lij,lj->li", after.links.rotation, own)
-
-    return np.array([np.sum(forces * (moved(k, step) - moved(k, -step))) / (2 * step) for k in places])
 
 
 def closed_by_numpy(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
@@ -112,7 +97,9 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
     assert gained[2] > 0.1 * weight[2]
     contacts, grasp, _ = touched(scene[0], posture, haptics.placed)
     felt, at_rest = (
-        by_work(scene[0], posture, np.asarray(contacts.points), np.asarray(cut_to_cones(grasp, forces)))
+        by_work(
+            scene[0].hand, posture, np.asarray(contacts.points), np.asarray(cut_to_cones(grasp, Exerted(forces)).forces)
+        )
         for forces in (closed_by_numpy(grasp, weight + gained), closed_by_numpy(grasp, weight))
     )
     np.testing.assert_allclose(np.abs(torques[-1]), np.abs(felt), atol=1e-6)
@@ -134,9 +121,9 @@ def test_what_is_felt_balances_what_moves_by_the_optimum(scene):
     forces = np.asarray(held.exerted)
     # Judged by their own laws: they balance mass and acceleration, and stay inside the cones.
     np.testing.assert_allclose(np.asarray(resultant(grasp.points, forces)), wrench, atol=1e-8)
-    np.testing.assert_allclose(np.asarray(cut_to_cones(grasp, forces)), forces, atol=1e-9)
+    np.testing.assert_allclose(cut_to_cones(grasp, Exerted(forces)).forces, forces, atol=1e-9)
     assert gained[2] == pytest.approx(UP, rel=1e-6)
-    expected = by_work(scene[0], posture, np.asarray(contacts.points), forces)
+    expected = by_work(scene[0].hand, posture, np.asarray(contacts.points), forces)
     np.testing.assert_allclose(np.abs(torques[-1]), np.abs(expected), atol=1e-6)
     by_closed_form = lifted(scene, "closed-form")[1]
     assert np.abs(torques[-1] - by_closed_form[-1]).max() > 1e-3
@@ -163,7 +150,7 @@ def test_what_slips_is_felt_no_firmer_than_its_friction(scene, law):
     instant = haptics.instant
     assert instant.hold == Hold.SLIPPING
     grasp = instant.tick.grasp
-    np.testing.assert_allclose(cut_to_cones(grasp, instant.exerted), instant.exerted, atol=1e-7)
+    np.testing.assert_allclose(cut_to_cones(grasp, Exerted(instant.exerted)).forces, instant.exerted, atol=1e-7)
     left = np.asarray(instant.tick.wrench) - np.asarray(resultant(grasp.points, instant.exerted))
     np.testing.assert_allclose(instant.missed, left, atol=1e-6)
     assert np.linalg.norm(left[:3]) > 1.0
@@ -183,7 +170,7 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
             continue
         found += 1
         assert assessed.hold == Hold.SLIPPING
-        cut = cut_to_cones(grasp, assessed.forces)
+        cut = cut_to_cones(grasp, assessed.exerted).forces
         assert np.linalg.norm(np.asarray(resultant(grasp.points, cut)) - wrench) > 1e-6
         if found == 3:
             return

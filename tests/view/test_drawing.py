@@ -41,7 +41,7 @@ def seen(closed=Verdict.OUTSIDE_CONES, optimum=Verdict.OPTIMAL, law="optimum", h
         "origin": np.array([0.1, 0.2, 0.3]),
         "wrench": np.array([0, 0, 1.0, 0, 0, 0]),
         "assessment": Assessment(
-            *answers, jnp.asarray(int(hold)), jnp.asarray(touches), answers[1].forces, jnp.asarray(disagrees)
+            *answers, jnp.asarray(int(hold)), jnp.asarray(touches), answers[1].forces, None, jnp.asarray(disagrees)
         ),
         "margins": (np.array([-0.1, 0.2, np.inf]), np.array([0.0, 0.2, np.inf])),
         "closed_touches": np.array([Touch.SLIDES, Touch.HOLDS, Touch.ABSENT]),

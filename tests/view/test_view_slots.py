@@ -1,15 +1,18 @@
 """What goes through a slot comes out of it; and what the pages of an experiment make of it."""
 
+import jax
 import numpy as np
 
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.slot import Slot
+from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.psychophysics.observer import Observer
 from jaxgrasp.psychophysics.running.person import SimulatedPerson
 from jaxgrasp.psychophysics.trial import Trial
 from jaxgrasp.view.trial_words import Phase, experimenter_html, subject_html
-from jaxgrasp.view.view_slots import CARRIED, TRIAL, Carried, TrialNow, ViewFrame
+from jaxgrasp.view.view_slots import TRIAL, Carried, TrialNow, ViewFrame
 from jaxgrasp.view.viewed_person import ViewedPerson
 
 RNG = np.random.default_rng(2)
@@ -24,18 +27,23 @@ def ticked(more: np.ndarray) -> ViewFrame:
 
 
 def test_a_frame_goes_through_a_slot(tmp_path):
-    wrist, placed = (Pose(RNG.normal(size=3), RNG.normal(size=(3, 3))) for _ in range(2))
-    carried = Carried.at(wrist, placed, RNG.normal(size=6))
+    wrist, placed = (Pose(RNG.normal(size=(*n, 3)), RNG.normal(size=(*n, 3, 3))) for n in ((), (2,)))
+    grip = GripType.CYLINDRICAL_POWER
+    carried = Carried.at(wrist, Followed(placed, RNG.normal(size=(2, 6)), RNG.normal(size=19), 4.0, grip))
     sent = ticked(carried.vector())
-    size = ViewFrame.size(CHANNELS, CARRIED)
+    size = ViewFrame.size(CHANNELS, Carried.size(2, 19))
     writer, reader = Slot(tmp_path / "slot", size, create=True), Slot(tmp_path / "slot", size)
     writer.write(sent.vector())
     got = ViewFrame.of(reader.read(), CHANNELS)
     assert (got.angles_at, got.link, got.guard) == (1.5, 3, 1)
     for name in ("angles", "torques", "measured", "more"):
         np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
-    for before, after in zip(carried, Carried.of(got.more)):
+    back = Carried.of(got.more, 2)
+    np.testing.assert_array_equal(back.wrist, carried.wrist)
+    for before, after in zip(jax.tree.leaves(carried.followed), jax.tree.leaves(back.followed), strict=True):
         np.testing.assert_array_equal(before, after)
+    plain = Carried.at(wrist, carried.followed._replace(grip=None))
+    assert back.followed.grip == grip and Carried.of(plain.vector(), 2).followed.grip is None
     writer.close()
     reader.close()
 

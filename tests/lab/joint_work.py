@@ -1,0 +1,33 @@
+"""What the glove's joints must bear of forces at the contacts, by their work and nothing else."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.glove.model import lrp_hand_master
+from jaxgrasp.hand import Hand, Posture, pose_hand
+
+MODEL = lrp_hand_master()
+
+
+def by_work(
+    hand: Hand, posture: Posture, points: np.ndarray, forces: np.ndarray, couples: np.ndarray | None = None
+) -> np.ndarray:
+    """Torques against flexion of the glove's joints: what forces and couples work as each joint turns a little."""
+    step = 1e-5
+
+    def links(place: int, by: float):
+        angles = np.asarray(posture.angles).copy()
+        angles[place] += by
+        found = pose_hand(hand, Posture(posture.wrist, angles)).links
+        return np.asarray(found.origin), np.asarray(found.rotation)
+
+    own_origin, own_turn = links(0, 0.0)
+    own = np.einsum("lji,lj->li", own_turn, points - own_origin)
+    torques = []
+    for place in MODEL.places(hand.joints):
+        (ahead, ahead_turn), (back, back_turn) = links(place, step), links(place, -step)
+        way = ahead + np.einsum("lij,lj->li", ahead_turn, own) - back - np.einsum("lij,lj->li", back_turn, own)
+        turn = Rotation.from_matrix(ahead_turn @ back_turn.swapaxes(-1, -2)).as_rotvec()
+        work = np.sum(forces * way) + (0.0 if couples is None else np.sum(couples * turn))
+        torques.append(work / (2 * step))
+    return np.array(torques)

@@ -1,0 +1,62 @@
+"""A glove among several objects: what is rendered balances how each object goes, and what stands stays.
+
+Accelerations are second differences of where the objects were; torques are the work of forces as joints turn.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp.cli.main import main
+from jaxgrasp.grip import Hold
+from jaxgrasp.grip.scene_file import gripped_scene, load_scene, ready_scenes
+from jaxgrasp.hand import Posture
+from jaxgrasp.lab.haptic_loop import pose_at
+from jaxgrasp.lab.world_haptics import WorldHaptics
+from jaxgrasp.world import QuasiStaticEngine, world_of
+from tests.lab.joint_work import MODEL, by_work
+
+DT, UP, G = 0.01, 1.0, 9.81
+
+
+def rise(k: int) -> float:
+    """A second to settle, then ever faster [m]."""
+    return UP * (max(k - 20, 0) * DT) ** 2 / 2
+
+
+@pytest.mark.slow
+def test_a_ball_taken_off_a_stack_is_felt_with_its_weight_and_inertia():
+    file = load_scene(ready_scenes()["stack"])
+    made = gripped_scene(file)
+    world, state = world_of(file, made)
+    closed = np.asarray(made.closed.angles)
+    haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), "optimum", 0.0)
+    angles = closed[list(MODEL.places(made.scene.hand.joints))]
+    there, laws = [], []
+    for k in range(50):
+        laws.append(haptics.tick(k * DT, angles, pose_at(jnp.array([0.0, 0.0, rise(k)]))))
+        there.append(np.asarray(haptics.followed.placed.origin))
+        assert laws[-1].is_valid
+    assert haptics.followed.time == pytest.approx(49 * DT)
+    share, touches = haptics.share, haptics.share.touches
+    assert share.assessment.hold.tolist() == [Hold.STABLE, Hold.LOST, Hold.LOST]
+    np.testing.assert_allclose(there[-1][1:], there[0][1:], atol=1e-4)
+    gained = (there[-1] - 2 * there[-2] + there[-3])[0] / DT**2
+    assert gained[2] == pytest.approx(UP, rel=1e-3)
+    forces, points = np.asarray(share.exerted), np.asarray(touches.contacts.points)
+    np.testing.assert_allclose(forces[0].sum(0), file.object.mass * (gained + [0, 0, G]), atol=1e-4)
+    assert not forces[1:].any()
+    posture = Posture(pose_at(jnp.array([0.0, 0.0, rise(49)])), closed)
+    np.testing.assert_allclose(laws[-1].torques, by_work(made.scene.hand, posture, points[0], forces[0]), atol=1e-7)
+    # At first the blocks bear the ball, and the hand its squeezing alone: other torques than later.
+    assert np.abs(laws[10].torques - laws[-1].torques).max() > 5e-3
+    for k in range(0, len(angles), 4):
+        step = 1e-6 * np.eye(len(angles))[k]
+        ahead, back = (haptics.tick(49 * DT, angles + by * step, posture.wrist).torques for by in (1.0, -1.0))
+        change, slope = (ahead - back) / 2e-6, laws[-1].derivative
+        np.testing.assert_allclose(slope[:, k], change, atol=2e-5 * np.abs(slope).max())
+
+
+def test_a_grip_is_not_followed_among_several_objects(capsys):
+    assert main(["glove", "run", "stack", "--follow-grip"]) == 1
+    assert "follow-grip was given, and the scene has 2 tables [[other]]" in capsys.readouterr().err

@@ -1,8 +1,8 @@
 """The site: every page of this repository that a reader may want, built by ``sphinx-build -W -c docs . build/site``.
 
 The source folder is the repository itself, so that links between README, docs, notebooks and pages of benchmarks lead
-to the same places here as they do in the tree. Nothing is executed but imports: notebooks come with their outputs, which
-the tests execute anew.
+to the same places here as they do in the tree. Nothing is executed but imports: notebooks come with their outputs,
+which the tests execute anew.
 """
 
 import sys
@@ -38,7 +38,7 @@ include_patterns = [
     "jaxgrasp/glove/protocol/firmware/PROTOCOL.md",
     "notebooks/*.ipynb",
 ]
-exclude_patterns = ["**/.ipynb_checkpoints", ".*/**", "build/**", "tests/**"]
+exclude_patterns = ["**/.ipynb_checkpoints", ".[!/]*/**", "build/**", "tests/**"]
 
 # Markdown and notebooks. A link to a heading or a file that is not there is a warning, and warnings are errors.
 nb_execution_mode = "off"

@@ -29,7 +29,10 @@ class Outcomes(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Code, name and meaning of each member, as a table in Markdown."""
         module, name = self.arguments
-        rows = [f"| `{member.value}` | `{member.name}` | {meaning(member)} |" for member in getattr(import_module(module), name)]
+        rows = [
+            f"| `{member.value}` | `{member.name}` | {meaning(member)} |"
+            for member in getattr(import_module(module), name)
+        ]
         holder = nodes.container()
         lines = [f"| code | `{name}` | what it means, and what to do |", "|---|---|---|", *rows]
         self.state.nested_parse(StringList(lines, source=name), self.content_offset, holder)

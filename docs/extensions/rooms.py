@@ -23,7 +23,8 @@ def entry(room: str, name: str, thing) -> str:
         return f".. autofunction:: {room}.{name}\n"
     home = home_of(room, name)
     documented = ModuleAnalyzer.for_module(home).find_attr_docs().get(("", name), [])
-    return f".. py:data:: {room}.{name}\n\n" + "".join(f"   {line}\n" for line in to_restructured_text(list(documented)))
+    lines = [f"   {line}" for line in to_restructured_text(list(documented))]
+    return "\n".join([f".. py:data:: {name}", f"   :module: {room}", "", *lines, ""])
 
 
 def home_of(room: str, name: str) -> str:

@@ -42,10 +42,10 @@ def check_grasp(grasp: Grasp) -> Grasp:
 
     Example:
         >>> from jaxgrasp import Grasp, check_grasp
-        >>> check_grasp(Grasp([[0, 0, 0.1]], [[0, 0, -2.0]], [0.5], [1.0]))
+        >>> check_grasp(Grasp([[0, 0, 0.1]], [[0, 0, -1.0]], [-0.5], [1.0]))
         Traceback (most recent call last):
           ...
-        jaxgrasp.model.faults.GraspError: normals[0] is [ 0.  0. -2.], of length 2: expected a vector of length 1 (to 1e-6)
+        jaxgrasp.model.faults.GraspError: friction[0] is -0.5: expected a finite number, zero or more
 
     Raises:
         GraspError: naming the field, the first bad index, the value and what was expected.

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent.parent / "jaxgrasp"
-COMPILED = {"force"}
-"""Rooms whose examples take seconds to compile."""
+COMPILED = {"force", "hand", "psychophysics"}
+"""Rooms whose examples take seconds to compile, or to load."""
 
 
 def examples() -> Iterator:
@@ -21,7 +21,9 @@ def examples() -> Iterator:
         room = path.relative_to(PACKAGE).parts[0]
         marks = (pytest.mark.slow, pytest.mark.always) if room in COMPILED else ()
         for node in ast.walk(ast.parse(text)):
-            if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)) and ">>>" in (ast.get_docstring(node) or ""):
+            if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.Module)) and ">>>" in (
+                ast.get_docstring(node) or ""
+            ):
                 name = f"{path.stem}.{getattr(node, 'name', '')}"
                 found = doctest.DocTestParser().get_doctest(ast.get_docstring(node), {}, name, str(path), 0)
                 yield pytest.param(found, marks=marks, id=name)

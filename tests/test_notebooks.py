@@ -74,7 +74,7 @@ def test_as_committed(path):
     nbformat.validate(notebook)
     check(path, notebook)
     assert not re.search(r"/(home|root|tmp|Users|work)/", printed(notebook))
-    assert path.stat().st_size < (500_000 if path in NOTEBOOKS else 200_000)
+    assert path.stat().st_size < (500_000 if path in NOTEBOOKS else 250_000)
 
 
 @pytest.mark.slow

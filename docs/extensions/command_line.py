@@ -13,7 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 from jaxgrasp.cli.main import Command
 from jaxgrasp.cli.optional_arguments import REGISTRY
 
-WIDTH = "96"
+WIDTH = "88"
 GROUP = re.compile(r"\{([\w,-]+)\}$")
 
 
@@ -52,7 +52,7 @@ class CommandLine(SphinxDirective):
             title = " ".join(("jaxgrasp", *command))
             section = nodes.section(ids=[title.replace(" ", "-")], names=[title])
             section += nodes.title(text=title)
-            section += nodes.literal_block(help_of(command), help_of(command), language="text")
+            section += nodes.literal_block(help_of(command), help_of(command), language="text", classes=["help"])
             sections.append(section)
         return sections
 

@@ -8,7 +8,11 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+ROOT = Path(__file__).parent.parent
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.ipynb"))
+GALLERY = ROOT / "docs" / "gallery.ipynb"
+ALL = [*NOTEBOOKS, *TUTORIALS, GALLERY]
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 LEARNED = "## What was learned"
 
@@ -25,14 +29,14 @@ def numbers_in(text: str) -> set[str]:
     return {number.replace(",", "") for number in NUMBER.findall(text)}
 
 
-def check_outputs(notebook) -> None:
+def check_outputs(notebook, figures: int) -> None:
     """Every cell ran, in order; figures are there; nothing failed, and nothing went to stderr."""
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
     outputs = outputs_of(notebook)
     assert {output.output_type for output in outputs} <= {"stream", "display_data", "execute_result"}
     assert all(output.name == "stdout" for output in outputs if output.output_type == "stream")
-    assert sum("image/png" in output.get("data", {}) for output in outputs) >= 2
+    assert sum("image/png" in output.get("data", {}) for output in outputs) >= figures
 
 
 def check_learned(notebook) -> None:
@@ -43,24 +47,38 @@ def check_learned(notebook) -> None:
     assert not numbers_in(last) - numbers_in(printed(notebook) + " " + code)
 
 
-def test_there_are_notebooks():
-    assert len(NOTEBOOKS) >= 5
-    numbers = [int(path.name.split("_")[0]) for path in NOTEBOOKS]
+def check(path: Path, notebook) -> None:
+    """Outputs of every notebook, and what was learned in all but the gallery, each picture of which has one cell."""
+    check_outputs(notebook, {GALLERY: 8}.get(path, 2 if path in NOTEBOOKS else 0))
+    if path != GALLERY:
+        check_learned(notebook)
+
+
+@pytest.mark.parametrize("paths", [NOTEBOOKS, TUTORIALS], ids=["notebooks", "tutorials"])
+def test_there_are_notebooks(paths):
+    assert len(paths) >= 5
+    numbers = [int(path.name.split("_")[0]) for path in paths]
     assert numbers == list(range(1, len(numbers) + 1))
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_picture_of_the_gallery_takes_some_ten_lines():
+    cells = [cell for cell in nbformat.read(GALLERY, 4).cells if cell.cell_type == "code"]
+    for cell in cells[1:]:
+        assert len([line for line in cell.source.splitlines() if line.strip()]) <= 14
+        assert any("image/png" in output.get("data", {}) for output in cell.outputs)
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
 def test_as_committed(path):
     notebook = nbformat.read(path, 4)
     nbformat.validate(notebook)
-    check_outputs(notebook)
-    check_learned(notebook)
+    check(path, notebook)
     assert not re.search(r"/(home|root|tmp|Users|work)/", printed(notebook))
-    assert path.stat().st_size < 500_000
+    assert path.stat().st_size < (500_000 if path in NOTEBOOKS else 250_000)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", ALL, ids=lambda path: path.stem)
 def test_it_runs_and_still_says_so(path, monkeypatch):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", jax.config.jax_compilation_cache_dir)
     # As users compile: where a search ends may hang on the last bits.
@@ -68,5 +86,4 @@ def test_it_runs_and_still_says_so(path, monkeypatch):
     notebook = nbformat.read(path, 4)
     client = NotebookClient(notebook, timeout=900, kernel_name="python3", resources={"metadata": {"path": path.parent}})
     client.execute()
-    check_outputs(notebook)
-    check_learned(notebook)
+    check(path, notebook)

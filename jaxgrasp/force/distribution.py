@@ -95,6 +95,17 @@ def constrained_optimum(
         A Solution. Where the closed form lies inside all cones it is the answer, at its own price; where
         no forces exist the verdict is INFEASIBLE and the certificate proves it.
 
+    Example:
+        Two fingers lift 2 N between them; one newton goes to each:
+
+        >>> import numpy as np
+        >>> from jaxgrasp import Grasp, Verdict, constrained_optimum
+        >>> points, normals = np.array([[1.0, 0, 0], [-1.0, 0, 0]]), np.array([[-1.0, 0, 0], [1.0, 0, 0]])
+        >>> grasp = Grasp(points, normals, friction=[0.5, 0.5], squeeze=[4.0, 4.0])
+        >>> best = constrained_optimum(grasp, np.array([0.0, 0, 2, 0, 0, 0]))
+        >>> Verdict(int(best.verdict)).name, best.forces.round(6).tolist()
+        ('CLOSED_FORM_OPTIMAL', [[-4.0, 0.0, 1.0], [4.0, 0.0, 1.0]])
+
     Raises:
         ValueError: for a sharing, a safety or a largest_force that cannot be used, shapes that do not fit, or a start
             beside free or solver.

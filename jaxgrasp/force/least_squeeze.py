@@ -38,6 +38,16 @@ def least_squeeze(
     Returns:
         ``(...)`` [N]; +inf, without a derivative (NaN), where no forces exist or none were found.
 
+    Example:
+        Two fingers of friction 0.5 lift 2 N: each has to press with 2 N.
+
+        >>> import numpy as np
+        >>> from jaxgrasp import Grasp, least_squeeze
+        >>> points, normals = np.array([[1.0, 0, 0], [-1.0, 0, 0]]), np.array([[-1.0, 0, 0], [1.0, 0, 0]])
+        >>> grasp = Grasp(points, normals, friction=np.full(2, 0.5), squeeze=np.full(2, 4.0))
+        >>> round(float(least_squeeze(grasp, np.array([0.0, 0, 2, 0, 0, 0]))), 6)
+        4.0
+
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated twice.

@@ -61,6 +61,17 @@ def wrench_margin(
         or negative, is in reach, or the data are invalid. The derivative of an endless margin is
         zero, since its inverse stays zero; where there is no margin, there is none (NaN).
 
+    Example:
+        A block on a table of friction 0.5 presses on it with 10 N: 5 N push it aside.
+
+        >>> import numpy as np
+        >>> from jaxgrasp import Grasp, wrench_margin
+        >>> corners = np.array([[1.0, 0, 0], [-0.5, 0.87, 0], [-0.5, -0.87, 0]])
+        >>> block = Grasp(corners, np.tile([0.0, 0, 1], (3, 1)), friction=np.full(3, 0.5), squeeze=np.ones(3))
+        >>> held, aside = np.array([0.0, 0, 10, 0, 0, 0]), np.array([1.0, 0, 0, 0, 0, 0])
+        >>> round(float(wrench_margin(block, held, aside)), 6)
+        5.0
+
     Raises:
         ValueError: for a sharing that cannot be used, or shapes that do not fit.
         NotImplementedError: when differentiated twice.

@@ -52,6 +52,15 @@ def friction_margin(
     ``moments`` of soft fingers count as the tangential force mu / gamma times as large would, beside it: friction
     resists both together. Where a finger is hard there can be none.
 
+    Example:
+        A force on its cone's edge has no margin left; one along the normal has atan(mu):
+
+        >>> import numpy as np
+        >>> from jaxgrasp import Grasp, friction_margin
+        >>> grasp = Grasp(np.zeros((2, 3)), np.tile([0.0, 0, 1], (2, 1)), friction=np.ones(2), squeeze=np.ones(2))
+        >>> np.degrees(friction_margin(grasp, np.array([[1.0, 0, 1], [0.0, 0, 1]]))).round(6).tolist()
+        [0.0, 45.0]
+
     Raises:
         ValueError: for moments with a grasp that has no torsion, or soft fingers without.
     """

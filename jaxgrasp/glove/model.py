@@ -162,7 +162,14 @@ class GloveModel:
 
 @checked
 def lrp_hand_master() -> GloveModel:
-    """The paper's: 14 flexions, 0.12 N.m each (section III-A)."""
+    """The paper's: 14 flexions, 0.12 N.m each (section III-A).
+
+    Example:
+        >>> from jaxgrasp.glove import lrp_hand_master
+        >>> model = lrp_hand_master()
+        >>> len(model.joints), model.joints[0], model.limits[0]
+        (14, 'thumb MP', 0.12)
+    """
     return GloveModel("LRP Hand Master", FLEXIONS, (0.12,) * len(FLEXIONS))
 
 

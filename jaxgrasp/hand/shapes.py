@@ -235,6 +235,13 @@ def signed_distance(
     Returns:
         Distances ``(...)`` [m], negative inside, and outward unit normals ``(..., 3)``.
 
+    Example:
+        >>> import numpy as np
+        >>> from jaxgrasp.hand import Sphere, signed_distance
+        >>> distance, out = signed_distance(Sphere(0.03), np.array([0.0, 0.0, 0.05]))
+        >>> round(float(distance), 6), out.tolist()
+        (0.02, [0.0, 0.0, 1.0])
+
     Raises:
         TypeError: for what is no shape, or no array of real numbers.
         ValueError: for points of other than three coordinates.

@@ -40,6 +40,13 @@ def check_grasp(grasp: Grasp) -> Grasp:
     Checked, in this order: shapes, dtypes, finite values, unit normals (to 1e-6), friction, squeeze and torsion
     not negative, no torsion without friction. Entries of absent contacts are not looked at, since no method reads them.
 
+    Example:
+        >>> from jaxgrasp import Grasp, check_grasp
+        >>> check_grasp(Grasp([[0, 0, 0.1]], [[0, 0, -1.0]], [-0.5], [1.0]))
+        Traceback (most recent call last):
+          ...
+        jaxgrasp.model.faults.GraspError: friction[0] is -0.5: expected a finite number, zero or more
+
     Raises:
         GraspError: naming the field, the first bad index, the value and what was expected.
         TypeError: if the grasp is traced, as under ``jit``: there are no values to check.

@@ -15,6 +15,11 @@ class Verdict(IntEnum):
     """The outcome of one problem. The codes are stable in files.
 
     ``Verdict(int(solution.verdict)).advice`` is a sentence to act on.
+
+    Example:
+        >>> from jaxgrasp import Verdict
+        >>> Verdict(3).name, Verdict(3).solved
+        ('INFEASIBLE', False)
     """
 
     advice: str

@@ -64,3 +64,4 @@ CYLINDRICAL_POWER_GRIP = Contributions(
     values=_read_only(CONTRIBUTIONS),
     source="Tzafestas 2003, Table I (it names no thumb and no palm)",
 )
+"""The paper's Table I: how much each phalanx of four fingers contributes to a cylindrical power grip."""

@@ -43,6 +43,14 @@ def weight_wrench(
     Returns:
         ``(..., 6)``: force [N], then torque about the frame's origin [N.m]; minus the weight's own.
 
+    Example:
+        Against gravity the hand pushes up:
+
+        >>> import numpy as np
+        >>> from jaxgrasp import weight_wrench
+        >>> print(weight_wrench(0.5, np.zeros(3), np.array([0.0, 0.0, -10.0]))[:3] + 0.0)
+        [0. 0. 5.]
+
     Raises:
         TypeError: for what is no array of real numbers.
         ValueError: for vectors of other than three components, or a mass below zero.

@@ -36,6 +36,7 @@ from jaxgrasp.validation.checked import checked
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
+"""What ``best_forces`` takes for an objective."""
 TILE = 32
 CLOSE = 1e-4
 """Largest distance of value and bound, relative to the value, that is called optimal."""

@@ -17,6 +17,12 @@ class Observer:
     The just noticeable difference at a hit ratio of 0.75 is ``weber x reference + absolute``: exactly, without lapses,
     bias and learning.
 
+    Example:
+        >>> from jaxgrasp.psychophysics import Observer
+        >>> observer = Observer(weber=0.15)
+        >>> round(float(observer.hit_probability(2.0, 2.3)), 6)
+        0.75
+
     Raises:
         ValueError: for numbers out of their ranges.
     """

@@ -75,6 +75,15 @@ def threshold(
     Returns:
         The threshold in the units of the levels, or a finding that says why there is none.
 
+    Example:
+        Half way between 60 % and 90 % of right answers lie 75 %:
+
+        >>> import numpy as np
+        >>> from jaxgrasp.psychophysics import Counts, threshold
+        >>> counts = Counts(np.array([0.1, 0.2]), np.array([6, 9]), np.array([10, 10]))
+        >>> round(threshold(counts, "interpolation").value, 6)
+        0.15
+
     Raises:
         ValueError: for an interval that the method does not have, or a coverage outside 0 to 1.
     """

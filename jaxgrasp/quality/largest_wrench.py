@@ -93,13 +93,14 @@ def largest_wrench(
     lower, upper, twists = np.zeros(shape[:-1]), np.zeros(shape[:-1]), np.zeros((*shape[:-1], 6))
     press, lean = np.zeros(shape), np.zeros((*shape, 3))
     corners = None if sides is None else pyramid(sides, given.soft)
-    for index, own, body in given.bodies():
-        size = np.linalg.norm(tasks[index])
-        found = _along(replace(body, bound=bound, corners=corners), tasks[index] / size, tol)
+    bodies = replace(given.bodies(), bound=bound, corners=corners)
+    for flat, index in enumerate(np.ndindex(given.batch)):
+        size, own = np.linalg.norm(tasks[index]), given.present[index]
+        found = _along(bodies.alone(flat), tasks[index] / size, tol)
         lower[index], upper[index] = found.lower / size, found.upper / size
-        twists[index] = unscaled(found.twist / size, given, index)
+        twists[index] = found.twist / size
         press[index][own], lean[index][own] = found.press, found.lean
-    return LargestWrench(lower, upper, twists, *forces_of(given, press, lean), press, lean)
+    return LargestWrench(lower, upper, unscaled(twists, given), *forces_of(given, press, lean), press, lean)
 
 
 @checked

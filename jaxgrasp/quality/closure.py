@@ -1,15 +1,18 @@
 """Whether contacts can hold their object against any disturbance, proven either way."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.grasp_input import GraspInput, read_grasps
+from jaxgrasp.quality.grasp_input import read_grasps
+from jaxgrasp.quality.host_call import call_on_host, is_traced
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_discs import About, Length
+from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs
 from jaxgrasp.quality.wrench_sets import WrenchSet, WrenchSets
 from jaxgrasp.validation.checked import checked
 
@@ -93,35 +96,48 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
     The answer depends on no length and no point; the size of the margin does, as that of
     [`jaxgrasp.quality.ferrari_canny`][].
 
+    Inside ``jit`` and ``vmap`` it calls the host back, nothing is checked, and results are JAX arrays in the precision
+    of the points; there are no derivatives.
+
     Args:
-        grasp: contacts ``(..., n)``, concrete.
+        grasp: contacts ``(..., n)``.
         length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.quality.ferrari_canny`][].
         about: where torques are taken, ``(..., 3)`` [m]; likewise.
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
-        TypeError: for traced arrays.
     """
+    if is_traced(grasp, length, about):
+        return _traced(grasp, length, about)
     given = read_grasps(grasp, length, about)
     found = decide_all(given.bodies())
     batch, contacts = given.batch, given.present.shape
     press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
-    forces, moments = forces_of(given, press, lean)
-    twist = unscaled(found.twist.reshape((*batch, 6)), given)
+    forces, moments = forces_of(given.shapes, press, lean, np)
+    twist = unscaled(found.twist.reshape((*batch, 6)), given.shapes, np)
     return ForceClosure(*(array.reshape(batch) for array in found[:3]), twist, forces, moments)
 
 
-def unscaled(twist: np.ndarray, given: GraspInput) -> np.ndarray:
-    """Scaled twists ``(..., 6)`` as velocities (linear, angular) about the frame's origin."""
-    angular = twist[..., 3:] / np.asarray(given.shapes.length)[..., None]
-    return np.concatenate([twist[..., :3] - np.cross(angular, given.shapes.about), angular], -1)
+def _traced(grasp: Grasp, length: Length, about: About) -> ForceClosure:
+    count = grasp.friction.shape[-1]
+    trailing = ((), (), (), (6,), (count,), (count, 3))
+    shapes, (closed, decided, margin, twist, press, lean) = call_on_host(decide_all, trailing, grasp, length, about)
+    shapes = jax.lax.stop_gradient(shapes)
+    forces, moments = forces_of(shapes, press, lean, jnp)
+    return ForceClosure(closed > 0.5, decided > 0.5, margin, unscaled(twist, shapes, jnp), forces, moments)
 
 
-def forces_of(given: GraspInput, press: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton."""
-    exerted = press[..., None] * given.shapes.centres + np.einsum("...njk,...nk->...nj", given.shapes.spans, lean)
-    moment = np.einsum("...j,...j->...", given.shapes.spans[..., 3:, 2], given.shapes.centres[..., :3])
-    return exerted[..., :3], moment * lean[..., 2] * np.asarray(given.shapes.length)[..., None]
+def unscaled(twist: Any, shapes: WrenchDiscs, library: Any) -> Any:
+    """Scaled twists ``(..., 6)`` as velocities (linear, angular) about the frame's origin, by NumPy or JAX."""
+    angular = twist[..., 3:] / library.asarray(shapes.length)[..., None]
+    return library.concatenate([twist[..., :3] - library.cross(angular, shapes.about), angular], -1)
+
+
+def forces_of(shapes: WrenchDiscs, press: Any, lean: Any, library: Any) -> tuple[Any, Any]:
+    """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton, by NumPy or JAX."""
+    exerted = press[..., None] * shapes.centres + library.einsum("...njk,...nk->...nj", shapes.spans, lean)
+    moment = library.einsum("...j,...j->...", shapes.spans[..., 3:, 2], shapes.centres[..., :3])
+    return exerted[..., :3], moment * lean[..., 2] * library.asarray(shapes.length)[..., None]
 
 
 class Decisions(NamedTuple):
@@ -168,7 +184,7 @@ def _decide_easy(bodies: WrenchSets, own: np.ndarray, found: Decisions) -> None:
     bodies, own = bodies.take(well), own[well]
     whitening = axes[well] / np.sqrt(sizes[well])[:, None]
     white = replace(bodies, discs=bodies.discs @ whitening[:, None])
-    weights, leans, twists = _balance_or_twist(white)
+    weights, leans, twists = weights_or_twist(white, -white.discs[:, :, 0].sum(1))
     press = np.where(bodies.present, 1 + weights, 0)
     smooth = np.any(bodies.discs[:, :, 1:] != 0, (2, 3))
     total = press.sum(1)
@@ -188,11 +204,10 @@ def _decide_easy(bodies: WrenchSets, own: np.ndarray, found: Decisions) -> None:
     found.press[own[balanced]], found.lean[own[balanced]] = press[balanced], leans[balanced]
 
 
-def _balance_or_twist(white: WrenchSets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights ``(G, n)`` and leans ``(G, n, 3)`` of wrenches that balance one newton at every contact; else a twist
-    ``(G, 6)`` along which no contact works, as far as the search has come."""
+def weights_or_twist(white: WrenchSets, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights ``(G, n)`` and leans ``(G, n, 3)`` of wrenches that make up those to the ``right`` (G, 6); else a twist
+    ``(G, 6)`` that works along these and along which no contact does, as far as the search has come."""
     grasps, count = white.present.shape
-    right = -white.discs[:, :, 0].sum(1)
     bases = SimplexBases(right, 1.0)
     leans, twists = np.zeros((grasps, 6, 3)), np.zeros((grasps, 6))
     size = np.linalg.norm(right, axis=1)

@@ -1,5 +1,7 @@
 """How evenly the edges of friction pyramids can balance each other: a linear program's measure of force closure."""
 
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -10,10 +12,11 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import read_grasps
+from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
-from jaxgrasp.quality.wrench_discs import discs, known_where
-from jaxgrasp.quality.wrench_sets import check_sides, pyramid
+from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs, known_where
+from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 FEASIBLE = 1e-10
@@ -55,28 +58,37 @@ def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
     matters. Where several edges bound the answer and it is degenerate, or the multipliers are not unique, it is not
     differentiable there and the multipliers are those of one side.
 
+    Inside ``jit``, ``vmap`` and ``grad`` it calls the host back, nothing is checked, and results are JAX arrays in the
+    precision of the points; the value then has the derivative of ``min_weight_at``.
+
     Source: Li, Culbertson, Burdick and Ames, FRoGGeR: fast robust grasp generation via the min-weight metric, 2023.
 
     Args:
-        grasp: contacts ``(..., n)``, concrete; a batch is a loop.
+        grasp: contacts ``(..., n)``.
         sides: edges of each pyramid, the first one across the coordinate axis that is least along the normal; two
             more for the moments of soft fingers, if there are any.
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
         ValueError: for ``sides`` that cannot be used.
-        TypeError: for traced arrays.
     """
     check_sides(sides)
+    if is_traced(grasp):
+        return _traced(grasp, sides)
     given = read_grasps(grasp)
     corners = pyramid(sides, given.soft)
-    edges = given.shapes.centres[..., None, :] + np.einsum("...njc,kc->...nkj", given.shapes.spans, corners)
-    flat = given.rounding.size, given.present.shape[-1], len(corners)
-    own = np.repeat(given.present.reshape(flat[:2]), flat[2], 1)
-    edges = np.where(own[..., None], edges.reshape(flat[0], -1, 6), 0)
-    value, weights, twists = evenest(edges, own)
-    batch = given.batch
-    return MinWeight(value.reshape(batch), weights.reshape((*batch, *flat[1:])), twists.reshape((*batch, 6)), corners)
+    value, weights, twists = evenest(given.bodies(), corners)
+    batch, contacts = given.batch, given.present.shape
+    weights = weights.reshape((*contacts, len(corners)))
+    return MinWeight(value.reshape(batch), weights, twists.reshape((*batch, 6)), corners)
+
+
+def _traced(grasp: Grasp, sides: int) -> MinWeight:
+    corners = pyramid(sides, grasp.torsion is not None)
+    trailing = ((), (grasp.friction.shape[-1], len(corners)), (6,))
+    shapes, answers = call_on_host(partial(evenest, corners=corners), trailing, grasp, None, None)
+    found = MinWeight(*answers, jnp.asarray(corners, shapes.centres.dtype))
+    return found._replace(value=moved(found.value, jnp.where(jnp.isfinite(found.value), _value_at(shapes, found), 0)))
 
 
 @checked
@@ -95,20 +107,25 @@ def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
 
 @jax.jit
 def _worked(grasp: Grasp, found: MinWeight) -> Array:
-    value, weights, twist, corners = (jnp.asarray(array, grasp.points.dtype) for array in found)
-    shapes = discs(grasp)
+    return _value_at(discs(grasp), found)
+
+
+def _value_at(shapes: WrenchDiscs, found: MinWeight) -> Array:
+    value, weights, twist, corners = (jnp.asarray(array, shapes.centres.dtype) for array in found)
     leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
     edges = shapes.centres[..., None, :] + leans
-    moved = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
-    return known_where(jnp.isfinite(value), moved, shapes)
+    at = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
+    return known_where(jnp.isfinite(value), at, shapes)
 
 
-def evenest(edges: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Values ``(G,)``, weights ``(G, m)`` and multipliers ``(G, 6)`` for edges ``(G, m, 6)``, those of a mask.
+def evenest(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values ``(G,)``, weights ``(G, n * k)`` of the edges and multipliers ``(G, 6)``.
 
     Columns of the programs are those of the weights above the least, and the value, which may be negative. Programs
     are solved side by side by the simplex method, and what that does not finish by HiGHS.
     """
+    pyramids = replace(bodies, corners=corners).alone_edges()
+    edges, own = pyramids.discs[:, :, 0], pyramids.present
     grasps = len(edges)
     found = np.full(grasps, -np.inf), np.zeros(own.shape), np.zeros((grasps, 6))
     solved = ~own.any(1)

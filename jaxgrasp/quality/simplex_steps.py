@@ -45,8 +45,10 @@ class SimplexBases:
         gives = (rates > FLAT) | spent
         ratios = np.where(gives, self.amounts[which] / np.where(gives, rates, 1), np.inf)
         ratios = np.where(spent, -1, ratios)
-        place = np.argmin(ratios, 1)
         every = np.arange(len(which))
+        # Of those that give way at once the largest rate loses the fewest digits.
+        tied = ratios <= ratios.min(1, keepdims=True) + FLAT
+        place = np.argmax(np.where(tied, np.abs(rates), -1), 1)
         fine = np.isfinite(ratios[every, place])
         every, place, which = every[fine], place[fine], which[fine]
         row = self.inverse[which, place] / rates[every, place][:, None]

@@ -106,7 +106,7 @@ class InnerPolytopes:
     def join(self, others: "InnerPolytopes") -> None:
         """Take other surfaces in, behind these."""
         for name, array in vars(self).items():
-            fill = np.inf if name == "_offsets" else 0
+            fill = np.inf if name == "_offsets" else 0.0
             setattr(self, name, np.concatenate(_alike(array, getattr(others, name), fill)))
 
     def _slots(self, surface: np.ndarray, facet: np.ndarray, owners: np.ndarray) -> np.ndarray:

@@ -110,7 +110,7 @@ def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Reach, size: np.
     for index, points in enumerate(near.points):
         rows = np.vstack([points.T, np.full((1, len(points)), size[index])])
         weights[index], _ = nnls(rows, np.append(upper[index] * direction[index], size[index]))
-    weights /= weights.sum(1, keepdims=True)
+    weights /= np.maximum(weights.sum(1, keepdims=True), COUNTS)
     press, lean = np.einsum("gp,gpn->gn", weights, near.press), np.einsum("gp,gpnk->gnk", weights, near.lean)
     return TouchingPoints(upper, direction, press, lean)
 

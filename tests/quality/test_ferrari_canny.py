@@ -193,9 +193,10 @@ def test_grasps_that_are_not_closed_have_none():
 
 
 def test_every_ray_meets_a_surface_an_odd_number_of_times_even_where_points_coincide():
-    stars, rng = InnerPolytopes(np.array([0.1, 0.02])), np.random.default_rng(0)
-    for _ in range(40):
-        points = np.round(rng.normal(size=(2, 6)), 1)
+    stars, rng = InnerPolytopes(np.array([0.1, 0.2])), np.random.default_rng(0)
+    for _ in range(60):
+        point = np.round(rng.normal(size=6), 1)
+        points = np.stack([point, 2 * point])
         stars.grow(points, points, np.full(2, 1e-9))
         stars.grow(points * (1 - 1e-12), points, np.full(2, 1e-15))
     rays = rng.normal(size=(20, 6))

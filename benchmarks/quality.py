@@ -38,7 +38,7 @@ class Plan(NamedTuple):
     grasps: int = 8
     points: tuple[int, ...] = (25, 50, 100, 200, 400)
     decided: int = 200
-    batch: int = 200
+    batch: int = 64
     hulls: int = 8
     """Grasps of each size by Qhull, one after the other."""
 

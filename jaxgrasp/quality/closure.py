@@ -115,7 +115,8 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
     press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
     forces, moments = forces_of(given.shapes, press, lean, np)
     twist = unscaled(found.twist.reshape((*batch, 6)), given.shapes, np)
-    return ForceClosure(*(array.reshape(batch) for array in found[:3]), twist, forces, moments)
+    closed, decided, margin = (array.reshape(batch) for array in (found.closed, found.decided, found.margin))
+    return ForceClosure(closed, decided, margin, twist, forces, moments)
 
 
 def _traced(grasp: Grasp, length: Length, about: About) -> ForceClosure:
@@ -157,7 +158,8 @@ def decide_all(bodies: WrenchSets) -> Decisions:
     """Force closure of many grasps side by side; what that leaves open is looked at grasp by grasp with more care."""
     grasps, count = bodies.present.shape
     found = Decisions(
-        *(np.zeros(grasps, bool) for _ in range(2)),
+        np.zeros(grasps, bool),
+        np.zeros(grasps, bool),
         np.zeros(grasps),
         np.zeros((grasps, 6)),
         np.zeros((grasps, count)),

@@ -1,7 +1,7 @@
 """The largest disturbance that a grasp resists whichever way it pushes: the radius of its ball of wrenches."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -155,7 +155,7 @@ def _traced(
         return measure(replace(bodies, bound=bound, corners=corners), tol, max_points)
 
     shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3)), grasp, length, about)
-    found = Epsilon(*answers)
+    found: Any = Epsilon(*answers)
     at = _work_of(shapes, found)
     return found._replace(lower=moved(found.lower, jnp.where(found.lower > 0, at, 0)), upper=moved(found.upper, at))
 

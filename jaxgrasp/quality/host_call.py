@@ -5,6 +5,7 @@ once; it is not differentiated: each measure adds its own derivative, by the env
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,8 +30,9 @@ def call_on_host(
     grasp: Grasp,
     length: Length,
     about: About,
-) -> tuple[WrenchDiscs, tuple[Array, ...]]:
-    """The discs of traced grasps, and what is said of them.
+) -> tuple[WrenchDiscs, Any]:
+    """The discs of traced grasps, and what is said of them: a tuple of JAX arrays, which stand where results have
+    those of NumPy.
 
     Args:
         question: of wrench sets ``(G, ...)`` the answers, arrays ``(G, *trailing)``.
@@ -61,6 +63,6 @@ def call_on_host(
     return shapes, jax.pure_callback(answer, wanted, *jax.lax.stop_gradient(given), vmap_method="broadcast_all")
 
 
-def moved(value: Array, at: Array) -> Array:
+def moved(value: Any, at: Array) -> Any:
     """A value with the derivative of what it is the value of."""
     return value + (at - jax.lax.stop_gradient(at))

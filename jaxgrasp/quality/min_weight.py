@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -87,7 +87,8 @@ def _traced(grasp: Grasp, sides: int) -> MinWeight:
     corners = pyramid(sides, grasp.torsion is not None)
     trailing = ((), (grasp.friction.shape[-1], len(corners)), (6,))
     shapes, answers = call_on_host(partial(evenest, corners=corners), trailing, grasp, None, None)
-    found = MinWeight(*answers, jnp.asarray(corners, shapes.centres.dtype))
+    value, weights, twist = answers
+    found: Any = MinWeight(value, weights, twist, corners)
     return found._replace(value=moved(found.value, jnp.where(jnp.isfinite(found.value), _value_at(shapes, found), 0)))
 
 
@@ -128,7 +129,7 @@ def evenest(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.nda
     edges, own = pyramids.discs[:, :, 0], pyramids.present
     grasps = len(edges)
     found = np.full(grasps, -np.inf), np.zeros(own.shape), np.zeros((grasps, 6))
-    solved = ~own.any(1)
+    solved: np.ndarray = np.logical_not(own.any(1))
     for start in range(0, grasps, SIDE_BY_SIDE):
         some = start + np.flatnonzero(~solved[start : start + SIDE_BY_SIDE])
         if len(some):

@@ -2,7 +2,7 @@
 
     python -m benchmarks.quality --out benchmarks/results
 
-Ordinary grasps that are closed. Writes quality.json and quality.md.
+Ordinary grasps that are closed, and batches of random ones. Writes quality.json and quality.md.
 """
 
 from benchmarks.one_thread import one_thread
@@ -16,11 +16,14 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from scipy.spatial import ConvexHull
 
 import jaxgrasp
 from benchmarks.page import quality_tables
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp
+from jaxgrasp.quality.wrench_discs import discs
+from jaxgrasp.quality.wrench_sets import pyramid
 from jaxgrasp.testing import problems as P
 
 NAME = "quality"
@@ -35,6 +38,9 @@ class Plan(NamedTuple):
     grasps: int = 8
     points: tuple[int, ...] = (25, 50, 100, 200, 400)
     decided: int = 200
+    batch: int = 64
+    hulls: int = 8
+    """Grasps of each size by Qhull, one after the other."""
 
 
 def closed_grasps(n: int, count: int) -> tuple[Grasp, np.ndarray]:
@@ -79,6 +85,54 @@ def times(plan: Plan) -> list[dict]:
             took = spent(measure, grasp, *others)
             rows.append({"n": n, "measure": name, "median": float(np.median(took)), "largest": max(took)})
     return rows
+
+
+def round_about(n: int, count: int) -> Grasp:
+    """Contacts anywhere on a unit ball, closed or not, with friction 0.5."""
+    outward = np.random.default_rng(0).normal(size=(count, n, 3))
+    outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+    every = np.ones((count, n))
+    return Grasp(outward, -outward, 0.5 * every, every)
+
+
+def batches(plan: Plan) -> list[dict]:
+    """CPU time of a grasp in one call for many, and that of Qhull on their pyramids."""
+    rows = []
+    for n in plan.sizes:
+        grasp = round_about(n, plan.batch)
+        frame = {"length": np.ones(plan.batch), "about": np.zeros((plan.batch, 3))}
+        task = np.random.default_rng(1).normal(size=(plan.batch, 6))
+        ball = partial(jaxgrasp.quality.ferrari_canny, grasp, **frame)
+        calls: dict[str, Callable] = {
+            "force_closure": partial(jaxgrasp.quality.force_closure, grasp, **frame),
+            "ferrari_canny, l1, 1e-2": partial(ball, "l1", tol=1e-2),
+            "ferrari_canny, l1, 1e-3": partial(ball, "l1"),
+            "ferrari_canny, l1, 8 sides": partial(ball, "l1", sides=8),
+            "ferrari_canny, linf, 1e-2": partial(ball, "linf", tol=1e-2),
+            "largest_wrench, l1": partial(jaxgrasp.quality.largest_wrench, grasp, task, "l1"),
+            "largest_wrench, linf": partial(jaxgrasp.quality.largest_wrench, grasp, task),
+            "min_weight, 4 sides": partial(jaxgrasp.quality.min_weight, grasp),
+            "singular_values": partial(jaxgrasp.quality.singular_values, grasp, **frame),
+        }
+        for name, call in calls.items():
+            call()
+            start = time.process_time()
+            jax.block_until_ready(call())
+            rows.append({"n": n, "measure": name, "seconds": (time.process_time() - start) / plan.batch})
+        rows.append({"n": n, "measure": "Qhull, 8 sides", "seconds": by_qhull(grasp, plan.hulls)})
+    return rows
+
+
+def by_qhull(grasp: Grasp, count: int) -> float:
+    """The median CPU time of the hull of a grasp's wrenches."""
+    shapes = discs(grasp, 1.0, np.zeros(3))
+    leans = np.einsum("gnjk,ck->gncj", np.asarray(shapes.spans), pyramid(8, False))
+    took = []
+    for own in (np.asarray(shapes.centres)[:, :, None] + leans)[:count]:
+        start = time.process_time()
+        ConvexHull(own.reshape(-1, 6))
+        took.append(time.process_time() - start)
+    return float(np.median(took))
 
 
 def gaps(plan: Plan) -> list[dict]:
@@ -128,8 +182,8 @@ def decisions(plan: Plan) -> list[dict]:
 
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
-    sections = {"times": times, "gaps": gaps, "pyramids": pyramids, "decisions": decisions}
-    plans = Plan(), Plan(sizes=(3, 5), grasps=2, points=(25, 50), decided=10)
+    sections = {"batches": batches, "times": times, "gaps": gaps, "pyramids": pyramids, "decisions": decisions}
+    plans = Plan(), Plan(sizes=(3, 5), grasps=2, points=(25, 50), decided=10, batch=10, hulls=2)
     run_sections(__doc__, NAME, sections, plans, quality_tables.page)
 
 

@@ -7,6 +7,14 @@ from benchmarks.page.tables import by_size, made_by, table
 
 def page(report: dict) -> str:
     parts = ["# Measures of quality: cost, bounds, pyramids", _preface(report)]
+    if "batches" in report:
+        parts += [
+            "## Many grasps in one call",
+            f"Milliseconds of CPU for a grasp of {report['plan']['batch']}, whose contacts lie anywhere on a ball, "
+            "closed or not, after compiling; balls to the relative distance of their bounds that stands there. Beside "
+            "them Qhull (scipy), one hull after the other: the median.",
+            by_size(report["batches"], "measure", lambda row: _ms(row["seconds"])),
+        ]
     if "times" in report:
         parts += [
             "## Time for one grasp",

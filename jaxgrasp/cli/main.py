@@ -39,6 +39,7 @@ from jaxgrasp.cli.import_arguments import (
     IsaacGrasp,
 )
 from jaxgrasp.cli.optional_arguments import REGISTRY
+from jaxgrasp.cli.rank_arguments import Rank
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.show_arguments import Show
@@ -56,6 +57,7 @@ Command = (
     | Annotated[CheckHand, tyro.conf.subcommand("hand")]
     | Annotated[ImportCommand, tyro.conf.subcommand("import")]
     | Annotated[Info, tyro.conf.subcommand("info")]
+    | Annotated[Rank, tyro.conf.subcommand("rank")]
     | Annotated[SceneCommand, tyro.conf.subcommand("scene")]
     | Annotated[FollowSensitivity, tyro.conf.subcommand("sensitivity")]
     | Annotated[Show, tyro.conf.subcommand("show")]
@@ -74,6 +76,7 @@ FUNCTIONS: dict[type, str] = {
     Info: "inspect.info_command",
     Validate: "inspect.validate_command",
     Grip: "grip.grip_command",
+    Rank: "rank_results.rank_command",
     Show: "show_grasp.show_command",
     View: "view.view_command",
     CheckHand: "hand_check.check_command",

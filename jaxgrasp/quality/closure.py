@@ -1,15 +1,19 @@
 """Whether contacts can hold their object against any disturbance, proven either way."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.grasp_input import GraspInput, read_grasps
+from jaxgrasp.quality.grasp_input import read_grasps
+from jaxgrasp.quality.host_call import call_on_host, is_traced
+from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_discs import About, Length
-from jaxgrasp.quality.wrench_sets import WrenchSet
+from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs
+from jaxgrasp.quality.wrench_sets import WrenchSet, WrenchSets
 from jaxgrasp.validation.checked import checked
 
 ROUNDS = 60
@@ -23,6 +27,19 @@ MAKE_BELIEVE = 1e8
 """Weights, relative to what they make up, that rounding alone may be behind."""
 PRICE = 1e-9
 """Length that a unit of weight costs where it may be."""
+SIDE_BY_SIDE = 256
+"""Grasps that are looked at together."""
+PIVOTS = 40
+"""Of the simplex method, which needs about ten; what is not decided then is near its limit."""
+EVEN = 1e-4
+"""Least singular value of a discs' matrix, relative to the largest, with which plain arithmetic decides."""
+CAUTIOUS = 1 - 1e-6
+"""What is left of a margin after the rounding of its least singular value."""
+AHEAD = 1e-3
+"""By how much wrenches have to work against a unit twist that is looked for: so the search ends within all bounds, not
+against one of them, which it would come ever closer to."""
+UNMOVED = 1e-13
+"""Power along a unit twist that is none in coordinates where the discs' matrix is a rotation."""
 IDLE = 1e-6
 """Power of a contact along a unit twist, relative to its wrenches, that may be none but for lost digits."""
 
@@ -79,39 +96,152 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
     The answer depends on no length and no point; the size of the margin does, as that of
     [`jaxgrasp.quality.ferrari_canny`][].
 
+    Inside ``jit`` and ``vmap`` it calls the host back, nothing is checked, and results are JAX arrays in the precision
+    of the points; there are no derivatives.
+
     Args:
-        grasp: contacts ``(..., n)``, concrete.
+        grasp: contacts ``(..., n)``.
         length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.quality.ferrari_canny`][].
         about: where torques are taken, ``(..., 3)`` [m]; likewise.
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
-        TypeError: for traced arrays.
     """
+    if is_traced(grasp, length, about):
+        return _traced(grasp, length, about)
     given = read_grasps(grasp, length, about)
-    shape = given.present.shape
-    closed, decided, margin = np.zeros(shape[:-1], bool), np.zeros(shape[:-1], bool), np.zeros(shape[:-1])
-    twists, press, lean = np.zeros((*shape[:-1], 6)), np.zeros(shape), np.zeros((*shape, 3))
-    for index, own, body in given.bodies():
-        found = decide(body)
-        closed[index], decided[index], margin[index] = found.closed, found.decided, found.margin
-        twists[index] = unscaled(found.twist, given, index)
-        press[index][own], lean[index][own] = found.press, found.lean
-    forces, moments = forces_of(given, press, lean)
-    return ForceClosure(closed, decided, margin, twists, forces, moments)
+    found = decide_all(given.bodies())
+    batch, contacts = given.batch, given.present.shape
+    press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
+    forces, moments = forces_of(given.shapes, press, lean, np)
+    twist = unscaled(found.twist.reshape((*batch, 6)), given.shapes, np)
+    closed, decided, margin = (array.reshape(batch) for array in (found.closed, found.decided, found.margin))
+    return ForceClosure(closed, decided, margin, twist, forces, moments)
 
 
-def unscaled(twist: np.ndarray, given: GraspInput, index: tuple[int, ...]) -> np.ndarray:
-    """A scaled twist as a velocity (linear, angular) about the frame's origin."""
-    angular = twist[3:] / given.shapes.length[index]
-    return np.concatenate([twist[:3] - np.cross(angular, given.shapes.about[index]), angular])
+def _traced(grasp: Grasp, length: Length, about: About) -> ForceClosure:
+    count = grasp.friction.shape[-1]
+    trailing = ((), (), (), (6,), (count,), (count, 3))
+    shapes, (closed, decided, margin, twist, press, lean) = call_on_host(decide_all, trailing, grasp, length, about)
+    shapes = jax.lax.stop_gradient(shapes)
+    forces, moments = forces_of(shapes, press, lean, jnp)
+    return ForceClosure(closed > 0.5, decided > 0.5, margin, unscaled(twist, shapes, jnp), forces, moments)
 
 
-def forces_of(given: GraspInput, press: np.ndarray, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton."""
-    exerted = press[..., None] * given.shapes.centres + np.einsum("...njk,...nk->...nj", given.shapes.spans, lean)
-    moment = np.einsum("...j,...j->...", given.shapes.spans[..., 3:, 2], given.shapes.centres[..., :3])
-    return exerted[..., :3], moment * lean[..., 2] * np.asarray(given.shapes.length)[..., None]
+def unscaled(twist: Any, shapes: WrenchDiscs, library: Any) -> Any:
+    """Scaled twists ``(..., 6)`` as velocities (linear, angular) about the frame's origin, by NumPy or JAX."""
+    angular = twist[..., 3:] / library.asarray(shapes.length)[..., None]
+    return library.concatenate([twist[..., :3] - library.cross(angular, shapes.about), angular], -1)
+
+
+def forces_of(shapes: WrenchDiscs, press: Any, lean: Any, library: Any) -> tuple[Any, Any]:
+    """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton, by NumPy or JAX."""
+    exerted = press[..., None] * shapes.centres + library.einsum("...njk,...nk->...nj", shapes.spans, lean)
+    moment = library.einsum("...j,...j->...", shapes.spans[..., 3:, 2], shapes.centres[..., :3])
+    return exerted[..., :3], moment * lean[..., 2] * library.asarray(shapes.length)[..., None]
+
+
+class Decisions(NamedTuple):
+    """The same of many grasps: arrays ``(G, ...)``."""
+
+    closed: np.ndarray
+    decided: np.ndarray
+    margin: np.ndarray
+    twist: np.ndarray
+    press: np.ndarray
+    """``(G, n)``, zeros for absent contacts."""
+    lean: np.ndarray
+    """``(G, n, 3)``."""
+
+
+def decide_all(bodies: WrenchSets) -> Decisions:
+    """Force closure of many grasps side by side; what that leaves open is looked at grasp by grasp with more care."""
+    grasps, count = bodies.present.shape
+    found = Decisions(
+        np.zeros(grasps, bool),
+        np.zeros(grasps, bool),
+        np.zeros(grasps),
+        np.zeros((grasps, 6)),
+        np.zeros((grasps, count)),
+        np.zeros((grasps, count, 3)),
+    )
+    for start in range(0, grasps, SIDE_BY_SIDE):
+        own = np.arange(start, min(grasps, start + SIDE_BY_SIDE))
+        _decide_easy(bodies.take(own), own, found)
+    for index in map(int, np.flatnonzero(~found.decided)):
+        own, one = bodies.present[index], decide(bodies.alone(index))
+        found.closed[index], found.decided[index], found.margin[index] = one.closed, one.decided, one.margin
+        found.twist[index], found.press[index, own], found.lean[index, own] = one.twist, one.press, one.lean
+    return found
+
+
+def _decide_easy(bodies: WrenchSets, own: np.ndarray, found: Decisions) -> None:
+    """Write down all that is proven by one run of the simplex method, in coordinates where the discs' matrix is a
+    rotation: a balance of one newton at every contact and whatever else, or a twist."""
+    generators = bodies.discs.reshape(len(own), -1, 6)
+    sizes, axes = np.linalg.eigh(np.swapaxes(generators, 1, 2) @ generators)
+    well = np.flatnonzero(sizes[:, 0] > EVEN**2 * sizes[:, 5])
+    if not len(well):
+        return
+    bodies, own = bodies.take(well), own[well]
+    whitening = axes[well] / np.sqrt(sizes[well])[:, None]
+    white = replace(bodies, discs=bodies.discs @ whitening[:, None])
+    weights, leans, twists = weights_or_twist(white, -white.discs[:, :, 0].sum(1))
+    press = np.where(bodies.present, 1 + weights, 0)
+    smooth = np.any(bodies.discs[:, :, 1:] != 0, (2, 3))
+    total = press.sum(1)
+    press, leans = press / total[:, None], np.where(smooth[..., None], leans, 0) / total[:, None, None]
+    missed = white.exerted(np.concatenate([press[..., None], leans], -1))
+    room = np.min(np.where(bodies.present, press - np.linalg.norm(leans, axis=-1), np.inf), 1) / np.sqrt(2)
+    radius = np.sqrt(sizes[well, 0]) * (room - np.linalg.norm(missed, axis=1)) - bodies.slack
+    margin = CAUTIOUS * radius / (1 + np.sqrt(bodies.present.sum(1)) * room)
+    plain = np.matmul(whitening, twists[..., None])[..., 0]
+    plain /= np.maximum(np.linalg.norm(plain, axis=1), np.finfo(float).tiny)[:, None]
+    powers = np.where(bodies.present, bodies.supports(plain)[0], -np.inf).max(1)
+    balanced = ~twists.any(1) & (radius > 0)
+    opened = twists.any(1) & (powers <= bodies.slack)
+    found.closed[own], found.decided[own] = balanced, balanced | opened
+    found.margin[own] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
+    found.twist[own[opened]] = plain[opened]
+    found.press[own[balanced]], found.lean[own[balanced]] = press[balanced], leans[balanced]
+
+
+def weights_or_twist(white: WrenchSets, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights ``(G, n)`` and leans ``(G, n, 3)`` of wrenches that make up those to the ``right`` (G, 6); else a twist
+    ``(G, 6)`` that works along these and along which no contact does, as far as the search has come."""
+    grasps, count = white.present.shape
+    bases = SimplexBases(right, 1.0)
+    leans, twists = np.zeros((grasps, 6, 3)), np.zeros((grasps, 6))
+    size = np.linalg.norm(right, axis=1)
+    left = np.flatnonzero(bases.artificial() > BALANCED * size)
+    some = white.take(left)
+    for _ in range(PIVOTS):
+        directions = bases.multipliers()[left]
+        values, lean = some.supports(directions)
+        best = np.argmax(values, 1)
+        every = np.arange(len(left))
+        works = values[every, best] > UNMOVED * np.linalg.norm(directions, axis=1)
+        twists[left[~works]] = directions[~works]
+        forces = np.zeros((len(left), count, 4))
+        forces[every, best, 0], forces[every, best, 1:] = 1, lean[every, best]
+        columns = some.exerted(forces)
+        moving = left[works]
+        place = bases.enter(moving, columns[works], np.full(len(moving), -AHEAD), best[works])
+        leans[moving[place >= 0], place[place >= 0]] = lean[every, best][works][place >= 0]
+        keep = works.copy()
+        keep[works] = (place >= 0) & (bases.artificial()[moving] > BALANCED * size[moving])
+        if not keep.any():
+            break
+        left = left[keep]
+        some = some.take(np.flatnonzero(keep))
+    return *_by_contact(bases, leans, count), twists
+
+
+def _by_contact(bases: SimplexBases, leans: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the basic wrenches of each contact come to."""
+    amounts = np.where(bases.columns >= 0, bases.amounts, 0)
+    own = amounts[..., None] * (bases.columns[..., None] == np.arange(count))
+    return own.sum(1), np.einsum("gkn,gkj->gnj", own, leans)
 
 
 def decide(body: WrenchSet) -> Decision:

@@ -1,7 +1,7 @@
 """The largest disturbance that a grasp resists whichever way it pushes: the radius of its ball of wrenches."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,16 +10,19 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.closure import decide
+from jaxgrasp.quality.closure import decide_all
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
-from jaxgrasp.quality.largest_ball import largest_ball
+from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.largest_ball import largest_balls
 from jaxgrasp.quality.refine_facet import touch
 from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_discs import About, Length, discs, known_where, work
-from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
+from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs, known_where, work
+from jaxgrasp.quality.wrench_sets import Bound, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 MAX_POINTS = 1000
+TOGETHER = 1024
+"""Grasps whose bounds are brought together before the next."""
 
 
 class Epsilon(NamedTuple):
@@ -68,11 +71,14 @@ def ferrari_canny(
 
     Bounds are computed in float64 and hold for the grasp's data within rounding, which is added to them: 32 units in
     the last place of the data, times 1 + distance from the frame's origin / length, times the largest wrench of a unit
-    normal force (times the number of contacts for ``"linf"``). A point of the body costs about a millisecond at a
-    hundred points, and more the more there are.
+    normal force (times the number of contacts for ``"linf"``). Grasps of a batch are worked on side by side.
+
+    Inside ``jit``, ``vmap`` and ``grad`` it calls the host back, nothing is checked, and results are JAX arrays in the
+    precision of the points, rounded to the nearest. Both bounds then have the radius's derivative, which is that of
+    ``ferrari_canny_at``.
 
     Args:
-        grasp: contacts ``(..., n)``, concrete; a batch is a loop.
+        grasp: contacts ``(..., n)``.
         bound: what is bounded, ``"l1"`` or ``"linf"``.
         sides: edges of the pyramids inside the cones that stand for friction, the first one across the coordinate axis
             that is least along the normal; two more for the moments of soft fingers, if there are any. ``None``
@@ -81,28 +87,24 @@ def ferrari_canny(
             distances of the contacts from ``about``.
         about: where torques are taken, ``(..., 3)`` [m]; where not given the mean of the contacts' points.
         tol: relative distance of the bounds at which the search ends.
-        max_points: corners of the inner surface at which it ends too, with bounds further apart.
+        max_points: corners of the inner surface at which it ends too, with bounds further apart; 1000 at most.
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
         ValueError: for an unknown bound, or other options that cannot be used.
-        TypeError: for traced arrays: see ``ferrari_canny_at``.
     """
     check_bound(bound)
     check_sides(sides)
     check_tolerance(tol)
-    if max_points < 1:
-        raise ValueError(f"max_points is {max_points}: expected 1 or more")
+    if not 1 <= max_points <= MAX_POINTS:
+        raise ValueError(f"max_points is {max_points}: expected 1 to {MAX_POINTS}")
+    if is_traced(grasp, length, about):
+        return _traced(grasp, bound, sides, length, about, tol, max_points)
     given = read_grasps(grasp, length, about)
     corners = None if sides is None else pyramid(sides, given.soft)
-    shape = given.present.shape
-    lower, upper, directions = np.zeros(shape[:-1]), np.zeros(shape[:-1]), np.zeros((*shape[:-1], 6))
-    press, lean = np.zeros(shape), np.zeros((*shape, 3))
-    for index, own, body in given.bodies():
-        bounds, found = _of_body(replace(body, bound=bound, corners=corners), tol, max_points)
-        lower[index], upper[index] = bounds
-        directions[index], press[index][own], lean[index][own] = found
-    return Epsilon(lower, upper, directions, press, lean)
+    found = measure(replace(given.bodies(), bound=bound, corners=corners), tol, max_points)
+    contacts = given.present.shape
+    return Epsilon(*(array.reshape(contacts[:-1] + array.shape[1:]) for array in found))
 
 
 @checked
@@ -133,36 +135,55 @@ def ferrari_canny_at(
 
 @jax.jit
 def _worked(grasp: Grasp, found: Epsilon, length: Length, about: About) -> Array:
-    shapes = discs(grasp, length, about)
+    return _work_of(discs(grasp, length, about), found)
+
+
+def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
     press, lean, direction = (
         jnp.asarray(array, shapes.centres.dtype) for array in (found.press, found.lean, found.direction)
     )
     return known_where(jnp.any(direction != 0, -1), work(shapes, press, lean, direction), shapes)
 
 
-def _of_body(body: WrenchSet, tol: float, max_points: int) -> tuple[tuple[float, float], tuple[np.ndarray, ...]]:
-    """The bounds, and (direction, press, lean)."""
-    count = len(body.centres)
-    nothing = np.zeros(count), np.zeros((count, 3))
-    closure = decide(_wrenches_alone(body))
-    if not closure.decided:
-        return (0.0, _some_reach(body)), (np.zeros(6), *nothing)
-    if not closure.closed:
-        return (0.0, 0.0), (closure.twist, *nothing)
-    ball = largest_ball(body, closure.margin, tol, max_points)
-    found = touch(body, ball)
-    return (ball.lower, min(ball.upper, found.height + body.slack)), found[1:]
+def _traced(
+    grasp: Grasp, bound: Bound, sides: int | None, length: Length, about: About, tol: float, max_points: int
+) -> Epsilon:
+    count = grasp.friction.shape[-1]
+    corners = None if sides is None else pyramid(sides, grasp.torsion is not None)
+
+    def question(bodies: WrenchSets) -> Epsilon:
+        return measure(replace(bodies, bound=bound, corners=corners), tol, max_points)
+
+    shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3)), grasp, length, about)
+    found: Any = Epsilon(*answers)
+    at = _work_of(shapes, found)
+    return found._replace(lower=moved(found.lower, jnp.where(found.lower > 0, at, 0)), upper=moved(found.upper, at))
 
 
-def _wrenches_alone(body: WrenchSet) -> WrenchSet:
-    """The body of summed forces that has its discs, or the edges of its pyramids as contacts without friction."""
-    if body.corners is None:
-        return replace(body, bound="l1")
-    edges = body.centres[:, None] + np.einsum("njk,ck->ncj", body.spans, body.corners)
-    edges = edges.reshape(-1, 6)
-    return replace(body, centres=edges, spans=np.zeros((len(edges), 6, 3)), bound="l1", corners=None)
+def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
+    """Of bodies in one flat batch."""
+    grasps, count = bodies.present.shape
+    closure = decide_all(bodies.alone_edges())
+    found = Epsilon(
+        np.zeros(grasps),
+        np.where(closure.decided, 0, _some_reach(bodies)),
+        np.where((closure.decided & ~closure.closed)[:, None], closure.twist, 0),
+        np.zeros((grasps, count)),
+        np.zeros((grasps, count, 3)),
+    )
+    closed = np.flatnonzero(closure.closed)
+    for start in range(0, len(closed), TOGETHER):
+        own = closed[start : start + TOGETHER]
+        some = bodies.take(own)
+        balls = largest_balls(some, closure.margin[own], tol, max_points)
+        touched = touch(some, balls)
+        found.lower[own] = np.maximum(balls.lower - some.slack, closure.margin[own])
+        found.upper[own] = np.minimum(balls.upper, touched.height) + some.slack
+        found.direction[own], found.press[own], found.lean[own] = touched[1:]
+    return found
 
 
-def _some_reach(body: WrenchSet) -> float:
+def _some_reach(bodies: WrenchSets) -> np.ndarray:
     """Along the coordinate axes: an upper bound where nothing better is known."""
-    return float(body.reach(np.concatenate([np.eye(6), -np.eye(6)])).height.min() + body.slack)
+    axes = np.broadcast_to(np.concatenate([np.eye(6), -np.eye(6)])[:, None], (12, len(bodies.present), 6))
+    return np.min([bodies.reach(axis).height for axis in axes], 0) + bodies.slack

@@ -1,7 +1,6 @@
-"""Concrete grasps of any leading axes, one by one on the host, after every entry was found usable."""
+"""Concrete grasps of any leading axes as one flat batch on the host, after every entry was found usable."""
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
@@ -10,7 +9,7 @@ import numpy as np
 from jaxgrasp.model.faults import Fault, GraspError, check_grasp, entries
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs
-from jaxgrasp.quality.wrench_sets import WrenchSet
+from jaxgrasp.quality.wrench_sets import WrenchSets
 
 ROUNDING = 32.0
 """Rounding of the products and sums behind a support, in units in the last place."""
@@ -32,13 +31,14 @@ class GraspInput(NamedTuple):
     def batch(self) -> tuple[int, ...]:
         return self.present.shape[:-1]
 
-    def bodies(self) -> Iterator[tuple[tuple[int, ...], np.ndarray, WrenchSet]]:
-        """Each grasp: its index, which contacts it has, and what these reach."""
-        for index in np.ndindex(self.batch):
-            own = self.present[index]
-            centres, spans = (np.asarray(array[index])[own] for array in (self.shapes.centres, self.shapes.spans))
-            body = WrenchSet(centres, spans, float(self.rounding[index]))
-            yield index, own, body
+    def bodies(self) -> WrenchSets:
+        """What the contacts of each grasp reach, in one flat batch."""
+        count = self.present.shape[-1]
+        centres, spans = np.asarray(self.shapes.centres), np.asarray(self.shapes.spans)
+        discs = np.concatenate([centres[..., None, :], np.swapaxes(spans, -1, -2)], -2)
+        flat = self.rounding.size, count
+        discs = np.where(self.present[..., None, None], discs, 0).reshape(*flat, 4, 6)
+        return WrenchSets(discs, self.present.reshape(flat), self.rounding.reshape(-1))
 
 
 def read_grasps(grasp: Grasp, length: Length = None, about: About = None) -> GraspInput:

@@ -1,76 +1,193 @@
-"""A closed surface of simplices around the origin, with corners in a convex body: a ball it holds is in the body too.
+"""Closed surfaces of simplices around the origin, with corners in convex bodies: a ball they hold is in the body too.
 
 Such a surface grows by points of the body, as a convex hull does. What makes its ball a proof is not that it is
 convex, which rounding may spoil, but that every ray from the origin meets one of its simplices: all of them are in the
 body, and none comes nearer to the origin than the least distance of its corners along any unit vector. Rays keep
 meeting it whatever facets a point replaces, if it lies beyond their planes and the origin does not: the
 simplices between the point and those facets, whose surface is added, then do not hold the origin.
+
+Many surfaces grow side by side, each by a point of its own: then each step is a few operations on long arrays. A facet
+is one whole number, the numbers of its corners in ascending order; ridges that only one of a point's facets has are
+found by sorting them all.
 """
 
 import itertools
 
 import numpy as np
 
+BITS = 10
+"""Of a whole number of 64, for each of six corners."""
+MOST_POINTS = 1 << BITS
+MOST_SURFACES = 1 << (64 - 5 * BITS)
+"""Ridges are sorted by surface and corners at once."""
+ROOM = 192
+"""Facets that arrays have room for at first."""
 NEARLY_FLAT = 1e-9
 """Relative singular value of a facet's corners under which they span no plane but a smaller flat."""
+UNEVEN = 1e-7
+"""By how much a facet's corners may differ in height, relative to it, before its plane is computed with more care."""
+
+_CORNERS = np.arange(5, -1, -1, dtype=np.uint64) * np.uint64(BITS)
+"""Shifts of the corners in a facet's number, the first corner in the highest bits."""
+_ONE = np.uint64(MOST_POINTS - 1)
+_AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))[0]
+"""Of the coordinates that a surface keeps its points in: elimination without pivots dislikes zeros, which points of
+symmetric grasps have many of."""
 
 
-class InnerPolytope:
-    """A surface of five-dimensional simplices in six dimensions."""
+class InnerPolytopes:
+    """Surfaces of five-dimensional simplices in six dimensions, ``G`` of them."""
 
-    def __init__(self, radius: float):
-        """The cross-polytope whose corners are ``radius`` away from the origin."""
-        self.points = np.concatenate([np.eye(6), -np.eye(6)]) * radius
-        signs = itertools.product((0, 6), repeat=6)
-        self.facets = np.array([[axis + sign for axis, sign in enumerate(chosen)] for chosen in signs])
-        """``(F, 6)``: corners."""
-        self.normals, self.offsets = self._planes(self.facets)
-        """``(F, 6)``, unit, and ``(F,)``: no corner of a facet is nearer along its normal."""
+    def __init__(self, radii: np.ndarray):
+        """Cross-polytopes whose corners are ``radii`` (G,) away from the origin."""
+        count = len(radii)
+        if count > MOST_SURFACES:
+            raise ValueError(f"radii has {count} entries: expected {MOST_SURFACES} at most")
+        self._points = np.zeros((count, 32, 6))
+        self._points[:, :12] = np.concatenate([np.eye(6), -np.eye(6)]) @ _AXES * radii[:, None, None]
+        self.along = np.zeros((count, 32, 6))
+        """``(G, P, 6)``: what each point was taken in with; zeros for those of the cross-polytopes."""
+        self.size = np.full(count, 12)
+        """``(G,)``: how many points there are."""
+        signs = np.array(list(itertools.product((0, 6), repeat=6)))
+        chosen = np.sort(np.arange(6) + signs, 1).astype(np.uint64)
+        self._facets = np.zeros((count, ROOM), np.uint64)
+        self._facets[:, :64] = np.bitwise_or.reduce(chosen << _CORNERS, 1)
+        self._normals = np.zeros((count, ROOM, 6))
+        self._normals[:, :64] = np.where(signs > 0, -1, 1) @ _AXES / np.sqrt(6)
+        self._offsets = np.full((count, ROOM), np.inf)
+        """``(G, F)``: no corner of a facet is nearer along its normal; infinite where there is no facet."""
+        self._offsets[:, :64] = radii[:, None] / np.sqrt(6)
+        self._used = np.full(count, 64)
+        """``(G,)``: facets lie before this."""
 
-    def lowest(self, count: int) -> np.ndarray:
-        """Some facets of least offsets, the least of all among them."""
-        if count >= len(self.offsets):
-            return np.arange(len(self.offsets))
-        return np.argpartition(self.offsets, count)[:count]
+    def lowest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each surface the facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
+        every = np.arange(len(self.size))
+        facet = np.argmin(self._offsets, 1)
+        corners = corners_of(self._facets[every, facet])
+        normals = self._normals[every, facet] @ _AXES.T
+        return self._offsets[every, facet], normals, self.along[every[:, None], corners]
 
-    def grow(self, point: np.ndarray, least: float) -> bool:
-        """Take a point in, if it lies beyond some facet by ``least`` > 0 or more."""
-        beyond = self.normals @ point - self.offsets
-        if beyond.max() < least:
-            return False
+    def grow(self, points: np.ndarray, along: np.ndarray, least: np.ndarray) -> np.ndarray:
+        """Take a point ``(G, 6)`` into each surface, if it lies beyond some facet by ``least`` (G,) > 0 or more;
+        whether it does ``(G,)``."""
+        if self._points.shape[1] == self.size.max(initial=0):
+            self._points, self.along = (_doubled(array) for array in (self._points, self.along))
+        every = np.arange(len(self.size))
+        points = points @ _AXES
+        self._points[every, self.size], self.along[every, self.size] = points, along
+        beyond = np.matmul(self._normals, points[..., None])[..., 0] - self._offsets
+        taken = beyond.max(1) >= least
         # The origin is on the other side of these only.
-        hidden = (beyond > 0) & (self.offsets > 0)
-        self.points = np.vstack([self.points, point])
-        rim = _rim(self.facets[hidden])
-        new = np.concatenate([rim, np.full((len(rim), 1), len(self.points) - 1)], 1)
-        normals, offsets = self._planes(new)
-        kept = ~hidden
-        self.facets = np.concatenate([self.facets[kept], new])
-        self.normals = np.concatenate([self.normals[kept], normals])
-        self.offsets = np.concatenate([self.offsets[kept], offsets])
-        return True
+        surface, facet = np.nonzero((beyond > 0) & (self._offsets > 0) & taken[:, None])
+        owners, ridges = _rims(surface, self._facets[surface, facet])
+        new = (ridges << np.uint64(BITS)) | self.size[owners].astype(np.uint64)
+        normals, offsets = self._planes(owners, new)
+        self._offsets[surface, facet] = np.inf
+        slots = self._slots(surface, facet, owners)
+        self._facets[owners, slots] = new
+        self._normals[owners, slots] = normals
+        self._offsets[owners, slots] = offsets
+        self.size += taken
+        return taken
 
-    def _planes(self, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        corners = self.points[facets]
+    def simplices(self, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The corners ``(F, 6, 6)``, normals and offsets of one surface's facets."""
+        there = np.isfinite(self._offsets[index])
+        corners = self._points[index, corners_of(self._facets[index, there])]
+        return corners @ _AXES.T, self._normals[index, there] @ _AXES.T, self._offsets[index, there]
+
+    def keep(self, which: np.ndarray) -> None:
+        """Drop all surfaces but those of the mask ``(G,)``."""
+        for name, array in vars(self).items():
+            setattr(self, name, array[which])
+
+    def join(self, others: "InnerPolytopes") -> None:
+        """Take other surfaces in, behind these."""
+        for name, array in vars(self).items():
+            fill = np.inf if name == "_offsets" else 0.0
+            setattr(self, name, np.concatenate(_alike(array, getattr(others, name), fill)))
+
+    def _slots(self, surface: np.ndarray, facet: np.ndarray, owners: np.ndarray) -> np.ndarray:
+        """Where each surface's new facets go: into the places of those they replace, then behind all."""
+        count = len(self.size)
+        freed, made = (np.bincount(own, minlength=count) for own in (surface, owners))
+        rank = np.arange(len(owners)) - np.repeat(np.cumsum(made) - made, made)
+        slots = self._used[owners] + rank - freed[owners]
+        reused = rank < freed[owners]
+        slots[reused] = facet[(np.cumsum(freed) - freed)[owners[reused]] + rank[reused]]
+        self._used = self._used + np.maximum(made - freed, 0)
+        short = self._used.max(initial=0) - self._facets.shape[1]
+        if short > 0:
+            more = max(short, self._facets.shape[1] // 2)
+            self._facets = np.concatenate([self._facets, np.zeros((count, more), np.uint64)], 1)
+            self._normals = np.concatenate([self._normals, np.zeros((count, more, 6))], 1)
+            self._offsets = np.concatenate([self._offsets, np.full((count, more), np.inf)], 1)
+        return slots
+
+    def _planes(self, owners: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit normals ``(f, 6)`` of facets and the least heights of their corners ``(f,)``."""
+        corners = np.ascontiguousarray(self._points[owners[:, None], corners_of(facets)].transpose(1, 2, 0))
+        normals = _through(corners)
         with np.errstate(all="ignore"):
-            try:
-                across = np.linalg.solve(corners, np.ones((len(facets), 6, 1)))[..., 0]
-            except np.linalg.LinAlgError:
-                across = np.full((len(facets), 6), np.nan)
-            normals = across / np.linalg.norm(across, axis=1, keepdims=True)
-            along = np.einsum("fcj,fj->fc", corners, normals)
-            sound = np.ptp(along, 1) <= NEARLY_FLAT * np.abs(along).max(1)
-        if not sound.all():
-            across = np.linalg.pinv(corners[~sound], NEARLY_FLAT) @ np.ones(6)
-            normals[~sound] = across / np.linalg.norm(across, axis=1, keepdims=True)
-            along = np.einsum("fcj,fj->fc", corners, normals)
-        return normals, along.min(1)
+            normals /= np.sqrt(np.einsum("jf,jf->f", normals, normals))
+            heights = np.einsum("cjf,jf->cf", corners, normals)
+            least = heights.min(0)
+            rough = ~(heights.max(0) - least <= UNEVEN * np.abs(least))
+        if rough.any():
+            own = corners[..., rough].transpose(2, 0, 1)
+            across = np.linalg.pinv(own, NEARLY_FLAT) @ np.ones(6)
+            normals[:, rough] = (across / np.linalg.norm(across, axis=1, keepdims=True)).T
+            least[rough] = np.einsum("fcj,jf->fc", own, normals[:, rough]).min(1)
+        return normals.T, least
 
 
-def _rim(facets: np.ndarray) -> np.ndarray:
-    """The ridges ``(r, 5)`` that only one of the facets has; more exactly, that an odd number of them have."""
-    ridges = np.sort(np.concatenate([np.delete(facets, corner, 1) for corner in range(6)]), 1)
-    ridges = ridges[np.lexsort(ridges.T)]
-    first = np.concatenate([[True], (ridges[1:] != ridges[:-1]).any(1)])
-    times = np.diff(np.append(np.flatnonzero(first), len(ridges)))
-    return ridges[first][times % 2 == 1]
+def corners_of(facets: np.ndarray) -> np.ndarray:
+    """The numbers of their corners ``(..., 6)``, ascending."""
+    return ((facets[..., None] >> _CORNERS) & _ONE).astype(np.intp)
+
+
+def _rims(surface: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The ridges that an odd number of a surface's facets have, and whose they are; sorted by surface."""
+    ridges = np.empty((6, len(facets)), np.uint64)
+    for corner in range(6):
+        shift = np.uint64(BITS * corner)
+        above = (facets >> np.uint64(BITS * (corner + 1))) << shift
+        ridges[corner] = above | (facets & ((np.uint64(1) << shift) - np.uint64(1)))
+    ridges |= surface.astype(np.uint64) << np.uint64(5 * BITS)
+    ordered = np.sort(ridges, axis=None)
+    first = np.empty(len(ordered), bool)
+    first[:1], first[1:] = True, ordered[1:] != ordered[:-1]
+    starts = np.flatnonzero(first)
+    odd = np.diff(starts, append=len(ordered)) % 2 == 1
+    rim = ordered[starts[odd]]
+    return (rim >> np.uint64(5 * BITS)).astype(np.intp), rim & np.uint64((1 << (5 * BITS)) - 1)
+
+
+def _through(corners: np.ndarray) -> np.ndarray:
+    """Vectors ``(6, f)`` whose product with each of six corners ``(6, 6, f)`` is 1, by elimination without pivots."""
+    rows = np.concatenate([corners, np.ones((6, 1, corners.shape[-1]))], 1)
+    found = np.empty((6, corners.shape[-1]))
+    with np.errstate(all="ignore"):
+        for step in range(5):
+            factors = rows[step + 1 :, step] / rows[step, step]
+            rows[step + 1 :, step + 1 :] -= factors[:, None] * rows[step, step + 1 :]
+        for step in range(5, -1, -1):
+            known = np.einsum("jf,jf->f", rows[step, step + 1 : 6], found[step + 1 :])
+            found[step] = (rows[step, 6] - known) / rows[step, step]
+    return found
+
+
+def _doubled(array: np.ndarray) -> np.ndarray:
+    """With as much room again along the second axis."""
+    return np.concatenate([array, np.zeros_like(array)], 1)
+
+
+def _alike(first: np.ndarray, second: np.ndarray, fill: float) -> list[np.ndarray]:
+    """Two arrays with as much room along their second axis, if they have one."""
+    if first.ndim == 1:
+        return [first, second]
+    room = max(first.shape[1], second.shape[1])
+    pads = [[(0, 0), (0, room - array.shape[1])] + [(0, 0)] * (array.ndim - 2) for array in (first, second)]
+    return [np.pad(array, pad, constant_values=fill) for array, pad in zip((first, second), pads)]

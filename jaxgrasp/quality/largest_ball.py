@@ -1,63 +1,70 @@
-"""The largest ball around the origin in a convex body, between two proven bounds that are brought together.
+"""The largest balls around the origin in convex bodies, each between two proven bounds that are brought together.
 
 Below, a surface of simplices inside the body (``inner_polytope.py``). Above, the body's reach along any direction.
 The lowest facet shows where to look: along its normal the body either reaches no further, and the bounds have met, or
-it has a point beyond the facet, which the surface takes in.
+it has a point beyond the facet, which the surface takes in. Bodies are worked on side by side; those that are done make
+room for others.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.quality.inner_polytope import InnerPolytope
-from jaxgrasp.quality.wrench_sets import Reach, WrenchSet
+from jaxgrasp.quality.inner_polytope import InnerPolytopes
+from jaxgrasp.quality.wrench_sets import WrenchSets
 
-AT_ONCE = 8
-"""Facets that are looked at together: more of them take in points that others have made useless."""
+SIDE_BY_SIDE = 64
+"""Bodies: fewer, and the price of each operation counts; more, and their facets no longer fit the processor's cache."""
 SHRINKING = 1e-3
 """Largest share of the tolerance by which points are drawn towards the origin, each by another: corners that all lie in
 one plane, as those of discs and pyramids do, make facets whose planes rounding decides."""
 
 
-class Ball(NamedTuple):
-    """What is known of the radius, and where the body ends."""
+class Balls(NamedTuple):
+    """What is known of the radii, and where the bodies end."""
 
-    lower: float
-    upper: float
+    lower: np.ndarray
+    """``(G,)``, but for rounding of the body's own data."""
+    upper: np.ndarray
+    """``(G,)``, likewise."""
     direction: np.ndarray
-    """``(6,)``, unit: along it the body reaches no further than ``upper``."""
-    touched: Reach
-    """Points of the body about as far along the direction."""
+    """``(G, 6)``, unit: along it the body reaches no further than ``upper``."""
+    corners: np.ndarray
+    """``(G, 6, 6)``: the body's points along these carry the facet across the direction; zeros for none."""
 
 
-def largest_ball(body: WrenchSet, inside: float, tol: float, max_points: int) -> Ball:
+def largest_balls(bodies: WrenchSets, inside: np.ndarray, tol: float, max_points: int) -> Balls:
     """The bounds, within ``tol`` of each other relative to the upper one unless there are ``max_points`` before.
 
     Args:
-        body: convex, around the origin.
-        inside: radius of a ball that is known to lie in it.
+        bodies: convex, around the origin.
+        inside: radii ``(G,)`` > 0 of balls that are known to lie in them.
         tol: relative.
-        max_points: of the surface.
+        max_points: of each surface.
     """
-    rng = np.random.default_rng(0)
-    star, seen = InnerPolytope(inside), [body.reach(np.concatenate([np.eye(6), -np.eye(6)]))]
-    upper, direction = np.inf, np.zeros(6)
-    while True:
-        facets = star.lowest(AT_ONCE)
-        normals, lowest = star.normals[facets], star.offsets.min()
-        reached = body.reach(normals)
-        seen.append(reached)
-        best = np.argmin(reached.height)
-        if reached.height[best] < upper:
-            upper, direction = reached.height[best], normals[best]
-        if lowest >= (1 - tol) * upper or len(star.points) >= max_points:
-            break
-        drawn = reached.points * (1 - SHRINKING * tol * rng.uniform(size=(len(facets), 1)))
+    count = len(inside)
+    balls = Balls(np.array(inside), np.full(count, np.inf), np.zeros((count, 6)), np.zeros((count, 6, 6)))
+    shrinking = np.random.default_rng(0).uniform(size=max_points + 16)
+    own = np.arange(min(count, SIDE_BY_SIDE))
+    following, stars, some = len(own), InnerPolytopes(inside[own]), bodies.take(own)
+    while len(own):
+        lowest, normals, corners = stars.lowest()
+        reached = some.reach(normals)
+        better = reached.height < balls.upper[own]
+        balls.upper[own[better]] = reached.height[better]
+        balls.direction[own[better]], balls.corners[own[better]] = normals[better], corners[better]
+        drawn = reached.points * (1 - SHRINKING * tol * shrinking[stars.size])[:, None]
+        met = (lowest >= (1 - tol) * balls.upper[own]) | (stars.size >= max_points)
         # No facet needs to come nearer than this for the bounds to meet.
-        grown = [star.grow(point, tol / 2 * upper) for point in drawn]
-        if not any(grown):
-            break
-    lower = max(lowest - body.slack, inside)
-    everything = Reach(*(np.concatenate(parts) for parts in zip(*seen)))
-    near = everything.points @ direction >= (1 - 4 * tol) * upper
-    return Ball(lower, upper + body.slack, direction, Reach(*(part[near] for part in everything)))
+        least = np.where(met, np.inf, tol / 2 * balls.upper[own])
+        done = ~stars.grow(drawn, normals, least)
+        if done.any():
+            balls.lower[own[done]] = np.maximum(lowest[done], inside[own[done]])
+            own = own[~done]
+            stars.keep(~done)
+            if following < count and len(own) <= SIDE_BY_SIDE / 2:
+                more = np.arange(following, min(count, following + SIDE_BY_SIDE - len(own)))
+                stars.join(InnerPolytopes(inside[more]))
+                own, following = np.concatenate([own, more]), following + len(more)
+            some = bodies.take(own)
+    return balls

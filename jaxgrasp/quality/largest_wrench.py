@@ -11,11 +11,12 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.closure import forces_of, unscaled
+from jaxgrasp.quality.closure import forces_of, unscaled, weights_or_twist
 from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
+from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_discs import discs, work
-from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, check_bound, check_sides, pyramid
+from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
@@ -25,6 +26,14 @@ ROUNDS = 60
 """Linear programs for one grasp; most need about ten."""
 FEASIBLE = 1e-10
 """What HiGHS is asked for, the least it takes."""
+SIDE_BY_SIDE = 256
+"""Grasps that are looked at together."""
+PIVOTS = 300
+"""Of the simplex method, which needs some twenty, and more for more digits; the rest goes to HiGHS."""
+REACHED = 1e3
+"""Multiples of rounding under which what is reached is nothing, along twists that may be long."""
+WORTHLESS = 1e-13
+"""Gain by a column that is none."""
 BALANCED = 1e-9
 """By how much the forces of the lower bound may miss their wrench, relative to it; they miss it by rounding."""
 
@@ -73,7 +82,7 @@ def largest_wrench(
     data, which is added to the upper one.
 
     Args:
-        grasp: contacts ``(..., n)``, concrete; a batch is a loop.
+        grasp: contacts ``(..., n)``, concrete.
         task: the wrench ``(..., 6)``, not zero [N, N.m]; its leading axes broadcast to the grasps'.
         bound: what is bounded.
         sides: as for [`jaxgrasp.quality.ferrari_canny`][].
@@ -89,17 +98,15 @@ def largest_wrench(
     check_tolerance(tol)
     given = read_grasps(grasp)
     tasks = _scaled_tasks(task, given)
-    shape = given.present.shape
-    lower, upper, twists = np.zeros(shape[:-1]), np.zeros(shape[:-1]), np.zeros((*shape[:-1], 6))
-    press, lean = np.zeros(shape), np.zeros((*shape, 3))
     corners = None if sides is None else pyramid(sides, given.soft)
-    for index, own, body in given.bodies():
-        size = np.linalg.norm(tasks[index])
-        found = _along(replace(body, bound=bound, corners=corners), tasks[index] / size, tol)
-        lower[index], upper[index] = found.lower / size, found.upper / size
-        twists[index] = unscaled(found.twist / size, given, index)
-        press[index][own], lean[index][own] = found.press, found.lean
-    return LargestWrench(lower, upper, twists, *forces_of(given, press, lean), press, lean)
+    size = np.linalg.norm(tasks, axis=-1)
+    bodies = replace(given.bodies(), bound=bound, corners=corners)
+    found = _along_all(bodies, (tasks / size[..., None]).reshape(-1, 6), tol)
+    batch, contacts = given.batch, given.present.shape
+    lower, upper = (array.reshape(batch) / size for array in (found.lower, found.upper))
+    twist = unscaled(found.twist.reshape((*batch, 6)) / size[..., None], given.shapes, np)
+    press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
+    return LargestWrench(lower, upper, twist, *forces_of(given.shapes, press, lean, np), press, lean)
 
 
 @checked
@@ -150,6 +157,123 @@ class _Along(NamedTuple):
     twist: np.ndarray
     press: np.ndarray
     lean: np.ndarray
+
+
+class _AlongAll(NamedTuple):
+    """The same of many grasps: arrays ``(G, ...)``."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    twist: np.ndarray
+    press: np.ndarray
+    lean: np.ndarray
+
+    def better(self, which: np.ndarray, other: "_AlongAll") -> None:
+        """Take what is better of other bounds for some grasps."""
+        lower, upper = other.upper < self.upper[which], other.lower > self.lower[which]
+        self.upper[which[lower]], self.twist[which[lower]] = other.upper[lower], other.twist[lower]
+        for own, theirs in ((self.lower, other.lower), (self.press, other.press), (self.lean, other.lean)):
+            own[which[upper]] = theirs[upper]
+
+
+def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
+    """The bounds for unit tasks ``(G, 6)``, side by side, and what that does not finish grasp by grasp."""
+    grasps, count = bodies.present.shape
+    press, lean = np.zeros((grasps, count)), np.zeros((grasps, count, 3))
+    found = _AlongAll(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), press, lean)
+    for start in range(0, grasps, SIDE_BY_SIDE):
+        own = np.arange(start, min(grasps, start + SIDE_BY_SIDE))
+        _by_simplex(bodies.take(own), tasks[own], tol, own, found)
+    _by_twist(bodies, tasks, np.flatnonzero(found.lower < (1 - tol) * found.upper), found)
+    for index in np.flatnonzero((found.lower < (1 - tol) * found.upper) & (found.upper > REACHED * bodies.slack)):
+        body, own = bodies.alone(int(index)), bodies.present[index]
+        one = _along(body, tasks[index], tol)
+        wide = np.zeros((1, count)), np.zeros((1, count, 3))
+        wide[0][0, own], wide[1][0, own] = one.press, one.lean
+        bounds = np.array([one.lower]), np.array([one.upper])
+        found.better(np.array([index]), _AlongAll(*bounds, one.twist[None], *wide))
+    return found
+
+
+def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _AlongAll) -> None:
+    """Tasks that are out of reach altogether: a twist that works along them, and along which no contact does."""
+    some = bodies.take(which)
+    *_, twist = weights_or_twist(some.alone_edges(), tasks[which])
+    power = np.sum(twist * tasks[which], 1)
+    twist = twist / np.where(power > 0, power, 1)[:, None]
+    height = some.reach(twist).height + some.slack * np.linalg.norm(twist, axis=1)
+    none = np.zeros(len(which)), np.where(power > 0, height, np.inf), twist, found.press[which], found.lean[which]
+    found.better(which, _AlongAll(*none))
+
+
+def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, places: np.ndarray, found: _AlongAll) -> None:
+    """Column by column: each a contact's wrench that works most along the twist that the others leave.
+
+    Rows are the six of the balance and one for each bound of forces; the slack of a bound is a column too.
+    """
+    grasps, count = bodies.present.shape
+    bounds = 1 if bodies.bound == "l1" else count
+    owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
+    right = np.concatenate([np.zeros((grasps, 6)), np.ones((grasps, bounds))], 1)
+    bases = SimplexBases(right, 0.0)
+    bases.columns[:, 6:] = count + np.arange(bounds)
+    leans, slack = np.zeros((*right.shape, 3)), bodies.slack
+    every = np.arange(grasps)
+    multiple = np.full(grasps, count + bounds)
+    bases.enter(every, np.concatenate([-tasks, np.zeros((grasps, bounds))], 1), -np.ones(grasps), multiple)
+    left, some = every, bodies
+    for _ in range(PIVOTS):
+        paid = bases.multipliers()[left]
+        power = np.sum(paid[:, :6] * tasks[left], 1)
+        twist = paid[:, :6] / np.where(power > 0, power, 1)[:, None]
+        height = some.reach(twist).height + slack[left] * np.linalg.norm(twist, axis=1)
+        upper = np.where(power > 0, height, np.inf)
+        exerted = _exerted(some, bases, leans, left, tasks[left])
+        found.better(places[left], _AlongAll(exerted[0], upper, twist, *exerted[1:]))
+        values, lean = some.supports(paid[:, :6])
+        worth = np.concatenate([np.where(some.present, values + paid[:, 6 + owner], -np.inf), paid[:, 6:]], 1)
+        best = np.argmax(worth, 1)
+        own = np.arange(len(left))
+        close = found.lower[places[left]] >= (1 - tol) * found.upper[places[left]]
+        close |= (found.upper[places[left]] <= slack[left]) | (worth[own, best] <= WORTHLESS)
+        columns, contact = _columns(some, best, lean, owner, bounds)
+        going = np.flatnonzero(~close)
+        place = bases.enter(left[going], columns[going], np.zeros(len(going)), best[going])
+        leans[left[going], place] = np.where((best < count)[going, None], lean[going, contact[going]], 0)
+        going = going[place >= 0]
+        if not len(going):
+            break
+        left, some = left[going], some.take(going)
+
+
+def _columns(
+    bodies: WrenchSets, best: np.ndarray, lean: np.ndarray, owner: np.ndarray, bounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of each grasp the column of a contact's wrench, or of a bound's slack; and the contact."""
+    count, own = bodies.present.shape[1], np.arange(len(best))
+    is_slack = best >= count
+    contact = np.where(is_slack, 0, best)
+    discs = bodies.discs[own, contact]
+    wrench = discs[:, 0] + np.einsum("gk,gkj->gj", lean[own, contact], discs[:, 1:])
+    row = np.where(is_slack, best - count, owner[contact])
+    counted = (np.arange(bounds) == row[:, None]).astype(float)
+    return np.concatenate([np.where(is_slack[:, None], 0, wrench), counted], 1), contact
+
+
+def _exerted(
+    bodies: WrenchSets, bases: SimplexBases, leans: np.ndarray, which: np.ndarray, tasks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The multiples that the basic wrenches exert, by arithmetic of their own, with press and lean."""
+    count = bodies.present.shape[1]
+    amounts, columns = bases.amounts[which], bases.columns[which]
+    own = amounts[..., None] * (columns[..., None] == np.arange(count))
+    press, lean = own.sum(1), np.einsum("gkn,gkj->gnj", own, leans[which])
+    used = np.maximum(press.sum(1) if bodies.bound == "l1" else press.max(1, initial=0), 1)
+    press, lean = press / used[:, None], lean / used[:, None, None]
+    wrench = bodies.exerted(np.concatenate([press[..., None], lean], -1))
+    multiple = np.sum(wrench * tasks, 1)
+    missed = np.linalg.norm(wrench - multiple[:, None] * tasks, axis=1)
+    return np.where(missed <= BALANCED * multiple, multiple, 0), press, lean
 
 
 def _along(body: WrenchSet, task: np.ndarray, tol: float) -> _Along:

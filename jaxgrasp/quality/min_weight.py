@@ -1,6 +1,8 @@
 """How evenly the edges of friction pyramids can balance each other: a linear program's measure of force closure."""
 
-from typing import NamedTuple
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,13 +12,23 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.quality.grasp_input import read_grasps
+from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
-from jaxgrasp.quality.wrench_discs import discs, known_where
-from jaxgrasp.quality.wrench_sets import check_sides, pyramid
+from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs, known_where
+from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 FEASIBLE = 1e-10
 """What HiGHS is asked for, the least it takes."""
+SIDE_BY_SIDE = 256
+"""Grasps that are looked at together."""
+PIVOTS = 150
+"""Of the simplex method; most need twenty."""
+OPTIMAL = 1e-11
+"""By what a weight improves a program that is as good as solved."""
+BALANCED = 1e-11
+"""What weights may miss of their balance."""
 
 
 class MinWeight(NamedTuple):
@@ -46,33 +58,38 @@ def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
     matters. Where several edges bound the answer and it is degenerate, or the multipliers are not unique, it is not
     differentiable there and the multipliers are those of one side.
 
+    Inside ``jit``, ``vmap`` and ``grad`` it calls the host back, nothing is checked, and results are JAX arrays in the
+    precision of the points; the value then has the derivative of ``min_weight_at``.
+
     Source: Li, Culbertson, Burdick and Ames, FRoGGeR: fast robust grasp generation via the min-weight metric, 2023.
 
     Args:
-        grasp: contacts ``(..., n)``, concrete; a batch is a loop.
+        grasp: contacts ``(..., n)``.
         sides: edges of each pyramid, the first one across the coordinate axis that is least along the normal; two
             more for the moments of soft fingers, if there are any.
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
         ValueError: for ``sides`` that cannot be used.
-        TypeError: for traced arrays.
     """
     check_sides(sides)
+    if is_traced(grasp):
+        return _traced(grasp, sides)
     given = read_grasps(grasp)
     corners = pyramid(sides, given.soft)
-    edges = given.shapes.centres[..., None, :] + np.einsum("...njc,kc->...nkj", given.shapes.spans, corners)
-    shape = given.present.shape
-    value, weights = np.full(shape[:-1], -np.inf), np.zeros((*shape, len(corners)))
-    twists = np.zeros((*shape[:-1], 6))
-    for index, own, _ in given.bodies():
-        if not own.any():
-            continue
-        found = _evenest(edges[index][own].reshape(-1, 6))
-        if found is not None:
-            value[index], flat, twists[index] = found
-            weights[index][own] = flat.reshape(-1, len(corners))
-    return MinWeight(value, weights, twists, corners)
+    value, weights, twists = evenest(given.bodies(), corners)
+    batch, contacts = given.batch, given.present.shape
+    weights = weights.reshape((*contacts, len(corners)))
+    return MinWeight(value.reshape(batch), weights, twists.reshape((*batch, 6)), corners)
+
+
+def _traced(grasp: Grasp, sides: int) -> MinWeight:
+    corners = pyramid(sides, grasp.torsion is not None)
+    trailing = ((), (grasp.friction.shape[-1], len(corners)), (6,))
+    shapes, answers = call_on_host(partial(evenest, corners=corners), trailing, grasp, None, None)
+    value, weights, twist = answers
+    found: Any = MinWeight(value, weights, twist, corners)
+    return found._replace(value=moved(found.value, jnp.where(jnp.isfinite(found.value), _value_at(shapes, found), 0)))
 
 
 @checked
@@ -91,12 +108,88 @@ def min_weight_at(grasp: Grasp, found: MinWeight) -> Float[Array, "..."]:
 
 @jax.jit
 def _worked(grasp: Grasp, found: MinWeight) -> Array:
-    value, weights, twist, corners = (jnp.asarray(array, grasp.points.dtype) for array in found)
-    shapes = discs(grasp)
+    return _value_at(discs(grasp), found)
+
+
+def _value_at(shapes: WrenchDiscs, found: MinWeight) -> Array:
+    value, weights, twist, corners = (jnp.asarray(array, shapes.centres.dtype) for array in found)
     leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
     edges = shapes.centres[..., None, :] + leans
-    moved = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
-    return known_where(jnp.isfinite(value), moved, shapes)
+    at = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
+    return known_where(jnp.isfinite(value), at, shapes)
+
+
+def evenest(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Values ``(G,)``, weights ``(G, n * k)`` of the edges and multipliers ``(G, 6)``.
+
+    Columns of the programs are those of the weights above the least, and the value, which may be negative. Programs
+    are solved side by side by the simplex method, and what that does not finish by HiGHS.
+    """
+    pyramids = replace(bodies, corners=corners).alone_edges()
+    edges, own = pyramids.discs[:, :, 0], pyramids.present
+    grasps = len(edges)
+    found = np.full(grasps, -np.inf), np.zeros(own.shape), np.zeros((grasps, 6))
+    solved: np.ndarray = np.logical_not(own.any(1))
+    for start in range(0, grasps, SIDE_BY_SIDE):
+        some = start + np.flatnonzero(~solved[start : start + SIDE_BY_SIDE])
+        if len(some):
+            solved[some] = _by_simplex(edges[some], own[some], some, found)
+    for index in np.flatnonzero(~solved):
+        one = _evenest(edges[index, own[index]])
+        if one is not None:
+            found[0][index], found[1][index, own[index]], found[2][index] = one
+    return found
+
+
+def _by_simplex(
+    edges: np.ndarray, own: np.ndarray, places: np.ndarray, found: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """Write down what the simplex method finds; which programs it solved, those among them that have no answer."""
+    programs, count = own.shape
+    total = own.sum(1)
+    shares = np.concatenate([edges.sum(1) / total[:, None], np.ones((programs, 1))], 1)
+    columns = np.concatenate([edges, np.ones((programs, count, 1))], 2)
+    columns = np.concatenate([columns, shares[:, None], -shares[:, None]], 1)
+    there = np.concatenate([own, np.ones((programs, 2), bool)], 1)
+    bases = SimplexBases(np.broadcast_to(np.eye(7)[6], (programs, 7)), 1.0)
+    costs = np.zeros((programs, count + 2))
+    ended = _to_optimum(bases, columns, there, costs)
+    none = ended & (bases.artificial() > BALANCED)
+    costs[:, count:] = -1, 1
+    names = np.maximum(bases.columns, 0)
+    bases.costs[:] = np.where(bases.columns < 0, 0, np.take_along_axis(costs, names, 1))
+    ended &= none | _to_optimum(bases, columns, there & ~none[:, None], costs)
+    amounts = np.zeros(there.shape)
+    real = bases.columns >= 0
+    which, place = np.nonzero(real)
+    amounts[which, bases.columns[which, place]] = bases.amounts[which, place]
+    value = amounts[:, count] - amounts[:, count + 1]
+    weights = np.where(own, amounts[:, :count] + (value / total)[:, None], 0)
+    missed = np.abs(np.matmul(weights[:, None], edges)[:, 0]).max(1) + np.abs(weights.sum(1) - 1)
+    fine = ended & ~none & (missed <= BALANCED * (1 + np.abs(value)))
+    found[0][places[fine]], found[1][places[fine]] = value[fine], weights[fine]
+    found[2][places[fine]] = bases.multipliers()[fine, :6]
+    return fine | none
+
+
+def _to_optimum(bases: SimplexBases, columns: np.ndarray, there: np.ndarray, costs: np.ndarray) -> np.ndarray:
+    """Pivot until no column is worth taking in; which programs got so far."""
+    left = np.arange(len(columns))
+    for _ in range(PIVOTS):
+        worth = np.matmul(columns[left], bases.multipliers()[left][..., None])[..., 0] - costs[left]
+        worth = np.where(there[left], worth, -np.inf)
+        best = np.argmax(worth, 1)
+        every = np.arange(len(left))
+        improving = worth[every, best] > OPTIMAL
+        left, best = left[improving], best[improving]
+        if not len(left):
+            break
+        place = bases.enter(left, columns[left, best], costs[left, best], best)
+        if (place < 0).any():
+            break
+    ended = np.ones(len(columns), bool)
+    ended[left] = False
+    return ended
 
 
 def _evenest(edges: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:

@@ -16,137 +16,223 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.quality.largest_ball import Ball
-from jaxgrasp.quality.wrench_sets import Reach, WrenchSet
+from jaxgrasp.quality.largest_ball import Balls
+from jaxgrasp.quality.wrench_sets import Reach, WrenchSets
 
 STEPS = 20
 SOLVED = 1e-10
 """Largest residual of the equations, relative to the body's size."""
 COUNTS = 1e-6
 """Share of the whole force that a contact presses with, if it presses."""
+TINY = 1e-13
+"""What is added to the equations' diagonal: a hard finger inside its cone has a moment that nothing depends on."""
 
 
-class TouchingPoint(NamedTuple):
-    """A direction that the body reaches least along, as far as known, and the forces of the point where it ends."""
+class TouchingPoints(NamedTuple):
+    """Directions that bodies reach least along, as far as known, and the forces of the points where they end."""
 
-    height: float
+    height: np.ndarray
+    """``(G,)``."""
     direction: np.ndarray
+    """``(G, 6)``."""
     press: np.ndarray
-    """``(n,)``."""
+    """``(G, n)``."""
     lean: np.ndarray
-    """``(n, 3)``."""
+    """``(G, n, 3)``."""
+
+    def where(self, which: np.ndarray, others: "TouchingPoints") -> "TouchingPoints":
+        """These where the mask ``(G,)`` is true, others elsewhere."""
+        pairs = ((which.reshape(-1, *[1] * (own.ndim - 1)), own, other) for own, other in zip(self, others))
+        return TouchingPoints(*(np.where(*pair) for pair in pairs))
 
 
 class _Guess(NamedTuple):
     direction: np.ndarray
-    height: float
+    """``(G, 6)``."""
+    height: np.ndarray
+    """``(G,)``."""
     forces: np.ndarray
-    """``(n, 4)``: normal force and lean."""
+    """``(G, n, 4)``: normal force and lean."""
     tolls: np.ndarray
-    """``(1,)`` or ``(n,)``: the multipliers of bounds."""
+    """``(G, 1)`` or ``(G, n)``: the multipliers of bounds."""
 
 
-def touch(body: WrenchSet, ball: Ball) -> TouchingPoint:
-    """The best that is known of where the body's largest ball touches it."""
-    found = _by_weights(body, ball.direction, ball.touched)
-    if body.corners is not None:
-        return _of_facet(body, found, ball)
-    for start in (found, _of_facet(body, found, ball)):
-        better = _newton(body, start)
-        if better is not None and better.height <= min(found.height, ball.upper):
-            return better
+def touch(bodies: WrenchSets, balls: Balls) -> TouchingPoints:
+    """The best that is known of where the bodies' largest balls touch them."""
+    corners = [bodies.reach(balls.corners[:, corner]) for corner in range(6)]
+    near = Reach(*(np.stack(parts, 1) for parts in zip(*corners)))
+    found = _of_corners(bodies, balls, near)
+    if bodies.corners is not None:
+        return found
+    better, sure = _newton(bodies, found)
+    found = better.where(sure, found)
+    left = np.flatnonzero(~sure)
+    if len(left):
+        some = bodies.take(left)
+        start = _by_weights(balls.upper[left], balls.direction[left], Reach(*(part[left] for part in near)), some.size)
+        better, sure = _newton(some, start)
+        for whole, own in zip(found, better):
+            whole[left[sure]] = own[sure]
     return found
 
 
-def _by_weights(body: WrenchSet, direction: np.ndarray, near: Reach) -> TouchingPoint:
-    """Forces of the point of the hull of some wrenches that comes closest to where the ball ends."""
+def _of_corners(bodies: WrenchSets, balls: Balls, near: Reach) -> TouchingPoints:
+    """The planes through the corners, where no rounding drew them aside, and the forces that carry them; where these
+    reach no lower, the directions that are known."""
+    every = np.any(balls.corners != 0, 2).all(1)
+    points = np.where(every[:, None, None], near.points, np.eye(6))
+    with np.errstate(all="ignore"):
+        try:
+            across = np.linalg.solve(points, np.ones((len(points), 6, 1)))[..., 0]
+            weights = np.linalg.solve(np.swapaxes(points, 1, 2), across[..., None])[..., 0]
+        except np.linalg.LinAlgError:
+            inverse = np.linalg.pinv(points)
+            across = inverse.sum(2)
+            weights = np.matmul(across[:, None], inverse)[:, 0]
+        weights /= weights.sum(1, keepdims=True)
+        direction = across / np.linalg.norm(across, axis=1)[:, None]
+        # Weights of points that nearly coincide, as two of one disc may, say something by their sum alone.
+        known = every & (np.abs(weights).max(1) < 1 / SOLVED) & np.isfinite(direction).all(1)
+    direction = np.where(known[:, None], direction, balls.direction)
+    height = bodies.reach(direction).height
+    lower = height <= balls.upper * (1 + SOLVED)
+    weights = np.where(known[:, None], weights, 1 / 6)
+    press = np.maximum(np.matmul(weights[:, None], near.press)[:, 0], 0)
+    direction, height = np.where(lower[:, None], direction, balls.direction), np.where(lower, height, balls.upper)
+    return TouchingPoints(height, direction, press, _within(np.einsum("gp,gpnk->gnk", weights, near.lean), press))
+
+
+def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Reach, size: np.ndarray) -> TouchingPoints:
+    """Forces of the points of the hulls of some wrenches that come closest to where the balls end."""
     from scipy.optimize import nnls
 
-    height = float(body.reach(direction[None]).height[0])
-    ones = np.full((1, len(near.points)), body.size)
-    target = np.append(height * direction, body.size)
-    weights, _ = nnls(np.vstack([near.points.T, ones]), target)
-    weights = weights / weights.sum()
-    return TouchingPoint(height, direction, weights @ near.press, np.einsum("p,pnk->nk", weights, near.lean))
+    weights = np.zeros(near.height.shape)
+    for index, points in enumerate(near.points):
+        rows = np.vstack([points.T, np.full((1, len(points)), size[index])])
+        weights[index], _ = nnls(rows, np.append(upper[index] * direction[index], size[index]))
+    weights /= np.maximum(weights.sum(1, keepdims=True), COUNTS)
+    press, lean = np.einsum("gp,gpn->gn", weights, near.press), np.einsum("gp,gpnk->gnk", weights, near.lean)
+    return TouchingPoints(upper, direction, press, lean)
 
 
-def _of_facet(body: WrenchSet, found: TouchingPoint, ball: Ball) -> TouchingPoint:
-    """The plane through the wrenches that carry the point, where no rounding drew them aside."""
-    from scipy.optimize import nnls
-
-    corners = ball.touched.points
-    used, _ = nnls(np.vstack([corners.T, np.ones(len(corners))]), np.append(found.height * found.direction, 1))
-    across, *_ = np.linalg.lstsq(corners[used > COUNTS], np.ones(np.sum(used > COUNTS)))
-    direction = across / np.linalg.norm(across)
-    better = _by_weights(body, direction, ball.touched)
-    return better if better.height <= found.height else found
+def _within(lean: np.ndarray, press: np.ndarray) -> np.ndarray:
+    """Leans of that press at most."""
+    size = np.linalg.norm(lean, axis=-1)
+    return lean * np.where(size > press, press / np.where(size > 0, size, 1), 1)[..., None]
 
 
-def _newton(body: WrenchSet, start: TouchingPoint) -> TouchingPoint | None:
-    """The equations' solution near the start, where there is one; cones only."""
-    discs = np.concatenate([body.centres[..., None], body.spans], 2) / body.size
-    count = len(discs)
-    values, _ = body.supports(start.direction[None])
-    tolls = np.array([start.height]) if body.bound == "l1" else np.maximum(values[0], 0)
-    forces = np.concatenate([start.press[:, None], start.lean], 1)
-    now = _Guess(start.direction, start.height / body.size, forces, tolls / body.size)
+def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, np.ndarray]:
+    """The equations' solutions near the start, and where there are any; cones only."""
+    grasps = len(bodies.present)
+    size = np.maximum(bodies.size, np.finfo(float).tiny)
+    chosen = _pressing(bodies, start)
+    every = np.arange(grasps)[:, None]
+    discs = bodies.discs[every, chosen] / size[:, None, None, None]
+    total = bodies.bound == "l1"
+    tolls = start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][every, chosen], 0)
+    forces = np.concatenate([start.press[..., None], start.lean], -1)[every, chosen]
+    now = _Guess(start.direction, start.height / size, forces, tolls / size[:, None])
+    left = np.ones(grasps, bool)
     for _ in range(STEPS):
-        residual, slope = _equations(discs, now)
-        if np.abs(residual).max() <= SOLVED:
-            return _checked(body, now)
-        step, *_ = np.linalg.lstsq(slope, residual)
-        moved = step[7 : 7 + 4 * count].reshape(count, 4)
-        now = _Guess(
-            now.direction - step[:6], now.height - step[6], now.forces - moved, now.tolls - step[7 + 4 * count :]
-        )
-    return None
+        moving = np.flatnonzero(left)
+        own = _Guess(*(part[moving] for part in now))
+        with np.errstate(all="ignore"):
+            residual, slope = _equations(discs[moving], own)
+            far = ~(np.abs(residual).max(1) <= SOLVED)
+            left[moving[~far]] = False
+            sound = far & np.isfinite(slope).all((1, 2))
+            moving, residual, slope = moving[sound], residual[sound], slope[sound]
+            if not len(moving):
+                break
+            slope += TINY * np.eye(slope.shape[1])
+            step = _solved(slope, residual)
+        _move(now, moving, step)
+    return _checked(bodies, start, now, chosen, ~left)
+
+
+def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
+    """Numbers of the contacts ``(G, k)`` whose forces are unknown: where their sum is bounded those that press, first
+    of all, and as many for each grasp."""
+    if bodies.bound == "linf":
+        return np.broadcast_to(np.arange(bodies.present.shape[1]), bodies.present.shape)
+    most = int((start.press > COUNTS).sum(1).max(initial=1))
+    return np.argsort(-start.press, 1, kind="stable")[:, : max(most, 1)]
+
+
+def _solved(slope: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    try:
+        return np.linalg.solve(slope, residual[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        return np.einsum("gij,gj->gi", np.linalg.pinv(slope), residual)
+
+
+def _move(now: _Guess, which: np.ndarray, step: np.ndarray) -> None:
+    """Take a step of Newton's method, some grasps of a guess."""
+    count = now.forces.shape[1]
+    now.direction[which] -= step[:, :6]
+    now.height[which] -= step[:, 6]
+    now.forces[which] -= step[:, 7 : 7 + 4 * count].reshape(-1, count, 4)
+    now.tolls[which] -= step[:, 7 + 4 * count :]
 
 
 def _equations(discs: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and Jacobian by (direction, height, forces, tolls) for discs ``(n, 6, 4)`` of size 1."""
-    count, bounds, d = len(discs), len(now.tolls), now.direction
-    ends, first = 7 + 4 * count, np.eye(4)[0]
+    """Residual and Jacobian by (direction, height, forces, tolls) for discs ``(G, n, 4, 6)`` of size 1."""
+    (grasps, count), bounds, d = discs.shape[:2], now.tolls.shape[1], now.direction
+    ends = 7 + 4 * count
     owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
-    slack = now.tolls[owner, None] * first - np.einsum("j,njk->nk", d, discs)
+    flat = discs.reshape(grasps, 4 * count, 6)
+    slack = -np.matmul(flat, d[..., None]).reshape(grasps, count, 4)
+    slack[..., 0] += now.tolls[:, owner]
     projected, bend = _project(now.forces - slack)
-    bounded = np.bincount(owner, now.forces[:, 0], bounds)
+    bounded = now.forces[..., 0].sum(1, keepdims=True) if bounds == 1 else now.forces[..., 0]
     paid = now.tolls + bounded - 1
+    exerted = np.matmul(now.forces.reshape(grasps, 1, -1), flat)[:, 0]
     residual = np.concatenate(
         [
-            np.einsum("njk,nk->j", discs, now.forces) - now.height * d,
-            [(d @ d - 1) / 2],
-            (now.forces - projected).ravel(),
+            exerted - now.height[:, None] * d,
+            (np.sum(d * d, 1)[:, None] - 1) / 2,
+            (now.forces - projected).reshape(grasps, -1),
             now.tolls - np.maximum(paid, 0),
-        ]
+        ],
+        1,
     )
-    slope = np.zeros((ends + bounds, ends + bounds))
-    slope[:6, :6], slope[:6, 6], slope[6, :6] = -now.height * np.eye(6), -d, d
-    slope[:6, 7:ends] = np.swapaxes(discs, 0, 1).reshape(6, -1)
-    slope[7:ends, :6] = -np.einsum("nkl,njl->nkj", bend, discs).reshape(-1, 6)
+    slope = np.zeros((grasps, ends + bounds, ends + bounds))
+    slope[:, :6, :6], slope[:, :6, 6], slope[:, 6, :6] = -now.height[:, None, None] * np.eye(6), -d, d
+    slope[:, :6, 7:ends] = np.swapaxes(flat, 1, 2)
+    slope[:, 7:ends, :6] = -np.matmul(bend, discs).reshape(grasps, -1, 6)
     for contact in range(count):
-        rows = slice(7 + 4 * contact, 11 + 4 * contact)
-        slope[rows, rows] = np.eye(4) - bend[contact]
-        slope[rows, ends + owner[contact]] = bend[contact] @ first
-        slope[ends + owner[contact], 7 + 4 * contact] = -float(paid[owner[contact]] > 0)
-    slope[ends:, ends:] = np.diag((paid <= 0).astype(float))
+        rows, toll = slice(7 + 4 * contact, 11 + 4 * contact), ends + owner[contact]
+        slope[:, rows, rows] = np.eye(4) - bend[:, contact]
+        slope[:, rows, toll] = bend[:, contact, :, 0]
+        slope[:, toll, 7 + 4 * contact] = -(paid[:, owner[contact]] > 0).astype(float)
+    slope[:, ends:, ends:] = np.where(paid <= 0, 1.0, 0)[..., None] * np.eye(bounds)
     return residual, slope
 
 
 def _project(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Projection of ``(n, 4)`` on Q = {|last three| <= first}, and its derivative ``(n, 4, 4)``."""
-    first, rest = vectors[:, 0], vectors[:, 1:]
-    size = np.linalg.norm(rest, axis=1)
-    unit = rest / np.where(size > 0, size, 1)[:, None]
-    ratio = (first / np.where(size > 0, size, 1))[:, None, None]
-    edge = np.concatenate([np.ones((len(unit), 1)), unit], 1)
-    bend = edge[:, :, None] * edge[:, None]
-    bend[:, 1:, 1:] = (1 + ratio) * np.eye(3) - ratio * bend[:, 1:, 1:]
+    """Projection of ``(..., 4)`` on Q = {|last three| <= first}, and its derivative ``(..., 4, 4)``."""
+    first, rest = vectors[..., 0], vectors[..., 1:]
+    size = np.sqrt(np.sum(rest**2, -1))
+    unit = rest / np.where(size > 0, size, 1)[..., None]
+    ratio = (first / np.where(size > 0, size, 1))[..., None, None]
+    edge = np.concatenate([np.ones((*first.shape, 1)), unit], -1)
+    bend = edge[..., :, None] * edge[..., None, :]
+    bend[..., 1:, 1:] = (1 + ratio) * np.eye(3) - ratio * bend[..., 1:, 1:]
     inside, polar = size <= first, size <= -first
-    projected = np.where(polar[:, None], 0, (first + size)[:, None] / 2 * edge)
-    bend = np.where(polar[:, None, None], 0, bend / 2)
-    return np.where(inside[:, None], vectors, projected), np.where(inside[:, None, None], np.eye(4), bend)
+    projected = np.where(polar[..., None], 0, (first + size)[..., None] / 2 * edge)
+    bend = np.where(polar[..., None, None], 0, bend / 2)
+    return np.where(inside[..., None], vectors, projected), np.where(inside[..., None, None], np.eye(4), bend)
 
 
-def _checked(body: WrenchSet, now: _Guess) -> TouchingPoint:
-    direction = now.direction / np.linalg.norm(now.direction)
-    return TouchingPoint(float(body.reach(direction[None]).height[0]), direction, now.forces[:, 0], now.forces[:, 1:])
+def _checked(
+    bodies: WrenchSets, start: TouchingPoints, now: _Guess, chosen: np.ndarray, solved: np.ndarray
+) -> tuple[TouchingPoints, np.ndarray]:
+    """What was found, and where the body reaches no further there than at the start."""
+    with np.errstate(all="ignore"):
+        direction = now.direction / np.linalg.norm(now.direction, axis=1, keepdims=True)
+    direction = np.where(solved[:, None], direction, start.direction)
+    height = bodies.reach(direction).height
+    forces = np.zeros((*bodies.present.shape, 4))
+    forces[np.arange(len(chosen))[:, None], chosen] = now.forces
+    sure = solved & (height <= start.height * (1 + SOLVED))
+    return TouchingPoints(height, direction, forces[..., 0], forces[..., 1:]), sure

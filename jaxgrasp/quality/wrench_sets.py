@@ -3,7 +3,7 @@
 NumPy, in float64: what certifies is host arithmetic whose rounding is counted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -74,6 +74,84 @@ class WrenchSet:
         lean = lean * press[..., None]
         points = press @ self.centres + np.einsum("njk,fnk->fj", self.spans, lean)
         return Reach(np.sum(press * values, 1), points, press, lean)
+
+
+@dataclass(frozen=True)
+class WrenchSets:
+    """The same of many grasps side by side, ``G`` of them."""
+
+    discs: np.ndarray
+    """``(G, n, 4, 6)``: the centre and the three columns of the span of each contact; zeros for absent ones."""
+    present: np.ndarray
+    """``(G, n)`` of truth."""
+    rounding: np.ndarray
+    """``(G,)``."""
+    bound: Bound = "l1"
+    corners: np.ndarray | None = None
+
+    @property
+    def size(self) -> np.ndarray:
+        """The length of no disc's wrench is larger ``(G,)``."""
+        squares = np.einsum("gnkj,gnkj->gnk", self.discs, self.discs)
+        across = np.sqrt(squares[..., 1:].sum(-1))
+        return np.max(np.sqrt(squares[..., 0]) + across, 1, initial=0)
+
+    @property
+    def slack(self) -> np.ndarray:
+        """By how much rounding may change what a body reaches along a unit direction ``(G,)``."""
+        return self.rounding * self.size * (self.present.sum(1) if self.bound == "linf" else 1)
+
+    def take(self, which: np.ndarray) -> "WrenchSets":
+        """Some of them."""
+        return replace(self, discs=self.discs[which], present=self.present[which], rounding=self.rounding[which])
+
+    def alone(self, index: int) -> WrenchSet:
+        """One of them, of its present contacts."""
+        discs = self.discs[index][self.present[index]]
+        spans = np.ascontiguousarray(np.swapaxes(discs[:, 1:], 1, 2))
+        return WrenchSet(discs[:, 0], spans, float(self.rounding[index]), self.bound, self.corners)
+
+    def alone_edges(self) -> "WrenchSets":
+        """The bodies of summed forces that have their discs, or the edges of their pyramids as contacts without
+        friction."""
+        if self.corners is None:
+            return replace(self, bound="l1")
+        edges = self.discs[:, :, :1] + np.einsum("gnkj,ck->gncj", self.discs[:, :, 1:], self.corners)
+        edges = np.where(self.present[..., None, None], edges, 0).reshape(len(edges), -1, 1, 6)
+        discs = np.concatenate([edges, np.zeros((*edges.shape[:2], 3, 6))], 2)
+        return replace(
+            self, discs=discs, present=np.repeat(self.present, len(self.corners), 1), bound="l1", corners=None
+        )
+
+    def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Along a direction each ``(G, 6)``: each contact's largest power of unit normal force ``(G, n)``, and the u
+        that attains it ``(G, n, 3)``."""
+        grasps, count = self.present.shape
+        rates = np.matmul(self.discs.reshape(grasps, 4 * count, 6), directions[..., None]).reshape(grasps, count, 4)
+        across = rates[..., 1:]
+        if self.corners is None:
+            sizes = np.sqrt(np.einsum("gnk,gnk->gn", across, across))
+            lean = across / np.where(sizes > 0, sizes, 1)[..., None]
+        else:
+            heights = across @ self.corners.T
+            lean = self.corners[np.argmax(heights, -1)]
+            sizes = np.max(heights, -1)
+        return rates[..., 0] + sizes, lean
+
+    def reach(self, directions: np.ndarray) -> Reach:
+        """Along a direction each ``(G, 6)``: arrays as of ``WrenchSet.reach``, an entry for each grasp."""
+        values, lean = self.supports(directions)
+        press = (values > 0).astype(float)
+        if self.bound == "l1":
+            press *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
+        forces = np.concatenate([press[..., None], lean * press[..., None]], -1)
+        return Reach(np.sum(press * values, 1), self.exerted(forces), press, forces[..., 1:])
+
+    def exerted(self, forces: np.ndarray) -> np.ndarray:
+        """The wrenches ``(G, 6)`` of forces (press, lean) ``(G, n, 4)``."""
+        grasps, count = self.present.shape
+        flat = self.discs.reshape(grasps, 4 * count, 6)
+        return np.matmul(forces.reshape(grasps, 1, 4 * count), flat)[:, 0]
 
 
 def pyramid(sides: int, soft: bool) -> np.ndarray:

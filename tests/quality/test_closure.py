@@ -121,9 +121,10 @@ def test_fingers_at_one_point_may_have_it_anywhere():
     normals = every[..., None] * directions
     grasp = Grasp(np.repeat(points[:, None], 3, 1), normals, 0.8 * every, every, torsion=0.3 * every)
     found = proven(grasp)
-    assert found.closed.all() and np.allclose(found.margin, found.margin[0])
+    assert found.closed.all()
     ball = ferrari_canny(grasp)
-    assert (ball.lower > 0.05).all() and np.allclose(ball.upper, ball.upper[0], rtol=1e-3)
+    assert (found.margin <= ball.lower).all() and (ball.lower > 0.05).all()
+    assert np.allclose(ball.upper, ball.upper[0], rtol=1e-3)
     assert np.allclose(min_weight(grasp, sides=8).value, 0.746, atol=1e-3)
 
 

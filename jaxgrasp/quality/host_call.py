@@ -1,0 +1,68 @@
+"""Questions about wrench sets that NumPy answers, asked from inside ``jit``, ``vmap`` and ``grad``.
+
+What is certified is host arithmetic in float64. A program on any device calls it back with all problems of a batch at
+once; it is not differentiated: each measure adds its own derivative, by the envelope theorem.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, core
+
+from jaxgrasp.model.arguments import check_arguments
+from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.quality.grasp_input import ROUNDING
+from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs
+from jaxgrasp.quality.wrench_sets import WrenchSets
+
+
+def is_traced(*arguments: object) -> bool:
+    """Whether some array among the arguments has no values yet."""
+    return any(isinstance(leaf, core.Tracer) for leaf in jax.tree.leaves(arguments))
+
+
+def call_on_host(
+    question: Callable[[WrenchSets], tuple[np.ndarray, ...]],
+    trailing: tuple[tuple[int, ...], ...],
+    grasp: Grasp,
+    length: Length,
+    about: About,
+) -> tuple[WrenchDiscs, Any]:
+    """The discs of traced grasps, and what is said of them: a tuple of JAX arrays, which stand where results have
+    those of NumPy.
+
+    Args:
+        question: of wrench sets ``(G, ...)`` the answers, arrays ``(G, *trailing)``.
+        trailing: the shape of each answer behind the grasps' axes.
+        grasp: contacts ``(..., n)``.
+        length: see [`jaxgrasp.quality.ferrari_canny`][].
+        about: likewise.
+    """
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
+    shapes = discs(grasp, length, about)
+    dtype, batch = shapes.centres.dtype, shapes.length.shape
+    there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    reach = jnp.max(jnp.where(there[..., None], jnp.abs(jnp.asarray(grasp.points)), 0), (-1, -2), initial=0)
+    given = (shapes.centres, shapes.spans, there, 1 + reach / shapes.length)
+    precision = float(jnp.finfo(dtype).eps)
+
+    def answer(centres: Array, spans: Array, present: Array, spread: Array) -> tuple[np.ndarray, ...]:
+        axes, count = np.shape(present)[:-1], np.shape(present)[-1]
+        flat = (int(np.prod(axes)), count)
+        rows = np.concatenate([np.asarray(centres)[..., None, :], np.swapaxes(np.asarray(spans), -1, -2)], -2)
+        own = np.asarray(present).reshape(flat)
+        rows = np.where(own[..., None, None], rows.reshape((*flat, 4, 6)).astype(np.float64), 0)
+        rounding = ROUNDING * precision * np.asarray(spread, np.float64).reshape(flat[0])
+        found = question(WrenchSets(rows, own, rounding))
+        return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(found, trailing))
+
+    wanted = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)
+    return shapes, jax.pure_callback(answer, wanted, *jax.lax.stop_gradient(given), vmap_method="broadcast_all")
+
+
+def moved(value: Any, at: Array) -> Any:
+    """A value with the derivative of what it is the value of."""
+    return value + (at - jax.lax.stop_gradient(at))

@@ -18,15 +18,15 @@ def page(report: dict) -> str:
     if "times" in report:
         parts += [
             "## Time for one grasp",
-            "Milliseconds a call after compiling: the median, and the largest in brackets. Balls to a relative "
+            "Milliseconds of CPU a call after compiling: the median, and the largest in brackets. Balls to a relative "
             "distance of their bounds of 1e-3, largest wrenches 1e-6.",
             by_size(report["times"], "measure", lambda row: f"{_ms(row['median'])} ({_ms(row['largest'])})"),
         ]
     if "gaps" in report:
         parts += [
             "## Distance of the bounds by points",
-            "Relative to the upper bound: the median, and the largest in brackets; then milliseconds a grasp. The "
-            "search ends before at 1e-4.",
+            "Relative to the upper bound: the median, and the largest in brackets; then milliseconds of CPU a grasp. "
+            "The search ends before at 1e-4.",
             table(["bound", "n", "points", "distance", "ms"], [_gap(row) for row in report["gaps"]]),
         ]
     if "pyramids" in report:

@@ -24,8 +24,10 @@ ROOM = 192
 """Facets that arrays have room for at first."""
 NEARLY_FLAT = 1e-9
 """Relative singular value of a facet's corners under which they span no plane but a smaller flat."""
-UNEVEN = 1e-7
+UNEVEN = 1e-11
 """By how much a facet's corners may differ in height, relative to it, before its plane is computed with more care."""
+FLUSH = 1e-10
+"""Relative height of a point above a facet's plane at which it lies in that plane but for lost digits."""
 
 _CORNERS = np.arange(5, -1, -1, dtype=np.uint64) * np.uint64(BITS)
 """Shifts of the corners in a facet's number, the first corner in the highest bits."""
@@ -77,7 +79,7 @@ class InnerPolytopes:
         every = np.arange(len(self.size))
         points = points @ _AXES
         self._points[every, self.size], self.along[every, self.size] = points, along
-        beyond = np.matmul(self._normals, points[..., None])[..., 0] - self._offsets
+        beyond = np.matmul(self._normals, points[..., None])[..., 0] - (1 + FLUSH) * self._offsets
         taken = beyond.max(1) >= least
         # The origin is on the other side of these only.
         surface, facet = np.nonzero((beyond > 0) & (self._offsets > 0) & taken[:, None])
@@ -99,15 +101,12 @@ class InnerPolytopes:
         return corners @ _AXES.T, self._normals[index, there] @ _AXES.T, self._offsets[index, there]
 
     def keep(self, which: np.ndarray) -> None:
-        """Drop all surfaces but those of the mask ``(G,)``."""
+        """Drop all surfaces but those of the mask ``(G,)``, and room that these do not need."""
         for name, array in vars(self).items():
             setattr(self, name, array[which])
-
-    def join(self, others: "InnerPolytopes") -> None:
-        """Take other surfaces in, behind these."""
-        for name, array in vars(self).items():
-            fill = np.inf if name == "_offsets" else 0.0
-            setattr(self, name, np.concatenate(_alike(array, getattr(others, name), fill)))
+        most = self._used.max(initial=0)
+        for name in ("_facets", "_normals", "_offsets"):
+            setattr(self, name, getattr(self, name)[:, :most])
 
     def _slots(self, surface: np.ndarray, facet: np.ndarray, owners: np.ndarray) -> np.ndarray:
         """Where each surface's new facets go: into the places of those they replace, then behind all."""
@@ -182,12 +181,3 @@ def _through(corners: np.ndarray) -> np.ndarray:
 def _doubled(array: np.ndarray) -> np.ndarray:
     """With as much room again along the second axis."""
     return np.concatenate([array, np.zeros_like(array)], 1)
-
-
-def _alike(first: np.ndarray, second: np.ndarray, fill: float) -> list[np.ndarray]:
-    """Two arrays with as much room along their second axis, if they have one."""
-    if first.ndim == 1:
-        return [first, second]
-    room = max(first.shape[1], second.shape[1])
-    pads = [[(0, 0), (0, room - array.shape[1])] + [(0, 0)] * (array.ndim - 2) for array in (first, second)]
-    return [np.pad(array, pad, constant_values=fill) for array, pad in zip((first, second), pads)]

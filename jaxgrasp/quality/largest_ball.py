@@ -2,8 +2,7 @@
 
 Below, a surface of simplices inside the body (``inner_polytope.py``). Above, the body's reach along any direction.
 The lowest facet shows where to look: along its normal the body either reaches no further, and the bounds have met, or
-it has a point beyond the facet, which the surface takes in. Bodies are worked on side by side; those that are done make
-room for others.
+it has a point beyond the facet, which the surface takes in. Bodies are worked on side by side.
 """
 
 from typing import NamedTuple
@@ -44,9 +43,17 @@ def largest_balls(bodies: WrenchSets, inside: np.ndarray, tol: float, max_points
     """
     count = len(inside)
     balls = Balls(np.array(inside), np.full(count, np.inf), np.zeros((count, 6)), np.zeros((count, 6, 6)))
+    for start in range(0, count, SIDE_BY_SIDE):
+        own = np.arange(start, min(count, start + SIDE_BY_SIDE))
+        _bring_together(bodies, own, balls, tol, max_points)
+    return balls
+
+
+def _bring_together(bodies: WrenchSets, own: np.ndarray, balls: Balls, tol: float, max_points: int) -> None:
+    """Bring the bounds of some bodies together, whose lower ones are proven already."""
     shrinking = np.random.default_rng(0).uniform(size=max_points + 16)
-    own = np.arange(min(count, SIDE_BY_SIDE))
-    following, stars, some = len(own), InnerPolytopes(inside[own]), bodies.take(own)
+    # One whose surface is large does not widen the arrays of others that come after it: all start at once.
+    stars, some = InnerPolytopes(balls.lower[own]), bodies.take(own)
     while len(own):
         lowest, normals, corners = stars.lowest()
         reached = some.reach(normals)
@@ -59,12 +66,7 @@ def largest_balls(bodies: WrenchSets, inside: np.ndarray, tol: float, max_points
         least = np.where(met, np.inf, tol / 2 * balls.upper[own])
         done = ~stars.grow(drawn, normals, least)
         if done.any():
-            balls.lower[own[done]] = np.maximum(lowest[done], inside[own[done]])
+            balls.lower[own[done]] = np.maximum(lowest[done], balls.lower[own[done]])
             own = own[~done]
             stars.keep(~done)
-            if following < count and len(own) <= SIDE_BY_SIDE / 2:
-                more = np.arange(following, min(count, following + SIDE_BY_SIDE - len(own)))
-                stars.join(InnerPolytopes(inside[more]))
-                own, following = np.concatenate([own, more]), following + len(more)
-            some = bodies.take(own)
-    return balls
+            some = some.take(~done)

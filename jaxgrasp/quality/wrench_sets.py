@@ -117,7 +117,8 @@ class WrenchSets:
         if self.corners is None:
             return replace(self, bound="l1")
         edges = self.discs[:, :, :1] + np.einsum("gnkj,ck->gncj", self.discs[:, :, 1:], self.corners)
-        edges = np.where(self.present[..., None, None], edges, 0).reshape(len(edges), -1, 1, 6)
+        count = self.present.shape[1] * len(self.corners)
+        edges = np.where(self.present[..., None, None], edges, 0).reshape(len(edges), count, 1, 6)
         discs = np.concatenate([edges, np.zeros((*edges.shape[:2], 3, 6))], 2)
         return replace(
             self, discs=discs, present=np.repeat(self.present, len(self.corners), 1), bound="l1", corners=None

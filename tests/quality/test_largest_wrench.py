@@ -123,7 +123,7 @@ def test_laws(bound):
 
 def test_derivatives_are_those_of_the_value():
     grasp, task = known.ordinary(5, 6), P.problems("ordinary", 5, 6, 1).wrench
-    found = largest_wrench(grasp, task, tol=1e-9)
+    found = largest_wrench(grasp, task, tol=1e-10)
     points, friction = (jnp.asarray(getattr(grasp, name)) for name in ("points", "friction"))
     rng = np.random.default_rng(0)
     tangent = tuple(scale * rng.normal(size=a.shape) for a, scale in ((points, 0.03), (friction, 1), (task, 1)))
@@ -137,13 +137,13 @@ def test_derivatives_are_those_of_the_value():
     np.testing.assert_allclose(value, found.upper, rtol=1e-8)
     reverse = jax.grad(lambda *a: jnp.sum(of(*a)), argnums=(0, 1, 2))(points, friction, jnp.asarray(task))
     product = sum(np.sum(np.asarray(a) * b, tuple(range(1, b.ndim))) for a, b in zip(reverse, tangent))
-    np.testing.assert_allclose(product, forward, rtol=1e-9)
+    np.testing.assert_allclose(product, forward, rtol=1e-10)
     step = 1e-4
     ends = []
     for sign in (step, -step):
         there = [np.asarray(a) + sign * b for a, b in zip((points, friction, task), tangent)]
         other = known.changed(grasp, points=there[0], friction=there[1])
-        ends.append(largest_wrench(other, there[2], tol=1e-9).upper)
+        ends.append(largest_wrench(other, there[2], tol=1e-10).upper)
     np.testing.assert_allclose(forward, (ends[0] - ends[1]) / (2 * step), rtol=1e-4)
 
 

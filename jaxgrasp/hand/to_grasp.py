@@ -86,10 +86,10 @@ def grasp_from_contacts(
 def grasp_about(
     origin: Float[AnyArray, "*batch 3"],
     contacts: Contacts,
-    friction: Float[AnyArray, "*#batch"] | float,
-    stiffness: Float[AnyArray, "*#batch"] | float,
+    friction: Float[AnyArray, "*#each"] | float,
+    stiffness: Float[AnyArray, "*#each"] | float,
     contributions: Float[AnyArray, "L"] | float,
-    torsion: Float[AnyArray, "*#batch"] | float | None = None,
+    torsion: Float[AnyArray, "*#each"] | float | None = None,
 ) -> Grasp:
     """As ``grasp_from_contacts``, but in a frame at this place of the world, along its axes."""
     world = grasp_from_contacts(contacts, friction, stiffness, contributions, torsion)

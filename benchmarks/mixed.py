@@ -1,0 +1,142 @@
+"""Batches as sampling makes them, many of whose grasps cannot hold: their cost beside ordinary batches and Clarabel.
+
+    python -m benchmarks.mixed --out benchmarks/results
+
+Writes mixed.json and mixed.md.
+"""
+
+from benchmarks.one_thread import one_thread
+
+one_thread()
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxgrasp
+from benchmarks.page import mixed_tables
+from benchmarks.page.clock import interleaved
+from benchmarks.rivals.by_clarabel import RIVALS
+from benchmarks.sections import run_sections
+from jaxgrasp import Grasp, Solution, Verdict
+from jaxgrasp.testing.problem_data import Problems
+from jaxgrasp.testing.problems import problems
+
+NAME = "mixed"
+LOOSE = 1e-8
+"""What Clarabel is asked for."""
+LIFT = 3.0
+"""Force of a lift [N]."""
+
+
+class Plan(NamedTuple):
+    """How much of everything."""
+
+    sizes: tuple[int, ...] = (3, 5, 10, 20)
+    batch: int = 4000
+    judged: int = 200
+    """Problems that Clarabel gets."""
+    repeats: int = 9
+    shares: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+def sampled(n: int, batch: int, lift: bool) -> Problems:
+    """Contacts at random on a unit sphere, pressing inward; any wrench, or a lift by the upper half alone."""
+    rng = np.random.default_rng([n, lift])
+    points = rng.normal(size=(batch, n, 3))
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    wrench = rng.normal(size=(batch, 6)) * np.repeat([1.0, 0.3], 3)
+    if lift:
+        points[..., 2] = np.abs(points[..., 2])
+        wrench = np.tile([0, 0, LIFT, 0, 0, 0], (batch, 1))
+    friction, squeeze = rng.uniform(0.2, 0.6, (batch, n)), rng.uniform(0.5, 5, (batch, n))
+    return Problems("lift" if lift else "any", points, -points, friction, squeeze, wrench, None)
+
+
+def _call(problem: Problems):
+    given = jax.tree.map(jnp.asarray, (Grasp(*problem[1:5]), problem.wrench))
+    program = jax.jit(jaxgrasp.constrained_optimum)
+    return lambda: jax.block_until_ready(program(*given))
+
+
+def _rows(problem: Problems, rows: np.ndarray) -> Problems:
+    return problem._replace(**{name: getattr(problem, name)[rows] for name in Problems._fields[1:6]})
+
+
+def families(plan: Plan) -> list[dict]:
+    """Each family beside the ordinary batch and Clarabel, and whether verdicts agree."""
+    rows = []
+    for n in plan.sizes:
+        ordinary = _call(problems("ordinary", n, plan.batch, seed=5))
+        rows += [_beside(sampled(n, plan.batch, lift), n, ordinary, plan) for lift in (False, True)]
+    return rows
+
+
+def _beside(problem: Problems, n: int, ordinary, plan: Plan) -> dict:
+    few = _rows(problem, np.arange(plan.judged))
+    clarabel = {
+        name: rival.prepare(few, few.weights("squeeze"))
+        for rival in RIVALS
+        if rival.tolerance == LOOSE
+        for name in [rival.name.split()[1]]
+    }
+    ours = _call(problem)
+    found: Solution = jax.device_get(ours())
+    theirs = clarabel["anew"].read(clarabel["anew"].run())
+    calls = {"ours": ours, "ordinary": ordinary} | {name: one.run for name, one in clarabel.items()}
+    took = interleaved(calls, plan.repeats, 10.0)
+    verdict = found.verdict[: plan.judged]
+    solved, infeasible = verdict <= Verdict.OPTIMAL, verdict == Verdict.INFEASIBLE
+    return {
+        "n": n,
+        "load": problem.kind,
+        "infeasible": float(np.mean(found.verdict == Verdict.INFEASIBLE)),
+        "undecided": int(np.sum(found.verdict == Verdict.NOT_CONVERGED)),
+        "differ": int(np.sum((theirs.solved & infeasible) | (theirs.infeasible & solved))),
+        "microseconds": {
+            name: 1e6 * seconds / (plan.batch if name in ("ours", "ordinary") else plan.judged)
+            for name, seconds in took.items()
+        },
+    }
+
+
+def sweep(plan: Plan) -> list[dict]:
+    """Lifts of which so many are infeasible, beside the ordinary batch."""
+    rows = []
+    for n in plan.sizes:
+        pool = sampled(n, plan.batch, lift=True)
+        verdict = np.asarray(_call(pool)().verdict)
+        kinds = np.flatnonzero(verdict <= Verdict.OPTIMAL), np.flatnonzero(verdict == Verdict.INFEASIBLE)
+        if not all(map(len, kinds)):
+            continue
+        calls = {"ordinary": _call(problems("ordinary", n, plan.batch, seed=5))}
+        for share in plan.shares:
+            bad = round(share * plan.batch)
+            chosen = np.concatenate([np.resize(kinds[0], plan.batch - bad), np.resize(kinds[1], bad)])
+            calls[share] = _call(_rows(pool, np.random.default_rng(n).permutation(chosen)))
+        took = interleaved(calls, plan.repeats, 10.0)
+        rows += [
+            {
+                "n": n,
+                "share": share,
+                "ratio": took[share] / took["ordinary"],
+                "microseconds": 1e6 * took[share] / plan.batch,
+            }
+            for share in plan.shares
+        ]
+    return rows
+
+
+SECTIONS = {"families": families, "sweep": sweep}
+QUICK = Plan(sizes=(3,), batch=200, judged=20, repeats=2, shares=(0.0, 1.0))
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    run_sections(__doc__, NAME, SECTIONS, (Plan(), QUICK), mixed_tables.page)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""The page of mixed batches in Markdown, from the report that the JSON holds too."""
+
+from benchmarks.page.tables import by_size, made_by, table
+
+HEAD = ["n", "load", "infeasible", "undecided", "verdicts differ", "µs", "beside ordinary", "Clarabel anew", "updated"]
+ABOUT = (
+    "Contacts at random on a unit sphere that press inward, friction 0.2 to 0.6, squeeze 0.5 to 5 N. Loads: any "
+    "wrench of about 1 N and 0.3 N m, or a lift of 3 N by contacts on the upper half alone. Microseconds a problem, "
+    "jitted, medians in turns; then how many times the cost of an ordinary batch, all of which can be solved, and "
+    "how many times longer Clarabel takes for the same problems, its loop in Python included: set up anew, and "
+    "updated in place. Verdicts differ where Clarabel solves what we call infeasible, or the other way round."
+)
+
+
+def page(report: dict) -> str:
+    plan = report["plan"]
+    parts = [
+        "# Mixed batches",
+        f"{made_by('mixed', report['machine'], ('jax', 'clarabel'))}; float64, batches of {plan['batch']:,}.",
+    ]
+    if "families" in report:
+        parts += ["## Sampled grasps", ABOUT, table(HEAD, map(_family, report["families"]))]
+    if "sweep" in report:
+        parts += [
+            "## By the share that is infeasible",
+            "Lifts. Microseconds a problem, and in brackets how many times the cost of an ordinary batch.",
+            by_size([row | {"infeasible": f"{row['share']:.0%}"} for row in report["sweep"]], "infeasible", _share),
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _family(row: dict) -> list[str]:
+    took = row["microseconds"]
+    return [
+        str(row["n"]),
+        row["load"],
+        f"{row['infeasible']:.1%}",
+        *(str(row[name]) for name in ("undecided", "differ")),
+        f"{took['ours']:.1f}",
+        *(f"{ratio:.1f}" for ratio in (took["ours"] / took["ordinary"], took["anew"] / took["ours"])),
+        f"{took['updated'] / took['ours']:.1f}",
+    ]
+
+
+def _share(row: dict) -> str:
+    return f"{row['microseconds']:.1f} ({row['ratio']:.1f})"

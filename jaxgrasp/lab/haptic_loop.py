@@ -46,7 +46,7 @@ class Followed(NamedTuple):
     wrenches: Float[np.ndarray, "N 6"]
     """What accelerates the object; of several, what the hand exerts on each [N, N.m]."""
     contributions: Float[np.ndarray, "L"]
-    """Of the links, as they count."""
+    """Contributions of the links, as they count."""
     time: float = 0.0
     """Since the scene began [s]."""
     grip: GripType | None = None

@@ -30,7 +30,7 @@ PRICE = 1e-9
 SIDE_BY_SIDE = 256
 """Grasps that are looked at together."""
 PIVOTS = 40
-"""Of the simplex method, which needs about ten; what is not decided then is near its limit."""
+"""Steps of the simplex method, which needs about ten; what is not decided then is near its limit."""
 EVEN = 1e-4
 """Least singular value of a discs' matrix, relative to the largest, with which plain arithmetic decides."""
 CAUTIOUS = 1 - 1e-6
@@ -142,7 +142,7 @@ def forces_of(shapes: WrenchDiscs, press: Any, lean: Any, library: Any) -> tuple
 
 
 class Decisions(NamedTuple):
-    """The same of many grasps: arrays ``(G, ...)``."""
+    """As for one grasp, of many: arrays ``(G, ...)``."""
 
     closed: np.ndarray
     decided: np.ndarray

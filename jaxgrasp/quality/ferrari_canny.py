@@ -161,7 +161,7 @@ def _traced(
 
 
 def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
-    """Of bodies in one flat batch."""
+    """Radii of bodies in one flat batch."""
     grasps, count = bodies.present.shape
     closure = decide_all(bodies.alone_edges())
     found = Epsilon(

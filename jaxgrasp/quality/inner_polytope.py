@@ -16,7 +16,7 @@ import itertools
 import numpy as np
 
 BITS = 10
-"""Of a whole number of 64, for each of six corners."""
+"""Bits of a whole number of 64, for each of six corners."""
 MOST_POINTS = 1 << BITS
 MOST_SURFACES = 1 << (64 - 5 * BITS)
 """Ridges are sorted by surface and corners at once."""
@@ -33,8 +33,8 @@ _CORNERS = np.arange(5, -1, -1, dtype=np.uint64) * np.uint64(BITS)
 """Shifts of the corners in a facet's number, the first corner in the highest bits."""
 _ONE = np.uint64(MOST_POINTS - 1)
 _AXES = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))[0]
-"""Of the coordinates that a surface keeps its points in: elimination without pivots dislikes zeros, which points of
-symmetric grasps have many of."""
+"""A turn of the coordinates that a surface keeps its points in: elimination without pivots dislikes zeros, which points
+of symmetric grasps have many of."""
 
 
 class InnerPolytopes:
@@ -64,7 +64,7 @@ class InnerPolytopes:
         """``(G,)``: facets lie before this."""
 
     def lowest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each surface the facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
+        """For each surface the facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
         every = np.arange(len(self.size))
         facet = np.argmin(self._offsets, 1)
         corners = corners_of(self._facets[every, facet])

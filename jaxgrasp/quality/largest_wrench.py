@@ -29,7 +29,7 @@ FEASIBLE = 1e-10
 SIDE_BY_SIDE = 256
 """Grasps that are looked at together."""
 PIVOTS = 300
-"""Of the simplex method, which needs some twenty, and more for more digits; the rest goes to HiGHS."""
+"""Steps of the simplex method, which needs some twenty, and more for more digits; the rest goes to HiGHS."""
 REACHED = 1e3
 """Multiples of rounding under which what is reached is nothing, along twists that may be long."""
 WORTHLESS = 1e-13
@@ -160,7 +160,7 @@ class _Along(NamedTuple):
 
 
 class _AlongAll(NamedTuple):
-    """The same of many grasps: arrays ``(G, ...)``."""
+    """As for one grasp, of many: arrays ``(G, ...)``."""
 
     lower: np.ndarray
     upper: np.ndarray
@@ -249,7 +249,7 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, places: np.nd
 def _columns(
     bodies: WrenchSets, best: np.ndarray, lean: np.ndarray, owner: np.ndarray, bounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of each grasp the column of a contact's wrench, or of a bound's slack; and the contact."""
+    """For each grasp the column of a contact's wrench, or of a bound's slack; and the contact."""
     count, own = bodies.present.shape[1], np.arange(len(best))
     is_slack = best >= count
     contact = np.where(is_slack, 0, best)

@@ -24,7 +24,7 @@ FEASIBLE = 1e-10
 SIDE_BY_SIDE = 256
 """Grasps that are looked at together."""
 PIVOTS = 150
-"""Of the simplex method; most need twenty."""
+"""Steps of the simplex method; most need twenty."""
 OPTIMAL = 1e-11
 """By what a weight improves a program that is as good as solved."""
 BALANCED = 1e-11

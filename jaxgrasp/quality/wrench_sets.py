@@ -78,7 +78,7 @@ class WrenchSet:
 
 @dataclass(frozen=True)
 class WrenchSets:
-    """The same of many grasps side by side, ``G`` of them."""
+    """Wrench sets of many grasps side by side, ``G`` of them."""
 
     discs: np.ndarray
     """``(G, n, 4, 6)``: the centre and the three columns of the span of each contact; zeros for absent ones."""

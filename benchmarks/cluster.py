@@ -22,7 +22,7 @@ from typing import NamedTuple
 import jax
 
 import jaxgrasp
-from benchmarks.machine import machine
+from benchmarks.machine import machine, processor_seconds
 from jaxgrasp.testing.problems import problems
 
 SHARD = 62_500
@@ -33,7 +33,6 @@ CONTACTS = 5
 COMMAND, WORKER, RAY = "command", "workers", "Ray"
 """Whose processes: those of neither the command nor the workers are Ray's own."""
 MARK = "JAXGRASP_BENCHMARK_CLUSTER"
-TICKS = os.sysconf("SC_CLK_TCK")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 EVERY = 0.1
 """Seconds between two looks at the processes."""
@@ -80,10 +79,9 @@ class Watch:
             self._mine[folder.name] = f"{MARK}={self.mark}\0".encode() in (folder / "environ").read_bytes()
         if not self._mine[folder.name]:
             return
-        fields = (folder / "stat").read_text().rsplit(")", 1)[1].split()
         resident = int((folder / "statm").read_text().split()[1]) * PAGE / (1 << 20)
         before = self._seen.get(folder.name, Seen(0, 0, RAY))
-        cpu = (int(fields[11]) + int(fields[12])) / TICKS
+        cpu = processor_seconds(folder.name)
         role = before.role if before.role != RAY else role_of((folder / "cmdline").read_bytes())
         self._seen[folder.name] = Seen(max(cpu, before.cpu), max(resident, before.resident), role)
 

@@ -18,6 +18,12 @@ def machine() -> dict:
     }
 
 
+def processor_seconds(process: int | str) -> float:
+    """What a process has had of the processors (Linux) [s]."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

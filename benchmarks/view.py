@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.browser import CHROMIUM, chromium
+from benchmarks.machine import processor_seconds
 from benchmarks.page import view_tables
 from benchmarks.sections import run_sections
 from jaxgrasp.numerics.compiled_code import use_cache
@@ -207,12 +208,6 @@ def beside(plan: Plan) -> dict:
         "alone": alone,
         "followed": followed,
     }
-
-
-def processor_seconds(process: int) -> float:
-    """What a process has had of the processors (Linux) [s]."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from jaxgrasp.force.slip import spin_force
 from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.numerics.tiling import beside
 
 
 class Exerted(NamedTuple):
@@ -30,11 +31,11 @@ class Exerted(NamedTuple):
 
     def where(self, condition: Bool[Array, "*batch"], other: "Exerted") -> "Exerted":
         """These where the condition holds, and others elsewhere."""
-        return jax.tree.map(lambda own, its: jnp.where(_wide(condition, own), own, its), self, other)
+        return jax.tree.map(lambda own, its: jnp.where(beside(condition, own), own, its), self, other)
 
     def towards(self, other: "Exerted", share: Float[Array, "*batch"]) -> "Exerted":
         """A share of the way from these to others."""
-        return jax.tree.map(lambda own, its: own + _wide(share, own) * (its - own), self, other)
+        return jax.tree.map(lambda own, its: own + beside(share, own) * (its - own), self, other)
 
 
 def applied_forces(solution: Solution) -> Exerted:
@@ -76,7 +77,3 @@ def resultant(
     if couples is not None:
         torque = torque + couples
     return jnp.concatenate([jnp.sum(forces, -2), jnp.sum(torque, -2)], -1)
-
-
-def _wide(condition: Array, like: AnyArray) -> Array:
-    return condition.reshape(*condition.shape, *[1] * (jnp.ndim(like) - condition.ndim))

@@ -22,6 +22,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.model.solution import Solution, is_held
+from jaxgrasp.numerics.tiling import beside
 from jaxgrasp.numerics.vec3 import Vec3
 
 FADE = 1e-3
@@ -105,7 +106,7 @@ def held_beside_table(
     closed, optimum = closed_form_and_optimum(all_three, wrenches, weights, free=free)
     assessment = judged(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
     stays = (assessment.hold != Hold.STABLE)[..., None] & moves
-    with_table = jax.tree.map(lambda parts: jnp.where(_wide(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
+    with_table = jax.tree.map(lambda parts: jnp.where(beside(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
     borne = jnp.where(stays, still, wrench)
     return assessment, _supported(grasp, points, shares, borne, with_table, free, law)
 
@@ -121,10 +122,6 @@ def _by_hand(exerted: Exerted, links: int) -> Exerted:
     """What the hand's own contacts exert, which are the first."""
     moments = exerted.moments
     return Exerted(exerted.forces[..., :links, :], None if moments is None else moments[..., :links])
-
-
-def _wide(condition: Array, like: Array) -> Array:
-    return condition.reshape(*condition.shape, *[1] * (like.ndim - condition.ndim))
 
 
 def _supported(

@@ -11,6 +11,7 @@ from jax import Array, lax
 
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.grip.monitor import Hold, Law
+from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import check_scene
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
@@ -19,7 +20,7 @@ from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, felt_torques, touched_things
+from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, pressing_torques, touched_things
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 from jaxgrasp.world.physics import Engine, HandMove
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
@@ -87,12 +88,11 @@ class WorldHaptics(HandHaptics):
                 look(self._leaves, angles, given, self.state.placed, structure=self._structure)
             )
             step = self.engine.step(self.state, HandMove(contacts, frames, frames), AT_REST)
-            state, wrench = self.state, self._weights + step.gained - step.loads.by_world
+            state, wrench = self.state, step.left_to_hand(self._weights)
         elif passed > 0:
             frames = jax.device_get(look(self._leaves, angles, given, None, structure=self._structure)[0])
             step = self.engine.step(before.state, HandMove(before.contacts, before.frames, frames), passed)
-            wrench = self._weights + step.gained - step.loads.by_world
-            state, wrench = step.state, kept * before.wrench + (1 - kept) * wrench
+            state, wrench = step.state, kept * before.wrench + (1 - kept) * step.left_to_hand(self._weights)
         else:
             state, frames, _, wrench = before
         found = feel(
@@ -171,7 +171,8 @@ def _feel(
 
         def torques_at(angles: Array) -> Array:
             posture = worn.posture(angles, wrist_pose)
-            return worn.resisting(felt_torques(world, posture, share.touches, found.exerted)[0])
+            pressed = pressing_torques(world, posture, share.touches, found.exerted)
+            return worn.resisting(pressed + hand_torques(world.scene, posture))
 
         return *with_slope(torques_at, angles), found
 

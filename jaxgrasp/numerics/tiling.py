@@ -124,5 +124,5 @@ def _write(results: Out, part: Out, start: Array) -> Out:
 
 
 def beside(each: Array, array: Array) -> Array:
-    """What each problem has one of, ``(B,)``, with the axes to broadcast against an array ``(B, ...)``."""
-    return each.reshape(each.shape + (1,) * (array.ndim - 1))
+    """What each problem has one of, ``(*B,)``, with the axes to broadcast against an array ``(*B, ...)``."""
+    return each.reshape(each.shape + (1,) * (array.ndim - each.ndim))

@@ -234,14 +234,7 @@ def weights_or_twist(white: WrenchSets, right: np.ndarray) -> tuple[np.ndarray, 
             break
         left = left[keep]
         some = some.take(np.flatnonzero(keep))
-    return *_by_contact(bases, leans, count), twists
-
-
-def _by_contact(bases: SimplexBases, leans: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """What the basic wrenches of each contact come to."""
-    amounts = np.where(bases.columns >= 0, bases.amounts, 0)
-    own = amounts[..., None] * (bases.columns[..., None] == np.arange(count))
-    return own.sum(1), np.einsum("gkn,gkj->gnj", own, leans)
+    return *bases.by_contact(np.arange(grasps), leans, count), twists
 
 
 def decide(body: WrenchSet) -> Decision:

@@ -33,12 +33,8 @@ class GraspInput(NamedTuple):
 
     def bodies(self) -> WrenchSets:
         """What the contacts of each grasp reach, in one flat batch."""
-        count = self.present.shape[-1]
         centres, spans = np.asarray(self.shapes.centres), np.asarray(self.shapes.spans)
-        discs = np.concatenate([centres[..., None, :], np.swapaxes(spans, -1, -2)], -2)
-        flat = self.rounding.size, count
-        discs = np.where(self.present[..., None, None], discs, 0).reshape(*flat, 4, 6)
-        return WrenchSets(discs, self.present.reshape(flat), self.rounding.reshape(-1))
+        return WrenchSets.of_discs(centres, spans, self.present, np.asarray(self.rounding))
 
 
 def read_grasps(grasp: Grasp, length: Length = None, about: About = None) -> GraspInput:

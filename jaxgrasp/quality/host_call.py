@@ -50,13 +50,10 @@ def call_on_host(
     precision = float(jnp.finfo(dtype).eps)
 
     def answer(centres: Array, spans: Array, present: Array, spread: Array) -> tuple[np.ndarray, ...]:
-        axes, count = np.shape(present)[:-1], np.shape(present)[-1]
-        flat = (int(np.prod(axes)), count)
-        rows = np.concatenate([np.asarray(centres)[..., None, :], np.swapaxes(np.asarray(spans), -1, -2)], -2)
-        own = np.asarray(present).reshape(flat)
-        rows = np.where(own[..., None, None], rows.reshape((*flat, 4, 6)).astype(np.float64), 0)
-        rounding = ROUNDING * precision * np.asarray(spread, np.float64).reshape(flat[0])
-        found = question(WrenchSets(rows, own, rounding))
+        axes = np.shape(spread)
+        rounding = np.asarray(ROUNDING * precision * np.asarray(spread, np.float64))
+        bodies = WrenchSets.of_discs(np.asarray(centres), np.asarray(spans), np.asarray(present), rounding)
+        found = question(bodies)
         return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(found, trailing))
 
     wanted = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)

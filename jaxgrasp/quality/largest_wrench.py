@@ -264,10 +264,7 @@ def _exerted(
     bodies: WrenchSets, bases: SimplexBases, leans: np.ndarray, which: np.ndarray, tasks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The multiples that the basic wrenches exert, by arithmetic of their own, with press and lean."""
-    count = bodies.present.shape[1]
-    amounts, columns = bases.amounts[which], bases.columns[which]
-    own = amounts[..., None] * (columns[..., None] == np.arange(count))
-    press, lean = own.sum(1), np.einsum("gkn,gkj->gnj", own, leans[which])
+    press, lean = bases.by_contact(which, leans, bodies.present.shape[1])
     used = np.maximum(press.sum(1) if bodies.bound == "l1" else press.max(1, initial=0), 1)
     press, lean = press / used[:, None], lean / used[:, None, None]
     wrench = bodies.exerted(np.concatenate([press[..., None], lean], -1))

@@ -82,13 +82,8 @@ def _of_corners(bodies: WrenchSets, balls: Balls, near: Reach) -> TouchingPoints
     every = np.any(balls.corners != 0, 2).all(1)
     points = np.where(every[:, None, None], near.points, np.eye(6))
     with np.errstate(all="ignore"):
-        try:
-            across = np.linalg.solve(points, np.ones((len(points), 6, 1)))[..., 0]
-            weights = np.linalg.solve(np.swapaxes(points, 1, 2), across[..., None])[..., 0]
-        except np.linalg.LinAlgError:
-            inverse = np.linalg.pinv(points)
-            across = inverse.sum(2)
-            weights = np.matmul(across[:, None], inverse)[:, 0]
+        across = _solved(points, np.ones((len(points), 6)))
+        weights = _solved(np.swapaxes(points, 1, 2), across)
         weights /= weights.sum(1, keepdims=True)
         direction = across / np.linalg.norm(across, axis=1)[:, None]
         # Weights of points that nearly coincide, as two of one disc may, say something by their sum alone.
@@ -159,11 +154,12 @@ def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
     return np.argsort(-start.press, 1, kind="stable")[:, : max(most, 1)]
 
 
-def _solved(slope: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions ``(G, m)`` of systems ``(G, m, m)``; of all in the sense of least squares, if one is singular."""
     try:
-        return np.linalg.solve(slope, residual[..., None])[..., 0]
+        return np.linalg.solve(matrices, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        return np.einsum("gij,gj->gi", np.linalg.pinv(slope), residual)
+        return np.einsum("gij,gj->gi", np.linalg.pinv(matrices), right)
 
 
 def _move(now: _Guess, which: np.ndarray, step: np.ndarray) -> None:

@@ -55,22 +55,13 @@ class WrenchSet:
 
     def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Each contact's largest power of unit normal force ``(f, n)``, and the u that attains it ``(f, n, 3)``."""
-        across = np.einsum("fj,njk->fnk", directions, self.spans)
-        if self.corners is None:
-            sizes = np.linalg.norm(across, axis=-1)
-            lean = across / np.where(sizes > 0, sizes, 1)[..., None]
-        else:
-            heights = across @ self.corners.T
-            lean = self.corners[np.argmax(heights, -1)]
-            sizes = np.max(heights, -1)
+        sizes, lean = _furthest(np.einsum("fj,njk->fnk", directions, self.spans), self.corners)
         return directions @ self.centres.T + sizes, lean
 
     def reach(self, directions: np.ndarray) -> Reach:
         """Along directions ``(f, 6)``."""
         values, lean = self.supports(directions)
-        press = (values > 0).astype(float)
-        if self.bound == "l1":
-            press *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
+        press = _pressing(values, self.bound)
         lean = lean * press[..., None]
         points = press @ self.centres + np.einsum("njk,fnk->fj", self.spans, lean)
         return Reach(np.sum(press * values, 1), points, press, lean)
@@ -101,6 +92,14 @@ class WrenchSets:
         """By how much rounding may change what a body reaches along a unit direction ``(G,)``."""
         return self.rounding * self.size * (self.present.sum(1) if self.bound == "linf" else 1)
 
+    @staticmethod
+    def of_discs(centres: np.ndarray, spans: np.ndarray, present: np.ndarray, rounding: np.ndarray) -> "WrenchSets":
+        """Those of discs ``(..., n, 6)`` and ``(..., n, 6, 3)``, ``present`` (..., n), as one flat batch."""
+        rows = np.concatenate([centres[..., None, :], np.swapaxes(spans, -1, -2)], -2)
+        flat = rounding.size, present.shape[-1]
+        rows = np.where(present[..., None, None], rows, 0).reshape(*flat, 4, 6).astype(np.float64, copy=False)
+        return WrenchSets(rows, present.reshape(flat), rounding.reshape(-1))
+
     def take(self, which: np.ndarray) -> "WrenchSets":
         """Some of them."""
         return replace(self, discs=self.discs[which], present=self.present[which], rounding=self.rounding[which])
@@ -129,22 +128,13 @@ class WrenchSets:
         that attains it ``(G, n, 3)``."""
         grasps, count = self.present.shape
         rates = np.matmul(self.discs.reshape(grasps, 4 * count, 6), directions[..., None]).reshape(grasps, count, 4)
-        across = rates[..., 1:]
-        if self.corners is None:
-            sizes = np.sqrt(np.einsum("gnk,gnk->gn", across, across))
-            lean = across / np.where(sizes > 0, sizes, 1)[..., None]
-        else:
-            heights = across @ self.corners.T
-            lean = self.corners[np.argmax(heights, -1)]
-            sizes = np.max(heights, -1)
+        sizes, lean = _furthest(rates[..., 1:], self.corners)
         return rates[..., 0] + sizes, lean
 
     def reach(self, directions: np.ndarray) -> Reach:
         """Along a direction each ``(G, 6)``: arrays as of ``WrenchSet.reach``, an entry for each grasp."""
         values, lean = self.supports(directions)
-        press = (values > 0).astype(float)
-        if self.bound == "l1":
-            press *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
+        press = _pressing(values, self.bound)
         forces = np.concatenate([press[..., None], lean * press[..., None]], -1)
         return Reach(np.sum(press * values, 1), self.exerted(forces), press, forces[..., 1:])
 
@@ -153,6 +143,23 @@ class WrenchSets:
         grasps, count = self.present.shape
         flat = self.discs.reshape(grasps, 4 * count, 6)
         return np.matmul(forces.reshape(grasps, 1, 4 * count), flat)[:, 0]
+
+
+def _furthest(across: np.ndarray, corners: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """The largest u.across ``(..., n)`` of all u that friction allows, and that u ``(..., n, 3)``."""
+    if corners is None:
+        sizes = np.sqrt(np.einsum("...nk,...nk->...n", across, across))
+        return sizes, across / np.where(sizes > 0, sizes, 1)[..., None]
+    heights = across @ corners.T
+    return np.max(heights, -1), corners[np.argmax(heights, -1)]
+
+
+def _pressing(values: np.ndarray, bound: Bound) -> np.ndarray:
+    """The normal forces ``(f, n)`` that do most work, by each contact's power of a unit one."""
+    press = (values > 0).astype(float)
+    if bound == "l1":
+        press *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
+    return press
 
 
 def pyramid(sides: int, soft: bool) -> np.ndarray:

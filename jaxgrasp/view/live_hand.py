@@ -26,7 +26,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.report.surfaces import DrawnSurface, pose_matrix
-from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both
+from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
 from jaxgrasp.view.standing_surfaces import moving_poses
 
 SHORTEST, LONGEST = 1e-3, 0.05
@@ -59,9 +59,7 @@ class LiveHand:
     def __init__(self, made: GrippedScene, law: Law):
         self.made, self.law = made, law
         self._names = [link.name for link in made.scene.hand.links]
-        # Numbers as arrays, so that each program is compiled once.
-        kinds = {int: float, float: float}
-        self._scene = jax.tree.map(lambda leaf: jnp.asarray(leaf, kinds.get(type(leaf))), made.scene)
+        self._scene = numbers_as_arrays(made.scene)
         self._carried: CarryState | None = None
         self._before: Posture | None = None
 

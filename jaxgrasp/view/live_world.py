@@ -15,7 +15,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.report.surfaces import DrawnSurface, pose_matrix, shape_surface
-from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both
+from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
 from jaxgrasp.view.standing_surfaces import moving_poses
 from jaxgrasp.world.hand_share import HandShare, cut_share, touched_things
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
@@ -28,8 +28,7 @@ class LiveWorld:
         """``state``: where the objects are at first."""
         self.made, self.law, self.world = made, law, world
         self._names = [link.name for link in made.scene.hand.links]
-        kinds = {int: float, float: float}
-        self._world = jax.tree.map(lambda leaf: jnp.asarray(leaf, kinds.get(type(leaf))), world)
+        self._world = numbers_as_arrays(world)
         contributions = np.asarray(world.scene.contributions, float)
         self.begun = Followed(state.placed, holding_weights(world), contributions, state.time)
         self.others: list[DrawnSurface] = [shape_surface(thing.body.shape) for thing in world.others]

@@ -1,8 +1,10 @@
 """What a grasp is worth at one instant, ready to be drawn: NumPy arrays, whatever it came from."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -10,6 +12,8 @@ from jaxgrasp.force.slip import friction_margin
 from jaxgrasp.grip.monitor import Assessment, Law, Touch, judged
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_balanced
+
+Tree = TypeVar("Tree")
 
 
 class PosedHand(NamedTuple):
@@ -93,6 +97,12 @@ class Judged(NamedTuple):
 
     margins: tuple[Array, Array]
     closed_touches: Array
+
+
+def numbers_as_arrays(tree: Tree) -> Tree:
+    """The tree with all its numbers as arrays, so that a program is compiled once whatever they are."""
+    kinds = {int: float, float: float}
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, kinds.get(type(leaf))), tree)
 
 
 def judged_by_both(grasp: Grasp, assessment: Assessment) -> Judged:

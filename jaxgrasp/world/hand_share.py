@@ -125,7 +125,8 @@ def cut_share(
     assessment = judged(grasp, closed, optimum, law)
     slips = assessment.hold == Hold.SLIPPING
     exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
-    return _felt(world, posture, touches, wrench, assessment, exerted.forces)
+    blocked = hand_torques(world.scene, posture)
+    return _felt(world, posture, touches, wrench, assessment, exerted.forces, blocked)
 
 
 @jax.jit
@@ -136,24 +137,28 @@ def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
     slips = (share.assessment.hold == Hold.SLIPPING)[:, None, None]
     exerted = jnp.where(slips, closest.forces, share.exerted)
-    return _felt(world, posture, touches, share.wrench, share.assessment, exerted)
+    return _felt(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
 
 
 def _felt(
-    world: World, posture: Posture, touches: ThingTouches, wrench: Array, assessment: Assessment, exerted: Array
+    world: World,
+    posture: Posture,
+    touches: ThingTouches,
+    wrench: Array,
+    assessment: Assessment,
+    exerted: Array,
+    blocked: Array,
 ) -> HandShare:
-    torques, blocked = felt_torques(world, posture, touches, exerted)
+    torques = pressing_torques(world, posture, touches, exerted) + blocked
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
     missed = jnp.where(slips, wrench - resultant(touches.grasp.points, exerted), 0)
     return HandShare(touches, wrench, assessment, exerted, missed, torques, blocked)
 
 
-def felt_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Array) -> tuple[Array, Array]:
-    """Torques on the joints by what the hand exerts and by all else that it touches, and by the latter alone [N.m]."""
+def pressing_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Array) -> Array:
+    """Torques on the joints by what the hand exerts on all objects [N.m]."""
     hand = world.scene.hand
-    each = joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted)
-    blocked = hand_torques(world.scene, posture)
-    return jnp.sum(each, 0) + blocked, blocked
+    return jnp.sum(joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted), 0)
 
 
 def _free(world: World, placed: Pose) -> Array | None:

@@ -4,8 +4,8 @@
   set at every step so that a link presses by K c depth (eq. 6), however many of its balls touch.
 - A link has a body too heavy to be pushed aside, whose motion is prescribed: MuJoCo's mocap bodies have no velocity, so
   that they could not drag anything along.
-- Obstacles are springs that stay where they are, without the friction, the damping and the path that a
-  [`jaxgrasp.grip.Obstacle`][] can have; what objects are to one another and to the table is nearly rigid.
+- Obstacles are springs without the friction and the damping that a [`jaxgrasp.grip.Obstacle`][] can have; those with a
+  path are led along it as links are. What objects are to one another and to the table is nearly rigid.
 """
 
 from __future__ import annotations

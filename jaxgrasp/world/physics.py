@@ -79,6 +79,10 @@ class Step(NamedTuple):
     solved: bool
     """Whether the engine solved its own equations as closely as it means to."""
 
+    def left_to_hand(self, weights: Float[np.ndarray, "N 6"]) -> Float[np.ndarray, "N 6"]:
+        """What the hand must have exerted on each object, if these wrenches hold their weights [N, N.m]."""
+        return weights + self.gained - self.loads.by_world
+
 
 @runtime_checkable
 class Engine(Protocol):

@@ -90,7 +90,7 @@ def world_carry(
         posture = jax.tree.map(lambda x, k=k: x[k], postures)
         touches = touched_things(world, posture, state.placed)
         step = engine.step(state, HandMove(jax.device_get(touches.contacts), now, later), dt)
-        wrench = step.gained + weights - step.loads.by_world
+        wrench = step.left_to_hand(weights)
         share = hand_share(world.at_time(state.time), posture, state.placed, touches, wrench, law=law)
         instants.append(WorldInstant(state, share, step.loads, step.gained, step.solved))
         state = step.state

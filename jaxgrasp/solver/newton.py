@@ -28,7 +28,7 @@ ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
 STEP_REDUCTIONS = (0.1, 0.5)
 """Least and largest factor by which a refused step is shortened."""
-DAMPING, LARGEST_DAMPING = 0.03, 0.1
+DAMPING, LARGEST_DAMPING = 0.01, 0.1
 """Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
 LOOSE_FACTOR = 16.0
 """In the end an answer may be this much coarser: near the limit of what the contacts can exert, the multiplier is so
@@ -269,6 +269,8 @@ class OptimalityCheck(NamedTuple):
     """Whether it is but for ``LOOSE_FACTOR`` times the tolerances."""
     missed: Array
     """The part of the load that the forces miss."""
+    residual: Array
+    """What they leave of the wrench, in the coordinates."""
 
 
 def as_returned(forces: ContactVec) -> ContactVec:
@@ -293,7 +295,7 @@ def optimality_by(
     def within(slack: float) -> Array:
         return has_converged(data, point, residual, squared_norm, found.objective, found.total_normal_force, slack)
 
-    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.error)
+    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.error, residual)
 
 
 def damping_of(squared_norm: Array, damping_factor: Array, proximal: ProximalTerm | None) -> Array:

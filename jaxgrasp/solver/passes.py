@@ -38,6 +38,7 @@ from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, pseudo_inverse, torque_passes
 from jaxgrasp.solver.infeasibility import out_of_range
 from jaxgrasp.solver.proximal import (
+    NEAR,
     STEPS_PER_LEVEL,
     STRONGEST,
     UNLIMITED,
@@ -99,7 +100,8 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
         open_ = settings.careful & (~is_optimum(result.verdict) | ~settings.squeezed)
         chosen = result.undecided & (open_ | (result.verdict == Verdict.OUTSIDE_CONES))
-        chosen = chosen & (~settings.resumes | (result.strength > 0))
+        resumes = (index > CAREFUL) & ~settings.afresh
+        chosen = chosen & (~resumes | (result.strength > 0))
         tile = partial(_optimum_tile, settings=settings)
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
@@ -120,7 +122,7 @@ def _settings(index: Array) -> PassSettings:
         # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.
         proves=index > 0,
         squeezed=index != UNSQUEEZED,
-        resumes=(index > CAREFUL) & (index < UNSQUEEZED),
+        afresh=index >= UNSQUEEZED,
         looks=looks,
     )
 
@@ -183,31 +185,40 @@ def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings
     """The optimum, as far as one pass goes.
 
     The fast passes begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
-    if more of the same may help. The careful one begins at the beginning, and goes on where it was interrupted.
+    if more of the same may help. The careful one begins there too, where they were any use, else at the beginning, and
+    goes on where it was interrupted.
     """
-    careful, begins = settings.careful, settings.careful & ~settings.resumes
+    careful = settings.careful
     own, valid = to_batch_last(batch)
     problem = in_axes_by_care(batch, without_squeeze(own, ~settings.squeezed), valid, careful)
-    certificate = _out_of_range(problem, begins)
+    resumed, near = (prior.strength > 0)[None], (prior.route == Route.FAST)[None]
+    certificate = _out_of_range(problem, careful & ~resumed)
     missed = certificate.force > 0
+    goes_on = ~settings.afresh & (~careful | resumed | near)
     last = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, problem.scaling))
-    point = jnp.where(begins, 0, last)
-    strength = jnp.where(begins, STRONGEST, prior.strength[None])
+    point = jnp.where(goes_on, last, 0)
+    begun = jnp.where(resumed, prior.strength[None], jnp.where(near, NEAR, STRONGEST))
+    strength = jnp.where(careful, jnp.where(settings.afresh, STRONGEST, begun), 0)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
     start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed, strength)
     found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=certificate), settings)
     if _is_double(batch):
         found = refined(problem, found, careful)
-    return _optimum_result(problem, found, own, settings, prior)
+    return _optimum_result(problem, found, own, settings, goes_on, prior)
 
 
 @fused_cpu_kernel
 def _optimum_result(
-    problem: ScaledProblem, state: ProximalState, own: ContactData, settings: PassSettings, prior: PassResult
+    problem: ScaledProblem,
+    state: ProximalState,
+    own: ContactData,
+    settings: PassSettings,
+    goes_on: Array,
+    prior: PassResult,
 ) -> PassResult:
     careful, squeezed = settings.careful, settings.squeezed
     converged = state.verdict == Verdict.OPTIMAL
-    steps = state.steps + jnp.where(careful & squeezed & ~settings.resumes, 0, prior.steps)[None]
+    steps = state.steps + jnp.where(goes_on | ~squeezed, prior.steps[None], 0)
     undecided = ~(converged | (state.verdict == Verdict.INFEASIBLE))
     found = ScaledResult(state.forces, state.point, state.verdict, steps, state.certificate, undecided)
     result = to_result(problem, found, jnp.where(careful, Route.CAREFUL, Route.FAST))

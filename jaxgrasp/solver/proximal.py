@@ -21,7 +21,6 @@ from jaxgrasp.problem import contact_vec
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec
-from jaxgrasp.solver import dual
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import (
     ConcaveObjective,
@@ -36,6 +35,8 @@ from jaxgrasp.solver.newton import (
 from jaxgrasp.solver.result import Certificate, no_certificate
 
 STRONGEST = 1e-2
+NEAR = 1e-4
+"""Strength of the first level where the fast passes came near."""
 STEPS_PER_LEVEL = 40
 BETWEEN_LOOKS = 3
 """Evaluations after which the careful search looks which problems have reached the end of their level. Each goes
@@ -78,8 +79,8 @@ class PassSettings(NamedTuple):
     """With proofs that no forces exist, which the way of the multiplier gives once it has run far enough."""
     squeezed: Array
     """The problem as it is; else without squeezing and with equal sharing, which asks only for allowed forces."""
-    resumes: Array
-    """Where the last pass stopped, at the level that it had reached."""
+    afresh: Array
+    """From the beginning, whatever the last pass found; else where it stopped."""
     looks: Array
     """How often to look which problems are at the end of a level, before the unfinished are gathered anew."""
 
@@ -96,8 +97,8 @@ class ProximalProblem(Protocol):
         """The forces of a point, and whether they are the optimum."""
         ...
 
-    def proof(self, point: Array, before: Array) -> Certificate:
-        """What a point, or the way to it, proves of forces that do not exist."""
+    def proof(self, check: OptimalityCheck, run: Array) -> Certificate:
+        """What a point, by its check, or the way that the multiplier ran, proves of forces that do not exist."""
         ...
 
 
@@ -112,15 +113,14 @@ class UnlimitedProblem(NamedTuple):
     def check_optimality(self, point: SpatialVec) -> OptimalityCheck:
         return check_optimality(self.problem, point)
 
-    def proof(self, point: SpatialVec, before: SpatialVec) -> Certificate:
-        forces = dual.candidate_forces(self.problem, point).forces
-        return find_certificate(self.problem, dual.residual(self.problem, forces), point - before)
+    def proof(self, check: OptimalityCheck, run: SpatialVec) -> Certificate:
+        return find_certificate(self.problem, check.residual, run)
 
 
 def careful_settings() -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
     yes = jnp.asarray(True)
-    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, ~yes, jnp.int32(UNLIMITED))
+    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED))
 
 
 def weakest(dtype: jnp.dtype) -> float:
@@ -184,14 +184,14 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
     begins."""
     search, newton = level.search, level.newton
     ended = ~search.decided & level.left & (newton.done | ~settings.careful | (newton.steps >= settings.steps - 1))
-    forces, optimal, loosely_optimal, missed = proximal_problem.check_optimality(newton.point)
+    check = proximal_problem.check_optimality(newton.point)
 
-    def unproven(point: Array, before: Array) -> Certificate:
-        return no_certificate(point)
+    def unproven(check: OptimalityCheck, run: Array) -> Certificate:
+        return no_certificate(run)
 
-    asked = settings.proves & jnp.any(ended & ~optimal)
-    certificate = lax.cond(asked, proximal_problem.proof, unproven, newton.point, search.point)
-    optimal = ended & optimal
+    asked = settings.proves & jnp.any(ended & ~check.optimal)
+    certificate = lax.cond(asked, proximal_problem.proof, unproven, check, newton.point - search.point)
+    optimal = ended & check.optimal
     infeasible = ended & ~optimal & (certificate.force > 0)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     decided = search.decided | optimal | infeasible
@@ -199,14 +199,14 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
     left = level.left & ~(ended & (strength < weakest(strength.dtype)))
     found = ProximalState(
         point=jnp.where(ended, newton.point, search.point),
-        forces=contact_vec.where(ended, forces, search.forces),
+        forces=contact_vec.where(ended, check.forces, search.forces),
         verdict=jnp.where(ended, verdict, search.verdict),
         steps=search.steps + jnp.where(ended, newton.steps, 0),
         certificate=jax.tree.map(partial(jnp.where, infeasible), certificate, search.certificate),
         decided=decided,
-        loosely_optimal=jnp.where(ended, loosely_optimal, search.loosely_optimal),
+        loosely_optimal=jnp.where(ended, check.loosely_optimal, search.loosely_optimal),
         stalled=jnp.where(ended, newton.stalled, search.stalled),
-        missed=jnp.where(ended, missed, search.missed),
+        missed=jnp.where(ended, check.missed, search.missed),
         strength=strength,
     )
     begun = jax.tree.map(partial(jnp.where, ended), at_start(newton.point, decided | ~left), newton)

@@ -8,17 +8,24 @@ along d by rounding; what the direction then proves is that any solution needs a
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.numerics import vec3
+from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.coordinates import plain_axes
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import rounding_growth
+from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, torque_limits
+from jaxgrasp.solver.newton import damped
 from jaxgrasp.solver.result import Certificate
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
+TURNS = 2
+"""Newton steps by which a direction is turned away from contacts that push along it: the digits double with each."""
+BEYOND = 0.5
+"""Times the largest push, so far beyond letting go a step aims: its error is smaller once the push is small."""
 STATED = 8.0
 """Times the rounding of a direction that is granted to whoever computes anew what it proves."""
 
@@ -53,16 +60,54 @@ def least_normal_force(problem: ScaledProblem, direction: Array, constraints: To
 def find_certificate(
     problem: ScaledProblem, residual: Array, run: Array, constraints: TorqueConstraints | None = None
 ) -> Certificate:
-    """What is left of the wrench, or the way the multiplier ran, whichever proves it, as a twist.
+    """What is left of the wrench, the way the multiplier ran, or what is left turned away from the contacts, whichever
+    proves it, as a twist.
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
+    directions = [residual, run / jnp.maximum(spatial.length(run), 1)]
+    if constraints is None:
+        directions.append(_turned_away(problem, residual))
     # What is looked at is what is returned: computed anew, in other kernels, it would be rounded otherwise.
-    residual, run = lax.optimization_barrier((residual, run))
-    by_rest, by_run = (least_normal_force(problem, direction, constraints) for direction in (residual, run))
-    proven = jnp.where(by_rest > 0, residual, run / jnp.maximum(spatial.length(run), 1))
-    twist = jnp.concatenate([spatial.join(*problem.coordinates.twist(proven[:6])), proven[6:]])
-    return Certificate(twist, jnp.where(by_rest > 0, by_rest, by_run))
+    first, *others = lax.optimization_barrier(directions)
+    found = Certificate(first, least_normal_force(problem, first, constraints))
+    for direction in others:
+        open_, force = found.force <= 0, least_normal_force(problem, direction, constraints)
+        found = Certificate(jnp.where(open_, direction, found.direction), jnp.where(open_, force, found.force))
+    linear, angular = problem.coordinates.twist(found.direction[:6])
+    return found._replace(direction=jnp.concatenate([spatial.join(linear, angular), found.direction[6:]]))
+
+
+def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
+    """The direction, turned by as little as makes those contacts let go that push along it.
+
+    What is left of the wrench tends to a direction along which some contacts just do not push; until then they push by
+    a little. Mostly there are others beside it along which none pushes at all, and any of them is a proof.
+    """
+    data = problem.data
+    cone = friction_cone.Cone(data.normals, data.friction)
+    endless = True if data.normal_max is None else ~jnp.isfinite(data.normal_max)
+    can_move = (data.weights > 0) & endless
+    damping = jnp.asarray(jnp.finfo(direction.dtype).eps ** 0.5, direction.dtype)
+
+    def turn(_: Array, direction: SpatialVec) -> SpatialVec:
+        sides = friction_cone.cone_side(dual.contact_velocities(problem, direction), cone)
+        push = jnp.where(can_move, sides.along + cone.friction * sides.size, -jnp.inf)
+        largest = jnp.maximum(jnp.max(push, 0, keepdims=True), 0)
+        excess = jnp.maximum(push + BEYOND * largest, 0)
+        strongest = contact_vec.add(
+            contact_vec.along(jnp.ones_like(push), cone.normal, sides.tangent),
+            contact_vec.scale(cone.friction, sides.tangent),
+        )
+        # How pushes change with the direction, as the dual's curvature is made of how forces do.
+        along = contact_vec.components(strongest)
+        rows = [[jnp.where(excess > 0, along[i] * along[j], 0) for j in range(i + 1)] for i in range(len(along))]
+        curvature = damped(dual.negative_hessian(problem, rows), problem.metric, damping)
+        wrench = vec3.totals(*dual.wrench_terms(data, contact_vec.scale(data.weights * excess, strongest)))
+        back = problem.coordinates.wrench(Vec3(*wrench[:3]), Vec3(*wrench[3:]))
+        return direction - dual.solve(ldl.factor(curvature), back)
+
+    return lax.fori_loop(0, TURNS, turn, direction)
 
 
 @fused_cpu_kernel

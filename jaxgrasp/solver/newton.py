@@ -4,7 +4,6 @@ One evaluation gives value, gradient and Hessian at the trial point; a problem t
 direction, one that refuses shortens its step. So no problem waits for another's line search.
 """
 
-from functools import partial
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
@@ -29,7 +28,7 @@ ARMIJO = 1e-4
 SHORTEST_STEP = 1e-10
 STEP_REDUCTIONS = (0.1, 0.5)
 """Least and largest factor by which a refused step is shortened."""
-DAMPING, LARGEST_DAMPING = 0.03, 0.1
+DAMPING, LARGEST_DAMPING = 0.01, 0.1
 """Damping of a direction by the residual, and its limit; in the metric of the unconstrained problem."""
 LOOSE_FACTOR = 16.0
 """In the end an answer may be this much coarser: near the limit of what the contacts can exert, the multiplier is so
@@ -113,25 +112,34 @@ class NewtonState(NamedTuple):
     """At the optimum as far as can be told from here, or stalled."""
     stalled: Array
     """Unable to move on."""
-    evaluations: Array
-    """Evaluations so far, of all problems together ``()``."""
 
 
 def maximise(objective: ConcaveObjective, start: Array, frozen: Array, limit: int | Array) -> NewtonState:
     """Maximise from ``start`` in at most ``limit`` evaluations; problems that are ``frozen`` stay where they are."""
     # A grasp that many wrenches share has one column here; where each problem stands is its own.
     frozen = jnp.broadcast_to(frozen, start[:1].shape)
-    zero = jnp.zeros_like(start[:1])
-    nothing = jnp.zeros_like(start)
+    return advance(objective, varying_like(at_start(start, frozen), start, objective), limit)
+
+
+def at_start(point: Array, frozen: Array) -> NewtonState:
+    """Before anything is evaluated."""
+    zero = jnp.zeros_like(point[:1])
     steps = jnp.zeros_like(frozen, jnp.int32)
-    none = jnp.int32(0)
-    state = NewtonState(start, zero - jnp.inf, nothing, zero, zero, zero + 1, zero, steps, frozen, frozen, none)
-    state = varying_like(state, start, objective)
+    return NewtonState(point, zero - jnp.inf, 0 * point, zero, zero, zero + 1, zero, steps, frozen, frozen)
 
-    def unfinished(state: NewtonState) -> Array:
-        return (state.evaluations < limit) & ~jnp.all(state.done)
 
-    return lax.while_loop(unfinished, partial(_advance, objective), state)
+def advance(objective: ConcaveObjective, state: NewtonState, limit: int | Array) -> NewtonState:
+    """Maximise further, in at most ``limit`` evaluations."""
+
+    def unfinished(carry: tuple[Array, NewtonState]) -> Array:
+        evaluations, state = carry
+        return (evaluations < limit) & ~jnp.all(state.done)
+
+    def one(carry: tuple[Array, NewtonState]) -> tuple[Array, NewtonState]:
+        evaluations, state = carry
+        return evaluations + 1, _advance(objective, state)
+
+    return lax.while_loop(unfinished, one, (jnp.int32(0), state))[1]
 
 
 @fused_cpu_kernel
@@ -160,7 +168,6 @@ def _advance(objective: ConcaveObjective, state: NewtonState) -> NewtonState:
         steps=state.steps + _as_count(~state.done & (state.length > 0)) + _as_count(accepted & converges_next),
         done=state.done | stalled | (accepted & (converged | converges_next)),
         stalled=state.stalled | stalled,
-        evaluations=state.evaluations + 1,
     )
 
 
@@ -262,6 +269,8 @@ class OptimalityCheck(NamedTuple):
     """Whether it is but for ``LOOSE_FACTOR`` times the tolerances."""
     missed: Array
     """The part of the load that the forces miss."""
+    residual: Array
+    """What they leave of the wrench, in the coordinates."""
 
 
 def as_returned(forces: ContactVec) -> ContactVec:
@@ -286,7 +295,7 @@ def optimality_by(
     def within(slack: float) -> Array:
         return has_converged(data, point, residual, squared_norm, found.objective, found.total_normal_force, slack)
 
-    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.error)
+    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.error, residual)
 
 
 def damping_of(squared_norm: Array, damping_factor: Array, proximal: ProximalTerm | None) -> Array:

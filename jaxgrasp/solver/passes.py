@@ -38,7 +38,10 @@ from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, pseudo_inverse, torque_passes
 from jaxgrasp.solver.infeasibility import out_of_range
 from jaxgrasp.solver.proximal import (
+    NEAR,
     STEPS_PER_LEVEL,
+    STRONGEST,
+    UNLIMITED,
     PassSettings,
     ProximalState,
     UnlimitedProblem,
@@ -54,8 +57,12 @@ STEPS = (5, 6, 8, 22)
 PATIENCE = 300
 """Evaluations at each level of the last pass. Where torque rests on next to no friction, each step gets past one kink
 of a cone and there are hundreds; almost no other problem comes so far."""
-CAREFUL, UNSQUEEZED, PATIENT = range(len(STEPS), len(STEPS) + 3)
-"""The passes after the fast ones."""
+LOOKS = (8, 13, UNLIMITED)
+"""Looks of the careful pass, after each of which the unfinished are gathered again and go on where they stopped."""
+CAREFUL = len(STEPS)
+"""The first pass after the fast ones."""
+UNSQUEEZED, PATIENT = CAREFUL + len(LOOKS), CAREFUL + len(LOOKS) + 1
+"""The passes after the careful one."""
 
 
 def solve_closed(problem: ProblemBatch) -> PassResult:
@@ -89,12 +96,12 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         result = result._replace(multiplier=jnp.where(given[:, None], problem.start, result.multiplier))
 
     def improve(index: Array, result: PassResult) -> PassResult:
-        steps = jnp.asarray((*STEPS, STEPS_PER_LEVEL, STEPS_PER_LEVEL, PATIENCE), jnp.int32)[index]
-        # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.
-        settings = PassSettings(index >= CAREFUL, steps, index > 0, index != UNSQUEEZED)
+        settings = _settings(index)
         # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
         open_ = settings.careful & (~is_optimum(result.verdict) | ~settings.squeezed)
         chosen = result.undecided & (open_ | (result.verdict == Verdict.OUTSIDE_CONES))
+        resumes = (index > CAREFUL) & ~settings.afresh
+        chosen = chosen & (~resumes | (result.strength > 0))
         tile = partial(_optimum_tile, settings=settings)
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
@@ -102,6 +109,22 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     passes = PATIENT + 1 if _is_double(bare) else UNSQUEEZED
     result = lax.fori_loop(0, passes, improve, varying_like(result, bare))
     return torque_passes.within_torques(problem, _as_far_as_rounding_lets_see(result))
+
+
+def _settings(index: Array) -> PassSettings:
+    """The settings of a pass, by its place in the order of all."""
+    levels = len(LOOKS) * (STEPS_PER_LEVEL,)
+    steps = jnp.asarray((*STEPS, *levels, STEPS_PER_LEVEL, PATIENCE), jnp.int32)[index]
+    looks = jnp.asarray((*len(STEPS) * (1,), *LOOKS, UNLIMITED, UNLIMITED), jnp.int32)[index]
+    return PassSettings(
+        careful=index >= CAREFUL,
+        steps=steps,
+        # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.
+        proves=index > 0,
+        squeezed=index != UNSQUEEZED,
+        afresh=index >= UNSQUEEZED,
+        looks=looks,
+    )
 
 
 def _as_far_as_rounding_lets_see(result: PassResult) -> PassResult:
@@ -162,30 +185,40 @@ def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings
     """The optimum, as far as one pass goes.
 
     The fast passes begin where the last one stopped; what they do not finish stays undecided, and keeps OUTSIDE_CONES
-    if more of the same may help. The careful one begins at the beginning.
+    if more of the same may help. The careful one begins there too, where they were any use, else at the beginning, and
+    goes on where it was interrupted.
     """
     careful = settings.careful
     own, valid = to_batch_last(batch)
     problem = in_axes_by_care(batch, without_squeeze(own, ~settings.squeezed), valid, careful)
-    certificate = _out_of_range(problem, careful)
+    resumed, near = (prior.strength > 0)[None], (prior.route == Route.FAST)[None]
+    certificate = _out_of_range(problem, careful & ~resumed)
     missed = certificate.force > 0
-    last = spatial.join(*multiplier_to_scaled(prior.multiplier, problem.scaling))
-    point = jnp.where(careful, 0, last)
+    goes_on = ~settings.afresh & (~careful | resumed | near)
+    last = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, problem.scaling))
+    point = jnp.where(goes_on, last, 0)
+    begun = jnp.where(resumed, prior.strength[None], jnp.where(near, NEAR, STRONGEST))
+    strength = jnp.where(careful, jnp.where(settings.afresh, STRONGEST, begun), 0)
     verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
-    start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed)
+    start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed, strength)
     found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=certificate), settings)
     if _is_double(batch):
         found = refined(problem, found, careful)
-    return _optimum_result(problem, found, own, settings, prior)
+    return _optimum_result(problem, found, own, settings, goes_on, prior)
 
 
 @fused_cpu_kernel
 def _optimum_result(
-    problem: ScaledProblem, state: ProximalState, own: ContactData, settings: PassSettings, prior: PassResult
+    problem: ScaledProblem,
+    state: ProximalState,
+    own: ContactData,
+    settings: PassSettings,
+    goes_on: Array,
+    prior: PassResult,
 ) -> PassResult:
     careful, squeezed = settings.careful, settings.squeezed
     converged = state.verdict == Verdict.OPTIMAL
-    steps = state.steps + jnp.where(careful & squeezed, 0, prior.steps)[None]
+    steps = state.steps + jnp.where(goes_on | ~squeezed, prior.steps[None], 0)
     undecided = ~(converged | (state.verdict == Verdict.INFEASIBLE))
     found = ScaledResult(state.forces, state.point, state.verdict, steps, state.certificate, undecided)
     result = to_result(problem, found, jnp.where(careful, Route.CAREFUL, Route.FAST))
@@ -204,6 +237,7 @@ def _optimum_result(
         verdict=jnp.where(feasible, verdict, result.verdict),
         objective=jnp.where(feasible, cost, result.objective),
         multiplier=jnp.where(squeezed, result.multiplier, prior.multiplier),
+        strength=state.strength[0],
     )
     return merged(vain, prior, result)
 

@@ -21,7 +21,6 @@ from jaxgrasp.problem import contact_vec
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec
-from jaxgrasp.solver import dual
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import (
     ConcaveObjective,
@@ -29,13 +28,23 @@ from jaxgrasp.solver.newton import (
     NewtonState,
     OptimalityCheck,
     ProximalTerm,
+    advance,
+    at_start,
     check_optimality,
-    maximise,
 )
 from jaxgrasp.solver.result import Certificate, no_certificate
 
 STRONGEST = 1e-2
+NEAR = 1e-4
+"""Strength of the first level where the fast passes came near."""
 STEPS_PER_LEVEL = 40
+BETWEEN_LOOKS = 3
+"""Evaluations after which the careful search looks which problems have reached the end of their level. Each goes
+through the levels by itself, so that few of a tile wait for others; a look costs about two evaluations."""
+
+
+UNLIMITED = 2**30
+"""Looks: as many as it takes."""
 
 
 class ProximalState(NamedTuple):
@@ -55,6 +64,8 @@ class ProximalState(NamedTuple):
     """Whether Newton's method was unable to move on."""
     missed: Array
     """The part of the load that the forces miss."""
+    strength: Array
+    """Of the proximal term where the search goes on; 0 where it has come to its end."""
 
 
 class PassSettings(NamedTuple):
@@ -68,6 +79,10 @@ class PassSettings(NamedTuple):
     """With proofs that no forces exist, which the way of the multiplier gives once it has run far enough."""
     squeezed: Array
     """The problem as it is; else without squeezing and with equal sharing, which asks only for allowed forces."""
+    afresh: Array
+    """From the beginning, whatever the last pass found; else where it stopped."""
+    looks: Array
+    """How often to look which problems are at the end of a level, before the unfinished are gathered anew."""
 
 
 @runtime_checkable
@@ -82,8 +97,8 @@ class ProximalProblem(Protocol):
         """The forces of a point, and whether they are the optimum."""
         ...
 
-    def proof(self, point: Array, before: Array) -> Certificate:
-        """What a point, or the way to it, proves of forces that do not exist."""
+    def proof(self, check: OptimalityCheck, run: Array) -> Certificate:
+        """What a point, by its check, or the way that the multiplier ran, proves of forces that do not exist."""
         ...
 
 
@@ -98,70 +113,101 @@ class UnlimitedProblem(NamedTuple):
     def check_optimality(self, point: SpatialVec) -> OptimalityCheck:
         return check_optimality(self.problem, point)
 
-    def proof(self, point: SpatialVec, before: SpatialVec) -> Certificate:
-        forces = dual.candidate_forces(self.problem, point).forces
-        return find_certificate(self.problem, dual.residual(self.problem, forces), point - before)
+    def proof(self, check: OptimalityCheck, run: SpatialVec) -> Certificate:
+        return find_certificate(self.problem, check.residual, run)
 
 
 def careful_settings() -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
-    return PassSettings(jnp.asarray(True), jnp.int32(STEPS_PER_LEVEL), jnp.asarray(True), jnp.asarray(True))
+    yes = jnp.asarray(True)
+    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED))
 
 
-def initial_state(point: Array, forces: ContactVec, verdict: Array | Verdict, decided: Array) -> ProximalState:
+def weakest(dtype: jnp.dtype) -> float:
+    """The least strength of a proximal term that makes a difference."""
+    return 4 * float(jnp.finfo(dtype).eps)
+
+
+def initial_state(
+    point: Array, forces: ContactVec, verdict: Array | Verdict, decided: Array, strength: Array | float = STRONGEST
+) -> ProximalState:
     """Before the first step; what is ``decided`` keeps its verdict."""
     # A grasp that many wrenches share has one column; where each problem stands is its own.
     decided = jnp.broadcast_to(decided, point[:1].shape)
     no, none = jnp.zeros_like(decided), jnp.zeros_like(decided, jnp.int32)
     verdict = jnp.where(decided, verdict, Verdict.NOT_CONVERGED) + none
     forces = contact_vec.scale(jnp.ones_like(point[:1]), forces)
-    return ProximalState(point, forces, verdict, none, no_certificate(point), decided, no, no, 0 * point[:1])
+    strength = strength + 0 * point[:1]
+    return ProximalState(point, forces, verdict, none, no_certificate(point), decided, no, no, 0 * point[:1], strength)
+
+
+class _Level(NamedTuple):
+    """A search, and how far each problem is within its level."""
+
+    search: ProximalState
+    newton: NewtonState
+    left: Array
+    """Whether this level is not the last one that the pass goes through."""
+    looks: Array
+    """So far, of all problems together ``()``."""
 
 
 def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, settings: PassSettings) -> ProximalState:
     """The optimum of the problems that are not decided, or a proof that there is none."""
-    weakest = 4 * float(jnp.finfo(search.point.dtype).eps)
+    evaluations = jnp.where(settings.careful, BETWEEN_LOOKS, settings.steps)
 
-    def unfinished(carry):
-        strength, first, search = carry
-        return (first | (strength >= weakest)) & ~jnp.all(search.decided)
+    def unfinished(level: _Level) -> Array:
+        return (level.looks < settings.looks) & ~jnp.all(level.search.decided | ~level.left)
 
-    def one_level(carry):
-        """Maximise, then ask whether the point is the optimum, or what is left a proof."""
-        strength, _, search = carry
-        objective = proximal_problem.with_proximal_term(ProximalTerm(strength, search.point))
-        reached = maximise(objective, search.point, search.decided, settings.steps)
-        return strength / 10, jnp.asarray(False), _decide(proximal_problem, settings, search, reached)
+    def go_on(level: _Level) -> _Level:
+        search = level.search
+        objective = proximal_problem.with_proximal_term(ProximalTerm(search.strength, search.point))
+        newton = advance(objective, level.newton, evaluations)
+        return _end_levels(proximal_problem, settings, level._replace(newton=newton))
 
-    strongest = jnp.where(settings.careful, STRONGEST, 0).astype(search.point.dtype)
-    search = varying_like(search, proximal_problem)
-    *_, search = lax.while_loop(unfinished, one_level, (strongest, jnp.asarray(True), search))
-    good = settings.careful & ~search.decided & search.loosely_optimal
-    return search._replace(verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict))
+    left = jnp.ones_like(search.decided)
+    level = _Level(search, at_start(search.point, search.decided), left, jnp.int32(0))
+    level = lax.while_loop(unfinished, go_on, varying_like(level, proximal_problem))
+    search = level.search
+    good = settings.careful & ~search.decided & ~level.left & search.loosely_optimal
+    # An interrupted level is begun again, from the same centre: the way is the same as without interruption.
+    interrupted = ~search.decided & level.left
+    return search._replace(
+        verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict),
+        strength=jnp.where(interrupted, search.strength, 0),
+    )
 
 
 @fused_cpu_kernel
-def _decide(
-    proximal_problem: ProximalProblem, settings: PassSettings, search: ProximalState, reached: NewtonState
-) -> ProximalState:
-    forces, optimal, loosely_optimal, missed = proximal_problem.check_optimality(reached.point)
+def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level: _Level) -> _Level:
+    """Ask of the problems at the end of a level whether they are solved, or what is left a proof; else the next level
+    begins."""
+    search, newton = level.search, level.newton
+    ended = ~search.decided & level.left & (newton.done | ~settings.careful | (newton.steps >= settings.steps - 1))
+    check = proximal_problem.check_optimality(newton.point)
 
-    def unproven(point: Array, before: Array) -> Certificate:
-        return no_certificate(point)
+    def unproven(check: OptimalityCheck, run: Array) -> Certificate:
+        return no_certificate(run)
 
-    asked = settings.proves & jnp.any(~(search.decided | optimal))
-    certificate = lax.cond(asked, proximal_problem.proof, unproven, reached.point, search.point)
-    infeasible = ~optimal & (certificate.force > 0)
-    open_ = ~search.decided
+    asked = settings.proves & jnp.any(ended & ~check.optimal)
+    certificate = lax.cond(asked, proximal_problem.proof, unproven, check, newton.point - search.point)
+    optimal = ended & check.optimal
+    infeasible = ended & ~optimal & (certificate.force > 0)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
-    return ProximalState(
-        point=jnp.where(open_, reached.point, search.point),
-        forces=contact_vec.where(open_, forces, search.forces),
-        verdict=jnp.where(open_, verdict, search.verdict),
-        steps=search.steps + jnp.where(open_, reached.steps, 0),
-        certificate=jax.tree.map(partial(jnp.where, open_ & infeasible), certificate, search.certificate),
-        decided=search.decided | optimal | infeasible,
-        loosely_optimal=jnp.where(open_, loosely_optimal, search.loosely_optimal),
-        stalled=jnp.where(open_, reached.stalled, search.stalled),
-        missed=jnp.where(open_, missed, search.missed),
+    decided = search.decided | optimal | infeasible
+    strength = jnp.where(ended, search.strength / 10, search.strength)
+    left = level.left & ~(ended & (strength < weakest(strength.dtype)))
+    found = ProximalState(
+        point=jnp.where(ended, newton.point, search.point),
+        forces=contact_vec.where(ended, check.forces, search.forces),
+        verdict=jnp.where(ended, verdict, search.verdict),
+        steps=search.steps + jnp.where(ended, newton.steps, 0),
+        certificate=jax.tree.map(partial(jnp.where, infeasible), certificate, search.certificate),
+        decided=decided,
+        loosely_optimal=jnp.where(ended, check.loosely_optimal, search.loosely_optimal),
+        stalled=jnp.where(ended, newton.stalled, search.stalled),
+        missed=jnp.where(ended, check.missed, search.missed),
+        strength=strength,
     )
+    begun = jax.tree.map(partial(jnp.where, ended), at_start(newton.point, decided | ~left), newton)
+    return _Level(found, begun, left, level.looks + 1)

@@ -37,13 +37,13 @@ _Carry = tuple[ContactVec, ContactVec, Array, Array, ProximalState]
 def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> ProximalState:
     """The state with the forces of an optimum brought to balance where they miss their load.
 
-    As ``careful``, what has not converged is tried too.
+    As ``careful``, what has come to its end without having converged is tried too.
     """
     data, tol = problem.data, tolerances(state.missed.dtype)
     enough = ENOUGH * tol.balance
     rounding = jnp.asarray(16 * jnp.finfo(state.missed.dtype).eps, state.missed.dtype)
     wanting = (state.verdict == Verdict.OPTIMAL) & (state.missed > enough)
-    wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED))
+    wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED) & (state.strength == 0))
 
     def step(i: Array, carry: _Carry) -> _Carry:
         target, corrected, point, wanting, state = carry

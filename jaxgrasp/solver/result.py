@@ -40,6 +40,8 @@ class PassResult(NamedTuple):
     force_bound: Array
     undecided: Array
     """Whether the next pass has more to say: where the verdict is none yet, or the load is hidden by rounding."""
+    strength: Array
+    """Of the proximal term with which an interrupted search goes on; 0 where none was interrupted."""
     moments: Array | None
     normal_multiplier: Array | None
     torque_multiplier: Array | None
@@ -120,6 +122,7 @@ def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array)
         certificate=certificate,
         force_bound=_row(jnp.where(proven, scaling.load * found.certificate.force, 0), size),
         undecided=_row((found.undecided | unsound | (solved & hidden)) & valid & (scaling.weight > 0), size),
+        strength=jnp.zeros((size,), error.dtype),
         moments=None if moments is None else (moments * one).T,
         normal_multiplier=_normal_multipliers(problem, found, one),
         torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(scaling) * one).T,

@@ -22,7 +22,7 @@ from jaxgrasp.problem.batch_last import ProblemBatch, squeezing_forces
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_plain_axes, in_principal_axes
 from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.tolerances import tolerances
-from jaxgrasp.solver import dual, torque_limits
+from jaxgrasp.solver import torque_limits
 from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm, maximise
 from jaxgrasp.solver.proximal import careful_settings, initial_state, proximal_search
@@ -188,11 +188,10 @@ class _TorqueLimitedProblem(NamedTuple):
     def check_optimality(self, point: Array) -> OptimalityCheck:
         return self.with_proximal_term().check_optimality(point)
 
-    def proof(self, point: Array, before: Array) -> Certificate:
-        forces = self.with_proximal_term().forces(point).forces
-        beyond = torque_limits.beyond(torque_limits.torques(self.constraints, forces), self.constraints.bound)
-        residual = jnp.concatenate([dual.residual(self.problem, forces), beyond])
-        return find_certificate(self.problem, residual, point - before, self.constraints)
+    def proof(self, check: OptimalityCheck, run: Array) -> Certificate:
+        torques = torque_limits.torques(self.constraints, check.forces)
+        beyond = torque_limits.beyond(torques, self.constraints.bound)
+        return find_certificate(self.problem, jnp.concatenate([check.residual[:6], beyond]), run, self.constraints)
 
 
 def _careful_tile(batch: ProblemBatch, prior: PassResult) -> PassResult:

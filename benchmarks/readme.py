@@ -43,6 +43,7 @@ def by_size() -> str:
     plain = {(r["method"], r["dtype"], r["n"], r["batch"]): r for r in result("closed_form")["timings"]}
     page = result("constrained_optimum")
     rows = [row for row in page["singles"] + page["batches"] if row["method"] == OURS]
+    lifts = {row["n"]: row for row in result("mixed")["families"] if row["load"] == "lift"}
     lines = []
     for n in sorted({row["n"] for row in rows}):
         own = {(row["cell"], row.get("which")): row["microseconds"] for row in rows if row["n"] == n}
@@ -51,10 +52,12 @@ def by_size() -> str:
             few, many = (plain[method, "float64", n, batch] for batch in (1_000, 100_000))
             cells.append(f"{few['microseconds']:.2f} / {many['microseconds']:.2f}")
         cells.append(f"{own['batch 1000', None]:.1f} / {own['batch 100000', None]:.1f}")
+        cells.append(f"{lifts[n]['microseconds']['ours']:.1f} ({lifts[n]['infeasible']:.0%})")
         cells.append(f"{own['single', 'closed form optimal']:.0f} / {own['single', 'cones active']:.0f}")
         lines.append(cells)
     batches = "batch of 1,000 / 100,000"
     head = ["n", *(f"{what}, {batches}" for what in ("plain Cholesky", "closed form", "optimum"))]
+    head += ["optimum, sampled lifts (share that cannot hold)"]
     head += ["optimum, one call: closed form optimal / cones active"]
     return table(head, lines)
 

@@ -57,7 +57,7 @@ STEPS = (5, 6, 8, 22)
 PATIENCE = 300
 """Evaluations at each level of the last pass. Where torque rests on next to no friction, each step gets past one kink
 of a cone and there are hundreds; almost no other problem comes so far."""
-LOOKS = (8, 13, UNLIMITED)
+LOOKS = (3, 8, UNLIMITED)
 """Looks of the careful pass, after each of which the unfinished are gathered again and go on where they stopped."""
 CAREFUL = len(STEPS)
 """The first pass after the fast ones."""

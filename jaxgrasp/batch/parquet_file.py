@@ -25,6 +25,8 @@ ROWS = 65_536
 """Grasps that are written at a time."""
 ROWS_READ = 8_192
 """Grasps that are read at a time, whatever the size of the file's row groups."""
+BUFFER = 8 << 20
+"""Bytes of a column that are fetched at a time; of an object store each fetch takes a while."""
 
 
 class ParquetColumn:
@@ -134,7 +136,10 @@ def opened_parquet(path: "Path | RemoteFile") -> Iterator[Any]:
     try:
         with (
             path.opened() if isinstance(path, RemoteFile) else nullcontext(path) as source,
-            arrow.parquet.ParquetFile(source, page_checksum_verification=True) as file,
+            # Unless told otherwise it fetches each column of the whole file at once, and keeps it until the end.
+            arrow.parquet.ParquetFile(
+                source, page_checksum_verification=True, pre_buffer=False, buffer_size=BUFFER
+            ) as file,
         ):
             yield file
     except (arrow.ArrowException, OSError) as error:

@@ -4,7 +4,6 @@ from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
-from scipy.optimize import nnls
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
@@ -181,6 +180,8 @@ def _escapes_straight(sets: ContactSets, sharing: str) -> np.ndarray:
     force = sets.wrench[:, 0, :3].astype(float)
     torque = (sets.wrench[:, 0, 3:] - np.cross(middle, force)) / unit[:, None]
     load = np.concatenate([force, torque], 1)
+    from scipy.optimize import nnls
+
     found = np.zeros(len(sets), bool)
     for k in np.flatnonzero(free.any(1)):
         own, own_contacts = motions[k][:, free[k]], slice(sets.offsets[k], sets.offsets[k + 1])

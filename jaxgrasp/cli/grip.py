@@ -46,6 +46,8 @@ UNITS = dict.fromkeys(("length", "breadth", "radius", "height", "size", "depth",
 """Units of what the page's details name."""
 BELOW = 0.4
 """How far the table is below the object [m]."""
+FEW = 1000
+"""Instants up to which compiling takes longer than running what is compiled quickly."""
 
 
 def grip_command(arguments: Grip) -> int:
@@ -59,7 +61,7 @@ def grip_command(arguments: Grip) -> int:
         announce(line)
     if arguments.engine == "mujoco":
         import_mujoco("engine mujoco")
-    set_up_jax("float64")
+    set_up_jax("float64", quickly=len(times) <= FEW)
     with compiling("the hand and its contacts"):
         made = loaded_scene(file)
         world = moved_world(file, made, arguments.engine) if file.other or arguments.engine else None

@@ -16,7 +16,7 @@ import jax
 from tqdm import tqdm
 
 from jaxgrasp.cli.terminal import announce
-from jaxgrasp.numerics.compiled_code import use_cache
+from jaxgrasp.numerics.compiled_code import compile_all_quickly, use_cache
 
 LOWERED, COMPILED = "/jax/core/compile/jaxpr_to_mlir_module_duration", "/jax/core/compile/backend_compile_duration"
 """What JAX says of a program before it is compiled, and after."""
@@ -24,8 +24,15 @@ TOLD_EVERY = 0.2
 """Time between two words on what is compiled [s]."""
 
 
-def set_up_jax(dtype: str) -> None:
-    """Must run before the first computation."""
+def set_up_jax(dtype: str, *, quickly: bool = False) -> None:
+    """Must run before the first computation.
+
+    Args:
+        dtype: float64 or float32.
+        quickly: whether to compile quickly, to slower code, as suits programs that do not run often.
+    """
+    if quickly:
+        compile_all_quickly()
     jax.config.update("jax_enable_x64", dtype == "float64")
     try:
         use_cache()

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.hand.closing import close_hand
+from jaxgrasp.hand.closing import close_hand, flexed
 from jaxgrasp.hand.deepest import keep_deepest
 from jaxgrasp.hand.detection import Contacts as Found
 from jaxgrasp.hand.detection import find_contacts
@@ -132,7 +132,9 @@ def _find(
     if grasps.angles is not None:
         return found, np.zeros(len(own), bool)
     inside = np.asarray(jnp.max(found.depths, -1) > depth)
-    near, _ = close_hand(hand, start, tree, placed, depth, steps=STRIDES)
+    # Said here as well, so that both ways are one program.
+    way = flexed(hand, start.angles)
+    near, _ = close_hand(hand, start, tree, placed, depth, towards=way, steps=STRIDES)
     stride = (hand.upper - start.angles) / STRIDES
     back = Posture(start.wrist, jnp.maximum(near.angles - stride, start.angles))
     return close_hand(hand, back, tree, placed, depth, towards=near.angles, steps=STRIDES)[1], inside

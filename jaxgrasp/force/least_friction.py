@@ -1,6 +1,7 @@
 """With how little friction a grasp holds its load, if its normal forces may reach a total."""
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -78,22 +79,19 @@ def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
 
 @jax.custom_jvp
 def _share(problem: ProblemBatch, total: Array) -> Array:
-    # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
-    all_there = replace(problem, count=None)
-    return jnp.exp(over_tiles(lambda these: _search(*these), (all_there, total), problem.size, TILE, problem.count))
+    return jnp.exp(_searched(problem, total, evaluated=False)[0])
 
 
 @_share.defjvp
 def _share_tangent(primals, tangents):
     """At the share the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
-    share = _share(problem, total)
+    here, seen = _searched(problem, total, evaluated=True)
+    share = jnp.exp(here)
     inside = jnp.isfinite(share) & (share > 0)
     # An infinite share times a derivative of zero would be no number, in one direction or the other.
     finite = jnp.where(inside, share, 1)
-    here = jnp.log(finite)
-    scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, here), (problem,), (problem_moved,))
-    seen = _evaluate(problem, total, here)
+    scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, jnp.log(finite)), (problem,), (problem_moved,))
     spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _narrow(total))
     falls = spent & (seen.slope < 0)
     needed = jnp.where(falls, seen.needed, 1)
@@ -174,21 +172,35 @@ class _Bracket(NamedTuple):
     done: Array
 
 
-def _search(problem: ProblemBatch, total: Array) -> Array:
-    """Where the excess falls to zero, or from infinity to below it: its logarithm."""
+def _searched(problem: ProblemBatch, total: Array, evaluated: bool) -> tuple[Array, _ShareEvaluation]:
+    """Logarithms of the shares, and what is known there; where not ``evaluated``, what is known next to them."""
+    # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
+    all_there = replace(problem, count=None)
+    search = partial(_search, evaluated=evaluated)
+    return over_tiles(lambda these: search(*these), (all_there, total), problem.size, TILE, problem.count)
+
+
+def _search(problem: ProblemBatch, total: Array, *, evaluated: bool) -> tuple[Array, _ShareEvaluation]:
+    """Where the excess falls to zero, or from infinity to below it."""
     widest = jnp.full_like(total, jnp.log(WIDEST))
     no = jnp.zeros_like(total, bool)
-    start = varying_like(_Bracket(-widest, widest, no, no, jnp.zeros_like(total), no), problem, total)
+    start = _Bracket(-widest, widest, no, no, jnp.zeros_like(total), no)
+    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(_evaluate, problem, total, start.here))
+    start, nothing = varying_like((start, nothing), problem, total)
 
     def step(carry):
-        count, state = carry
-        moved = _step(state, _evaluate(problem, total, state.here))
-        return count + 1, jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, moved)
+        count, state, _, _ = carry
+        seen = _evaluate(problem, total, state.here)
+        stays = state.done | (count == STEPS)
+        state = jax.tree.map(lambda old, new: jnp.where(stays, old, new), state, _step(state, seen))
+        # Once all stay, each was seen where it is.
+        over = jnp.all(stays) if evaluated else jnp.all(state.done) | (count == STEPS - 1)
+        return count + 1, state, seen, over
 
-    _, state = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].done), step, (jnp.int32(0), start))
+    _, state, seen, _ = lax.while_loop(lambda c: ~c[3], step, (jnp.int32(0), start, nothing, jnp.asarray(False)))
     narrow = _narrow(total)
     always, never = state.high + widest <= narrow, widest - state.low <= narrow
-    return jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
+    return jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here)), seen
 
 
 def _narrow(like: Array) -> float:

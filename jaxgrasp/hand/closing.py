@@ -52,9 +52,7 @@ def close_hand(
     """
     moves = jnp.asarray(ancestry(hand))
     start = jnp.asarray(posture.angles)
-    if towards is None:
-        flexes = np.array(["abduction" not in name for name in hand.joints])
-        towards = jnp.where(flexes, hand.upper, start)
+    towards = flexed(hand, start) if towards is None else towards
     stride = (jnp.asarray(towards) - start) / steps
 
     def look(angles: Array) -> Contacts:
@@ -76,6 +74,12 @@ def close_hand(
 
     (angles, _), _ = lax.scan(advance, (start, jnp.ones(start.shape, bool)), length=steps)
     return Posture(posture.wrist, angles), look(angles)
+
+
+def flexed(hand: Hand, angles: Float[AnyArray, "*batch J"]) -> Float[Array, "*batch J"]:
+    """Angles [rad] with all flexions at their upper limits, and the other joints as they are."""
+    flexes = np.array(["abduction" not in name for name in hand.joints])
+    return jnp.where(flexes, hand.upper, angles)
 
 
 def _pairs(hand: Hand) -> np.ndarray:

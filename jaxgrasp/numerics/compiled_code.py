@@ -2,6 +2,7 @@
 
 import os
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import jax
@@ -9,6 +10,9 @@ from jax.experimental.compilation_cache import compilation_cache
 
 LEAST_SECONDS = 0.1
 """Programs that compile faster than this are not worth a file."""
+FUSED_BY_LOOPS = {"xla_cpu_use_fusion_emitters": False}
+NOT_OPTIMIZED = {"xla_backend_optimization_level": 0}
+"""Options of XLA."""
 
 
 def use_cache(folder: str | os.PathLike | None = None) -> Path:
@@ -40,10 +44,25 @@ def _home() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
+def compile_all_quickly() -> None:
+    """Have this process compile all of its programs quickly, to code several times as slow.
+
+    It is said in ``XLA_FLAGS``, which XLA reads before its first program; what the user says there stays. Where JAX has
+    plugins, which bring other processors than these, nothing is changed.
+    """
+    if "XLA_FLAGS" not in os.environ and not entry_points(group="jax_plugins"):
+        options = (FUSED_BY_LOOPS if _is_known_version() else {}) | NOT_OPTIMIZED
+        os.environ["XLA_FLAGS"] = " ".join(f"--{name}={str(value).lower()}" for name, value in options.items())
+
+
+def _is_known_version() -> bool:
+    return (0, 10) <= jax.__version_info__ < (0, 11)
+
+
 @cache
 def is_known_xla() -> bool:
     """Whether programs are compiled for the processor, by a version whose ways of doing so are known here."""
-    return (0, 10) <= jax.__version_info__ < (0, 11) and jax.default_backend() == "cpu"
+    return _is_known_version() and jax.default_backend() == "cpu"
 
 
 def compile_options() -> dict[str, str | bool] | None:
@@ -51,11 +70,11 @@ def compile_options() -> dict[str, str | bool] | None:
 
     Known of some versions alone; another may not know the option, and would refuse it.
     """
-    return {"xla_cpu_use_fusion_emitters": False} if is_known_xla() else None
+    return {**FUSED_BY_LOOPS} if is_known_xla() else None
 
 
 def compile_quickly_options() -> dict[str, str | bool | int] | None:
     """Options for programs that run once or a few times: compiled in half the time, to code several times as slow."""
     if jax.default_backend() != "cpu":
         return None
-    return {**(compile_options() or {}), "xla_backend_optimization_level": 0}
+    return (compile_options() or {}) | NOT_OPTIMIZED

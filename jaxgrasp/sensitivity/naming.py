@@ -158,11 +158,11 @@ def _is_plain(leaf: Any) -> bool:
     return isinstance(leaf, int | float) and not isinstance(leaf, bool)
 
 
-def values_at(tree: Any, entries: Sequence[Entry]) -> Array:
-    """The entries of a tree, in one row."""
+def values_at(tree: Any, entries: Sequence[Entry], numpy: Any = jnp) -> Any:
+    """The entries of a tree, in one row: an array of JAX's, or of NumPy's."""
     leaves = jax.tree.leaves(tree)
-    rows = [jnp.asarray(leaves[leaf])[_indices(these)].ravel() for leaf, these in _by_leaf(entries)]
-    return jnp.concatenate(rows)
+    rows = [numpy.asarray(leaves[leaf])[_indices(these)].ravel() for leaf, these in _by_leaf(entries)]
+    return numpy.concatenate(rows)
 
 
 def with_values(tree: Any, entries: Sequence[Entry], values: Array) -> Any:

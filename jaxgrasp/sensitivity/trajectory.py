@@ -71,8 +71,8 @@ def sensitivity_trajectory(
 ) -> SensitivityTrajectory:
     """Curves of an output along a task, their derivatives by the task's parameters, and varied curves.
 
-    One compiled call does all times, all parameters and all varied values; the derivatives are forward or reverse
-    ones, whichever are fewer at one time.
+    One compiled program does all times and all parameters, and is run again for each varied value; the derivatives are
+    forward or reverse ones, whichever are fewer at one time.
 
     Args:
         task: grasp and wrench over time.
@@ -125,50 +125,45 @@ def trajectory_call(
     forward = len(together) <= len(outputs)
 
     def call() -> SensitivityTrajectory:
-        here, nominal, derivatives, curves = _program(once)(task, output, instants, together, forward, tried, values)
+        # One program for the nominal and all varied curves: what it takes to compile would last for many calls of it.
+        found = partial(_program(forward, once), task, output, instants, together)
+        here = jnp.asarray(values_at(task.parameters, together, np))
+        nominal, derivatives = found(here)
         matrix = SensitivityMatrix(derivatives, nominal, here, outputs, together)
-        varied = [_varied(matrix, *one) for one in zip(tried, values, curves, strict=True)]
+        varied = {}
+        for name, these, each in zip(vary or {}, tried, values, strict=True):
+            curves = jnp.stack([found(jnp.asarray(row))[0] for row in _varied_rows(matrix, these, each)])
+            varied[name] = VariedCurves(each, curves, _predicted(matrix, these, each))
         if together != wanted:
             kept = slice(len(wanted))
-            matrix = SensitivityMatrix(derivatives[..., kept], nominal, here[kept], outputs, wanted)
-        return SensitivityTrajectory(instants, matrix, dict(zip(vary or {}, varied, strict=True)))
+            matrix = SensitivityMatrix(derivatives[..., kept], nominal, matrix.values[kept], outputs, wanted)
+        return SensitivityTrajectory(instants, matrix, varied)
 
     return call
 
 
-def _varied(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array, curves: Array) -> VariedCurves:
-    columns = np.array([matrix.parameters.index(entry) for entry in entries])
+def _varied_rows(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array) -> np.ndarray:
+    """``(V, P)``: all parameters, these with one value after another."""
+    rows = np.repeat(np.asarray(matrix.values)[None], len(values), 0)
+    rows[:, _columns(matrix, entries)] = np.asarray(values)[:, None]
+    return rows
+
+
+def _predicted(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array) -> Array:
+    columns = _columns(matrix, entries)
     moved = values[:, None] - matrix.values[columns]
-    rise = jnp.einsum("tmk,vk->vtm", matrix.derivatives[..., columns], moved)
-    return VariedCurves(values, curves, matrix.nominal + rise)
+    return matrix.nominal + jnp.einsum("tmk,vk->vtm", matrix.derivatives[..., columns], moved)
+
+
+def _columns(matrix: SensitivityMatrix, entries: Sequence[Entry]) -> np.ndarray:
+    return np.array([matrix.parameters.index(entry) for entry in entries])
 
 
 @cache
-def _program(once: bool) -> Callable[..., tuple[Array, Array, Array, list[Array]]]:
+def _program(forward: bool, once: bool) -> Callable[..., tuple[Array, Array]]:
+    """Curves and their derivatives, at some values of the wanted parameters."""
     options: dict[str, Any] = {"compiler_options": compile_quickly_options()} if once else {}
-    return eqx.filter_jit(_along, **options)
-
-
-def _along(
-    task: Task,
-    output: OutputOf,
-    times: Array,
-    wanted: Sequence[Entry],
-    forward: bool,
-    tried: Sequence[Sequence[Entry]],
-    values: Sequence[Array],
-) -> tuple[Array, Array, Array, list[Array]]:
-    """Parameters, nominal curves, their derivatives, and varied curves."""
-    differentiate = _forward if forward else _reverse
-    here = values_at(task.parameters, wanted)
-    nominal, derivatives = differentiate(task, output, times, wanted, here)
-
-    def at(entries: Sequence[Entry], value: Array) -> Array:
-        everywhere = jnp.broadcast_to(value, (len(entries),))
-        return _curves(task, output, times, with_values(task.parameters, entries, everywhere))
-
-    curves = [jax.vmap(partial(at, these))(each) for these, each in zip(tried, values, strict=True)]
-    return here, nominal, derivatives, curves
+    return eqx.filter_jit(_forward if forward else _reverse, **options)
 
 
 def _curves(task: Task, output: OutputOf, times: Array, parameters: Any, axis: int | None = None) -> Array:

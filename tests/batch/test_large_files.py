@@ -38,9 +38,9 @@ def most_memory(file: Path) -> int:
     return int(done.stdout.splitlines()[-1]) << 10
 
 
-@pytest.mark.parametrize("ending", ["npz", "h5"])
+@pytest.mark.parametrize("ending", ["npz", "h5", "parquet"])
 def test_memory_does_not_grow_as_the_file_does(folder, ending):
-    pytest.importorskip({"npz": "numpy", "h5": "h5py"}[ending])
+    pytest.importorskip({"npz": "numpy", "h5": "h5py", "parquet": "pyarrow"}[ending])
     files = [folder / f"{times}.{ending}" for times in TIMES]
     for file, times in zip(files, TIMES, strict=True):
         jaxgrasp.save_grasps(file, repeated(times))

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -66,3 +67,25 @@ def test_commands_run_where_nothing_can_be_kept(tmp_path):
         text=True,
     )
     assert done.returncode == 0 and done.stderr.startswith("compiled code is not kept: ")
+
+
+QUICKLY = """
+import os, jax
+from jaxgrasp.numerics.compiled_code import compile_all_quickly
+compile_all_quickly()
+print(os.environ["XLA_FLAGS"])
+print(jax.jit(lambda x: jax.numpy.sin(x) + 1)(1.0))
+"""
+
+
+@pytest.mark.skipif(bool(entry_points(group="jax_plugins")), reason="there may be other processors")
+@pytest.mark.parametrize("said", [None, "--xla_backend_optimization_level=1"])
+def test_a_process_compiles_quickly_unless_the_user_says_how(said):
+    """XLA ends a process whose options it does not know."""
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    environment |= {} if said is None else {"XLA_FLAGS": said}
+    done = subprocess.run([sys.executable, "-c", QUICKLY], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    options, value = done.stdout.splitlines()
+    assert options == said or (said is None and "--xla_backend_optimization_level=0" in options.split())
+    assert abs(float(value) - 1.8414709848) < 1e-6

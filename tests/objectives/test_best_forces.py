@@ -1,5 +1,6 @@
 """Forces by an objective: known answers, an independent oracle, bounds, invariance, derivatives, bad input."""
 
+from collections.abc import Callable
 from functools import cache, partial
 
 import equinox as eqx
@@ -82,6 +83,11 @@ def padded_pinch(wrench: np.ndarray, *, least: float, most: float, torsion: floa
     return grasp, wrench, limits
 
 
+def values_and_pull(data: tuple, objective: str) -> tuple[jax.Array, Callable]:
+    """Values of (grasp, wrench, limits), and what pulls back through them to all of it: one program for all tests."""
+    return jax.vjp(lambda data: best_forces(data[0], data[1], objective, limits=data[2]).value, data)
+
+
 def test_two_antipodal_contacts_have_known_answers():
     load = np.zeros((COUNT, 6))
     load[:, 2] = 2
@@ -147,10 +153,8 @@ def test_an_absent_contact_has_no_derivative(objective):
     turned[:, :, 2, 0] = 0.04
     limits = eqx.tree_at(lambda x: x.torque_map, limits, turned)
 
-    def total(grasp):
-        return jnp.sum(best_forces(grasp, wrench, objective, limits=limits).value)
-
-    moves = jax.grad(total)(jax.tree.map(jnp.asarray, grasp))
+    found, pull = values_and_pull(jax.tree.map(jnp.asarray, (grasp, wrench, limits)), objective)
+    moves = pull(jnp.ones_like(found))[0][0]
     assert not np.asarray(moves.friction)[:, 2:].any() and not np.asarray(moves.points)[:, 2:].any()
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(moves))
 
@@ -295,8 +299,8 @@ def test_forward_reverse_and_finite_differences_agree(objective, limited):
 
     found, forward = jax.jvp(value, (data,), (moved,))
     assert np.isfinite(found).all()
-    _, back = jax.vjp(value, data)
-    pulled = sum(jnp.sum(g * m) for g, m in zip(jax.tree.leaves(back(jnp.ones_like(found))[0]), jax.tree.leaves(moved)))
+    gradient = values_and_pull(data, objective)[1](jnp.ones_like(found))[0]
+    pulled = sum(jnp.sum(g * m) for g, m in zip(jax.tree.leaves(gradient), jax.tree.leaves(moved), strict=True))
     assert np.isclose(pulled, forward.sum(), rtol=1e-8, atol=1e-8)
     # A margin is found to 1e-7, no better.
     step, near = (3e-4, 3e-3) if objective == "largest_margin" else (1e-5, 1e-4)

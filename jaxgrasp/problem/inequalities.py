@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics.cone_program import Cones
-from jaxgrasp.objectives.cone_problem import ConeProblem, press_rows
+from jaxgrasp.problem.cone_problem import ConeProblem, press_rows
 
 Inequalities = dict[str, tuple[Array, Array]]
 """Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""
@@ -16,7 +16,8 @@ def limits_of(posed: ConeProblem, extra: int) -> Inequalities:
     presses = jnp.broadcast_to(press_rows(posed, extra), (size, n, posed.width + extra))
     found: Inequalities = {}
     if posed.least is not None:
-        found["least"] = -presses, -posed.least
+        # An absent contact is at the end of its own, which would be one more way to say so.
+        found["least"] = -presses, jnp.where(posed.there, -posed.least, jnp.inf)
     if posed.most is not None:
         found["most"] = presses, posed.most
     if posed.rows is not None and posed.torque_max is not None:

@@ -155,7 +155,7 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     problem, direction = _own(*given, sound)
     units, size = _units(problem, direction)
     posed, aim = _posed(problem, direction, units, size)
-    inequalities, axes = limits_of(posed, EXTRA), _axes(aim)
+    inequalities, axes = _inequalities(posed), _axes(aim)
     rounding = float(jnp.finfo(aim.dtype).eps)
     best = cone_program.solve(_program(posed, aim, axes, inequalities, rounding**-COST))
     batch, _, n, c = posed.columns.shape
@@ -174,6 +174,15 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     margin = jnp.where(endless, jnp.inf, margin)
     margin = jnp.where(reached, margin, jnp.where(out, -jnp.inf, jnp.nan))
     return LimitedMargin(jnp.where(sound, margin, -jnp.inf), theta, y, prices, sound)
+
+
+def _inequalities(posed: ConeProblem) -> Inequalities:
+    """Limits; but for the least press of absent contacts, which are at its end and would say so twice."""
+    found = limits_of(posed, EXTRA)
+    if posed.least is not None:
+        rows, ends = found["least"]
+        found["least"] = rows, jnp.where(posed.there, ends, jnp.inf)
+    return found
 
 
 def _axes(aim: Array) -> Array:

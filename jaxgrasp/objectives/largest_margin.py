@@ -180,7 +180,7 @@ def _inequalities(posed: ConeProblem) -> Inequalities:
     found = limits_of(posed, 1)
     if posed.least is not None:
         rows, ends = found["least"]
-        found["least"] = rows.at[..., -1].set(posed.least), jnp.where(jnp.isfinite(ends), 0, ends)
+        found["least"] = rows.at[..., -1].set(posed.least), 0 * ends
     last = jnp.zeros((posed.right.shape[0], 1, posed.width + 1), posed.right.dtype).at[..., -1].set(1)
     found["enough"] = last, jnp.full_like(posed.right[:, :1], ENOUGH)
     return found

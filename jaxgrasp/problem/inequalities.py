@@ -16,8 +16,7 @@ def limits_of(posed: ConeProblem, extra: int) -> Inequalities:
     presses = jnp.broadcast_to(press_rows(posed, extra), (size, n, posed.width + extra))
     found: Inequalities = {}
     if posed.least is not None:
-        # An absent contact is at the end of its own, which would be one more way to say so.
-        found["least"] = -presses, jnp.where(posed.there, -posed.least, jnp.inf)
+        found["least"] = -presses, -posed.least
     if posed.most is not None:
         found["most"] = presses, posed.most
     if posed.rows is not None and posed.torque_max is not None:

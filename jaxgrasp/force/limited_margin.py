@@ -2,11 +2,12 @@
 
 One cone program for each problem, in units of what the hand can exert:
 
-    minimise  P t - theta   over forces in cones and limits   subject to   |w + theta d - G f| <= t.
+    minimise  P t - theta   over forces f in cones and limits,   theta = d.(G f - w),   t = |w + theta d - G f|.
 
-What is missed of the wrench, t, costs more than any theta gains. So each program has an answer, and t is zero wherever
-some wrench of the line is in reach. The multiplier of what is missed is a twist along which d works at the rate 1; the
-limits' own multipliers pay for all that allowed forces can work along it, and so bound theta.
+What is missed of the wrench across the direction, t, costs more than any theta gains. So each program has an answer,
+and t is zero wherever some wrench of the line is in reach. The multiplier of what is missed, and d, make a twist along
+which d works at the rate 1; the limits' own multipliers pay for all that allowed forces can work along it, and so bound
+theta.
 """
 
 from typing import NamedTuple
@@ -43,10 +44,11 @@ COST = 0.25
 with the load."""
 ENDLESS = 1e3
 """Units that a contact presses with at the most where no limit is nearer; what rests on that is called endless."""
-LOST = 0.45
-"""What may be missed of a wrench that is in reach, and of the bound of its margin, as a power of the rounding."""
-LEANT_ON = 1e-6
-"""Share of a margin's bound that may rest on ``ENDLESS``."""
+LOST = 0.4
+"""What may be missed of a wrench that is in reach, and of the bound of its margin, or may rest on ``ENDLESS``: a power
+of the rounding."""
+TRUSTED = 1e-3
+"""Largest gap, relative to what is missed and its cost, of a program that says that the line is out of reach."""
 
 
 class LimitedMargin(NamedTuple):
@@ -157,7 +159,8 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     posed, aim = _posed(problem, direction, units, size)
     inequalities, axes = _inequalities(posed), _axes(aim)
     rounding = float(jnp.finfo(aim.dtype).eps)
-    best = cone_program.solve(_program(posed, aim, axes, inequalities, rounding**-COST))
+    cost = rounding**-COST
+    best = cone_program.solve(_program(posed, aim, axes, inequalities, cost))
     batch, _, n, c = posed.columns.shape
     y = jnp.where(posed.there[..., None], best.point[:, :-EXTRA].reshape(batch, n, c), 0)
     twist = aim - jnp.einsum("bij,bi->bj", axes, _across(aim) * best.equality, precision=lax.Precision.HIGHEST)
@@ -165,12 +168,12 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     beyond = jnp.einsum("bxnc,bnc->bx", posed.columns, y, precision=lax.Precision.HIGHEST) - posed.right
     theta = jnp.sum(aim * beyond, -1)
     small = rounding**LOST
-    left = beyond - theta[:, None] * aim
-    reached = jnp.maximum(jnp.sqrt(jnp.sum(left**2, -1)), best.missed) <= small * (1 + jnp.abs(theta))
-    close = jnp.abs(_bound(posed, aim, prices, y) - theta) <= small * (1 + jnp.abs(theta))
-    out = ~reached & (best.gap + best.error <= LEANT_ON**0.5 * rounding**-COST)
+    left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
+    reached = jnp.maximum(left, best.missed) <= small * (1 + jnp.abs(theta))
+    close = jnp.abs(_bound(posed, aim, prices) - theta) <= small * (1 + jnp.abs(theta))
+    out = best.gap <= TRUSTED * cost * left
     margin = jnp.where(close, units.load / size * theta, jnp.nan)
-    endless = _is_endless(posed, problem, units, prices, theta) | ~jnp.any(aim != 0, -1)
+    endless = (_leant_on(posed, problem, units, prices) > small * (1 + jnp.abs(theta))) | ~jnp.any(aim != 0, -1)
     margin = jnp.where(endless, jnp.inf, margin)
     margin = jnp.where(reached, margin, jnp.where(out, -jnp.inf, jnp.nan))
     return LimitedMargin(jnp.where(sound, margin, -jnp.inf), theta, y, prices, sound)
@@ -222,7 +225,7 @@ def _across(aim: Array) -> Array:
     return jnp.ones_like(aim).at[:, 0].set(jnp.where(jnp.any(aim != 0, -1), 0, 1))
 
 
-def _bound(posed: ConeProblem, aim: Array, prices: Prices, y: Array) -> Array:
+def _bound(posed: ConeProblem, aim: Array, prices: Prices) -> Array:
     """What theta no forces exceed whose presses are within their limits ``(B,)``."""
     assert posed.most is not None
     gained = jnp.maximum(push_of(posed, prices).most, 0) * jnp.where(posed.there, posed.most, 0)
@@ -231,10 +234,10 @@ def _bound(posed: ConeProblem, aim: Array, prices: Prices, y: Array) -> Array:
     return jnp.where(rate > 0.5, given / jnp.where(rate > 0.5, rate, 1), jnp.inf)
 
 
-def _is_endless(posed: ConeProblem, problem: ProblemBatch, units: Units, prices: Prices, theta: Array) -> Array:
-    """Whether it is no limit of the hand that bounds theta, but how far it was looked ``(B,)``."""
+def _leant_on(posed: ConeProblem, problem: ProblemBatch, units: Units, prices: Prices) -> Array:
+    """How much of theta's bound rests on no limit of the hand, but on how far it was looked ``(B,)``."""
     assert posed.most is not None
     rests = prices.bounds["most"] * jnp.where(posed.there, posed.most, 0)
     if problem.normal_max is not None:
         rests = jnp.where(problem.normal_max / units.load[:, None] > ENDLESS, rests, 0)
-    return jnp.sum(rests, -1) > LEANT_ON * (1 + jnp.abs(theta))
+    return jnp.sum(rests, -1)

@@ -28,6 +28,7 @@ def test_what_is_certain_has_probability_one_or_zero():
         assert float(found.low) <= share <= float(found.high) and float(found.high - found.low) < 0.06
 
 
+@pytest.mark.slow
 def test_a_normal_load_is_held_as_often_as_the_normal_distribution_says():
     """Lifted by 5 N at most, a load of 4.5 N with a deviation of 0.5 N is held in 84.1 %."""
     spread = np.array([0.0, 0, 0.5, 0, 0, 0])
@@ -36,6 +37,7 @@ def test_a_normal_load_is_held_as_often_as_the_normal_distribution_says():
     assert float(found.probability) == np.mean(np.asarray(found.margins) >= 0)
 
 
+@pytest.mark.slow
 def test_the_interval_is_wilsons():
     """Against scipy's."""
     from scipy.stats import binomtest

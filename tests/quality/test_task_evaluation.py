@@ -47,6 +47,7 @@ def demands(folder) -> TaskDemands:
     return load_demands(folder / "task.toml")
 
 
+@pytest.mark.slow
 def test_every_measure_of_a_task_is_its_functions(made, sets, demands):
     found = evaluate(sets, methods=("B",), quality=tuple(TASK_MEASURES), task=demands).quality
     grasp, limits = made.grasp, made.limits
@@ -133,6 +134,7 @@ def test_what_ends_an_evaluation_ends_its_chunks_at_work_and_keeps_the_finished_
     assert outcome.resumed == COUNT
 
 
+@pytest.mark.slow
 def test_limits_of_the_hand_are_those_of_the_file(sets, demands, made):
     wide = Limits(normal_max=np.full((COUNT, N), 1e3))
     free = ContactSets.from_grasp(made.grasp, made.problem.wrench, wide)

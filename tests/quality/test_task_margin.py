@@ -24,6 +24,7 @@ def tasks(made):
     return np.concatenate([force, 0.03 * torque + np.cross(middle, force)], -1)
 
 
+@pytest.mark.slow
 def test_each_margin_is_its_own_and_the_least_is_named(made, tasks):
     wrench = made.problem.wrench
     found = task_margin(made.grasp, tasks, wrench, "uniform", limits=made.limits)

@@ -22,7 +22,7 @@ import jaxgrasp
 from benchmarks.page import quality_tables
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp
-from jaxgrasp.quality.wrench_discs import discs
+from jaxgrasp.problem.wrench_discs import discs
 from jaxgrasp.quality.wrench_sets import pyramid
 from jaxgrasp.testing import problems as P
 

@@ -20,6 +20,7 @@ from jaxgrasp.batch.result_table import contact_columns, table_columns
 from jaxgrasp.batch.sources import Adjustments
 from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.quality.measures import measures_named
+from jaxgrasp.quality.task_demands import TaskDemands
 
 BATCH = Path("batch")
 """What messages call the rows."""
@@ -42,6 +43,8 @@ class BatchEvaluator:
     _: KW_ONLY
     quality: tuple[str, ...] = ()
     """Measures of quality by their names, as for ``evaluate``."""
+    task: TaskDemands | None = None
+    """What the measures of a task ask for, as for ``evaluate``."""
     least_friction: bool = False
     """Whether to find the least friction with which each grasp holds, some 50 ms a grasp."""
     contacts: tuple[int, ...] = WIDTHS
@@ -57,7 +60,7 @@ class BatchEvaluator:
 
     def __post_init__(self) -> None:
         methods_named(self.methods)
-        measures_named(self.quality)
+        measures_named(self.quality, self.task)
         if self.dtype not in ("float32", "float64"):
             raise ValueError(f"dtype is {self.dtype!r}: expected 'float32' or 'float64'")
         if self.rows < 1:
@@ -96,7 +99,7 @@ class BatchEvaluator:
         return answers(
             Engine(methods_named(self.methods)),
             sets,
-            measures_named(self.quality),
+            measures_named(self.quality, self.task),
             least_friction=self.least_friction,
             skip_bad=self.skip_bad,
             chunk=self.rows,

@@ -10,7 +10,7 @@ from jaxgrasp.batch.blocks import blocks
 from jaxgrasp.batch.contact_margins import margins
 from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import ANSWERED, Engine, MethodResult, Times
-from jaxgrasp.batch.qualities import Columns, least_friction_of, measure_all, summarise_qualities
+from jaxgrasp.batch.qualities import least_friction_of, measure_all, summarise_qualities
 from jaxgrasp.batch.rankings import rank
 from jaxgrasp.batch.reasons import reasons
 from jaxgrasp.batch.result_table import table_columns
@@ -22,7 +22,9 @@ from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.quality.measures import Measure, measures_named
+from jaxgrasp.quality.in_turn import Progress
+from jaxgrasp.quality.measures import Columns, Measure, measures_named
+from jaxgrasp.quality.task_demands import TaskDemands
 from jaxgrasp.validation.checked import checked
 
 
@@ -75,7 +77,9 @@ def evaluate(
     limits: Limits | None = None,
     methods: tuple[str, ...] = tuple(METHODS),
     quality: tuple[str, ...] = (),
+    task: TaskDemands | None = None,
     least_friction: bool = False,
+    progress: Progress = None,
     dtype: str | np.dtype | None = None,
     skip_bad: bool = False,
     devices: int | None = None,
@@ -87,8 +91,11 @@ def evaluate(
         wrenches: ``(N, 6)``, ``(N, W, 6)`` or ``(6,)`` [N, N.m]; not needed for contact sets, which hold theirs.
         limits: of a batch of grasps, of its shape; contact sets hold theirs. They bind the optima alone.
         methods: any of ``"A"``, ``"B"``, ``"A-optimum"``, ``"B-optimum"``; what is not asked for is not computed.
-        quality: measures that no wrench enters, some of ``jaxgrasp.quality.measures.MEASURES``, likewise.
+        quality: measures of the grasps, some of ``jaxgrasp.quality.measures.MEASURES`` and, of a task,
+            ``TASK_MEASURES``, likewise.
+        task: what the measures of a task ask for, as [`jaxgrasp.quality.load_demands`][] reads it.
         least_friction: whether to find the least friction with which each grasp holds, some 50 ms a grasp.
+        progress: is told how many more grasps are measured, every few hundred; what it raises ends the evaluation.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
         skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.
         devices: how many of JAX's local devices to use; all where not given.
@@ -98,9 +105,14 @@ def evaluate(
         ValueError: for an unknown method or measure, or float64 asked for while JAX's 64-bit mode is off.
     """
     sets = as_sets(grasps, wrenches, limits)
-    engine, measures = Engine(methods_named(methods), devices), measures_named(quality)
+    engine, measures = Engine(methods_named(methods), devices), measures_named(quality, task)
     found = answers(
-        engine, sets.astype(_precision(sets, dtype)), measures, least_friction=least_friction, skip_bad=skip_bad
+        engine,
+        sets.astype(_precision(sets, dtype)),
+        measures,
+        least_friction=least_friction,
+        progress=progress,
+        skip_bad=skip_bad,
     )
     summary = found.summary(measures)
     return Evaluation(
@@ -146,6 +158,7 @@ def answers(
     measures: tuple[Measure, ...] = (),
     *,
     least_friction: bool = False,
+    progress: Progress = None,
     skip_bad: bool = False,
     checked: bool = False,
     first: int = 0,
@@ -154,7 +167,8 @@ def answers(
 ) -> Answers:
     """All that is asked of sets whose first grasp has the number ``first`` in the input.
 
-    ``checked`` sets have no faults; ``chunk`` and ``buckets`` are those of ``run``.
+    ``progress`` is told of grasps that are measured; ``checked`` sets have no faults; ``chunk`` and ``buckets`` are
+    those of ``run``.
 
     Raises:
         GraspError: for the first fault, unless told to skip what is bad.
@@ -167,7 +181,7 @@ def answers(
         good,
         results,
         reasons(good, results),
-        measure_all(measures, good),
+        measure_all(measures, good, progress),
         first + kept,
         least_friction_of(good) if least_friction else None,
         len(sets) - len(good),

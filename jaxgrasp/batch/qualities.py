@@ -7,20 +7,25 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.force.least_friction import least_friction
-from jaxgrasp.quality.measures import UNDECIDED, Measure
-
-Columns = dict[str, np.ndarray]
-"""``(N,)`` each, by ``MEASURE.COLUMN``."""
+from jaxgrasp.quality.in_turn import TOGETHER, Progress
+from jaxgrasp.quality.measures import UNDECIDED, Columns, Measure, MeasuredGrasps
 
 
-def measure_all(measures: tuple[Measure, ...], sets: ContactSets) -> Columns:
-    """Every measure of every grasp; they do not look at wrenches."""
+def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Progress = None) -> Columns:
+    """Every measure of every grasp, ``(N,)`` each, by ``MEASURE.COLUMN``; some hundred grasps at a time, as
+    ``progress`` is told."""
     if not measures:
         return {}
-    grasp = sets.padded(max(1, sets.largest))
-    return {
-        f"{measure.name}.{column}": values for measure in measures for column, values in measure.columns(grasp).items()
-    }
+    width, parts = max(1, sets.largest), []
+    for start in range(0, max(len(sets), 1), TOGETHER):
+        some = sets.rows(slice(start, start + TOGETHER))
+        given = MeasuredGrasps(some.padded(width), some.wrench, some.limits(width))
+        parts.append(
+            {f"{one.name}.{column}": values for one in measures for column, values in one.columns(given).items()}
+        )
+        if progress is not None:
+            progress(len(some))
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def least_friction_of(sets: ContactSets) -> np.ndarray:

@@ -6,10 +6,10 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.batch.qualities import Columns
 from jaxgrasp.batch.reasons import Reason, judge
 from jaxgrasp.batch.worst import cases_of
 from jaxgrasp.model.solution import is_balanced
+from jaxgrasp.quality.measures import Columns
 
 RANKED = 5
 """How many of the best, and of the worst."""

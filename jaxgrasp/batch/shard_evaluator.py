@@ -27,7 +27,7 @@ from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics.compiled_code import use_cache
-from jaxgrasp.quality.measures import Measure, measures_named
+from jaxgrasp.quality.measures import Measure
 
 METADATA = b"jaxgrasp"
 """Where a file of results keeps its own summary."""
@@ -72,7 +72,7 @@ class ShardEvaluator:
         with suppress(OSError):
             use_cache()
         self._plan, self._out = plan, Path(out)
-        self._methods, self._measures = methods_named(plan.methods), measures_named(plan.quality)
+        self._methods, self._measures = methods_named(plan.methods), plan.measures
 
     def report(self, task: ShardTask) -> ShardReport:
         """Evaluate a file, unless its results are there; errors of files are reported, not raised."""

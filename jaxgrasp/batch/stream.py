@@ -3,9 +3,10 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+from threading import Event
 
 import numpy as np
 
@@ -18,7 +19,9 @@ from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
+from jaxgrasp.quality.in_turn import Progress
 from jaxgrasp.quality.measures import Measure, measures_named
+from jaxgrasp.quality.task_demands import TaskDemands
 
 CHUNK = 16_384
 
@@ -37,6 +40,12 @@ class StreamPlan:
     """Measures of quality, by name."""
     least_friction: bool = False
     """Whether to find the least share of the friction with which each grasp holds."""
+    task: TaskDemands | None = None
+    """What measures of a task ask for."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return measures_named(self.quality, self.task)
 
     def identity(self, name: str, source: GraspSource) -> dict:
         """What must be equal for results to belong to the same evaluation."""
@@ -52,6 +61,7 @@ class StreamPlan:
             "methods": list(self.methods),
             "quality": list(self.quality),
             "least_friction": self.least_friction,
+            **({} if self.task is None else {"task": self.task.to_json()}),
             "chunk": self.chunk,
             "dtype": self.dtype,
             "skip_bad": self.skip_bad,
@@ -67,6 +77,7 @@ class StreamPlan:
         first: int,
         chunk: int,
         checked: bool = False,
+        progress: Progress = None,
     ) -> Answers:
         """All that the plan asks of grasps as they were read, the first of which has the number ``first``."""
         return answers(
@@ -74,6 +85,7 @@ class StreamPlan:
             self.adjustments.apply(raw).astype(np.dtype(self.dtype)),
             measures,
             least_friction=self.least_friction,
+            progress=progress,
             skip_bad=self.skip_bad,
             checked=checked,
             first=first,
@@ -106,14 +118,16 @@ def evaluate_stream(
     folder: ResultFolder | None = None,
     progress: Callable[[int], None] = lambda grasps: None,
     announce: Callable[[str], None] = lambda text: None,
+    measured: Callable[[int], None] = lambda grasps: None,
 ) -> StreamResult:
     """Evaluate every grasp of ``source`` and write the results to ``folder``, if there is one.
 
     Memory holds a few chunks, whatever the source's size. ``progress`` is told of every finished chunk, ``announce``
-    what is about to be compiled.
+    what is about to be compiled, and ``measured`` of some hundred grasps of a chunk at a time whose quality is known,
+    by any thread. What ends it ends the chunks at work too, and leaves the finished ones in the folder.
     """
     begun = time.perf_counter()
-    methods, measures = methods_named(plan.methods), measures_named(plan.quality)
+    methods, measures = methods_named(plan.methods), plan.measures
     engine = Engine(methods, announce=announce)
     damaged = _damaged(folder, plan, announce) if folder else []
     resumed = folder.done if folder else 0
@@ -125,12 +139,14 @@ def evaluate_stream(
         check_all(source, plan.adjustments, plan.chunk)
     if folder:
         folder.begin()
-    task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked)
+    stop = Event()
+    going = partial(_go_on, stop, measured)
+    task = partial(_evaluate_chunk, plan, engine, measures, _rows_per_shape(source, plan), checked, going)
     for entry in damaged:
         assert folder is not None
         again = task(entry["start"], next(iter(source.chunks(plan.chunk, entry["start"]))))
         folder.replace(entry, again.arrays)
-    for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine)):
+    for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine), stop):
         summary = chunk.summary if summary is None else summary.merged(chunk.summary)
         if folder:
             folder.add(chunk.arrays, chunk.start, chunk.stop, to_json(summary))
@@ -170,11 +186,19 @@ def _evaluate_chunk(
     measures: tuple[Measure, ...],
     rows_per_shape: int,
     checked: bool,
+    progress: Progress,
     start: int,
     raw: ContactSets,
 ) -> _Chunk:
-    found = plan.answers(engine, raw, measures, first=start, chunk=rows_per_shape, checked=checked)
+    found = plan.answers(engine, raw, measures, first=start, chunk=rows_per_shape, checked=checked, progress=progress)
     return _Chunk(start, start + len(raw), found.arrays(), found.summary(measures))
+
+
+def _go_on(stop: Event, measured: Callable[[int], None], grasps: int) -> None:
+    """What chunks at work do between their grasps: say how far they are, and end where nobody waits for them."""
+    if stop.is_set():
+        raise CancelledError
+    measured(grasps)
 
 
 def _workers(engine: Engine) -> int:
@@ -182,8 +206,9 @@ def _workers(engine: Engine) -> int:
     return 2
 
 
-def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int) -> Iterator[_Chunk]:
-    """The task's results in the order of ``items``, ``workers`` at a time and the next one waiting."""
+def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int, stop: Event) -> Iterator[_Chunk]:
+    """The task's results in the order of ``items``, ``workers`` at a time and the next one waiting; ``stop`` is set
+    once there is nobody to take them."""
     pool = ThreadPoolExecutor(workers)
     running: deque[Future[_Chunk]] = deque()
     try:
@@ -194,6 +219,7 @@ def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int)
         while running:
             yield running.popleft().result()
     finally:
+        stop.set()
         pool.shutdown(cancel_futures=True)
 
 

@@ -4,6 +4,7 @@ import math
 from functools import partial
 from itertools import product
 from pathlib import Path
+from threading import Lock
 
 from tqdm import tqdm
 
@@ -22,6 +23,7 @@ from jaxgrasp.cli.evaluate_outcome import say_outcome, write_page
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.quality.measures import measures_named
+from jaxgrasp.quality.task_demands import TaskDemands, load_demands
 
 
 def evaluate_command(arguments: Evaluate) -> int:
@@ -32,7 +34,8 @@ def evaluate_command(arguments: Evaluate) -> int:
         _check_values(name, getattr(arguments, name))
     if arguments.torsion is not None:
         _check_values("torsion", (arguments.torsion,))
-    measures_named(_asked(arguments))
+    task = None if arguments.task is None else load_demands(arguments.task)
+    measures_named(_asked(arguments), task)
     _check_places(arguments)
     if arguments.table == "parquet":
         arrow_library()
@@ -45,7 +48,7 @@ def evaluate_command(arguments: Evaluate) -> int:
             label = "-".join(f"{name}-{value!r}" for name, value in adjustments.fill.items())
             folder = folder / label
             show(f"\n== {label} ==")
-        _evaluate_one(arguments, adjustments, folder)
+        _evaluate_one(arguments, adjustments, task, folder)
     return 0
 
 
@@ -82,7 +85,7 @@ def _check_values(name: str, values: tuple[float, ...]) -> None:
             raise ValueError(f"{name}[{index}] is {value}, for the second time: expected different values")
 
 
-def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> None:
+def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, task: TaskDemands | None, out: Path) -> None:
     quality = _asked(arguments)
     plan = StreamPlan(
         arguments.methods,
@@ -92,6 +95,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         adjustments,
         quality,
         arguments.least_friction,
+        task,
     )
     if arguments.cluster is not None:
         evaluate_files(arguments, plan, out)
@@ -101,10 +105,33 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, out: Path) -> N
         identity = plan.identity(path.name, source)
         folder = ResultFolder(out, identity, arguments.resume, arguments.overwrite)
         with tqdm(total=len(source), unit=" grasps", initial=folder.done, disable=None, leave=False) as bar:
-            outcome = evaluate_stream(source, plan, folder, bar.update, announce)
+            meter = Meter(bar)
+            outcome = evaluate_stream(source, plan, folder, meter.finished, announce, meter.measured)
         doubts = say_outcome(source, plan, outcome, arguments, path.name, out)
         _write_table(folder, outcome.summary.problems, arguments.table)
         write_page(partial(first_rows, folder.shards()), outcome, arguments, path.name, out, doubts)
+
+
+class Meter:
+    """A bar of grasps that goes on while a chunk of them is still at work."""
+
+    def __init__(self, bar: tqdm) -> None:
+        self._bar, self._finished, self._measured = bar, bar.n, bar.n
+        self._lock = Lock()
+
+    def finished(self, grasps: int) -> None:
+        with self._lock:
+            self._finished += grasps
+            self._show()
+
+    def measured(self, grasps: int) -> None:
+        with self._lock:
+            self._measured += grasps
+            self._show()
+
+    def _show(self) -> None:
+        # Grasps that are set aside are finished, and never measured.
+        self._bar.update(max(self._finished, self._measured) - self._bar.n)
 
 
 def _write_table(folder: ResultFolder, rows: int, kind: str) -> None:

@@ -23,7 +23,11 @@ class Evaluate(Convention):
     """What to compute: method A (eq. 11), B (eq. 15), and their optima with friction imposed."""
     quality: str = ""
     """Measures of the grasps whatever they hold, with commas between them: force-closure, ferrari-canny-l1,
-    ferrari-canny-linf, min-weight, least-singular-value, volume, isotropy. Balls cost up to a second a grasp."""
+    ferrari-canny-linf, min-weight, least-singular-value, volume, isotropy; with --task also task-ball-l1,
+    task-ball-linf, task-margin, hold-probability. Balls cost up to a second a grasp."""
+    task: Path | None = None
+    """A TOML file of what a task asks of the grasps, for its measures of quality: wrenches, an ellipsoid of
+    disturbances, uncertainty."""
     friction: tuple[float, ...] = ()
     """Friction for all contacts, in place of the file's; several values are evaluated one after another."""
     squeeze: tuple[float, ...] = ()

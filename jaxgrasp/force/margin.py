@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.force.limited_margin import limited_margin
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import BOUNDS, Limits
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
@@ -37,29 +39,41 @@ def wrench_margin(
     wrench: Float[AnyArray, "*#batch 6"],
     direction: Float[AnyArray, "*#batch 6"],
     sharing: Sharing = "squeeze",
+    *,
+    limits: Limits | None = None,
 ) -> Float[Array, "..."]:
     """The largest theta for which forces inside the friction cones exert wrench + theta direction.
 
-    The forces may be as large as they need; how they are shared matters only for contacts of weight zero,
-    which hold their squeezing force. Where a direction is resisted only by forces some hundred thousand
+    With ``limits`` it is what this hand resists, by the normal forces that its contacts and the torques that its
+    joints are able to exert: one cone program for each problem. Without, the forces may be as large as they need.
+    How they are shared matters only for contacts of weight zero, which hold their squeezing force, and with limits
+    carry nothing.
+
+    Without limits, where a direction is resisted only by forces some hundred thousand
     times the load or more, the margin is not to be relied on: by contacts that lie on a line but for 1e-5 of
     its length it stops short, at what smaller forces reach; by friction beyond 1e5, or a pinch that misses
     closing by less than 1e-6, it goes too far, up to +inf.
 
-    Differentiable once, by everything but the sharing: at the limit a hyperplane bounds what the contacts
+    With limits it is found to some 1e-8 of what the contacts can exert, as a rule; in single precision to 1e-5, and up
+    to a quarter is left open (NaN). A contact without a limit of its own presses with at most a thousand times the
+    geometric mean of the others' (of the load, where there are none); a margin that rests on more is called endless.
+
+    Differentiable once, by everything but the sharing, limits too: at the limit a hyperplane bounds what the contacts
     exert, and the margin moves as that does. Where several do, the derivative is that of one.
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
         wrench: what the contacts exert already ``(..., 6)`` [N, N.m].
         direction: of the wrench to be added ``(..., 6)``, of any size.
-        sharing: as for [`jaxgrasp.closed_form`][].
+        sharing: as for [`jaxgrasp.closed_form`][]; with limits one of its names.
+        limits: as for [`jaxgrasp.constrained_optimum`][].
 
     Returns:
         ``(...)``, in units of the direction. Negative where the wrench lies out of reach itself, but can be
         led back. +inf where no theta is too large, as on a force-closed grasp; -inf where no theta, positive
-        or negative, is in reach, or the data are invalid. The derivative of an endless margin is
-        zero, since its inverse stays zero; where there is no margin, there is none (NaN).
+        or negative, is in reach, or the data are invalid; with limits NaN where rounding leaves it open, as it may
+        where these leave forces no room at all (``normal_min`` is ``normal_max``). The derivative of an endless
+        margin is zero, since its inverse stays zero; where there is no margin, there is none (NaN).
 
     Example:
         A block on a table of friction 0.5 presses on it with 10 N: 5 N push it aside.
@@ -77,7 +91,11 @@ def wrench_margin(
         NotImplementedError: when differentiated twice.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,)), "direction": (direction, (6,))}, {})
-    return dispatch(_margin, grasp, wrench, sharing, direction=direction)
+    if limits is None or all(getattr(limits, name, 0) is None for name in BOUNDS):
+        return dispatch(_margin, grasp, wrench, sharing, direction=direction)
+    if not isinstance(sharing, str):
+        raise ValueError("sharing is an array: expected 'squeeze' or 'uniform' beside limits")
+    return dispatch(limited_margin, grasp, wrench, sharing, limits=limits, direction=direction)
 
 
 @jax.custom_jvp

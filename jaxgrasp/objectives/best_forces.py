@@ -15,23 +15,23 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics.no_derivative import underivable, without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
-from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
-from jaxgrasp.objectives.cone_problem import (
+from jaxgrasp.objectives.search import SearchResult
+from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.problem.cone_problem import (
     ConeProblem,
     Units,
     cone_problem,
     forces_in,
     forces_out,
+    only,
     unbalanced,
     units_of,
 )
-from jaxgrasp.objectives.multiplier_bounds import velocity_of
-from jaxgrasp.objectives.search import SearchResult
-from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import flatten
 from jaxgrasp.solver import transforms
+from jaxgrasp.solver.multiplier_bounds import leaning
 from jaxgrasp.validation.checked import checked
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
@@ -207,25 +207,15 @@ def _moved(
     problem: ProblemBatch, tangent: ProblemBatch, found: SearchResult, solved: Array, objective: Objective
 ) -> Array:
     """How the value moves with the problem."""
-    units = units_of(_only(problem, solved))
+    units = units_of(only(problem, solved))
     if objective != "largest_margin":
-        found = found._replace(y=_leaning(_only(problem, solved), units, found))
+        found = found._replace(y=leaning(only(problem, solved), units, found.y, found.prices))
 
     def lagrangian(problem: ProblemBatch) -> Array:
-        posed = cone_problem(_only(problem, solved), units)
+        posed = cone_problem(only(problem, solved), units)
         return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
 
     return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
-
-
-def _leaning(problem: ProblemBatch, units: Units, found: SearchResult) -> Array:
-    """Forces with the lean that the first friction of a contact without any would be used for."""
-    slick = (problem.friction == 0)[..., None]
-    rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
-    across = velocity_of(cone_problem(rough, units), found.prices)[..., 1:3]
-    press, rest = found.y[..., :1], found.y[..., 3:]
-    lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
-    return jnp.concatenate([press, jnp.where(slick, lean, found.y[..., 1:3]), rest], -1)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2,))
@@ -253,7 +243,7 @@ def _searched(problem: ProblemBatch, solution: Solution, objective: Objective) -
 def _tile(given: tuple[ProblemBatch, Solution], objective: Objective):
     problem, solution = given
     solved = solution.verdict <= Verdict.OPTIMAL
-    problem = _only(problem, solved)
+    problem = only(problem, solved)
     units = units_of(problem)
     posed = cone_problem(problem, units)
     method = METHODS[objective]
@@ -283,18 +273,3 @@ def _scale(units: Units, objective: Objective) -> Array:
     if objective == "largest_margin":
         return jnp.ones_like(units.load)
     return units.load * units.torque if objective == "least_torque" else units.load
-
-
-def _only(problem: ProblemBatch, solved: Array) -> ProblemBatch:
-    """Problems that have an answer; of others nothing but a shape, so that they neither spoil nor delay any."""
-    present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
-    wrench = jnp.where(solved[:, None], problem.wrench, 0)
-    kept = eqx.tree_at(
-        lambda p: (p.present, p.wrench),
-        problem,
-        (jnp.where(solved[:, None], present, 0), wrench),
-        is_leaf=lambda x: x is None,
-    )
-    if problem.torque_max is None:
-        return kept
-    return eqx.tree_at(lambda p: p.torque_max, kept, jnp.where(solved[:, None], problem.torque_max, jnp.inf))

@@ -18,10 +18,10 @@ from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import beside, merged, over_chosen
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
-from jaxgrasp.objectives.cone_problem import ConeProblem, absent, friction_cones
-from jaxgrasp.objectives.inequalities import Inequalities, as_cones, limits_of, multipliers
-from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, spent
 from jaxgrasp.objectives.search import SearchResult
+from jaxgrasp.problem.cone_problem import ConeProblem, absent, friction_cones
+from jaxgrasp.problem.inequalities import Inequalities, as_cones, limits_of, multipliers
+from jaxgrasp.solver.multiplier_bounds import Prices, asked, constraints, push_of, spent
 
 FIRST = 10
 """Looks that are taken for all problems; those that need more are gathered."""

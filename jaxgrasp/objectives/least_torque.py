@@ -10,10 +10,10 @@ from jax import Array
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.vec3 import safe_sqrt
-from jaxgrasp.objectives.cone_problem import ConeProblem, absent, friction_cones
-from jaxgrasp.objectives.inequalities import as_cones, limits_of, multipliers
-from jaxgrasp.objectives.multiplier_bounds import Prices, asked, constraints, push_of, spent
 from jaxgrasp.objectives.search import SearchResult
+from jaxgrasp.problem.cone_problem import ConeProblem, absent, friction_cones
+from jaxgrasp.problem.inequalities import as_cones, limits_of, multipliers
+from jaxgrasp.solver.multiplier_bounds import Prices, asked, constraints, push_of, spent
 
 TIE = 1e-13
 """Price of the forces' squares beside the torques': it selects the smaller of forces that ask for the same torques."""

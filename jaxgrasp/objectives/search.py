@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jax import Array
 
-from jaxgrasp.objectives.multiplier_bounds import Prices
+from jaxgrasp.solver.multiplier_bounds import Prices
 
 
 class SearchResult(NamedTuple):

@@ -81,8 +81,7 @@ def squeezing_forces(data: ContactData) -> ContactVec:
     )
 
 
-@fused_cpu_kernel
-def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
+def plain_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
     """The data batch-last, and which problems hold usable data.
 
     Absent contacts and unusable problems are replaced by contacts that carry nothing, so that no NaN enters
@@ -138,6 +137,10 @@ def to_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
         normal_max=normal_max,
     )
     return data, valid
+
+
+to_batch_last = fused_cpu_kernel(plain_batch_last)
+"""As one kernel: for those who read all of its results, since XLA aborts where a kernel's are left out."""
 
 
 def without_squeeze(data: ContactData, chosen: Array) -> ContactData:

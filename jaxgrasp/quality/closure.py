@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.wrench_discs import About, Length, WrenchDiscs
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced
+from jaxgrasp.quality.in_turn import Progress, in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs
 from jaxgrasp.quality.wrench_sets import WrenchSet, WrenchSets
 from jaxgrasp.validation.checked import checked
 
@@ -27,8 +28,6 @@ MAKE_BELIEVE = 1e8
 """Weights, relative to what they make up, that rounding alone may be behind."""
 PRICE = 1e-9
 """Length that a unit of weight costs where it may be."""
-SIDE_BY_SIDE = 256
-"""Grasps that are looked at together."""
 PIVOTS = 40
 """Steps of the simplex method, which needs about ten; what is not decided then is near its limit."""
 EVEN = 1e-4
@@ -81,7 +80,9 @@ class Decision(NamedTuple):
 
 
 @checked
-def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -> ForceClosure:
+def force_closure(
+    grasp: Grasp, *, length: Length = None, about: About = None, progress: Progress = None
+) -> ForceClosure:
     """Whether a grasp can exert any wrench, if only its forces may be large enough, with a proof of either answer.
 
     A grasp is closed if its discs' matrix has rank 6 and forces strictly inside the cones balance each other: then
@@ -103,6 +104,7 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
         grasp: contacts ``(..., n)``.
         length: what torques are divided by, ``(...)`` [m]; see [`jaxgrasp.quality.ferrari_canny`][].
         about: where torques are taken, ``(..., 3)`` [m]; likewise.
+        progress: as for [`jaxgrasp.quality.ferrari_canny`][].
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
@@ -110,7 +112,8 @@ def force_closure(grasp: Grasp, *, length: Length = None, about: About = None) -
     if is_traced(grasp, length, about):
         return _traced(grasp, length, about)
     given = read_grasps(grasp, length, about)
-    found = decide_all(given.bodies())
+    bodies = given.bodies()
+    found = Decisions(*in_turn(len(bodies.present), lambda own: decide_all(bodies.take(own)), progress))
     batch, contacts = given.batch, given.present.shape
     press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
     forces, moments = forces_of(given.shapes, press, lean, np)
@@ -165,9 +168,7 @@ def decide_all(bodies: WrenchSets) -> Decisions:
         np.zeros((grasps, count)),
         np.zeros((grasps, count, 3)),
     )
-    for start in range(0, grasps, SIDE_BY_SIDE):
-        own = np.arange(start, min(grasps, start + SIDE_BY_SIDE))
-        _decide_easy(bodies.take(own), own, found)
+    _decide_easy(bodies, found)
     for index in map(int, np.flatnonzero(~found.decided)):
         own, one = bodies.present[index], decide(bodies.alone(index))
         found.closed[index], found.decided[index], found.margin[index] = one.closed, one.decided, one.margin
@@ -175,15 +176,15 @@ def decide_all(bodies: WrenchSets) -> Decisions:
     return found
 
 
-def _decide_easy(bodies: WrenchSets, own: np.ndarray, found: Decisions) -> None:
+def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
     """Write down all that is proven by one run of the simplex method, in coordinates where the discs' matrix is a
     rotation: a balance of one newton at every contact and whatever else, or a twist."""
-    generators = bodies.discs.reshape(len(own), -1, 6)
+    generators = bodies.discs.reshape(len(bodies.discs), 4 * bodies.present.shape[1], 6)
     sizes, axes = np.linalg.eigh(np.swapaxes(generators, 1, 2) @ generators)
     well = np.flatnonzero(sizes[:, 0] > EVEN**2 * sizes[:, 5])
     if not len(well):
         return
-    bodies, own = bodies.take(well), own[well]
+    bodies = bodies.take(well)
     whitening = axes[well] / np.sqrt(sizes[well])[:, None]
     white = replace(bodies, discs=bodies.discs @ whitening[:, None])
     weights, leans, twists = weights_or_twist(white, -white.discs[:, :, 0].sum(1))
@@ -200,10 +201,10 @@ def _decide_easy(bodies: WrenchSets, own: np.ndarray, found: Decisions) -> None:
     powers = np.where(bodies.present, bodies.supports(plain)[0], -np.inf).max(1)
     balanced = ~twists.any(1) & (radius > 0)
     opened = twists.any(1) & (powers <= bodies.slack)
-    found.closed[own], found.decided[own] = balanced, balanced | opened
-    found.margin[own] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
-    found.twist[own[opened]] = plain[opened]
-    found.press[own[balanced]], found.lean[own[balanced]] = press[balanced], leans[balanced]
+    found.closed[well], found.decided[well] = balanced, balanced | opened
+    found.margin[well] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
+    found.twist[well[opened]] = plain[opened]
+    found.press[well[balanced]], found.lean[well[balanced]] = press[balanced], leans[balanced]
 
 
 def weights_or_twist(white: WrenchSets, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,19 +10,18 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, known_where, measured_discs, work
 from jaxgrasp.quality.closure import decide_all
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.in_turn import Progress, in_turn
 from jaxgrasp.quality.largest_ball import largest_balls
 from jaxgrasp.quality.refine_facet import touch
 from jaxgrasp.quality.summary_line import count_of, range_of
-from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs, known_where, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 MAX_POINTS = 1000
-TOGETHER = 1024
-"""Grasps whose bounds are brought together before the next."""
 
 
 class Epsilon(NamedTuple):
@@ -33,7 +32,8 @@ class Epsilon(NamedTuple):
     upper: np.ndarray
     """``(...)``: proven."""
     direction: np.ndarray
-    """``(..., 6)``: of the wrench (force, torque / length) about ``about`` that is hardest to exert, of length 1."""
+    """``(..., 6)``: of the wrench (force, torque / length) about ``about`` that is hardest to exert, of length 1; with
+    an ellipsoid of semi-axes A the wrench that is hardest for its size is A times the direction."""
     press: np.ndarray
     """``(..., n)``: normal forces with which the grasp exerts ``upper`` times that wrench; zeros where it is not
     closed."""
@@ -54,8 +54,10 @@ def ferrari_canny(
     sides: int | None = None,
     length: Length = None,
     about: About = None,
+    ellipsoid: Ellipsoid = None,
     tol: float = 1e-3,
     max_points: int = MAX_POINTS,
+    progress: Progress = None,
 ) -> Epsilon:
     """The radius of the largest ball around the origin in the grasp's wrench space, between proven bounds.
 
@@ -69,13 +71,18 @@ def ferrari_canny(
     those of another program only with the same length, point and shape of friction. Its unit: a wrench of force F and
     torque T counts sqrt(F^2 + (T / length)^2).
 
+    With an ``ellipsoid`` of the wrenches that a task asks for it is the largest factor on that ellipsoid with which all
+    its wrenches are exerted: the ball in coordinates where the ellipsoid is one, and nothing else is compared with
+    anything. Source: Li and Sastry, Task-oriented optimal grasping by multifingered robot hands, IEEE Journal of
+    Robotics and Automation 4, 1988, there for another set of forces.
+
     Bounds are computed in float64 and hold for the grasp's data within rounding, which is added to them: 32 units in
     the last place of the data, times 1 + distance from the frame's origin / length, times the largest wrench of a unit
     normal force (times the number of contacts for ``"linf"``). Grasps of a batch are worked on side by side.
 
     Inside ``jit``, ``vmap`` and ``grad`` it calls the host back, nothing is checked, and results are JAX arrays in the
-    precision of the points, rounded to the nearest. Both bounds then have the radius's derivative, which is that of
-    ``ferrari_canny_at``.
+    precision of the points, rounded to the nearest; it reports no progress. Both bounds then have the radius's
+    derivative, which is that of ``ferrari_canny_at``.
 
     Args:
         grasp: contacts ``(..., n)``.
@@ -86,30 +93,38 @@ def ferrari_canny(
         length: what torques are divided by, ``(...)`` > 0 [m]; where not given the root of the mean square of the
             distances of the contacts from ``about``.
         about: where torques are taken, ``(..., 3)`` [m]; where not given the mean of the contacts' points.
+        ellipsoid: in place of ``length``, the semi-axes of an ellipsoid of wrenches about ``about`` as columns
+            ``(..., 6, 6)`` [N, N.m], each the largest disturbance of its direction that the task brings. So
+            ``numpy.diag([1, 1, 1, l, l, l])`` stands for the length l, and
+            ``numpy.linalg.inv(numpy.linalg.cholesky(Q)).T`` for the metric w^T Q w <= 1.
         tol: relative distance of the bounds at which the search ends.
         max_points: corners of the inner surface at which it ends too, with bounds further apart; 1000 at most.
+        progress: is told how many more grasps of a batch are done, every few hundred; what it raises ends the work.
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
         ValueError: for an unknown bound, or other options that cannot be used.
     """
     check_bound(bound)
+    if ellipsoid is not None and length is not None:
+        raise ValueError("length is given beside ellipsoid, which says how torques compare with forces: expected one")
     check_sides(sides)
     check_tolerance(tol)
     if not 1 <= max_points <= MAX_POINTS:
         raise ValueError(f"max_points is {max_points}: expected 1 to {MAX_POINTS}")
-    if is_traced(grasp, length, about):
-        return _traced(grasp, bound, sides, length, about, tol, max_points)
-    given = read_grasps(grasp, length, about)
+    if is_traced(grasp, length, about, ellipsoid):
+        return _traced(grasp, bound, sides, (length, about, ellipsoid), tol, max_points)
+    given = read_grasps(grasp, length, about, ellipsoid)
     corners = None if sides is None else pyramid(sides, given.soft)
-    found = measure(replace(given.bodies(), bound=bound, corners=corners), tol, max_points)
+    bodies = replace(given.bodies(), bound=bound, corners=corners)
+    found = in_turn(len(bodies.present), lambda own: measure(bodies.take(own), tol, max_points), progress)
     contacts = given.present.shape
     return Epsilon(*(array.reshape(contacts[:-1] + array.shape[1:]) for array in found))
 
 
 @checked
 def ferrari_canny_at(
-    grasp: Grasp, found: Epsilon, *, length: Length = None, about: About = None
+    grasp: Grasp, found: Epsilon, *, length: Length = None, about: About = None, ellipsoid: Ellipsoid = None
 ) -> Float[Array, "..."]:
     """The radius near a grasp that ``ferrari_canny`` has measured, for derivatives by points, normals and friction.
 
@@ -126,16 +141,20 @@ def ferrari_canny_at(
         found: what ``ferrari_canny`` returned, with any bound and any pyramids.
         length: as there; the default moves with the points.
         about: as there; likewise.
+        ellipsoid: as there.
 
     Returns:
         ``(...)``.
     """
-    return _worked(grasp, found, length, about)
+    return _worked(grasp, found, (length, about, ellipsoid))
+
+
+Frame = tuple[Length, About, Ellipsoid]
 
 
 @jax.jit
-def _worked(grasp: Grasp, found: Epsilon, length: Length, about: About) -> Array:
-    return _work_of(discs(grasp, length, about), found)
+def _worked(grasp: Grasp, found: Epsilon, frame: Frame) -> Array:
+    return _work_of(measured_discs(grasp, *frame)[0], found)
 
 
 def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
@@ -145,16 +164,14 @@ def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
     return known_where(jnp.any(direction != 0, -1), work(shapes, press, lean, direction), shapes)
 
 
-def _traced(
-    grasp: Grasp, bound: Bound, sides: int | None, length: Length, about: About, tol: float, max_points: int
-) -> Epsilon:
+def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: float, max_points: int) -> Epsilon:
     count = grasp.friction.shape[-1]
     corners = None if sides is None else pyramid(sides, grasp.torsion is not None)
 
     def question(bodies: WrenchSets) -> Epsilon:
         return measure(replace(bodies, bound=bound, corners=corners), tol, max_points)
 
-    shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3)), grasp, length, about)
+    shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3)), grasp, *frame)
     found: Any = Epsilon(*answers)
     at = _work_of(shapes, found)
     return found._replace(lower=moved(found.lower, jnp.where(found.lower > 0, at, 0)), upper=moved(found.upper, at))
@@ -171,9 +188,8 @@ def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
         np.zeros((grasps, count)),
         np.zeros((grasps, count, 3)),
     )
-    closed = np.flatnonzero(closure.closed)
-    for start in range(0, len(closed), TOGETHER):
-        own = closed[start : start + TOGETHER]
+    own = np.flatnonzero(closure.closed)
+    if len(own):
         some = bodies.take(own)
         balls = largest_balls(some, closure.margin[own], tol, max_points)
         touched = touch(some, balls)

@@ -8,11 +8,13 @@ import numpy as np
 
 from jaxgrasp.model.faults import Fault, GraspError, check_grasp, entries
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs
+from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, measured_discs
 from jaxgrasp.quality.wrench_sets import WrenchSets
 
 ROUNDING = 32.0
 """Rounding of the products and sums behind a support, in units in the last place."""
+FLAT = 1e-6
+"""An ellipsoid whose shortest axis is no longer than rounding over this, relative to its longest, is flat."""
 
 
 class GraspInput(NamedTuple):
@@ -37,32 +39,34 @@ class GraspInput(NamedTuple):
         return WrenchSets.of_discs(centres, spans, self.present, np.asarray(self.rounding))
 
 
-def read_grasps(grasp: Grasp, length: Length = None, about: About = None) -> GraspInput:
+def read_grasps(grasp: Grasp, length: Length = None, about: About = None, ellipsoid: Ellipsoid = None) -> GraspInput:
     """The grasps, checked; computed in float64 whatever JAX's mode and the precision of the data.
 
     Raises:
-        GraspError: for the first entry that is not usable, as ``check_grasp``, ``length`` and ``about`` too.
+        GraspError: for the first entry that is not usable, as ``check_grasp``, of the other arguments too.
         TypeError: for traced arrays, as under ``jit``.
     """
     check_grasp(grasp)
-    unit, middle = _check_frame(grasp, length, about)
+    unit, middle, axes = _check_frame(grasp, length, about, ellipsoid)
     precision = np.finfo(np.asarray(grasp.points).dtype).eps
     with jax.enable_x64(True):
         wide = jax.tree.map(lambda array: np.asarray(array, np.float64), grasp)
-        shapes = jax.tree.map(np.asarray, _discs(wide, unit, middle))
+        shapes, growth = jax.tree.map(np.asarray, _discs(wide, unit, middle, axes))
     present = np.ones(wide.friction.shape, bool) if grasp.present is None else np.asarray(wide.present) > 0.5
     reach = np.max(np.where(present[..., None], np.abs(wide.points), 0), (-1, -2), initial=0)
     soft = wide.torsion is not None and bool(np.any(np.where(present, wide.torsion, 0) > 0))
-    return GraspInput(shapes, present, ROUNDING * precision * (1 + reach / shapes.length), soft)
+    return GraspInput(shapes, present, ROUNDING * precision * growth * (1 + reach / shapes.length), soft)
 
 
-_discs = jax.jit(discs)
+_discs = jax.jit(measured_discs)
 
 
-def _check_frame(grasp: Grasp, length: Length, about: About) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """The length and the point in the grasps' leading axes."""
+def _check_frame(
+    grasp: Grasp, length: Length, about: About, ellipsoid: Ellipsoid
+) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+    """The length, the point and the ellipsoid in the grasps' leading axes."""
     batch = np.shape(grasp.points)[:-2]
-    given = {"length": (length, batch), "about": (about, (*batch, 3))}
+    given = {"length": (length, batch), "about": (about, (*batch, 3)), "ellipsoid": (ellipsoid, (*batch, 6, 6))}
     read: dict[str, np.ndarray | None] = {}
     for name, (value, shape) in given.items():
         if value is None:
@@ -74,11 +78,23 @@ def _check_frame(grasp: Grasp, length: Length, about: About) -> tuple[np.ndarray
         except ValueError:
             expected = f"a shape that broadcasts to {shape}, as points imply"
             raise GraspError(Fault(name, (), f"an array of shape {array.shape}", expected)) from None
-        bad = ~np.isfinite(array) if name == "about" else ~((array > 0) & np.isfinite(array))
-        expected = "a finite coordinate [m]" if name == "about" else "a finite length above zero [m]"
-        for fault in entries(name, array, bad, expected):
+        bad = ~((array > 0) & np.isfinite(array)) if name == "length" else ~np.isfinite(array)
+        for fault in entries(name, array, bad, _EXPECTED[name]):
             raise GraspError(fault)
-    return read["length"], read["about"]
+    if ellipsoid is not None:
+        axes = np.asarray(ellipsoid, np.float64)
+        flat = np.linalg.cond(axes) * np.finfo(np.float64).eps >= FLAT
+        for index in np.argwhere(flat):
+            place = tuple(map(int, index))
+            raise GraspError(Fault("ellipsoid", place, "flat", "six semi-axes that span all wrenches"))
+    return read["length"], read["about"], read["ellipsoid"]
+
+
+_EXPECTED = {
+    "length": "a finite length above zero [m]",
+    "about": "a finite coordinate [m]",
+    "ellipsoid": "a finite number [N, N.m]",
+}
 
 
 def check_tolerance(tol: float) -> None:

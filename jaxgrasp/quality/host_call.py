@@ -14,8 +14,9 @@ from jax import Array, core
 
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, measured_discs
 from jaxgrasp.quality.grasp_input import ROUNDING
-from jaxgrasp.quality.wrench_discs import About, Length, WrenchDiscs, discs
+from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.wrench_sets import WrenchSets
 
 
@@ -25,35 +26,41 @@ def is_traced(*arguments: object) -> bool:
 
 
 def call_on_host(
-    question: Callable[[WrenchSets], tuple[np.ndarray, ...]],
+    question: Callable[..., tuple[np.ndarray, ...]],
     trailing: tuple[tuple[int, ...], ...],
     grasp: Grasp,
     length: Length,
     about: About,
+    ellipsoid: Ellipsoid = None,
+    *,
+    each: tuple[Array, ...] = (),
 ) -> tuple[WrenchDiscs, Any]:
     """The discs of traced grasps, and what is said of them: a tuple of JAX arrays, which stand where results have
     those of NumPy.
 
     Args:
-        question: of wrench sets ``(G, ...)`` the answers, arrays ``(G, *trailing)``.
+        question: of wrench sets ``(G, ...)``, and what is given of ``each``, the answers: arrays ``(G, *trailing)``.
         trailing: the shape of each answer behind the grasps' axes.
         grasp: contacts ``(..., n)``.
         length: see [`jaxgrasp.quality.ferrari_canny`][].
         about: likewise.
+        ellipsoid: likewise.
+        each: further arrays with the grasps' axes ``(..., k)``.
     """
-    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,))})
-    shapes = discs(grasp, length, about)
+    check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,)), "ellipsoid": (ellipsoid, (6, 6))})
+    shapes, growth = measured_discs(grasp, length, about, ellipsoid)
     dtype, batch = shapes.centres.dtype, shapes.length.shape
     there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
     reach = jnp.max(jnp.where(there[..., None], jnp.abs(jnp.asarray(grasp.points)), 0), (-1, -2), initial=0)
-    given = (shapes.centres, shapes.spans, there, 1 + reach / shapes.length)
+    given = (shapes.centres, shapes.spans, there, growth * (1 + reach / shapes.length), *each)
     precision = float(jnp.finfo(dtype).eps)
 
-    def answer(centres: Array, spans: Array, present: Array, spread: Array) -> tuple[np.ndarray, ...]:
+    def answer(centres: Array, spans: Array, present: Array, spread: Array, *each: Array) -> tuple[np.ndarray, ...]:
         axes = np.shape(spread)
-        rounding = np.asarray(ROUNDING * precision * np.asarray(spread, np.float64))
+        rounding = (ROUNDING * precision * np.asarray(spread, np.float64)).reshape(-1)
         bodies = WrenchSets.of_discs(np.asarray(centres), np.asarray(spans), np.asarray(present), rounding)
-        found = question(bodies)
+        rows = [np.asarray(array, np.float64).reshape(-1, np.shape(array)[-1]) for array in each]
+        found = in_turn(len(rounding), lambda own: question(bodies.take(own), *(array[own] for array in rows)))
         return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(found, trailing))
 
     wanted = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)

@@ -1,7 +1,7 @@
 """How large a wrench of a given direction bounded normal forces exert, between two proven bounds."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +11,13 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.wrench_discs import discs, scaled_wrench, work
 from jaxgrasp.quality.closure import forces_of, unscaled, weights_or_twist
 from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
+from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.in_turn import Progress, in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
-from jaxgrasp.quality.wrench_discs import discs, work
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
@@ -26,8 +28,6 @@ ROUNDS = 60
 """Linear programs for one grasp; most need about ten."""
 FEASIBLE = 1e-10
 """What HiGHS is asked for, the least it takes."""
-SIDE_BY_SIDE = 256
-"""Grasps that are looked at together."""
 PIVOTS = 300
 """Steps of the simplex method, which needs some twenty, and more for more digits; the rest goes to HiGHS."""
 REACHED = 1e3
@@ -69,44 +69,81 @@ def largest_wrench(
     *,
     sides: int | None = None,
     tol: float = 1e-6,
+    progress: Progress = None,
 ) -> LargestWrench:
     """The largest alpha for which forces inside the friction cones exert alpha times the task.
 
     Their normal forces have a sum of at most 1 (``"l1"``: then it is 1 over [`jaxgrasp.least_squeeze`][] of the task)
-    or are at most 1 each (``"linf"``). For another limit of the forces multiply alpha by it. Neither a length nor a
-    point matters here: torques are not compared with forces.
+    or are at most 1 each (``"linf"``). For another limit of the forces multiply alpha by it; for the own limits of each
+    contact and joint ask [`jaxgrasp.wrench_margin`][]. Neither a length nor a point matters here: torques are not
+    compared with forces.
 
     The cones are approached from inside by wrenches that the answers of one linear program after the other, and
     their multipliers, call for: a twist d with d.task = 1 along which forces work at most at the rate h(d), so that
     no alpha is larger. The lower bound's forces exert their wrench, the upper bound holds, within rounding of the
     data, which is added to the upper one.
 
+    Inside ``jit``, ``vmap`` and ``grad`` it calls the host back, nothing is checked, and results are JAX arrays in the
+    precision of the points, NaN for a task that cannot be used; it reports no progress. Both bounds then have the
+    derivative of ``largest_wrench_at``.
+
     Args:
-        grasp: contacts ``(..., n)``, concrete.
+        grasp: contacts ``(..., n)``.
         task: the wrench ``(..., 6)``, not zero [N, N.m]; its leading axes broadcast to the grasps'.
         bound: what is bounded.
         sides: as for [`jaxgrasp.quality.ferrari_canny`][].
         tol: relative distance of the bounds at which the search ends.
+        progress: as for [`jaxgrasp.quality.ferrari_canny`][].
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
         ValueError: for an unknown bound, or other options that cannot be used.
-        TypeError: for traced arrays.
     """
     check_bound(bound)
     check_sides(sides)
     check_tolerance(tol)
+    if is_traced(grasp, task):
+        return _traced(grasp, task, bound, sides, tol)
     given = read_grasps(grasp)
     tasks = _scaled_tasks(task, given)
     corners = None if sides is None else pyramid(sides, given.soft)
     size = np.linalg.norm(tasks, axis=-1)
     bodies = replace(given.bodies(), bound=bound, corners=corners)
-    found = _along_all(bodies, (tasks / size[..., None]).reshape(-1, 6), tol)
+    units = (tasks / size[..., None]).reshape(-1, 6)
+    parts = in_turn(len(units), lambda own: _along_all(bodies.take(own), units[own], tol), progress)
+    found = _AlongAll(*parts)
     batch, contacts = given.batch, given.present.shape
     lower, upper = (array.reshape(batch) / size for array in (found.lower, found.upper))
     twist = unscaled(found.twist.reshape((*batch, 6)) / size[..., None], given.shapes, np)
     press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
     return LargestWrench(lower, upper, twist, *forces_of(given.shapes, press, lean, np), press, lean)
+
+
+def _traced(grasp: Grasp, task: AnyArray, bound: Bound, sides: int | None, tol: float) -> LargestWrench:
+    count, batch = grasp.friction.shape[-1], grasp.points.shape[:-2]
+    corners = None if sides is None else pyramid(sides, grasp.torsion is not None)
+    frame = discs(grasp)
+    tasks = jnp.broadcast_to(jnp.asarray(task, frame.length.dtype), (*batch, 6))
+    scaled = scaled_wrench(tasks, frame.about, frame.length, jnp)
+    size = jnp.sqrt(jnp.sum(jax.lax.stop_gradient(scaled) ** 2, -1))
+
+    def question(bodies: WrenchSets, tasks: np.ndarray) -> tuple[np.ndarray, ...]:
+        known = np.isfinite(tasks).all(1)
+        units = np.where(known[:, None], tasks, np.eye(6)[0])
+        found = _along_all(replace(bodies, bound=bound, corners=corners), units, tol)
+        return np.where(known, found.lower, np.nan), np.where(known, found.upper, np.nan), *found[2:]
+
+    unit = jax.lax.stop_gradient(scaled) / size[..., None]
+    trailing = ((), (), (6,), (count,), (count, 3))
+    shapes, (lower, upper, twist, press, lean) = call_on_host(question, trailing, grasp, None, None, each=(unit,))
+    along = jnp.sum(twist * scaled, -1)
+    at = work(shapes, press, lean, twist) / jnp.where(along > 0, along, 1)
+    lower, upper = (moved(bounds / size, at) for bounds in (lower, upper))
+    frame = jax.lax.stop_gradient(shapes)
+    found: Any = LargestWrench(
+        lower, upper, unscaled(twist / size[..., None], frame, jnp), *forces_of(frame, press, lean, jnp), press, lean
+    )
+    return found
 
 
 @checked
@@ -145,8 +182,7 @@ def _scaled_tasks(task: AnyArray, given: GraspInput) -> np.ndarray:
     for index in np.argwhere(~(np.isfinite(tasks).all(-1) & (tasks != 0).any(-1))):
         place = tuple(map(int, index))
         raise GraspError(Fault("task", place, str(tasks[place]), "six finite numbers, not all zero [N, N.m]"))
-    torque = tasks[..., 3:] - np.cross(given.shapes.about, tasks[..., :3])
-    return np.concatenate([tasks[..., :3], torque / given.shapes.length[..., None]], -1)
+    return scaled_wrench(tasks, given.shapes.about, given.shapes.length, np)
 
 
 class _Along(NamedTuple):
@@ -181,9 +217,7 @@ def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
     grasps, count = bodies.present.shape
     press, lean = np.zeros((grasps, count)), np.zeros((grasps, count, 3))
     found = _AlongAll(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), press, lean)
-    for start in range(0, grasps, SIDE_BY_SIDE):
-        own = np.arange(start, min(grasps, start + SIDE_BY_SIDE))
-        _by_simplex(bodies.take(own), tasks[own], tol, own, found)
+    _by_simplex(bodies, tasks, tol, found)
     _by_twist(bodies, tasks, np.flatnonzero(found.lower < (1 - tol) * found.upper), found)
     for index in np.flatnonzero((found.lower < (1 - tol) * found.upper) & (found.upper > REACHED * bodies.slack)):
         body, own = bodies.alone(int(index)), bodies.present[index]
@@ -206,7 +240,7 @@ def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _
     found.better(which, _AlongAll(*none))
 
 
-def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, places: np.ndarray, found: _AlongAll) -> None:
+def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _AlongAll) -> None:
     """Column by column: each a contact's wrench that works most along the twist that the others leave.
 
     Rows are the six of the balance and one for each bound of forces; the slack of a bound is a column too.
@@ -229,13 +263,13 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, places: np.nd
         height = some.reach(twist).height + slack[left] * np.linalg.norm(twist, axis=1)
         upper = np.where(power > 0, height, np.inf)
         exerted = _exerted(some, bases, leans, left, tasks[left])
-        found.better(places[left], _AlongAll(exerted[0], upper, twist, *exerted[1:]))
+        found.better(left, _AlongAll(exerted[0], upper, twist, *exerted[1:]))
         values, lean = some.supports(paid[:, :6])
         worth = np.concatenate([np.where(some.present, values + paid[:, 6 + owner], -np.inf), paid[:, 6:]], 1)
         best = np.argmax(worth, 1)
         own = np.arange(len(left))
-        close = found.lower[places[left]] >= (1 - tol) * found.upper[places[left]]
-        close |= (found.upper[places[left]] <= slack[left]) | (worth[own, best] <= WORTHLESS)
+        close = found.lower[left] >= (1 - tol) * found.upper[left]
+        close |= (found.upper[left] <= slack[left]) | (worth[own, best] <= WORTHLESS)
         columns, contact = _columns(some, best, lean, owner, bounds)
         going = np.flatnonzero(~close)
         place = bases.enter(left[going], columns[going], np.zeros(len(going)), best[going])

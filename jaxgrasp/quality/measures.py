@@ -3,18 +3,35 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.limits import Limits
 from jaxgrasp.quality.closure import force_closure
 from jaxgrasp.quality.ferrari_canny import ferrari_canny
+from jaxgrasp.quality.hold_probability import hold_probability
 from jaxgrasp.quality.min_weight import min_weight
 from jaxgrasp.quality.singular_values import grasp_isotropy, grasp_volume, least_singular_value
+from jaxgrasp.quality.task_demands import TaskDemands
+from jaxgrasp.quality.task_margin import task_margin
 from jaxgrasp.quality.wrench_sets import Bound
 
 OPEN, CLOSED, UNDECIDED = 0, 1, -1
+Columns = dict[str, np.ndarray]
+
+
+class MeasuredGrasps(NamedTuple):
+    """What measures look at."""
+
+    grasp: Grasp
+    """Contacts ``(N, n)``."""
+    wrench: np.ndarray
+    """The loads of each ``(N, W, 6)``."""
+    limits: Limits | None
 
 
 @dataclass(frozen=True)
@@ -22,32 +39,73 @@ class Measure:
     """One measure of grasps, with its options at their defaults."""
 
     name: str
-    columns: Callable[[Grasp], dict[str, np.ndarray]]
-    """Function of a batch of grasps ``(N, n)``: it gives arrays ``(N,)`` by name, the one that sums it up first."""
+    columns: Callable[[MeasuredGrasps], Columns]
+    """It gives arrays ``(N,)`` by name, the one that sums it up first."""
 
 
-def _closure(grasp: Grasp) -> dict[str, np.ndarray]:
-    found = force_closure(grasp)
+def _closure(given: MeasuredGrasps) -> Columns:
+    found = force_closure(given.grasp)
     code = np.where(found.closed, CLOSED, np.where(found.decided, OPEN, UNDECIDED))
     return {"closed": code.astype(np.int8), "margin": found.margin}
 
 
-def _ball(bound: Bound, grasp: Grasp) -> dict[str, np.ndarray]:
-    found = ferrari_canny(grasp, bound)
+def _ball(bound: Bound, given: MeasuredGrasps) -> Columns:
+    found = ferrari_canny(given.grasp, bound)
     return {"lower": found.lower, "upper": found.upper}
 
 
-def _weight(grasp: Grasp) -> dict[str, np.ndarray]:
-    return {"value": min_weight(grasp).value}
+def _weight(given: MeasuredGrasps) -> Columns:
+    return {"value": min_weight(given.grasp).value}
 
 
-def _of_matrix(measure: Callable[[Grasp], jax.Array], grasp: Grasp) -> dict[str, np.ndarray]:
-    return {"value": np.asarray(_compiled(measure)(grasp))}
+def _of_matrix(measure: Callable[[Grasp], jax.Array], given: MeasuredGrasps) -> Columns:
+    return {"value": np.asarray(_compiled(measure)(given.grasp))}
 
 
 @cache
 def _compiled(measure: Callable[[Grasp], jax.Array]) -> Callable[[Grasp], jax.Array]:
     return jax.jit(measure)
+
+
+def _task_ball(bound: Bound, demands: TaskDemands, given: MeasuredGrasps) -> Columns:
+    about = np.zeros(3) if demands.about == "origin" else None
+    found = ferrari_canny(given.grasp, bound, ellipsoid=demands.ellipsoid, about=about)
+    return {"lower": found.lower, "upper": found.upper}
+
+
+def _task_margin(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
+    grasp, wrenches = given.grasp, np.asarray(demands.wrenches)
+    tasks = np.broadcast_to(wrenches, (len(given.wrench), *wrenches.shape)).copy()
+    if demands.about == "contacts":
+        there = np.ones(grasp.friction.shape) if grasp.present is None else np.asarray(grasp.present)
+        middle = np.sum(np.where(there[..., None] > 0, grasp.points, 0), 1) / there.sum(1, keepdims=True)
+        tasks[..., 3:] += np.cross(middle[:, None], tasks[..., :3])
+    found = task_margin(grasp, tasks.astype(given.wrench.dtype), sharing="uniform", limits=given.limits)
+    return {"margin": np.asarray(found.margin), "weakest": np.asarray(found.weakest, np.int32)}
+
+
+def _hold_probability(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
+    """Of each grasp's worst load."""
+    assert demands.uncertainty is not None
+    own = demands.uncertainty
+    each = [
+        hold_probability(
+            given.grasp,
+            given.wrench[:, load],
+            "uniform",
+            limits=given.limits,
+            friction_spread=own.friction,
+            place_spread=own.place,
+            load_spread=jnp.asarray(own.load, given.wrench.dtype),
+            samples=own.samples,
+            seed=own.seed,
+        )
+        for load in range(given.wrench.shape[1])
+    ]
+    shares = np.stack([found.probability for found in each])
+    worst = np.argmin(shares, 0)[None]
+    names = ("probability", "low", "high", "margin")
+    return {name: np.take_along_axis(np.stack([getattr(found, name) for found in each]), worst, 0)[0] for name in names}
 
 
 MEASURES = {
@@ -62,11 +120,34 @@ MEASURES = {
         Measure("isotropy", partial(_of_matrix, grasp_isotropy)),
     )
 }
+"""Those that need to know nothing but the grasp."""
+
+TASK_MEASURES: dict[str, tuple[str, Callable[..., Columns]]] = {
+    "task-ball-l1": ("ellipsoid", partial(_task_ball, "l1")),
+    "task-ball-linf": ("ellipsoid", partial(_task_ball, "linf")),
+    "task-margin": ("wrenches", _task_margin),
+    "hold-probability": ("uncertainty", _hold_probability),
+}
+"""Those of a task, and what of its demands they need."""
+
+ASKED = {"ellipsoid": "semi_axes or axes", "wrenches": "wrenches", "uncertainty": "a table [uncertainty]"}
+"""What a file of demands calls it."""
 
 
-def measures_named(names: tuple[str, ...]) -> tuple[Measure, ...]:
-    """The measures of these names, each once, in the order of the table above."""
+def measures_named(names: tuple[str, ...], demands: TaskDemands | None = None) -> tuple[Measure, ...]:
+    """The measures of these names, each once, in the order of the tables above.
+
+    Raises:
+        ValueError: for a name that is unknown, or whose demands are not there.
+    """
+    known = (*MEASURES, *TASK_MEASURES)
     for name in names:
-        if name not in MEASURES:
-            raise ValueError(f"quality {name!r} is unknown: expected some of {', '.join(MEASURES)}")
-    return tuple(measure for name, measure in MEASURES.items() if name in names)
+        if name not in known:
+            raise ValueError(f"quality {name!r} is unknown: expected some of {', '.join(known)}")
+    found = [measure for name, measure in MEASURES.items() if name in names]
+    for name, (need, columns) in TASK_MEASURES.items():
+        if name in names:
+            if demands is None or getattr(demands, need) is None:
+                raise ValueError(f"quality {name!r} is of a task: expected a task file with {ASKED[need]}")
+            found.append(Measure(name, partial(columns, demands)))
+    return tuple(found)

@@ -11,18 +11,17 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, known_where
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
+from jaxgrasp.quality.in_turn import Progress, in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
-from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs, known_where
 from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 FEASIBLE = 1e-10
 """What HiGHS is asked for, the least it takes."""
-SIDE_BY_SIDE = 256
-"""Grasps that are looked at together."""
 PIVOTS = 150
 """Steps of the simplex method; most need twenty."""
 OPTIMAL = 1e-11
@@ -49,7 +48,7 @@ class MinWeight(NamedTuple):
 
 
 @checked
-def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
+def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress = None) -> MinWeight:
     """The largest least weight with which all edges of the friction pyramids balance each other.
 
     With w_j the wrenches of the m edges, of normal force 1 each: the largest l for which some weights >= l have the
@@ -67,6 +66,7 @@ def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
         grasp: contacts ``(..., n)``.
         sides: edges of each pyramid, the first one across the coordinate axis that is least along the normal; two
             more for the moments of soft fingers, if there are any.
+        progress: as for [`jaxgrasp.quality.ferrari_canny`][].
 
     Raises:
         GraspError: for the first entry that is not usable, before anything is computed.
@@ -77,7 +77,8 @@ def min_weight(grasp: Grasp, *, sides: int = 4) -> MinWeight:
         return _traced(grasp, sides)
     given = read_grasps(grasp)
     corners = pyramid(sides, given.soft)
-    value, weights, twists = evenest(given.bodies(), corners)
+    bodies = given.bodies()
+    value, weights, twists = in_turn(len(bodies.present), lambda own: evenest(bodies.take(own), corners), progress)
     batch, contacts = given.batch, given.present.shape
     weights = weights.reshape((*contacts, len(corners)))
     return MinWeight(value.reshape(batch), weights, twists.reshape((*batch, 6)), corners)
@@ -130,10 +131,9 @@ def evenest(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.nda
     grasps = len(edges)
     found = np.full(grasps, -np.inf), np.zeros(own.shape), np.zeros((grasps, 6))
     solved: np.ndarray = np.logical_not(own.any(1))
-    for start in range(0, grasps, SIDE_BY_SIDE):
-        some = start + np.flatnonzero(~solved[start : start + SIDE_BY_SIDE])
-        if len(some):
-            solved[some] = _by_simplex(edges[some], own[some], some, found)
+    some = np.flatnonzero(~solved)
+    if len(some):
+        solved[some] = _by_simplex(edges[some], own[some], some, found)
     for index in np.flatnonzero(~solved):
         one = _evenest(edges[index, own[index]])
         if one is not None:

@@ -9,7 +9,7 @@ from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
 from jaxgrasp.numerics.vec3 import safe_divide
-from jaxgrasp.quality.wrench_discs import About, Length, discs
+from jaxgrasp.problem.wrench_discs import About, Length, discs
 from jaxgrasp.validation.checked import checked
 
 

@@ -95,6 +95,16 @@ def with_margin(case: Case, margin: float) -> str:
         return optimum(calm, 1e-9).status
 
 
+def wrench_margin(case: Case, direction: np.ndarray, tolerance: float = 1e-11) -> tuple[str, float]:
+    """Clarabel's verdict on the largest multiple of the direction beside the wrench, and that multiple."""
+    case, load = _in_units(case)
+    n, body = len(case.friction), _body(case)
+    cones = [*_cones(case, body, 1), _idle(body)]
+    cones[0][1][:, -1] = -direction
+    status, x = _solve(np.zeros((4 * n + 1,) * 2), -np.eye(4 * n + 1)[-1], cones, tolerance)
+    return status, float(load * x[-1])
+
+
 def _in_units(case: Case) -> tuple[Case, float]:
     """With forces in units of the load [N], since Clarabel's tolerances are not relative."""
     load = float(np.linalg.norm(case.wrench[:3])) or 1.0

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import os
 import time
+from threading import Event
 
 import jax
 import numpy as np
@@ -143,7 +144,7 @@ def test_results_keep_their_order_whoever_finishes_first(workers, monkeypatch):
         time.sleep(0.02 * (start % 2 == 0))
         return start
 
-    done = stream._in_order(slow_for_even, ((number, None) for number in range(9)), workers)
+    done = stream._in_order(slow_for_even, ((number, None) for number in range(9)), workers, Event())
     assert list(done) == list(range(9))
 
 
@@ -157,7 +158,7 @@ def test_a_fault_in_one_thread_is_raised_and_the_rest_left_undone():
         return start
 
     with pytest.raises(ValueError, match="no"):
-        list(stream._in_order(fails_at_third, ((number, None) for number in range(50)), 2))
+        list(stream._in_order(fails_at_third, ((number, None) for number in range(50)), 2, Event()))
     assert max(begun) < 10
 
 

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from jaxgrasp import Grasp
 from jaxgrasp.testing import problems as P
@@ -80,6 +81,26 @@ def generators(grasp: Grasp, length: float, about, sides: int, outside: bool = F
     across = np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * second[:, None]
     forces = normals[:, None] + reach[:, None, None] * across
     return np.concatenate([forces, np.cross(arms[:, None], forces)], -1)
+
+
+def pyramid_edges(grasp: Grasp, sides: int, length: float | None = None, about=None) -> np.ndarray:
+    """As documented: the first edge across the coordinate axis least along the normal; ``(n, sides, 6)``."""
+    if length is None:
+        length, about = frame_of(grasp)
+    first = np.cross(grasp.normals, np.eye(3)[np.argmin(np.abs(grasp.normals), -1)])
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    angles = 2 * np.pi * np.arange(sides) / sides
+    across = (
+        np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * np.cross(grasp.normals, first)[:, None]
+    )
+    forces = np.asarray(grasp.normals)[:, None] + np.asarray(grasp.friction)[:, None, None] * across
+    return np.concatenate([forces, np.cross(((grasp.points - about) / length)[:, None], forces)], -1)
+
+
+def hull_radius(points: np.ndarray) -> float:
+    """By Qhull; the joggle that it needs for coplanar points moves them by 1e-9 at most."""
+    hull = ConvexHull(np.concatenate([points, np.zeros((1, 6))]), qhull_options="QJ1e-10")
+    return float(np.min(-hull.equations[:, -1]))
 
 
 def frame_of(grasp: Grasp) -> tuple[float, np.ndarray]:

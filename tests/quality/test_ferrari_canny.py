@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import minimize
-from scipy.spatial import ConvexHull
 
 from jaxgrasp import Grasp
 from jaxgrasp.quality import Epsilon, ferrari_canny, ferrari_canny_at, force_closure
@@ -25,12 +24,6 @@ def closed_ones(n: int, count: int, torsion: bool = False, least: float = 0.01) 
     kept = np.flatnonzero(force_closure(grasp).margin > least)[:count]
     assert len(kept) == count
     return jax.tree.map(lambda array: array[kept], grasp)
-
-
-def hull_radius(points: np.ndarray) -> float:
-    """By Qhull; the joggle that it needs for coplanar points moves them by 1e-9 at most."""
-    hull = ConvexHull(np.concatenate([points, np.zeros((1, 6))]), qhull_options="QJ1e-10")
-    return float(np.min(-hull.equations[:, -1]))
 
 
 def brute_force(grasp: Grasp, bound: str, starts: int = 12) -> float:
@@ -56,7 +49,8 @@ def test_cones_lie_between_fine_pyramids(n):
         grasp = known.one(batch, index)
         length, about = known.frame_of(grasp)
         inner, outer = (
-            hull_radius(known.generators(grasp, length, about, 16, outside).reshape(-1, 6)) for outside in (False, True)
+            known.hull_radius(known.generators(grasp, length, about, 16, outside).reshape(-1, 6))
+            for outside in (False, True)
         )
         assert inner <= found.upper[index] + 1e-8 and found.lower[index] <= outer + 1e-8
         assert outer < 1.1 * inner
@@ -88,25 +82,12 @@ def test_no_direction_is_below_the_lower_bound_and_the_one_found_reaches_the_upp
         assert found.lower[index] >= (1 - 1.01 * TOL) * found.upper[index]
 
 
-def pyramid_edges(grasp: Grasp, sides: int) -> np.ndarray:
-    """As documented: the first edge across the coordinate axis least along the normal; ``(n, sides, 6)``."""
-    length, about = known.frame_of(grasp)
-    first = np.cross(grasp.normals, np.eye(3)[np.argmin(np.abs(grasp.normals), -1)])
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    angles = 2 * np.pi * np.arange(sides) / sides
-    across = (
-        np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * np.cross(grasp.normals, first)[:, None]
-    )
-    forces = np.asarray(grasp.normals)[:, None] + np.asarray(grasp.friction)[:, None, None] * across
-    return np.concatenate([forces, np.cross(((grasp.points - about) / length)[:, None], forces)], -1)
-
-
 @pytest.mark.parametrize("sides", [4, 7])
 def test_pyramids_with_a_bounded_sum_are_their_hull(sides):
     batch = closed_ones(5, 3, least=0.03)
     found = ferrari_canny(batch, sides=sides)
     for index in range(3):
-        radius = hull_radius(pyramid_edges(known.one(batch, index), sides).reshape(-1, 6))
+        radius = known.hull_radius(known.pyramid_edges(known.one(batch, index), sides).reshape(-1, 6))
         np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
 
 
@@ -115,9 +96,9 @@ def test_pyramids_with_each_force_bounded_are_their_minkowski_sum():
     found = ferrari_canny(batch, "linf", sides=4)
     assert (found.lower > 0).all()
     for index in range(2):
-        edges = pyramid_edges(known.one(batch, index), 4)
+        edges = known.pyramid_edges(known.one(batch, index), 4)
         choices = [np.concatenate([np.zeros((1, 6)), own]) for own in edges]
-        radius = hull_radius(np.array([np.sum(chosen, 0) for chosen in itertools.product(*choices)]))
+        radius = known.hull_radius(np.array([np.sum(chosen, 0) for chosen in itertools.product(*choices)]))
         np.testing.assert_allclose(found.upper[index], radius, rtol=1e-6)
 
 

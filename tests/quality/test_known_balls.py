@@ -8,7 +8,7 @@ from jaxgrasp.quality import ferrari_canny, force_closure
 from jaxgrasp.quality.largest_ball import largest_balls
 from jaxgrasp.quality.wrench_sets import WrenchSets
 from tests.quality import known
-from tests.quality.test_ferrari_canny import hull_radius, pyramid_edges
+from tests.quality.known import hull_radius, pyramid_edges
 
 
 def tetrahedron(friction: float):

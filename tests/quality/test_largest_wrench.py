@@ -170,6 +170,33 @@ def test_slopes_are_those_of_another_solver(bound):
     np.testing.assert_allclose(forward, slopes, rtol=2e-3)
 
 
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_inside_jit_vmap_and_grad_it_is_the_same(bound):
+    grasp, task = known.ordinary(5, 6, torsion=True), P.problems("ordinary", 5, 6, 1).wrench
+    plain = largest_wrench(grasp, task, bound)
+    inside = jax.jit(jax.vmap(lambda g, t: largest_wrench(g, t, bound)))(known.of_jax(grasp), jnp.asarray(task))
+    for name in plain._fields:
+        np.testing.assert_allclose(getattr(inside, name), getattr(plain, name), rtol=1e-9, atol=1e-9)
+
+    def upper(points, task):
+        return jnp.sum(largest_wrench(known.changed(known.of_jax(grasp), points=points), task, bound).upper)
+
+    def beside(points, task):
+        return jnp.sum(largest_wrench_at(known.changed(known.of_jax(grasp), points=points), task, plain))
+
+    own = jnp.asarray(grasp.points), jnp.asarray(task)
+    for inner, outer in zip(jax.jit(jax.grad(upper, (0, 1)))(*own), jax.grad(beside, (0, 1))(*own)):
+        np.testing.assert_allclose(inner, outer, rtol=1e-6, atol=1e-8 * np.abs(outer).max())
+
+
+def test_inside_jit_a_task_that_cannot_be_used_has_no_answer():
+    grasp = known.ordinary(5, 6, torsion=True)
+    tasks = P.problems("ordinary", 5, 6, 1).wrench.copy()
+    tasks[1], tasks[2] = 0, np.nan
+    found = jax.jit(largest_wrench)(known.of_jax(grasp), jnp.asarray(tasks))
+    assert np.isnan(found.upper).tolist() == np.isnan(found.lower).tolist() == [False, True, True, False, False, False]
+
+
 @pytest.mark.usefixtures("unchecked")
 def test_bad_tasks_are_named():
     grasp = known.triangle()

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 
 from jaxgrasp.quality import ferrari_canny, min_weight, min_weight_at
 from tests.quality import known
-from tests.quality.test_ferrari_canny import pyramid_edges
+from tests.quality.known import pyramid_edges
 
 
 def by_the_dual(edges: np.ndarray) -> float:

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics.cone_program import Cones
-from jaxgrasp.objectives.cone_problem import ConeProblem, press_rows
+from jaxgrasp.problem.cone_problem import ConeProblem, press_rows
 
 Inequalities = dict[str, tuple[Array, Array]]
 """Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""

@@ -10,9 +10,11 @@ angular velocities are multiplied by it. So both have the units of their first t
 two is still power.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
@@ -21,6 +23,7 @@ from jaxgrasp.numerics.no_derivative import underivable
 
 Length = Float[AnyArray, "..."] | float | None
 About = Float[AnyArray, "... 3"] | None
+Ellipsoid = Float[AnyArray, "... 6 6"] | None
 
 
 class WrenchDiscs(eqx.Module):
@@ -69,6 +72,40 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDis
         about=middle,
         length=unit,
     )
+
+
+def measured_discs(
+    grasp: Grasp, length: Length, about: About, ellipsoid: Ellipsoid
+) -> tuple[WrenchDiscs, Float[Array, "..."]]:
+    """The discs in coordinates where an ellipsoid of wrenches is the ball of radius 1, if there is one.
+
+    Args:
+        grasp: contacts ``(..., n)``.
+        length: as for ``discs``; without effect beside an ellipsoid.
+        about: likewise; the ellipsoid is about it too.
+        ellipsoid: its semi-axes [N, N.m] as columns ``(..., 6, 6)``.
+
+    Returns:
+        The discs; and by how much rounding counts for more in these coordinates, relative to the largest disc.
+    """
+    if ellipsoid is None:
+        shapes = discs(grasp, length, about)
+        return shapes, jnp.ones_like(shapes.length)
+    plain = discs(grasp, 1.0, about)
+    whole = jnp.concatenate([jnp.asarray(plain.centres)[..., None], plain.spans], -1)
+    axes = jnp.asarray(ellipsoid, whole.dtype)
+    inverse = jnp.broadcast_to(jnp.linalg.inv(axes), (*plain.length.shape, 6, 6))
+    turned = jnp.einsum("...ij,...njk->...nik", inverse, whole, precision=lax.Precision.HIGHEST)
+    before, after = (jnp.sqrt(jnp.max(jnp.sum(a**2, (-1, -2)), -1, initial=0)) for a in (whole, turned))
+    growth = jnp.sqrt(jnp.sum(inverse**2, (-1, -2))) * before / jnp.where(after > 0, after, 1)
+    shapes = WrenchDiscs(turned[..., 0], turned[..., 1:], plain.about, plain.length)
+    return shapes, jnp.maximum(growth, 1)
+
+
+def scaled_wrench(wrench: Any, about: Any, length: Any, library: Any) -> Any:
+    """Wrenches ``(..., 6)`` about other points ``(..., 3)``, their torques divided by lengths, by NumPy or JAX."""
+    torque = wrench[..., 3:] - library.cross(about, wrench[..., :3])
+    return library.concatenate([wrench[..., :3], torque / length[..., None]], -1)
 
 
 def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArray) -> Array:

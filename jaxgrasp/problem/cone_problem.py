@@ -8,6 +8,7 @@ finger, about its normal, and |lean| <= press is the friction cone whatever the 
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -16,7 +17,7 @@ from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.cone_program import Cones
 from jaxgrasp.numerics.vec3 import safe_divide
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.quality.wrench_discs import WrenchDiscs, discs
+from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, scaled_wrench
 
 
 class Units(NamedTuple):
@@ -58,7 +59,7 @@ class ConeProblem(NamedTuple):
 def units_of(problem: ProblemBatch) -> Units:
     problem = lax.stop_gradient(problem)
     shapes = discs(_grasp(problem))
-    wrench = _scaled_wrench(problem, shapes)
+    wrench = scaled_wrench(problem.wrench, shapes.about, shapes.length, jnp)
     size = jnp.sqrt(jnp.sum(wrench**2, -1))
     if problem.normal_min is not None:
         size = size + jnp.sum(jnp.where(_there(problem), problem.normal_min, 0), -1)
@@ -80,7 +81,7 @@ def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     limit = None if problem.torque_max is None else problem.torque_max / (load * units.torque[:, None])
     return ConeProblem(
         columns=columns,
-        right=_scaled_wrench(problem, shapes) / load,
+        right=scaled_wrench(problem.wrench, shapes.about, shapes.length, jnp) / load,
         friction=jnp.where(there, problem.friction, 0),
         there=there,
         least=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
@@ -98,12 +99,6 @@ def _grasp(problem: ProblemBatch) -> Grasp:
 
 def _there(problem: ProblemBatch) -> Array:
     return jnp.ones(problem.friction.shape, bool) if problem.present is None else problem.present > 0.5
-
-
-def _scaled_wrench(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
-    force, torque = problem.wrench[:, :3], problem.wrench[:, 3:]
-    moved = torque - jnp.cross(shapes.about, force)
-    return jnp.concatenate([force, moved / shapes.length[:, None]], -1)
 
 
 def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
@@ -170,3 +165,18 @@ def press_rows(posed: ConeProblem, extra: int) -> Array:
     """The press of each contact as rows ``(n, k)``."""
     n, c = posed.columns.shape[2:]
     return jnp.pad(jnp.eye(n * c, dtype=posed.right.dtype)[::c], [(0, 0), (0, extra)])
+
+
+def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
+    """Problems that are to be looked at; of others nothing but a shape, so that they neither spoil nor delay any."""
+    present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
+    wrench = jnp.where(which[:, None], problem.wrench, 0)
+    kept = eqx.tree_at(
+        lambda p: (p.present, p.wrench),
+        problem,
+        (jnp.where(which[:, None], present, 0), wrench),
+        is_leaf=lambda x: x is None,
+    )
+    if problem.torque_max is None:
+        return kept
+    return eqx.tree_at(lambda p: p.torque_max, kept, jnp.where(which[:, None], problem.torque_max, jnp.inf))

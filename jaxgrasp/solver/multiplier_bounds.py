@@ -7,11 +7,13 @@ wrench does the work w.d, less what the limits let joints and bounds do.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
-from jaxgrasp.objectives.cone_problem import ConeProblem
+from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.problem.cone_problem import ConeProblem, Units, cone_problem
 
 
 class Prices(NamedTuple):
@@ -102,3 +104,13 @@ def reach(posed: ConeProblem, push: Push) -> Array:
     inside = (push.along > 0) & (push.across <= posed.friction**2 * push.along)
     on_edge = jnp.maximum(push.most, 0) / jnp.sqrt(1 + posed.friction**2)
     return jnp.where(inside, safe_sqrt(push.along**2 + slide**2), on_edge)
+
+
+def leaning(problem: ProblemBatch, units: Units, y: Array, prices: Prices) -> Array:
+    """Forces with the lean that the first friction of a contact without any would be used for."""
+    slick = (problem.friction == 0)[..., None]
+    rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
+    across = velocity_of(cone_problem(rough, units), prices)[..., 1:3]
+    press, rest = y[..., :1], y[..., 3:]
+    lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
+    return jnp.concatenate([press, jnp.where(slick, lean, y[..., 1:3]), rest], -1)

@@ -1,0 +1,24 @@
+"""Long batches, so many grasps at a time, with word of how far they have come."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+Progress = Callable[[int], None] | None
+"""Is told how many more grasps are done; what it raises ends the work."""
+
+TOGETHER = 256
+"""Grasps that are looked at before the next: enough that the price of each operation does not count."""
+
+
+def in_turn(
+    count: int, question: Callable[[np.ndarray], tuple[np.ndarray, ...]], progress: Progress = None
+) -> tuple[np.ndarray, ...]:
+    """Answers ``(count, ...)`` to a question about grasps of some numbers ``(g,)``, which gives arrays ``(g, ...)``."""
+    found = []
+    for start in range(0, max(count, 1), TOGETHER):
+        own = np.arange(start, min(count, start + TOGETHER))
+        found.append(question(own))
+        if progress is not None:
+            progress(len(own))
+    return tuple(np.concatenate(parts) for parts in zip(*found))

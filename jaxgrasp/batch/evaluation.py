@@ -88,7 +88,8 @@ def evaluate(
         limits: of a batch of grasps, of its shape; contact sets hold theirs. They bind the optima alone.
         methods: any of ``"A"``, ``"B"``, ``"A-optimum"``, ``"B-optimum"``; what is not asked for is not computed.
         quality: measures that no wrench enters, some of ``jaxgrasp.quality.measures.MEASURES``, likewise.
-        least_friction: whether to find the least friction with which each grasp holds, some 50 ms a grasp.
+        least_friction: whether to find the least friction with which each grasp holds, about half a
+            millisecond a grasp.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
         skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.
         devices: how many of JAX's local devices to use; all where not given.

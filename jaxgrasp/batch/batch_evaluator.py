@@ -46,7 +46,7 @@ class BatchEvaluator:
     task: TaskDemands | None = None
     """What the measures of a task ask for, as for ``evaluate``."""
     least_friction: bool = False
-    """Whether to find the least friction with which each grasp holds, some 50 ms a grasp."""
+    """Whether to find the least friction with which each grasp holds, about half a millisecond a grasp."""
     contacts: tuple[int, ...] = WIDTHS
     """Numbers of contacts, ascending, to the next of which each grasp is filled up; larger grasps are refused."""
     rows: int = 4096

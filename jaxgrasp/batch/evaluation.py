@@ -94,7 +94,8 @@ def evaluate(
         quality: measures of the grasps, some of ``jaxgrasp.quality.measures.MEASURES`` and, of a task,
             ``TASK_MEASURES``, likewise.
         task: what the measures of a task ask for, as [`jaxgrasp.quality.load_demands`][] reads it.
-        least_friction: whether to find the least friction with which each grasp holds, some 50 ms a grasp.
+        least_friction: whether to find the least friction with which each grasp holds, about half a
+            millisecond a grasp.
         progress: is told how many more grasps are measured, every few hundred; what it raises ends the evaluation.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
         skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.

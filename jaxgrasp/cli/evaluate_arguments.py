@@ -37,7 +37,7 @@ class Evaluate(Convention):
     their normals, as wide pads do. A pad's torsional friction is about its friction times 2/3 of its radius."""
     least_friction: bool = False
     """Find the least share of its friction with which each grasp holds, if its normal forces together are its squeeze:
-    above 1 it has to press harder. Costs some 50 ms a grasp and wrench."""
+    above 1 it has to press harder. Costs about half a millisecond a grasp and wrench."""
     table: Literal["auto", "csv", "parquet", "none"] = "auto"
     """A table beside the results, one row for each grasp and wrench: auto writes results.csv up to 100,000 rows.
     Parquet, which holds the forces too, needs the extra `table`."""

@@ -9,26 +9,30 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.force.least_squeeze import bounded_total, total_tangent
+from jaxgrasp.force.least_squeeze import bounded_total, held_total, total_tangent
 from jaxgrasp.force.margin import bound_along
 from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.shard_map_loop import varying_like
-from jaxgrasp.numerics.tiling import over_tiles
+from jaxgrasp.numerics.tiling import over_chosen
 from jaxgrasp.numerics.zero_tangent import zero_tangent
+from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
-from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.wrench_boundary import BoundaryPoint, work_along
+from jaxgrasp.solver.dispatch import Progress, dispatch
+from jaxgrasp.solver.friction_share import WIDEST, least_share
+from jaxgrasp.solver.wrench_boundary import BoundaryPoint, without_sharing, work_along
 
-WIDEST = 1e4
-"""Factors beyond this, or below its inverse, are not looked for."""
+FIRST = (10.0, 1.0, 100.0)
+"""Shares to begin with, one after the other."""
 STEPS = 60
+FARTHER = 16.0
+"""Times as far for each further look, where a place that was found at once is not the answer."""
 TILE = 32
 NEAR = 100
-"""Bounds of a share that halving has found, within which the boundary must be: what is farther was not what bounds."""
+"""Bounds of a share at a boundary, within which the boundary must be: what is farther was not what bounds."""
 
 
 def least_friction(
@@ -37,6 +41,7 @@ def least_friction(
     sharing: Sharing = "squeeze",
     *,
     total: Float[AnyArray, "*#batch"] | float | None = None,
+    progress: Progress | None = None,
 ) -> Float[Array, "..."]:
     """The least share of its friction with which a grasp holds its load by a total of normal forces.
 
@@ -44,10 +49,14 @@ def least_friction(
     active cone has no friction margin left, whatever reserve it has.
 
     It is the inverse of [`jaxgrasp.least_squeeze`][], to about 1e-9 of itself, and differentiable once, by the total
-    too. Where less friction would not leave too little, but nothing that balances the wrench at all, it is found by
-    halving, to 1e-6, and moves with the boundary of what the grasp can exert; NaN is the derivative where neither the
-    total nor a boundary can be told to hold it. That is so, too, where friction is scaled to so little (below 1e-4 or
-    so) that no forces are found though some exist: the share is then larger than the least.
+    too. Where less friction would not leave too little, but nothing that balances the wrench at all, it is given from
+    above, to 1e-6, and moves with the boundary of what the grasp can exert; NaN is the derivative where neither the
+    total nor a boundary can be told to hold it.
+
+    One search finds most shares, with forces that need no more and a twist that proves less too little; looks at one
+    share after the other find the rest, to the same bounds, and these can mistake a share for the least where friction
+    is scaled to so little (below 1e-4 or so) that no forces are found though some exist. A thousand grasps take about
+    half a second of the processor once compiled (``python -m benchmarks.least_friction``).
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -55,6 +64,8 @@ def least_friction(
         sharing: as for [`jaxgrasp.closed_form`][]; it matters only for contacts of weight zero.
         total: of the normal forces ``(...)`` [N]; where not given, that of the squeezing forces, which the hand means
             to exert.
+        progress: told how many more problems are done, as ``tqdm.update`` is, a thousand at a time; between them
+            the call can be interrupted. Not inside other programs.
 
     Returns:
         ``(...)``, a factor of every contact's coefficient. Zero, as are its derivatives, where a ten-thousandth is
@@ -67,7 +78,7 @@ def least_friction(
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"total": (total, ())})
     if total is not None:
         check_sign("total", total)
-    return dispatch(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total)
+    return dispatch(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total, progress=progress)
 
 
 def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
@@ -79,19 +90,60 @@ def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
 
 @jax.custom_jvp
 def _share(problem: ProblemBatch, total: Array) -> Array:
-    return jnp.exp(_searched(problem, total, evaluated=False)[0])
+    # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
+    given = replace(problem, count=None), total
+    there = jnp.arange(problem.size) < (problem.size if problem.count is None else problem.count)
+    found = varying_like(_FoundShare(jnp.zeros_like(total), there), problem, total)
+
+    def attempt(index: Array, found: _FoundShare) -> _FoundShare:
+        first = jnp.asarray(FIRST, total.dtype)[index]
+        return over_chosen(partial(_at_once, first), given, found, found.open, TILE)
+
+    # A loop rather than several calls: the attempts are one piece of compiled code.
+    found = lax.fori_loop(0, len(FIRST), attempt, found)
+    return jnp.exp(over_chosen(_at_length, given, found, found.open, TILE).share)
+
+
+class _FoundShare(NamedTuple):
+    """Logarithms of shares."""
+
+    share: Array
+    open: Array
+    """Whether it is not proven yet: a place to begin from, which may be no number."""
+
+
+def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundShare) -> _FoundShare:
+    """By one interior-point search, which proves what it finds but for a few problems at the end of its digits."""
+    problem, total = given
+    unshared = without_sharing(problem)
+    data, left = unshared.data, (total - held_total(problem))[None] / unshared.scaling.load
+    loaded = spatial.length(spatial.join(data.force, data.torque)) > 0
+    searched = unshared.valid & loaded & (left > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
+    best = least_share(data, jnp.where(searched, left, 1), ~(searched & found.open[None]), first)
+    # At a boundary of what can be exerted no arithmetic tells whether forces exist: a little beyond they do.
+    share = jnp.log(best.share) + jnp.where(best.spent, 0, _narrow(total) / 2)
+    share = jnp.where(best.lower >= WIDEST, jnp.inf, jnp.where(best.share <= 1 / WIDEST, -jnp.inf, share))
+    needs_none = unshared.valid & ~loaded & (left >= 0)
+    share = jnp.where(searched[0], share, jnp.where(needs_none[0], -jnp.inf, jnp.inf))
+    return _FoundShare(share, searched[0] & ~best.proven)
+
+
+def _at_length(given: tuple[ProblemBatch, Array], found: _FoundShare) -> _FoundShare:
+    """By looks at one share after the other."""
+    return _FoundShare(_search(*given, found.share), jnp.zeros_like(found.open))
 
 
 @_share.defjvp
 def _share_tangent(primals, tangents):
     """At the share the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
-    here, seen = _searched(problem, total, evaluated=True)
-    share = jnp.exp(here)
+    share = _share(problem, total)
     inside = jnp.isfinite(share) & (share > 0)
     # An infinite share times a derivative of zero would be no number, in one direction or the other.
     finite = jnp.where(inside, share, 1)
-    scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, jnp.log(finite)), (problem,), (problem_moved,))
+    here = jnp.log(finite)
+    scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, here), (problem,), (problem_moved,))
+    seen = _evaluate(problem, total, here)
     spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _narrow(total))
     falls = spent & (seen.slope < 0)
     needed = jnp.where(falls, seen.needed, 1)
@@ -123,7 +175,7 @@ def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array
     growing = eqx.tree_at(lambda p: p.friction, jax.tree.map(zero_tangent, problem), problem.friction)
     _, by_friction = jax.jvp(work, (problem,), (growing,))
     _, by_problem = jax.jvp(work, (problem,), (moved,))
-    # The wrench lies at the boundary as far as halving has found the share; else nothing was found below for want of
+    # The wrench lies at the boundary as far as the share was found; else nothing was found below for want of
     # digits, and the share moves with nothing that is known.
     distance = jnp.where(jnp.isfinite(theta), jnp.abs(theta), jnp.inf)
     met = (by_friction > 0) & (distance <= NEAR * _narrow(theta) * by_friction)
@@ -169,38 +221,28 @@ class _Bracket(NamedTuple):
     low_tried: Array
     high_tried: Array
     here: Array
+    apart: Array
+    """How far from one bound the other is sought at first."""
     done: Array
 
 
-def _searched(problem: ProblemBatch, total: Array, evaluated: bool) -> tuple[Array, _ShareEvaluation]:
-    """Logarithms of the shares, and what is known there; where not ``evaluated``, what is known next to them."""
-    # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
-    all_there = replace(problem, count=None)
-    search = partial(_search, evaluated=evaluated)
-    return over_tiles(lambda these: search(*these), (all_there, total), problem.size, TILE, problem.count)
-
-
-def _search(problem: ProblemBatch, total: Array, *, evaluated: bool) -> tuple[Array, _ShareEvaluation]:
-    """Where the excess falls to zero, or from infinity to below it."""
+def _search(problem: ProblemBatch, total: Array, near: Array) -> Array:
+    """Where the excess falls to zero, or from infinity to below it, ``near`` some place: logarithms."""
     widest = jnp.full_like(total, jnp.log(WIDEST))
-    no = jnp.zeros_like(total, bool)
-    start = _Bracket(-widest, widest, no, no, jnp.zeros_like(total), no)
-    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(_evaluate, problem, total, start.here))
-    start, nothing = varying_like((start, nothing), problem, total)
+    no, known = jnp.zeros_like(total, bool), jnp.abs(near) < widest
+    apart = jnp.where(known, 0.9 * _narrow(total), 2 * widest)
+    start = _Bracket(-widest, widest, no, no, jnp.where(known, near, 0), apart, no)
 
     def step(carry):
-        count, state, _, _ = carry
-        seen = _evaluate(problem, total, state.here)
-        stays = state.done | (count == STEPS)
-        state = jax.tree.map(lambda old, new: jnp.where(stays, old, new), state, _step(state, seen))
-        # Once all stay, each was seen where it is.
-        over = jnp.all(stays) if evaluated else jnp.all(state.done) | (count == STEPS - 1)
-        return count + 1, state, seen, over
+        count, state = carry
+        moved = _step(state, _evaluate(problem, total, state.here))
+        return count + 1, jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, moved)
 
-    _, state, seen, _ = lax.while_loop(lambda c: ~c[3], step, (jnp.int32(0), start, nothing, jnp.asarray(False)))
+    start = varying_like(start, problem, total)
+    _, state = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].done), step, (jnp.int32(0), start))
     narrow = _narrow(total)
     always, never = state.high + widest <= narrow, widest - state.low <= narrow
-    return jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here)), seen
+    return jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
 
 
 def _narrow(like: Array) -> float:
@@ -217,7 +259,11 @@ def _step(state: _Bracket, seen: _ShareEvaluation) -> _Bracket:
     falls = jnp.isfinite(seen.excess) & (seen.slope < 0)
     newton = state.here - jnp.where(falls, seen.excess / jnp.where(falls, seen.slope, 1), 0)
     led = jnp.clip(newton, low, high)
-    tried = ((led <= low) & low_tried) | ((led >= high) & high_tried)
+    tried = ((led <= low) & low_tried) | ((led >= high) & high_tried) | (jnp.abs(led - state.here) > state.apart)
+    # Close to where it was looked for first; then farther and farther off.
+    middle = (low + high) / 2
+    middle = jnp.where(low_tried, middle, jnp.maximum(high - state.apart, middle))
+    middle = jnp.where(high_tried, middle, jnp.minimum(low + state.apart, middle))
     met, arrived = high - low <= _narrow(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
-    share = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, (low + high) / 2))
-    return _Bracket(low, high, low_tried, high_tried, share, met | arrived)
+    share = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, middle))
+    return _Bracket(low, high, low_tried, high_tried, share, FARTHER * state.apart, met | arrived)

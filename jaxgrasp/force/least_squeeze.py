@@ -75,7 +75,7 @@ def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boun
     """How a total that is known moves with its problem; zero where it is infinite."""
 
     def lagrangian(problem: ProblemBatch) -> Array:
-        return _held(problem) - work_along(problem, problem.wrench, boundary)
+        return held_total(problem) - work_along(problem, problem.wrench, boundary)
 
     return jnp.where(jnp.isfinite(total), jax.jvp(lagrangian, (problem,), (moved,))[1], 0)
 
@@ -93,7 +93,7 @@ def _no_second_derivative(primals, tangents):
     raise NotImplementedError("least_squeeze and least_friction have first derivatives only")
 
 
-def _held(problem: ProblemBatch) -> Array:
+def held_total(problem: ProblemBatch) -> Array:
     """What contacts that cannot move press with, ``(B,)``."""
     fixed = problem.weights <= 0
     if problem.present is not None:
@@ -108,4 +108,4 @@ def _least_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, Bounda
     least, path = reach.least_normal_force(unshared.data, ~found)
     last, before = (reach.with_normal_cost(unshared.data, penalty) for penalty in (path.penalty, path.penalty_before))
     boundary = boundary_point(unshared, last, before, path, jnp.ones_like(path.penalty))
-    return jnp.where(found[0], (unshared.scaling.load * least)[0] + _held(problem), jnp.inf), boundary
+    return jnp.where(found[0], (unshared.scaling.load * least)[0] + held_total(problem), jnp.inf), boundary

@@ -110,7 +110,8 @@ _mark.def_abstract_eval(lambda touched: touched)
 
 
 def _lower_mark(context: mlir.LoweringRuleContext, touched: Any) -> Any:
-    if not _is_spread(context.module_context.axis_context):
+    module = context.module_context
+    if tuple(module.platforms) == ("cpu",) and not _is_spread(module.axis_context):
         texts: dict[str, ir.Attribute] = {name: ir.StringAttr.get(text) for name, text in ATTRIBUTES.items()}
         touched.owner.attributes["mhlo.frontend_attributes"] = ir.DictAttr.get(texts)
     return [touched]

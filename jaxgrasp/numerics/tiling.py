@@ -1,11 +1,15 @@
 """A large batch in tiles that fit in the cache, and the few problems that need more work gathered.
 
+That is so on a processor. Other platforms compute many problems at a time: there a batch goes in a few wide tiles, and
+which of the two it is is decided where a program is lowered.
+
 Arrays are batch-first here. A leaf of leading size 1 is shared by the whole batch and is handed to every
 tile as it is. Nothing here rests on ``lax.cond`` under ``vmap``, which would compute both branches.
 """
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import jax
@@ -20,6 +24,13 @@ Out = TypeVar("Out")
 
 FEW = 4
 """A batch of so few is computed whole when any of it is chosen: gathering would cost more."""
+NARROW = "cpu"
+"""The platform whose cores compute narrow tiles, which stay in their caches. All others compute many problems at a
+time, and wait for one tile after the other."""
+WIDE = 1 << 14
+"""Problems in a tile of other platforms at least, where a batch has so many."""
+TRIPS = 8
+"""Tiles, one after the other, on other platforms at the most."""
 
 
 def spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
@@ -36,7 +47,7 @@ def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, 
 def over_tiles(
     function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int, count: Array | None = None
 ) -> Out:
-    """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time.
+    """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time, or more off the processor.
 
     Where a ``count`` is given, no tile is computed that lies behind the first so many problems: zeros stand there.
 
@@ -45,6 +56,10 @@ def over_tiles(
     """
     if size == 0:
         return _nothing(function, arguments)
+    return _by_platform(partial(_over_tiles, function, arguments, size, count), size, tile)
+
+
+def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, tile: int) -> Out:
     if size <= tile:
         return function(arguments)
     shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
@@ -59,6 +74,19 @@ def over_tiles(
     return lax.fori_loop(0, tiles, body, results)
 
 
+def width(size: int, tile: int) -> int:
+    """Problems in a tile off the processor, so that there are few tiles whatever the size of the batch."""
+    return max(tile, min(size, max(WIDE, -(-size // TRIPS))))
+
+
+def _by_platform(compute: Callable[[int], Out], size: int, tile: int) -> Out:
+    """What is computed by tiles of so many problems on the processor, decided where the program is lowered."""
+    wide = width(size, tile)
+    if wide == tile:
+        return compute(tile)
+    return lax.platform_dependent(default=partial(compute, wide), **{NARROW: partial(compute, tile)})
+
+
 def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, tile: int) -> Out:
     """``results`` with those of the ``chosen`` problems replaced by ``function(arguments, results)`` of them.
 
@@ -71,28 +99,37 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
         return results
     if size <= FEW:
         return lax.cond(jnp.any(chosen), lambda r: merged(chosen, function(arguments, r), r), lambda r: r, results)
-    tile = min(tile, size)
     count = jnp.sum(chosen, dtype=jnp.int32)
 
     def replace(results):
-        last = jnp.cumsum(chosen, dtype=jnp.int32)
-        padded = -(-size // tile) * tile
-        order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32))
-        order = jnp.minimum(order, size - 1).astype(jnp.int32)
-
-        def body(state):
-            i, gathered = state
-            problems = lax.dynamic_slice_in_dim(order, i * tile, tile)
-            answer = function(_take(arguments, problems, size), _take(results, problems, size))
-            return i + 1, _write(gathered, answer, i * tile)
-
-        gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
-        gathered = varying_like(gathered, arguments, results)
-        _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
-        place = jnp.maximum(last - 1, 0)
-        return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)
+        return _by_platform(partial(_replace, function, arguments, results, chosen, count), size, min(tile, size))
 
     return lax.cond(count > 0, replace, lambda results: results, results)
+
+
+def _replace(
+    function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, count: Array, tile: int
+) -> Out:
+    """``results`` with those of the ``chosen`` problems, of which there are ``count``, replaced tile by tile."""
+    size = chosen.shape[0]
+    last = jnp.cumsum(chosen, dtype=jnp.int32)
+    padded = -(-size // tile) * tile
+    # Off the processor by a sort: a search takes steps one after the other.
+    method = "scan" if tile < WIDE else "sort"
+    order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32), method=method)
+    order = jnp.minimum(order, size - 1).astype(jnp.int32)
+
+    def body(state):
+        i, gathered = state
+        problems = lax.dynamic_slice_in_dim(order, i * tile, tile)
+        answer = function(_take(arguments, problems, size), _take(results, problems, size))
+        return i + 1, _write(gathered, answer, i * tile)
+
+    gathered = jax.tree.map(lambda r: jnp.zeros((padded, *r.shape[1:]), r.dtype), results)
+    gathered = varying_like(gathered, arguments, results)
+    _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
+    place = jnp.maximum(last - 1, 0)
+    return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)
 
 
 def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:

@@ -41,6 +41,8 @@ ALIGNMENT = 64
 
 Solve = Callable[..., Any]
 """From a flat batch of problems, and one array for each of them by name, to a tree of arrays ``(B, ...)``."""
+Progress = Callable[[int], object]
+"""Told of so many more problems that are done, as ``tqdm.update`` is."""
 
 
 class Inputs(NamedTuple):
@@ -66,12 +68,15 @@ def dispatch(
     safety: float | AnyArray | None = None,
     tails: tuple[tuple[str, tuple[int, ...]], ...] = (),
     devices: int | None = None,
+    progress: Progress | None = None,
     **each: AnyArray | float | None,
 ) -> Any:
     """The answers of ``solve`` with the leading axes of what was given, on so many ``devices`` where that is asked for.
 
     ``each`` are further arrays, one for each problem, whose last axes ``tails`` name, or ``(6,)``; those that are None
     are left out. ``start``, multipliers to begin from, becomes a field of the problem.
+
+    ``progress`` is told how many problems are done, piece by piece, between which the batch can be interrupted.
     """
     name, weights = read_sharing(sharing)
     there = {key: array for key, array in each.items() if array is not None}
@@ -79,11 +84,14 @@ def dispatch(
     if devices is not None:
         return _on_devices(solve, given, name, tails, devices)
     if not _is_alone(given):
+        if progress is not None:
+            raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
     try:
-        if _size(given, tails) in SIZES:
-            return _exactly()(given, solve=solve, sharing=name, tails=tails)
-        return _in_pieces(solve, given, name, tails)
+        size = _size(given, tails)
+        if size in SIZES and (progress is None or size <= LEAST_WHOLE):
+            return _told(progress, size, _exactly()(given, solve=solve, sharing=name, tails=tails))
+        return _in_pieces(solve, given, name, tails, progress)
     except ValueError as error:
         if "compiler_options" not in str(error):
             raise
@@ -188,7 +196,7 @@ def _size(given: Inputs, tails: tuple) -> int | None:
         return None  # whoever reads the arrays says what is wrong
 
 
-def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple) -> Any:
+def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple, progress: Progress | None) -> Any:
     own: Any = given
     program: Callable
     batch = _plain_batch(given, tails)
@@ -203,9 +211,10 @@ def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple) -> Any:
 
     def found(first: int, room: int) -> Any:
         part = jax.tree.map(lambda array: _piece(array, first, room, size), own)
-        return program(part, np.int32(min(room, size - first)))
+        count = min(room, size - first)
+        return _told(progress, count, program(part, np.int32(count)))
 
-    cut = pieces(size)
+    cut = pieces(size) if progress is None else pieces(size, LEAST_WHOLE)
     answers = (found(*piece) for piece in cut)
     if size <= LARGEST_ASSEMBLED and _comes_again(size):
         return _assembler(batch)(tuple(answers))
@@ -230,10 +239,18 @@ def _plain_batch(given: Inputs, tails: tuple) -> tuple[int, ...] | None:
     return batch if same and not getattr(grasp.points, "weak_type", False) else None
 
 
-def pieces(size: int) -> list[tuple[int, int]]:
+def _told(progress: Progress | None, count: int, answer: Any) -> Any:
+    """The answer, once it is there if somebody waits to be told."""
+    if progress is not None:
+        jax.block_until_ready(answer)
+        progress(count)
+    return answer
+
+
+def pieces(size: int, largest: int = SIZES[-1]) -> list[tuple[int, int]]:
     """Where each piece of a batch begins, and for how many problems its program is compiled; the last is padded."""
     cut, first = [], 0
-    for room in reversed(SIZES):
+    for room in reversed([room for room in SIZES if room <= largest]):
         while room >= LEAST_WHOLE and size - first >= room:
             cut.append((first, room))
             first += room

@@ -7,7 +7,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp import Grasp, Verdict
-from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, pieces
+from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, dispatch, pieces
 from jaxgrasp.testing import problems as P
 
 N = 3
@@ -70,6 +70,31 @@ def repeated(count: int) -> tuple[Grasp, np.ndarray]:
     order = np.arange(count) % 1000
     grasp, wrench = asked(1000)
     return jax.tree.map(lambda x: x[order], grasp), wrench[order]
+
+
+def one_of_each(problem, **each):
+    return problem.wrench[:, 0]
+
+
+@pytest.mark.parametrize("size, told", [(1000, [1000]), (2500, [1000, 1000, 500])])
+def test_progress_is_told_piece_by_piece_and_can_end_the_call(size, told):
+    grasp, wrench = repeated(size)
+    heard: list[int] = []
+    found = dispatch(one_of_each, grasp, wrench, "squeeze", progress=heard.append)
+    assert heard == told
+    np.testing.assert_array_equal(found, wrench[:, 0])
+
+    def interrupt(count: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        dispatch(one_of_each, grasp, wrench, "squeeze", progress=interrupt)
+
+
+def test_progress_is_refused_inside_another_program():
+    grasp, wrench = asked(3)
+    with pytest.raises(ValueError, match="progress is given inside another program"):
+        jax.jit(lambda w: dispatch(one_of_each, grasp, w, "squeeze", progress=print))(wrench)
 
 
 @pytest.mark.parametrize("size", [1234, 4001])

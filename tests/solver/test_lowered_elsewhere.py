@@ -1,0 +1,73 @@
+"""Off the processor many problems are computed at a time: programs there have few tiles, whatever the batch."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp import Grasp, closed_form, constrained_optimum
+from jaxgrasp.numerics import tiling
+
+SMALL, LARGE = 1_000, 100_000
+TILES = -(-LARGE // 128)
+"""How many tiles the closed form of so many grasps takes on a processor."""
+CONSTANT = re.compile(r"(%\w+) = stablehlo.constant dense<(\d+)> : tensor<i(?:32|64)>")
+CONDITION = re.compile(r"cond \{(.*?)\} do \{", re.DOTALL)
+
+
+def loop_bounds(question, size: int, platform: str) -> list[int]:
+    """Every integer that the condition of a loop compares, or computes with, in the program for another machine."""
+    shapes = [jax.ShapeDtypeStruct((size, *tail), jnp.float64) for tail in ((3, 3), (3, 3), (3,), (3,), (6,))]
+    asked = jax.jit(lambda *given: question(Grasp(*given[:4]), given[4]).forces)
+    text = jax.export.export(asked, platforms=[platform])(*shapes).mlir_module()
+    found = []
+    # Names begin anew with each function of the module.
+    for part in text.split("func.func"):
+        known = {name: int(value) for name, value in CONSTANT.findall(part)}
+        names = (name for body in CONDITION.findall(part) for name in re.findall(r"%\w+", body))
+        found += [known[name] for name in names if name in known]
+    return sorted(found)
+
+
+@pytest.mark.parametrize("question", [closed_form, pytest.param(constrained_optimum, marks=pytest.mark.slow)])
+def test_loops_off_the_processor_do_not_grow_with_the_batch(question):
+    small, large = (loop_bounds(question, size, "cuda") for size in (SMALL, LARGE))
+    # A loop over gathered tiles goes on while fewer problems are done than were chosen, a tile at a time. What else
+    # loops are bounded by, such as steps of Newton's method, is the same for all batches.
+    grown = [bound for bound in large if bound not in small]
+    assert all(bound <= tiling.TRIPS or bound * tiling.TRIPS >= LARGE for bound in grown)
+    assert TILES not in large
+
+
+def test_on_the_processor_tiles_stay_as_narrow_as_they_are():
+    assert TILES in loop_bounds(closed_form, LARGE, "cpu")
+
+
+@pytest.mark.parametrize("size", [1, 127, 1_000, 16_384, 100_000, 3_000_000])
+@pytest.mark.parametrize("tile", [16, 128])
+def test_tiles_are_few_and_hold_all(size, tile):
+    wide = tiling.width(size, tile)
+    assert wide >= min(tile, size) and -(-size // wide) <= tiling.TRIPS
+
+
+@pytest.mark.parametrize("size", [20, 50])
+def test_wide_tiles_find_what_narrow_ones_find(size, monkeypatch):
+    """As on another platform, but here."""
+    rng = np.random.default_rng(0)
+    each, chosen = jnp.asarray(rng.normal(size=(size, 2))), jnp.asarray(rng.uniform(size=size) < 0.5)
+    before = jnp.zeros(size)
+
+    def all_of(each):
+        return jnp.sum(jnp.sin(each), 1)
+
+    def both(each, chosen):
+        whole = tiling.over_tiles(all_of, each, size, 4)
+        return whole, tiling.over_chosen(lambda e, _: all_of(e), each, before, chosen, 4)
+
+    narrow = jax.jit(both)(each, chosen)
+    monkeypatch.setattr(tiling, "NARROW", "tpu")
+    wide = jax.jit(lambda *given: both(*given))(each, chosen)
+    for one, other in zip(narrow, wide, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-15)

@@ -98,7 +98,7 @@ class Watch:
 
 def role_of(command: bytes) -> str:
     """Whose process it is; a worker takes its name once it is at work."""
-    if b"ray::ShardEvaluator" in command:
+    if b"ray::MapWorker" in command:
         return WORKER
     return COMMAND if b"jaxgrasp.cli.main" in command else RAY
 

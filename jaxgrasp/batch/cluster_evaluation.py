@@ -1,9 +1,10 @@
 """Evaluations of many files on a cluster: which are to be done, who does them, and what they say together."""
 
+import json
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.batch.parquet_file import opened_parquet
 from jaxgrasp.batch.ray_cluster import LOCAL, connected, mapped
 from jaxgrasp.batch.remote_file import RemoteFile, remote_files
-from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardTask
+from jaxgrasp.batch.shard_evaluator import ShardEvaluator, ShardReport, ShardTask
 from jaxgrasp.batch.shard_folder import ShardFolder
 from jaxgrasp.batch.stream import StreamPlan, StreamResult
 
@@ -125,9 +126,7 @@ def evaluate_on_cluster(
         ray = stack.enter_context(connected(cluster.where, cluster.workers))
         folder.begin()
         stack.callback(folder.write)
-        arguments = (plan, str(folder.folder.absolute()))
-        reports = mapped(ray, ShardEvaluator, arguments, tasks, cluster.workers, cluster.gpus)
-        for report in stack.enter_context(closing(reports)):
+        for report in _reports(ray, plan, cluster, folder, tasks):
             count = grasps[report.task.file]
             if report.entry is not None:
                 folder.add(report.entry)
@@ -149,6 +148,17 @@ def evaluate_on_cluster(
 
 def _with_earlier(task: ShardTask, folder: ShardFolder) -> ShardTask:
     return replace(task, earlier=folder.entry(task.file))
+
+
+def _reports(
+    ray: Any, plan: StreamPlan, cluster: ClusterPlan, folder: ShardFolder, tasks: list[ShardTask]
+) -> Iterator[ShardReport]:
+    items = [json.dumps(asdict(task)) for task in tasks]
+    arguments = (plan, str(folder.folder.absolute()))
+    for batch in mapped(ray, ShardEvaluator, arguments, "task", items, cluster.workers, cluster.gpus):
+        for text in batch["report"]:
+            said = json.loads(str(text))
+            yield ShardReport(**said | {"task": ShardTask(**said["task"])})
 
 
 def _add(times: Times, more: dict) -> None:

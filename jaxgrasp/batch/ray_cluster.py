@@ -4,9 +4,8 @@ import logging
 import os
 import socket
 import sys
-from collections import deque
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from jaxgrasp.validation.optional_library import optional_library
@@ -29,12 +28,12 @@ class ClusterError(OSError):
 
 
 def ray_library() -> Any:
-    """Ray.
+    """Ray with its module for data.
 
     Raises:
         ImportError: where it is not installed, with the command that does it.
     """
-    return optional_library("ray", missing=MISSING)
+    return optional_library("ray", "ray.data", missing=MISSING)
 
 
 @contextmanager
@@ -132,24 +131,40 @@ def _no_stderr() -> Iterator[None]:
 
 @contextmanager
 def _quiet_logs() -> Iterator[None]:
-    logger = logging.getLogger("ray")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
+    loggers = [logging.getLogger(name) for name in ("ray", "ray.data")]
+    levels = [logger.level for logger in loggers]
+    try:
+        with _no_progress_bars():
+            for logger in loggers:
+                logger.setLevel(logging.CRITICAL)
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@contextmanager
+def _no_progress_bars() -> Iterator[None]:
+    """Ray's bar stands where ours does."""
+    context = ray_library().data.DataContext.get_current()
+    before = context.enable_progress_bars, context.print_on_execution_start
+    context.enable_progress_bars = context.print_on_execution_start = False
     try:
         yield
     finally:
-        logger.setLevel(level)
+        context.enable_progress_bars, context.print_on_execution_start = before
 
 
 def mapped(
-    ray: Any, worker: type, arguments: tuple, items: Sequence[Any], workers: int | None, gpus: float
-) -> Generator[Any, None, None]:
-    """What ``worker(*arguments).report(item)`` returns of each item, as they are done.
+    ray: Any, worker: type, arguments: tuple, column: str, items: list[str], workers: int | None, gpus: float
+) -> Iterator[dict[str, Any]]:
+    """What ``worker(*arguments)`` makes of batches of one item, ``{column: [item]}``, as they are done.
 
     Args:
         ray: what ``connected`` gave.
-        worker: a class, of which each process of the cluster keeps an instance.
+        worker: a class of callables, of which each process of the cluster keeps one.
         arguments: of its constructor.
+        column: name of the items.
         items: what to do; one whose process or machine is lost is done again.
         workers: processes, of one core each; one for each core of the cluster where not given.
         gpus: of each process.
@@ -157,33 +172,20 @@ def mapped(
     Raises:
         ClusterError: where the cluster cannot go on.
     """
-    size = min(workers or max(1, int(ray.cluster_resources().get("CPU", 1))), len(items))
-    kind = ray.remote(num_cpus=1, num_gpus=gpus or None, max_restarts=-1, max_task_retries=-1)(worker)
-    left = deque(items)
-    begun: dict[Any, Any] = {}
-    at_work: dict[Any, Any] = {}
+    size = workers or max(1, int(ray.cluster_resources().get("CPU", 1)))
     try:
-        for _ in range(size):
-            actor = kind.remote(*arguments)
-            begun[actor.__ray_ready__.remote()] = actor
-        while left or at_work:
-            (done,), _ = ray.wait([*begun, *at_work])
-            reports = done in at_work
-            actor = (at_work if reports else begun).pop(done)
-            found = ray.get(done)
-            if left:
-                at_work[actor.report.remote(left.popleft())] = actor
-            else:
-                # Its core may be needed by one that has lost its machine in the middle of an item.
-                ray.kill(actor)
-            if reports:
-                yield found
+        data = ray.data.from_items([{column: item} for item in items], override_num_blocks=len(items))
+        done = data.map_batches(
+            worker,
+            fn_constructor_args=arguments,
+            batch_size=1,
+            compute=ray.data.ActorPoolStrategy(size=min(size, len(items)), max_tasks_in_flight_per_actor=1),
+            num_cpus=1,
+            num_gpus=gpus or None,
+        )
+        yield from done.iter_batches(batch_size=None, batch_format="numpy", prefetch_batches=0)
     except ray.exceptions.RayError as error:
         lines = [line for line in str(error).splitlines() if line.strip()]
         raise ClusterError(
             f"the cluster cannot go on ({lines[-1].strip() if lines else type(error).__name__})"
         ) from error
-    finally:
-        with suppress(ray.exceptions.RayError):
-            for actor in (*begun.values(), *at_work.values()):
-                ray.kill(actor)

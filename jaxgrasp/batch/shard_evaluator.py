@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import jax
 import numpy as np
@@ -73,6 +73,11 @@ class ShardEvaluator:
             use_cache()
         self._plan, self._out = plan, Path(out)
         self._methods, self._measures = methods_named(plan.methods), plan.measures
+
+    def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
+        """The reports on some files, as Ray hands them on: ``task`` in and ``report`` out, both in JSON."""
+        tasks = [ShardTask(**json.loads(text)) for text in batch["task"]]
+        return {"report": [json.dumps(asdict(self.report(task))) for task in tasks]}
 
     def report(self, task: ShardTask) -> ShardReport:
         """Evaluate a file, unless its results are there; errors of files are reported, not raised."""

@@ -165,7 +165,7 @@ def test_two_workers_say_what_one_process_says(few, folder, mark):
 
 
 def workers_of(mark: str) -> list[int]:
-    return [process for process in marked(mark) if "ray::ShardEvaluator" in name_of(process)]
+    return [process for process in marked(mark) if "ray::MapWorker" in name_of(process)]
 
 
 def niceness(process: int) -> int:
@@ -303,11 +303,10 @@ def test_a_machine_that_is_lost_loses_and_doubles_nothing(many, folder, mark):
 
 MAPPED = """
 import sys
-import ray.data
 from jaxgrasp.batch import BatchEvaluator
 from jaxgrasp.batch.ray_cluster import connected
 
-with connected("local", 2):
+with connected("local", 2) as ray:
     data = ray.data.read_parquet("in", override_num_blocks=6)
     evaluator = BatchEvaluator(("B", "B-optimum"), contacts=(6,), rows=128)
     for form in ("numpy", "pyarrow"):

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-from jax import Array
 
+from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.numerics.compiled_code import compile_options
 
-Leaves = tuple[Array, ...]
+Leaves = tuple[AnyArray, ...]
 
 
 class FlatProgram:

@@ -21,7 +21,7 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.flat_program import FlatProgram, Leaves
 from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
 from jaxgrasp.lab.glove_hand import GloveHand, felt
-from jaxgrasp.model.arrays import Float
+from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 
 
@@ -93,7 +93,7 @@ class HapticTick:
 
     def __call__(
         self, state: Leaves, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
-    ) -> tuple[Leaves, Leaves, Array, Array]:
+    ) -> tuple[Leaves, Leaves, AnyArray, AnyArray]:
         """The leaves of the next state and of what became of the object; the torques that are felt, and their slope.
 
         Args:

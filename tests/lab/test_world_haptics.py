@@ -14,6 +14,7 @@ from jaxgrasp.cli.main import main
 from jaxgrasp.grip import Hold
 from jaxgrasp.grip.scene_file import gripped_scene, load_scene, ready_scenes
 from jaxgrasp.hand import Pose, Posture
+from jaxgrasp.lab.grasp_and_lift import grasp_and_lift
 from jaxgrasp.lab.haptic_loop import pose_at
 from jaxgrasp.lab.world_haptics import WorldHaptics
 from jaxgrasp.world import QuasiStaticEngine, world_of
@@ -117,6 +118,29 @@ def test_soft_fingers_that_turn_a_ball_off_a_stack_feel_their_moments_too():
         ahead, back = (haptics.tick(55 * DT, angles + by * step, posture.wrist).torques for by in (1.0, -1.0))
         change, slope = (ahead - back) / 2e-6, laws[-1].derivative
         np.testing.assert_allclose(slope[:, k], change, atol=2e-5 * np.abs(slope).max())
+
+
+@pytest.mark.slow
+def test_the_ready_stack_is_a_story_in_which_the_ball_is_lifted_and_stays(monkeypatch):
+    """Closed, lifted, its cable cut and armed again: the ball goes with the wrist, its weight on the fingers."""
+    file = load_scene(ready_scenes()["stack"])
+    made = gripped_scene(file)
+    world, state = world_of(file, made)
+    closed = np.asarray(made.closed.angles)
+    haptics = WorldHaptics(world, MODEL, closed, state, QuasiStaticEngine(world, state), made.law)
+    forces, plain = [], haptics.tick
+
+    def tick(*given):
+        law = plain(*given)
+        forces.append(np.asarray(haptics.share.exerted)[0].sum(0))
+        return law
+
+    monkeypatch.setattr(haptics, "tick", tick)
+    story = grasp_and_lift(MODEL, scene=made, haptics=haptics)
+    held = (story.ticks > 3.6) & (story.ticks < 4.0) | (story.ticks > 6.5)
+    assert story.heights[held].min() > 0.09
+    np.testing.assert_allclose(np.mean(np.array(forces)[held], 0), [0, 0, file.object.mass * G], atol=0.02)
+    np.testing.assert_allclose(haptics.followed.placed.origin[1:], state.placed.origin[1:], atol=3e-3)
 
 
 def test_a_grip_is_not_followed_among_several_objects(capsys):

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 import time
-import urllib.request
 
 import numpy as np
 import pytest
@@ -217,28 +216,6 @@ def test_run_now(bending):
         assert bench.answer("disarm") == "no torque\n"
         rest = bench.leave()
     assert "the line: " in rest and "the engine: " in rest and "overruns" in rest
-
-
-@POSIX
-@pytest.mark.slow
-@pytest.mark.realtime
-def test_run_now_among_several_objects_beside_their_page(bending):
-    """Armed, felt in full and let go while a page shows all objects: it answers, and is no reason to be late."""
-    pytest.importorskip("viser", reason="the live scene needs viser")
-    with Bench("stack", "--port", bending, "--view", "--view-port", "0", "--rate", "50") as bench:
-        shown = bench.line()
-        address = re.search(r"open (http://\S+) in a browser", shown)[1]
-        assert "ready" in bench.line()
-        with urllib.request.urlopen(address, timeout=30) as page:
-            assert page.status == 200
-        bench.insist("arm")
-        bench.insist("full")
-        time.sleep(2.0)
-        bench.insist("arm")
-        assert bench.answer("disarm") == "no torque\n"
-        rest = bench.leave()
-    turns = int(re.search(r"the engine: (\d+) turns", rest)[1])
-    assert turns > 100 and "the line: " in rest
 
 
 @POSIX

@@ -8,21 +8,22 @@ from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.csv_rows import write_rows
 from jaxgrasp.files.replace import check_writable
 from jaxgrasp.glove.model import load_glove, lrp_hand_master
-from jaxgrasp.grip.scene_file import check_without_others, load_scene, scene_path
+from jaxgrasp.grip.scene_file import load_scene, scene_path
 from jaxgrasp.lab.ablation import JointLoss, joint_losses
 from jaxgrasp.lab.loaded_scene import loaded_scene
+from jaxgrasp.world.world_file import world_of
 
 
 def ablate_command(arguments: Ablate) -> int:
     """A line a joint, and the same as CSV where it is asked for."""
     file = load_scene(scene_path(arguments.scene))
-    check_without_others(file)
     model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
     if arguments.out is not None:
         check_writable(arguments.out.parent)
     set_up_jax("float64")
     with compiling("the hand and its contacts"):
-        losses = joint_losses(loaded_scene(file), model)
+        made = loaded_scene(file)
+        losses = joint_losses(made, model, world_of(file, made) if file.other else None)
     show(f"{file.name}: without one of the glove's joints")
     show(f"{'joint':18s} {'mN m not felt':>14s} {'of what is felt':>16s} {'contacts':>9s} {'squeeze':>8s}  holds")
     for one in losses:

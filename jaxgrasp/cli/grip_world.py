@@ -55,23 +55,25 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
     instants = world_carry(moved.world, moved.engine, postures, moved.state, dt, law=law)
     record = stacked([instant.gripped for instant in instants])
     states, loads = stacked([(instant.state, instant.loads) for instant in instants])
-    exerted, points = stacked([(one.share.exerted, one.share.touches.contacts.points) for one in instants])
+    exerted, points = stacked([(one.share.by_hand, one.share.touches.contacts.points) for one in instants])
     columns = {
         "others_origin": states.placed.origin[:, 1:],
         "others_rotation": states.placed.rotation[:, 1:],
-        "others_forces": exerted[:, 1:],
+        "others_forces": exerted.forces[:, 1:],
         "others_points": points[:, 1:],
         "loads_by_table": loads.by_table,
         "loads_by_obstacles": loads.by_obstacles,
         "loads_by_things": loads.by_things,
     }
+    if exerted.moments is not None:
+        columns["others_moments"] = exerted.moments[:, 1:]
     ways = np.linalg.norm(states.placed.origin - states.placed.origin[0], axis=-1)[:, 1:]
     summary = {
         "engine": moved.name,
         "not_solved": int(sum(not instant.solved for instant in instants)),
         "others": {
             "furthest_m": ways.max(0).tolist(),
-            "touched_by_hand": np.any(exerted[:, 1:], (0, 2, 3)).tolist(),
+            "touched_by_hand": np.any(exerted.forces[:, 1:], (0, 2, 3)).tolist(),
         },
     }
     return record, OthersRecord(columns, summary)

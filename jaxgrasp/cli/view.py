@@ -11,7 +11,7 @@ from jaxgrasp.cli.terminal import show
 from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.grip.scene_entries import TableEntry
-from jaxgrasp.grip.scene_file import SceneFile, check_without_others, load_scene, scene_path
+from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
 from jaxgrasp.hand.mesh import load_mesh
 from jaxgrasp.lab.loaded_scene import loaded_scene
 from jaxgrasp.model.faults import GraspError
@@ -21,8 +21,10 @@ from jaxgrasp.view.grasp_page import GraspPage
 from jaxgrasp.view.grasp_steps import GraspSteps
 from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_page import LivePage
+from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.viewer_server import check_free, quiet_viser, serving
+from jaxgrasp.world.world_file import world_of
 
 BELOW = 0.4
 """How far the table is below the object that a hand holds from the start [m]."""
@@ -64,11 +66,11 @@ def _live(arguments: View) -> int:
     file = SceneFile(name="a cylinder", table=TableEntry(below=BELOW))
     if arguments.file is not None:
         file = load_scene(scene_path(arguments.file))
-        check_without_others(file)
     set_up_jax("float64")
     with compiling("the hand, its contacts and both laws"):
         made = loaded_scene(file)
-        hand = LiveHand(made, arguments.law or made.law)
+        law = arguments.law or made.law
+        hand = LiveWorld(made, *world_of(file, made), law) if file.other else LiveHand(made, law)
     with _server(arguments, file.name) as server:
         return _shown(arguments, server, LivePage(server, hand, runs))
 

@@ -141,15 +141,6 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     return replace(found, object=replace(found.object, mesh=mesh), hand=replace(found.hand, file=hand), other=others)
 
 
-def check_without_others(file: SceneFile) -> None:
-    """Raise ValueError for a scene of more objects than the gripped one, which not every command moves."""
-    if file.other:
-        raise ValueError(
-            f"scene has {len(file.other)} tables [[other]]: expected none, `jaxgrasp grip --scene` and "
-            "`jaxgrasp glove run` take them"
-        )
-
-
 def _each(kind: type[Entry], given: dict[str, Any], name: str) -> tuple[Entry, ...]:
     """The entries of an array of tables; none where it is not given."""
     tables = given.get(name, [])

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -19,8 +18,9 @@ from jaxgrasp.grip.carry import Instant, set_down
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
 from jaxgrasp.hand.grip_type import GripType
+from jaxgrasp.lab.flat_program import Leaves
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
-from jaxgrasp.lab.haptic_tick import HapticTick, Passed
+from jaxgrasp.lab.haptic_tick import HapticState, HapticTick
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.rotation import is_rotation
@@ -56,9 +56,9 @@ class Followed(NamedTuple):
 class TickAnswer(NamedTuple):
     """What one tick found."""
 
-    torques: Array
+    torques: AnyArray
     """By which the glove is to resist flexion ``(channels,)`` [N.m]."""
-    slope: Array
+    slope: AnyArray
     """Their derivative by the flexions [N.m/rad]."""
     keep: Callable[[], None]
     """Lets the next tick go on from this one."""
@@ -144,15 +144,20 @@ class Haptics(HandHaptics):
         check_scene(self.scene)
         self._worn = glove_hand(self.scene.hand, self.model, self.others)
         self._program = HapticTick(self.scene, self._worn, self.law, self.follows)
-        self._begin = self._state = self._program.start(set_down(self.scene, self.placed))
-        self._passed: Passed | None = None
+        self._begin = self._program.start(set_down(self.scene, self.placed))
+        self._leaves = self._program.begun(self._begin)
+        self._passed: Leaves | None = None
 
     def restart(self, scene: Scene, placed: Pose) -> None:
         """Another scene of the same kind, its object at rest there; nothing is compiled for other numbers."""
         self.scene, self.placed = scene, placed
         self._program = HapticTick(scene, self._worn, self.law, self.follows)
-        self._state = self._begin._replace(carried=set_down(scene, placed))
+        self._leaves = self._program.begun(self._begin._replace(carried=set_down(scene, placed)))
         self._passed, self._before = None, None
+
+    @property
+    def _state(self) -> HapticState:
+        return self._program.state(self._leaves)
 
     @property
     def inertial(self) -> Array:
@@ -177,23 +182,24 @@ class Haptics(HandHaptics):
         """Record of the last tick but one: contacts, forces, hold."""
         if self._passed is None:
             return None
-        placed, tick, stands, exerted, missed = self._passed
+        placed, tick, stands, exerted, missed = self._program.become(self._passed)
         hold = Hold(int(tick.assessment.hold))
         return Instant(placed, tick, hold, bool(stands), exerted.forces, missed, exerted.moments)
 
     @property
     def grip(self) -> GripType | None:
         """The grip whose contributions count; None where they do not follow it."""
-        return None if self._state.grip is None else GripType(int(self._state.grip.kind))
+        grip = self._state.grip
+        return None if grip is None else GripType(int(grip.kind))
 
     def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
-        state, become, found = self._program(self._state, angles, wrist, passed, kept)
+        leaves, become, torques, slope = self._program(self._leaves, angles, wrist, passed, kept)
 
         def keep() -> None:
             self._passed = become if passed > 0 else None
-            self._state, self.placed = state, state.carried.placed
+            self._leaves, self.placed = leaves, self._program.placed(leaves)
 
-        return TickAnswer(found.torques, found.slope, keep)
+        return TickAnswer(torques, slope, keep)
 
 
 def _is_a_hands(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:
@@ -203,7 +209,7 @@ def _is_a_hands(angles: Float[np.ndarray, "channels"], wrist: Pose) -> bool:
     return bool(bent <= MOST_BENT and far <= FARTHEST and is_rotation(np.asarray(wrist.rotation), OFF_ROTATION))
 
 
-def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[Array, Array]) -> TorqueLaw:
+def law_of(now: float, angles: Float[np.ndarray, "channels"], found: tuple[AnyArray, AnyArray]) -> TorqueLaw:
     """Torques and their derivative, computed for a time and angles, as a law: valid if all its numbers are finite."""
     torques, slope = (np.asarray(part, np.float64) for part in jax.device_get(found))
     valid = bool(np.all(np.isfinite(torques)) and np.all(np.isfinite(slope)))
@@ -252,5 +258,5 @@ def run_loop(
 
 
 def pose_at(origin: Float[AnyArray, "3"], rotation: Float[AnyArray, "3 3"] | None = None) -> Pose:
-    """A pose of arrays, which compiles like all others."""
-    return Pose(jnp.asarray(origin, float), jnp.eye(3) if rotation is None else jnp.asarray(rotation))
+    """A pose in NumPy: what is small costs JAX more to make than to compute with."""
+    return Pose(np.asarray(origin, float), np.eye(3) if rotation is None else np.asarray(rotation, float))

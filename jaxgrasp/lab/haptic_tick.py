@@ -4,7 +4,7 @@ A tick is short, and calling a program costs as much as it computes. So there is
 tick to tick is flattened once, and nothing is looked at in between: what only a slipping object needs is a branch.
 """
 
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -18,11 +18,11 @@ from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.grip.slipping import Exerted
 from jaxgrasp.grip.tick import Tick, Touches, touched
 from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.lab.flat_program import FlatProgram, Leaves
 from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
-from jaxgrasp.lab.glove_hand import Felt, GloveHand, felt
-from jaxgrasp.model.arrays import Float
+from jaxgrasp.lab.glove_hand import GloveHand, felt
+from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
-from jaxgrasp.numerics.compiled_code import compile_options
 
 
 class HapticState(NamedTuple):
@@ -75,41 +75,63 @@ class HapticTick:
         exerted = Exerted(touches.contacts.points, touches.grasp.torsion)
         return HapticState(carried, frames, touches, jnp.zeros(6), exerted, grip)
 
+    def begun(self, state: HapticState) -> Leaves:
+        """The leaves of a state from which ticks go on."""
+        leaves, self._state = jax.tree.flatten(state)
+        self._program = _compiled(self._structure, self._state, self._law)
+        self._placed = jax.tree.leaves(self.state(tuple(range(len(leaves)))).carried.placed)
+        return tuple(map(jnp.asarray, leaves))
+
+    def state(self, leaves: tuple[Any, ...]) -> HapticState:
+        """A state, from its leaves."""
+        return jax.tree.unflatten(self._state, leaves)
+
+    def placed(self, leaves: Leaves) -> Pose:
+        """Where the object is in a state, from its leaves."""
+        origin, rotation = (leaves[place] for place in self._placed)
+        return Pose(origin, rotation)
+
     def __call__(
-        self, state: HapticState, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
-    ) -> tuple[HapticState, Passed, Felt]:
-        """The next state, what became of the object, and what is felt.
+        self, state: Leaves, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
+    ) -> tuple[Leaves, Leaves, AnyArray, AnyArray]:
+        """The leaves of the next state and of what became of the object; the torques that are felt, and their slope.
 
         Args:
-            state: what the last tick left.
+            state: leaves of what the last tick left.
             angles: of the glove's joints [rad].
             wrist: where it is.
             passed: time since the last tick [s]; 0 for the first, at which the object stays where it is.
             kept: share of what was felt of accelerations that is kept.
         """
-        given = jnp.asarray(wrist.origin), jnp.asarray(wrist.rotation)
-        tick = _compiled()
-        return tick(self._leaves, state, angles, given, passed, kept, structure=self._structure, law=self._law)
+        wrist_at = wrist.origin, wrist.rotation
+        after, become, (torques, slope) = self._program(self._leaves, state, angles, wrist_at, passed, kept)
+        return after, become, torques, slope
+
+    def become(self, leaves: Leaves) -> Passed:
+        """What became of the object, from its leaves."""
+        return self._program.tree(1, leaves)
 
 
 @cache
-def _compiled() -> Any:
-    """The program, made as fast as it can be: a person waits for it."""
-    return jax.jit(_tick, static_argnames=("structure", "law"), compiler_options=compile_options())
+def _compiled(structure: Any, state: Any, law: Law) -> FlatProgram:
+    """The program for scenes and states of these structures."""
+    return FlatProgram(partial(_tick, structure=structure, state_structure=state, law=law))
 
 
 def _tick(
     leaves: tuple[Array, ...],
-    state: HapticState,
+    before: Leaves,
     angles: Array,
     wrist: tuple[Array, Array],
     passed: Array,
     kept: Array,
     *,
     structure: Any,
+    state_structure: Any,
     law: Law,
-) -> tuple[HapticState, Passed, Felt]:
+) -> tuple[HapticState, Passed, tuple[Array, Array]]:
     scene, worn, tables = jax.tree.unflatten(structure, leaves)
+    state: HapticState = jax.tree.unflatten(state_structure, before)
     pose = Pose(*wrist)
     posture = worn.posture(angles, pose)
     frames = pose_hand(scene.hand, posture)
@@ -125,7 +147,8 @@ def _tick(
     scene = at_time(scene, carried.time)
     found, now = felt(scene, worn, angles, pose, carried.placed, inertial, carried.motion, law=law)
     touches = Touches(now.contacts, now.grasp, now.blocked)
-    return HapticState(carried, frames, touches, inertial, found.exerted, grip), become, found
+    after = HapticState(carried, frames, touches, inertial, found.exerted, grip)
+    return after, become, (found.torques, found.slope)
 
 
 def _since(

@@ -1,7 +1,7 @@
 """The computing side of the haptic loop in a world of many objects: an engine moves them, the hand feels them all."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -15,18 +15,15 @@ from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import check_scene
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.lab.flat_program import FlatProgram, Leaves
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
-from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, pressing_torques, touched_things
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
-from jaxgrasp.world.physics import Engine, HandMove
+from jaxgrasp.world.physics import Engine, HandMove, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
-
-AT_REST = 0.01
-"""How long a step at rest is, by which it is known what the hand bears at first [s]."""
 
 
 class _Instant(NamedTuple):
@@ -63,16 +60,21 @@ class WorldHaptics(HandHaptics):
     def __post_init__(self) -> None:
         check_scene(self.world.scene)
         self._worn = glove_hand(self.world.scene.hand, self.model, self.others)
-        leaves, self._structure = jax.tree.flatten((self.world, self._worn))
+        leaves, structure = jax.tree.flatten((self.world, self._worn))
         self._leaves = tuple(map(jnp.asarray, leaves))
+        self._programs = _compiled(structure, self.law)
         self._weights = holding_weights(self.world)
         self._instant: _Instant | None = None
-        self.share: HandShare | None = None
-        """What the hand exerted at the last tick."""
+        self._share: Leaves | None = None
 
     @property
     def worn(self) -> GloveHand:
         return self._worn
+
+    @property
+    def share(self) -> HandShare | None:
+        """What the hand exerted at the last tick."""
+        return None if self._share is None else self._programs.feel.tree(1, self._share)
 
     @property
     def followed(self) -> Followed:
@@ -80,37 +82,52 @@ class WorldHaptics(HandHaptics):
         return Followed(self.state.placed, wrench, np.asarray(self.world.scene.contributions), self.state.time)
 
     def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
-        look, feel = _programs()
-        given = jnp.asarray(wrist.origin), jnp.asarray(wrist.rotation)
         before = self._instant
+        if before is not None and passed <= 0:
+            state, frames, _, wrench = before
+            return self._felt(angles, wrist, state, frames, wrench)
+        frames = self._frames(angles, wrist)
         if before is None:
-            frames, contacts = jax.device_get(
-                look(self._leaves, angles, given, self.state.placed, structure=self._structure)
-            )
-            step = self.engine.step(self.state, HandMove(contacts, frames, frames), AT_REST)
-            state, wrench = self.state, step.left_to_hand(self._weights)
-        elif passed > 0:
-            frames = jax.device_get(look(self._leaves, angles, given, None, structure=self._structure)[0])
+            state, contacts = self.state, self._feel(angles, wrist, self.state, self._weights)[2]
+            wrench = left_at_rest(self.engine, state, contacts, frames, self._weights)
+        else:
             step = self.engine.step(before.state, HandMove(before.contacts, before.frames, frames), passed)
             state, wrench = step.state, kept * before.wrench + (1 - kept) * step.left_to_hand(self._weights)
-        else:
-            state, frames, _, wrench = before
-        found = feel(
-            self._leaves,
-            angles,
-            given,
-            (state.placed, state.time),
-            wrench,
-            structure=self._structure,
-            law=self.law,
-        )
-        torques, slope, share = found
+        return self._felt(angles, wrist, state, frames, wrench)
+
+    def _felt(
+        self,
+        angles: Float[np.ndarray, "channels"],
+        wrist: Pose,
+        state: WorldState,
+        frames: HandFrames,
+        wrench: np.ndarray,
+    ) -> TickAnswer:
+        torques, slope, contacts, share = self._feel(angles, wrist, state, wrench)
 
         def keep() -> None:
-            self.state, self.share = state, share
-            self._instant = _Instant(state, frames, jax.device_get(share.touches.contacts), wrench)
+            self.state, self._share = state, share
+            self._instant = _Instant(state, frames, contacts, wrench)
 
         return TickAnswer(torques, slope, keep)
+
+    def _frames(self, angles: Float[np.ndarray, "channels"], wrist: Pose) -> HandFrames:
+        """The hand's frames."""
+        pose = self._programs.pose
+        (leaves,) = pose(self._leaves, angles, (wrist.origin, wrist.rotation))
+        return pose.tree(0, jax.device_get(leaves))
+
+    def _feel(
+        self, angles: Float[np.ndarray, "channels"], wrist: Pose, state: WorldState, wrench: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Contacts, Leaves]:
+        """Torques and their slope, what the hand touches, and the leaves of what it exerts."""
+        feel = self._programs.feel
+        placed = state.placed.origin, state.placed.rotation
+        rendered, share, touched = feel(
+            self._leaves, angles, (wrist.origin, wrist.rotation), placed, state.time, wrench
+        )
+        (torques, slope), touched = jax.device_get((rendered, touched))
+        return torques, slope, feel.tree(2, touched), share
 
     def warm_up(self, wrist: Pose) -> None:
         super().warm_up(wrist)
@@ -118,43 +135,41 @@ class WorldHaptics(HandHaptics):
             self.engine.warm_up()
 
 
+class _Programs(NamedTuple):
+    pose: FlatProgram
+    feel: FlatProgram
+
+
 @cache
-def _programs() -> tuple[Any, Any]:
-    """What the hand touches, and what it feels; made as fast as they can be, since a person waits for them."""
-    options = compile_options()
-    return (
-        jax.jit(_look, static_argnames="structure", compiler_options=options),
-        jax.jit(_feel, static_argnames=("structure", "law"), compiler_options=options),
+def _compiled(structure: Any, law: Law) -> _Programs:
+    """Where the hand is, and what it feels, in worlds of this structure."""
+    return _Programs(
+        FlatProgram(partial(_pose, structure=structure)), FlatProgram(partial(_feel, structure=structure, law=law))
     )
 
 
-def _look(
-    leaves: tuple[Array, ...], angles: Array, wrist: tuple[Array, Array], placed: Pose | None, *, structure: Any
-) -> tuple[HandFrames, Contacts | None]:
-    """The hand's frames and, where objects are given, what it touches of them."""
+def _pose(leaves: Leaves, angles: Array, wrist: tuple[Array, Array], *, structure: Any) -> tuple[HandFrames]:
     world, worn = jax.tree.unflatten(structure, leaves)
-    posture = worn.posture(angles, Pose(*wrist))
-    contacts = None if placed is None else touched_things(world, posture, placed).contacts
-    return pose_hand(world.scene.hand, posture), contacts
+    return (pose_hand(world.scene.hand, worn.posture(angles, Pose(*wrist))),)
 
 
 def _feel(
-    leaves: tuple[Array, ...],
+    leaves: Leaves,
     angles: Array,
     wrist: tuple[Array, Array],
-    there: tuple[Pose, Array],
+    there: tuple[Array, Array],
+    time: Array,
     wrench: Array,
     *,
     structure: Any,
     law: Law,
-) -> tuple[Array, Array, HandShare]:
+) -> tuple[tuple[Array, Array], HandShare, Contacts]:
     """Torques against flexion, their slope, and what the hand exerts, with all objects where they are.
 
     Where no allowed forces hold an object, by the optimum those count that come closest, as forces that stay.
     """
     world, worn = jax.tree.unflatten(structure, leaves)
-    placed, time = there
-    world, wrist_pose = world.at_time(time), Pose(*wrist)
+    world, wrist_pose, placed = world.at_time(time), Pose(*wrist), Pose(*there)
 
     def both(angles: Array) -> tuple[Array, tuple[Array, HandShare]]:
         posture = worn.posture(angles, wrist_pose)
@@ -164,17 +179,18 @@ def _feel(
 
     slope, (torques, share) = jax.jacfwd(both, has_aux=True)(angles)
     if law == "closed-form":
-        return torques, slope, share
+        return (torques, slope), share, share.touches.contacts
 
     def closest() -> tuple[Array, Array, HandShare]:
         found = closest_share(world, worn.posture(angles, wrist_pose), placed, share)
 
         def torques_at(angles: Array) -> Array:
             posture = worn.posture(angles, wrist_pose)
-            pressed = pressing_torques(world, posture, share.touches, found.exerted)
+            pressed = pressing_torques(world, posture, share.touches, found.by_hand)
             return worn.resisting(pressed + hand_torques(world.scene, posture))
 
         return *with_slope(torques_at, angles), found
 
     slips = jnp.any(share.assessment.hold == Hold.SLIPPING)
-    return lax.cond(slips, closest, lambda: (torques, slope, share))
+    torques, slope, share = lax.cond(slips, closest, lambda: (torques, slope, share))
+    return (torques, slope), share, share.touches.contacts

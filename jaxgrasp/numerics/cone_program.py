@@ -2,13 +2,14 @@
 
     minimise  x.P x / 2 + c.x   subject to   A x = b   and   h - G x in a product of second-order cones,
 
-each cone {(t, u): |u| <= t}, of one dimension the nonnegative numbers. Nesterov and Todd's scaling makes both sides
+each cone {(t, u): |u| <= t}, of one dimension the nonnegative numbers. A cone may give like a spring: then
+h - G x + R z is in it, z its dual, at the price z.R z / 2. Nesterov and Todd's scaling makes both sides
 one; Mehrotra's corrector follows his predictor (Andersen, Dahl and Vandenberghe, "Interior-point methods for
 large-scale cone programming", 2011). Programs should be feasible, of order one, and bounded in the directions that
 cost nothing.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from jax import Array, lax
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import beside, merged
 
+Parts = TypeVar("Parts")
 STEPS = 60
 NEAR = 0.995
 """Part of the way to the cones' surface that a step may go."""
@@ -37,6 +39,8 @@ class Cones(NamedTuple):
     """G ``(B, m, d, k)``."""
     offset: Array
     """h ``(B, m, d)``."""
+    giving: Array | None = None
+    """``(B, m)``: the first entry of R of each cone, whose other entries are 0; all cones are rigid where not given."""
 
 
 class ConeProgram(NamedTuple):
@@ -61,7 +65,7 @@ class ConeOptimum(NamedTuple):
     equality: Array
     """y ``(B, e)``: P x + c + A^T y + sum of G^T z = 0."""
     slack: tuple[Array, ...]
-    """s = h - G x ``(B, m, d)`` of each kind of cones."""
+    """s = h - G x + R z ``(B, m, d)`` of each kind of cones."""
     duals: tuple[Array, ...]
     """z ``(B, m, d)`` likewise."""
     gap: Array
@@ -87,6 +91,15 @@ class _Scaling(NamedTuple):
     """``(B, m, 1)``."""
     middle: Array
     """W z ``(B, m, d)``."""
+
+
+class _Softness(NamedTuple):
+    """W^-1 R W^-1 of one kind of cones that give: r w w^T."""
+
+    along: Array
+    """w = W^-1 e_1 ``(B, m, d)``."""
+    giving: Array
+    """r ``(B, m, 1)``."""
 
 
 class _Move(NamedTuple):
@@ -136,6 +149,8 @@ def _judged(program: ConeProgram, at: ConeOptimum, steps: Array) -> ConeOptimum:
     for s, z in zip(at.slack, at.duals, strict=True):
         gap = gap + jnp.sum(s * z, (1, 2))
     worth = jnp.abs(_dot(program.linear, at.point)) + _dot(at.point, _times(program.quadratic, at.point)) / 2
+    for kind, z in zip(program.cones, at.duals, strict=True):
+        worth = worth + jnp.sum(_given(kind, z) * z, (1, 2)) / 2
     close = float(jnp.finfo(gap.dtype).eps) ** CLOSE
     solved = (gap <= close * worth) & (error <= close)
     return at._replace(gap=gap, error=error, missed=missed, steps=steps, solved=solved)
@@ -146,7 +161,10 @@ def _rest(program: ConeProgram, at: ConeOptimum) -> list[Array]:
     dual = _times(program.quadratic, at.point) + program.linear + _pulled(program.equations, at.equality)
     for cones, z in zip(program.cones, at.duals, strict=True):
         dual = dual + _back(cones, z)
-    beyond = [s + _seen(cones, at.point) - cones.offset for cones, s in zip(program.cones, at.slack, strict=True)]
+    beyond = [
+        s + _seen(cones, at.point) - _given(cones, z) - cones.offset
+        for cones, s, z in zip(program.cones, at.slack, at.duals, strict=True)
+    ]
     return [dual, _times(program.equations, at.point) - program.right, *beyond]
 
 
@@ -157,10 +175,9 @@ def _start(program: ConeProgram) -> ConeOptimum:
     zero = jnp.zeros_like(program.right[:, 0])
     system = _system(program, scalings)
     offsets = [cones.offset for cones in program.cones]
-    point, equality, _ = system.solve(-program.linear, program.right, offsets)
-    left = [offset - _seen(cones, point) for cones, offset in zip(program.cones, offsets, strict=True)]
-    slack = [_into(s, one) for s, one in zip(left, ones, strict=True)]
-    duals = [_into(-s, one) for s, one in zip(left, ones, strict=True)]
+    point, equality, found = system.solve(-program.linear, program.right, offsets)
+    slack = [_into(-z, one) for z, one in zip(found, ones, strict=True)]
+    duals = [_into(z, one) for z, one in zip(found, ones, strict=True)]
     return ConeOptimum(
         point,
         equality,
@@ -206,8 +223,10 @@ def _advance(program: ConeProgram, at: ConeOptimum) -> tuple[ConeOptimum, Array]
     step = move(corrected)
     length = jnp.minimum(1, NEAR * _reach(scalings, step))
     # Not by their scaled moves, whose rounding the equations would see.
-    slack = [-left - _seen(c, step.point) for left, c in zip(cones, program.cones, strict=True)]
     duals = [_unscaled(w, dz) for w, dz in zip(scalings, step.duals, strict=True)]
+    slack = [
+        _given(c, dz) - left - _seen(c, step.point) for left, c, dz in zip(cones, program.cones, duals, strict=True)
+    ]
     whole = at._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
     for _ in range(HALVED):
         length = jnp.where(_inside(_moved(at, whole, length)), length, length / 2)
@@ -249,24 +268,29 @@ def _crossing(inside: Array, moved: Array) -> Array:
 
 
 class _System(NamedTuple):
-    """The linear equations of a step: the scaled rows, the factors of H = P + sum of G^T W^-2 G and of A H^-1 A^T."""
+    """The linear equations of a step: the scaled rows, the factors of H = P + sum of G^T (W^2 + R)^-1 G and of
+    A H^-1 A^T."""
 
     program: ConeProgram
     rows: list[Cones]
     """W^-1 G."""
     scalings: list[_Scaling]
+    softness: list[_Softness | None]
     factor: Array
     across: Array
     """H^-1 A^T."""
     small: Array
 
     def solve(self, dual: Array, equal: Array, cones: list[Array]) -> tuple[Array, Array, list[Array]]:
-        """x, y and W z of P x + A^T y + G^T z = dual, A x = equal, G x - W^2 z = cones."""
+        """x, y and W z of P x + A^T y + G^T z = dual, A x = equal, G x - (W^2 + R) z = cones."""
         program = self.program
         held = [_unscaled(scaling, part) for scaling, part in zip(self.scalings, cones, strict=True)]
 
         def duals(point: Array) -> list[Array]:
-            return [_seen(rows, point) - part for rows, part in zip(self.rows, held, strict=True)]
+            return [
+                _softened(soft, _seen(rows, point) - part)
+                for rows, part, soft in zip(self.rows, held, self.softness, strict=True)
+            ]
 
         point, equality = jnp.zeros_like(dual), jnp.zeros_like(equal)
         # H spans all magnitudes in the end: what it leaves, as the three equations see it, is solved for again.
@@ -289,15 +313,17 @@ def _system(program: ConeProgram, scalings: list[_Scaling]) -> _System:
         Cones(jnp.moveaxis(_unscaled(_wider(s), jnp.moveaxis(c.rows, 3, 1)), 1, 3), c.offset)
         for s, c in zip(scalings, program.cones, strict=True)
     ]
+    softness = [_softness(s, c.giving) for s, c in zip(scalings, program.cones, strict=True)]
     whole = program.quadratic
-    for part in rows:
-        flat = part.rows.reshape(part.rows.shape[0], -1, part.rows.shape[-1])
+    for part, soft in zip(rows, softness, strict=True):
+        stiff = jnp.moveaxis(_softened(_wider(soft), jnp.moveaxis(part.rows, 3, 1), root=True), 1, 3)
+        flat = stiff.reshape(stiff.shape[0], -1, stiff.shape[-1])
         whole = whole + jnp.einsum("bik,bil->bkl", flat, flat, precision=lax.Precision.HIGHEST)
     factor = jnp.linalg.cholesky(_raised(whole))
     across = lax.linalg.triangular_solve(factor, jnp.swapaxes(program.equations, 1, 2), left_side=True, lower=True)
     small = jnp.einsum("bke,bkf->bef", across, across, precision=lax.Precision.HIGHEST)
     across = lax.linalg.triangular_solve(factor, across, left_side=True, lower=True, transpose_a=True)
-    return _System(program, rows, scalings, factor, across, jnp.linalg.cholesky(_raised(small)))
+    return _System(program, rows, scalings, softness, factor, across, jnp.linalg.cholesky(_raised(small)))
 
 
 def _raised(matrix: Array) -> Array:
@@ -322,8 +348,9 @@ def _scaling(s: Array, z: Array) -> _Scaling:
     return scaling._replace(middle=_scaled(scaling, z))
 
 
-def _wider(scaling: _Scaling) -> _Scaling:
-    return _Scaling(*(part[:, None] for part in scaling))
+def _wider(parts: Parts) -> Parts:
+    """With an axis for the columns of rows."""
+    return jax.tree.map(lambda part: part[:, None], parts)
 
 
 def _scaled(scaling: _Scaling, x: Array) -> Array:
@@ -338,6 +365,30 @@ def _unscaled(scaling: _Scaling, x: Array) -> Array:
     """W^-1 x."""
     inverse = _Scaling(_mirrored(scaling.unit), 1 / scaling.size, scaling.middle)
     return _scaled(inverse, x)
+
+
+def _softness(scaling: _Scaling, giving: Array | None) -> _Softness | None:
+    if giving is None:
+        return None
+    return _Softness(_unscaled(scaling, _identity(scaling.middle)), giving[..., None])
+
+
+def _softened(soft: _Softness | None, x: Array, root: bool = False) -> Array:
+    """(1 + W^-1 R W^-1)^-1 x, or its root's."""
+    if soft is None:
+        return x
+    square = _dot(soft.along, soft.along)[..., None]
+    more = 1 + soft.giving * square
+    # 1 - 1 / more, and 1 - 1 / sqrt(more), each over the square, without what would cancel.
+    share = soft.giving / (jnp.sqrt(more) * (1 + jnp.sqrt(more)) if root else more)
+    return x - share * _dot(soft.along, x)[..., None] * soft.along
+
+
+def _given(cones: Cones, z: Array) -> Array:
+    """R z."""
+    if cones.giving is None:
+        return jnp.zeros_like(z)
+    return jnp.zeros_like(z).at[..., 0].set(cones.giving * z[..., 0])
 
 
 def _identity(like: Array) -> Array:

@@ -13,8 +13,7 @@ from jaxgrasp.model.hand import Pose
 from jaxgrasp.report.look import MUTED
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
 from jaxgrasp.view.latency import Latency
-from jaxgrasp.view.live_hand import LiveHand
-from jaxgrasp.view.live_world import LiveWorld
+from jaxgrasp.view.live_scene import LiveScene
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
 from jaxgrasp.view.standing_surfaces import moving_surfaces, standing_surfaces
@@ -25,7 +24,7 @@ from jaxgrasp.view.viewer import EYE, Viewer
 class FollowedPage(PageLoop):
     """A hand in a glove, seen."""
 
-    def __init__(self, server: Any, hand: LiveHand | LiveWorld, worn: GloveHand, slot: Slot):
+    def __init__(self, server: Any, hand: LiveScene, worn: GloveHand, slot: Slot):
         scene = hand.made.scene
         self._surface = shape_surface(scene.body.shape)
         standing = standing_surfaces(scene, hand.made.placed)

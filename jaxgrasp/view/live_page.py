@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxgrasp.report.surfaces import link_surfaces, placed, shape_surface
-from jaxgrasp.view.live_hand import Controls, LiveHand
+from jaxgrasp.view.live_scene import Controls, LiveScene
 from jaxgrasp.view.page_loop import PageLoop
 from jaxgrasp.view.seen import Seen
 from jaxgrasp.view.standing_surfaces import moving_surfaces, standing_surfaces
@@ -19,15 +19,15 @@ LIFT = 150.0
 
 
 class LivePage(PageLoop):
-    """A hand, an object and their controls."""
+    """A hand, objects and their controls."""
 
-    def __init__(self, server: Any, hand: LiveHand, runs: bool = False):
+    def __init__(self, server: Any, hand: LiveScene, runs: bool = False):
         """``runs``: whether time runs on from the start."""
         scene = hand.made.scene
         self._surface = shape_surface(scene.body.shape)
         standing = standing_surfaces(scene, hand.made.placed)
         links = link_surfaces(scene.hand)
-        super().__init__(Viewer(server, links, self._surface, standing, moving=moving_surfaces(scene)))
+        super().__init__(Viewer(server, links, self._surface, standing, hand.others, moving_surfaces(scene)))
         self._hand, self._server = hand, server
         self._first = hand.at_first()
         self.sliders: dict[str, Any] = {}

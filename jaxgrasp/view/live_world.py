@@ -1,8 +1,9 @@
 """A hand among the objects of a world, seen: what it exerts on the one that it squeezes most, and where all are."""
 
-from functools import cache, partial
-from typing import Any
+from functools import cache
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,64 +15,147 @@ from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.report.surfaces import DrawnSurface, pose_matrix, shape_surface
+from jaxgrasp.report.surfaces import pose_matrix, shape_surface
+from jaxgrasp.view.live_scene import Controls, LiveScene, counted, scene_with
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
 from jaxgrasp.view.standing_surfaces import moving_poses
-from jaxgrasp.world.hand_share import HandShare, cut_share, touched_things
+from jaxgrasp.world.hand_share import HandShare, ThingTouches, cut_share, touched_things
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
+from jaxgrasp.world.physics import HandMove, left_at_rest
+from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
 
-class LiveWorld:
-    """A gripped scene with further objects, as a haptic loop has them."""
+class _SetWorld(NamedTuple):
+    """A world as its controls have it, and what moves it."""
+
+    settings: tuple
+    world: World
+    """With all its numbers as arrays."""
+    engine: QuasiStaticEngine
+    weights: np.ndarray
+
+
+class LiveWorld(LiveScene):
+    """A gripped scene with further objects, which our own engine moves."""
 
     def __init__(self, made: GrippedScene, world: World, state: WorldState, law: Law):
         """``state``: where the objects are at first."""
-        self.made, self.law, self.world = made, law, world
-        self._names = [link.name for link in made.scene.hand.links]
+        super().__init__(made, law)
+        self.world, self._first = world, state
         self._world = numbers_as_arrays(world)
-        contributions = np.asarray(world.scene.contributions, float)
-        self.begun = Followed(state.placed, holding_weights(world), contributions, state.time)
-        self.others: list[DrawnSurface] = [shape_surface(thing.body.shape) for thing in world.others]
+        self.others = [shape_surface(thing.body.shape) for thing in world.others]
+        self._set: _SetWorld | None = None
+        self._state: WorldState | None = None
+        self._before: Posture | None = None
+
+    @property
+    def begun(self) -> Followed:
+        contributions = np.asarray(self.world.scene.contributions, float)
+        return Followed(self._first.placed, holding_weights(self.world), contributions, self._first.time)
+
+    def look(self, controls: Controls) -> Seen:
+        given, posture, state = self._with(controls), self._posture(controls), self._begun(controls)
+        frames, touches = _programs().touch(given.world, posture, state.placed)
+        contacts, links = jax.device_get((touches.contacts, frames))
+        wrench = left_at_rest(given.engine, state, contacts, links, given.weights)
+        return self._seen(given.world, posture, state.placed, wrench, state.time, frames, touches)
+
+    def step(self, controls: Controls, dt: float) -> Seen:
+        given, posture = self._with(controls), self._posture(controls)
+        state, before = self._state, self._before
+        if state is None or before is None:
+            state, before = self._begun(controls), posture
+        frames, touches = _programs().touch(given.world, before, state.placed)
+        contacts, now, later = jax.device_get((touches.contacts, frames, pose_hand(self.made.scene.hand, posture)))
+        step = given.engine.step(state, HandMove(contacts, now, later), counted(dt))
+        self._state, self._before = step.state, posture
+        wrench = step.left_to_hand(given.weights)
+        return self._seen(given.world, before, state.placed, wrench, state.time, frames, touches)
+
+    def start_again(self) -> None:
+        self._state = self._before = None
 
     def follow(self, posture: Posture, followed: Followed) -> Seen:
-        """A hand that others move, and objects that go with it.
+        given = (posture, followed.placed, followed.wrenches)
+        posture, placed, wrench = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)
+        frames, touches = _programs().touch(self._world, posture, placed)
+        return self._seen(self._world, posture, placed, wrench, followed.time, frames, touches)
 
-        Contacts and forces are those with the object that it squeezes most; torques are those of all.
-        """
-        given = (posture, followed.placed, followed.wrenches, followed.time)
-        given = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), given)
-        frames, share, judged = jax.device_get(_look()(self._world, *given, law=self.law))
+    def _begun(self, controls: Controls) -> WorldState:
+        """All objects at first, the gripped one where the controls have it."""
+        placed, own = self._first.placed, self._placed(controls)
+        origin = np.concatenate([np.asarray(own.origin, float)[None], placed.origin[1:]])
+        return self._first._replace(placed=Pose(origin, placed.rotation))
+
+    def _with(self, controls: Controls) -> _SetWorld:
+        """The world with what is set; made anew where that changed."""
+        settings = (controls.friction, controls.squeeze, controls.mass, *controls.gravity.tolist())
+        if self._set is None or self._set.settings != settings:
+            scene = scene_with(self._world.scene, controls)
+            others = [
+                eqx.tree_at(lambda thing: thing.stiffness, thing, thing.stiffness * controls.squeeze)
+                for thing in self._world.others
+            ]
+            world = World(scene, tuple(others))
+            engine = QuasiStaticEngine(jax.device_get(world), self._first)
+            self._set = _SetWorld(settings, world, engine, holding_weights(world))
+        return self._set
+
+    def _seen(
+        self,
+        world: World,
+        posture: Posture,
+        placed: Pose,
+        wrench: AnyArray,
+        time: float,
+        frames: HandFrames,
+        touches: ThingTouches,
+    ) -> Seen:
+        """Contacts and forces with the object that the hand squeezes most, and the torques of all."""
+        found = _programs().share(world, posture, placed, touches, jnp.asarray(wrench), time, law=self.law)
+        links, share, judged = jax.device_get((frames.links, *found))
         pressed = np.sum(share.touches.grasp.squeeze * (share.touches.grasp.present > 0.5), -1)
         most = int(np.argmax(pressed))
-        grasp, assessment, margins, touches = jax.tree.map(
+        grasp, assessment, margins, closed_touches = jax.tree.map(
             lambda part: part[most], (share.touches.grasp, share.assessment, judged.margins, judged.closed_touches)
         )
-        objects = pose_matrix(followed.placed)
+        objects = pose_matrix(placed)
         return Seen(
             grasp=grasp,
             origin=objects[most, :, 3],
             wrench=share.wrench[most],
             assessment=assessment,
             margins=margins,
-            closed_touches=touches,
+            closed_touches=closed_touches,
             law=self.law,
             names=self._names,
             object_pose=objects[0],
-            hand=PosedHand(pose_matrix(frames.links), self.made.scene.hand.joints, share.torques),
-            moving=np.concatenate([objects[1:], moving_poses(self.world.scene, followed.time)]),
+            hand=PosedHand(pose_matrix(links), self.made.scene.hand.joints, share.torques),
+            moving=np.concatenate([objects[1:], moving_poses(self.world.scene, time)]),
         )
 
 
+class _Programs(NamedTuple):
+    touch: Any
+    share: Any
+
+
 @cache
-def _look() -> Any:
-    """What is seen, compiled in less time than otherwise: a person waits for it."""
-    return partial(jax.jit, static_argnames="law", compiler_options=compile_options())(_looked)
+def _programs() -> _Programs:
+    """What the hand touches, and what it exerts there; compiled in less time than otherwise: a person waits."""
+    options = compile_options()
+    return _Programs(
+        jax.jit(_touch, compiler_options=options),
+        jax.jit(_share, static_argnames="law", compiler_options=options),
+    )
 
 
-def _looked(
-    world: World, posture: Posture, placed: Pose, wrench: AnyArray, time: AnyArray, *, law: Law
-) -> tuple[HandFrames, HandShare, Judged]:
-    world = world.at_time(time)
-    share = cut_share(world, posture, placed, touched_things(world, posture, placed), wrench, law=law)
-    judged = judged_by_both(share.touches.grasp, share.assessment)
-    return pose_hand(world.scene.hand, posture), share, judged
+def _touch(world: World, posture: Posture, placed: Pose) -> tuple[HandFrames, ThingTouches]:
+    return pose_hand(world.scene.hand, posture), touched_things(world, posture, placed)
+
+
+def _share(
+    world: World, posture: Posture, placed: Pose, touches: ThingTouches, wrench: AnyArray, time: AnyArray, *, law: Law
+) -> tuple[HandShare, Judged]:
+    share = cut_share(world.at_time(time), posture, placed, touches, wrench, law=law)
+    return share, judged_by_both(share.touches.grasp, share.assessment)

@@ -31,9 +31,18 @@ class ContactList(NamedTuple):
     """Stiffness of springs [N/m]; inf where nothing gives."""
     carried: Float[np.ndarray, "m 3"]
     """Velocity of what is no object [m/s]."""
+    torsion: Float[np.ndarray, "m"]
+    """Torsional friction of soft fingers [m]; 0 of what is hard."""
+    turning: Float[np.ndarray, "m"]
+    """Angular velocity about the normal of a soft finger [rad/s]; 0 of all else."""
+
+    @property
+    def spin_radius(self) -> Float[np.ndarray, "m"]:
+        """Moment for each unit of a soft finger's spin component [m]; 0 of what is hard, or slides freely."""
+        return np.where(self.friction > 0, self.torsion / np.where(self.friction > 0, self.friction, 1), 0)
 
 
-COLUMNS = [((), int)] * 2 + [((3,), float)] * 2 + [((), float)] * 3 + [((3,), float)]
+COLUMNS = [((), int)] * 2 + [((3,), float)] * 2 + [((), float)] * 3 + [((3,), float)] + [((), float)] * 2
 """Shape and kind of an entry of each of its columns."""
 
 
@@ -59,7 +68,7 @@ class _Rows:
             )
             carried = velocity_at(Motions(linear, angular), origin, patch.points)
         for point, velocity in zip(patch.points, carried, strict=True):
-            self.rows.append((first, second, point, patch.normal, patch.gap, friction, stiffness, velocity))
+            self.rows.append((first, second, point, patch.normal, patch.gap, friction, stiffness, velocity, 0.0, 0.0))
 
     def finished(self) -> ContactList:
         nothing = [np.zeros((0, *tail), kind) for tail, kind in COLUMNS]
@@ -117,11 +126,14 @@ def hand_contact_list(world: World, contacts: Contacts, links: Pose, motion: Mot
     points, normals, depths = (
         np.asarray(getattr(contacts, name))[thing, link] for name in ("points", "normals", "depths")
     )
-    friction = np.array([float(each.friction) for each in world.things])
+    friction, torsion = (
+        np.array([float(getattr(each, name) or 0) for each in world.things])[thing] for name in ("friction", "torsion")
+    )
     moving = Motions(motion.linear[link], motion.angular[link])
     carried = velocity_at(moving, links.origin[link], points)
-    hand = np.full(len(thing), HAND)
-    return ContactList(thing, hand, points, normals, -depths, friction[thing], springs[thing, link], carried)
+    turning = np.where(torsion > 0, np.sum(moving.angular * normals, -1), 0)
+    hand, pressed = np.full(len(thing), HAND), springs[thing, link]
+    return ContactList(thing, hand, points, normals, -depths, friction, pressed, carried, torsion, turning)
 
 
 def still_links(hand: Hand) -> tuple[Pose, Motions]:

@@ -13,7 +13,7 @@ from jaxgrasp.force.reachable import reachable_wrench
 from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
 from jaxgrasp.grip.motion import guide_at, spatial_inertia
 from jaxgrasp.grip.obstacles import hand_torques
-from jaxgrasp.grip.slipping import cut_to_cones, resultant
+from jaxgrasp.grip.slipping import Exerted, cut_to_cones
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
@@ -47,12 +47,19 @@ class HandShare(eqx.Module):
     exerted: Float[Array, "N L 3"]
     """What it exerts [N]: the law's forces where they hold; of an object that slips by the closed form, each as far as
     its friction goes, by the optimum those that come closest; none on what it does not touch."""
+    moments: Float[Array, "N L"] | None
+    """What soft fingers exert about their normals with that [N.m]; None where all contacts are hard."""
     missed: Float[Array, "N 6"]
-    """What the exerted forces leave of the wrench of objects that slip [N, N.m]."""
+    """What the hand leaves of the wrench of objects that slip [N, N.m]."""
     torques: Float[Array, "J"]
     """On the joints, by objects, table and obstacles [N.m]: negative where they resist a positive angle."""
     blocked: Float[Array, "J"]
     """What of them is by table and obstacles, where the hand itself touches them [N.m]."""
+
+    @property
+    def by_hand(self) -> Exerted:
+        """Forces and moments of the hand on each object."""
+        return Exerted(self.exerted, self.moments)
 
 
 @jax.jit
@@ -65,7 +72,11 @@ def touched_things(world: World, posture: Posture, placed: Pose) -> ThingTouches
         for name in ("friction", "stiffness")
     )
     contributions = jnp.asarray(world.scene.contributions)
-    grasp = grasp_about(placed.origin, contacts, friction, stiffness, contributions)
+    torsion = None
+    if world.is_soft:
+        own = [0.0 if thing.torsion is None else thing.torsion for thing in things]
+        torsion = jnp.stack([jnp.asarray(each, contacts.depths.dtype) for each in own])[:, None]
+    grasp = grasp_about(placed.origin, contacts, friction, stiffness, contributions, torsion)
     return ThingTouches(contacts, grasp, contacts.present * stiffness * contributions)
 
 
@@ -125,8 +136,7 @@ def cut_share(
     assessment = judged(grasp, closed, optimum, law)
     slips = assessment.hold == Hold.SLIPPING
     exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
-    blocked = hand_torques(world.scene, posture)
-    return _felt(world, posture, touches, wrench, assessment, exerted.forces, blocked)
+    return _felt(world, posture, touches, wrench, assessment, exerted, hand_torques(world.scene, posture))
 
 
 @jax.jit
@@ -135,8 +145,8 @@ def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare
     inertia = jnp.stack([spatial_inertia(thing.body, placed.rotation[n]) for n, thing in enumerate(world.things)])
     touches = share.touches
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
-    slips = (share.assessment.hold == Hold.SLIPPING)[:, None, None]
-    exerted = jnp.where(slips, closest.forces, share.exerted)
+    slips = share.assessment.hold == Hold.SLIPPING
+    exerted = Exerted(closest.forces, closest.moments).where(slips, share.by_hand)
     return _felt(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
 
 
@@ -146,19 +156,19 @@ def _felt(
     touches: ThingTouches,
     wrench: Array,
     assessment: Assessment,
-    exerted: Array,
+    exerted: Exerted,
     blocked: Array,
 ) -> HandShare:
     torques = pressing_torques(world, posture, touches, exerted) + blocked
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
-    missed = jnp.where(slips, wrench - resultant(touches.grasp.points, exerted), 0)
-    return HandShare(touches, wrench, assessment, exerted, missed, torques, blocked)
+    missed = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
+    return HandShare(touches, wrench, assessment, *exerted, missed, torques, blocked)
 
 
-def pressing_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Array) -> Array:
+def pressing_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Exerted) -> Array:
     """Torques on the joints by what the hand exerts on all objects [N.m]."""
-    hand = world.scene.hand
-    return jnp.sum(joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted), 0)
+    hand, couples = world.scene.hand, exerted.couples(touches.grasp)
+    return jnp.sum(joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted.forces, couples), 0)
 
 
 def _free(world: World, placed: Pose) -> Array | None:

@@ -26,6 +26,9 @@ class Thing(eqx.Module):
     """K of eq. 6, between it and the hand [N/m]."""
     rubbing: float | AnyArray
     """Coulomb's coefficient between it and the table or another thing; of two things the larger counts."""
+    torsion: float | AnyArray | None = None
+    """Torsional friction of the hand's contacts with it [m]; they are hard where not given. Whatever else touches it is
+    hard always."""
 
 
 class World(eqx.Module):
@@ -35,15 +38,17 @@ class World(eqx.Module):
     """Hand, gripped object, table, obstacles, gravity and guide."""
     others: tuple[Thing, ...] = ()
 
-    def __check_init__(self) -> None:
-        if self.scene.torsion is not None:
-            raise ValueError(f"scene.torsion is {self.scene.torsion}: expected None, engines know hard fingers alone")
-
     @property
     def things(self) -> tuple[Thing, ...]:
         """All objects, the gripped one first."""
         scene = self.scene
-        return (Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction), *self.others)
+        own = Thing(scene.body, scene.friction, scene.stiffness, scene.table_friction, scene.torsion)
+        return (own, *self.others)
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether the hand's contacts with any object are soft."""
+        return any(thing.torsion is not None for thing in self.things)
 
     def at_time(self, time: Float[AnyArray, ""] | float) -> "World":
         """The world with its obstacles where they are at a time, and as they move [s]."""

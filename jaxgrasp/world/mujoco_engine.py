@@ -1,7 +1,8 @@
 """A world by MuJoCo's engine (extra ``hands``): objects, table, obstacles and guide as its bodies, the hand led along.
 
 - The skin's balls are those that contacts are found with. Each touches objects by a pair of its own, whose stiffness is
-  set at every step so that a link presses by K c depth (eq. 6), however many of its balls touch.
+  set at every step so that a link presses by K c depth (eq. 6), however many of its balls touch. Where fingers are
+  soft, each ball has its torsional friction, by MuJoCo's contacts of four dimensions.
 - A link has a body too heavy to be pushed aside, whose motion is prescribed: MuJoCo's mocap bodies have no velocity, so
   that they could not drag anything along.
 - Obstacles are springs without the friction and the damping that a [`jaxgrasp.grip.Obstacle`][] can have; those with a
@@ -154,16 +155,16 @@ class MujocoEngine:
         contact = data.contact
         acts = np.flatnonzero(contact.efc_address >= 0)
         first, frames = contact.efc_address[acts], contact.frame[acts].reshape(-1, 3, 3)
-        has_friction = contact.dim[acts] > 1
-        along = np.stack(
-            [data.efc_force[np.where(has_friction, first + i, first)] * (has_friction | (i == 0)) for i in range(3)], 1
-        )
+        dim = contact.dim[acts]
+        along = np.stack([np.where(dim > i, data.efc_force[first + np.minimum(i, dim - 1)], 0) for i in range(4)], 1)
         # From a contact's first geom to its second; an object comes first here.
-        forces = np.einsum("ci,cij->cj", along, frames)
+        forces, couples = np.einsum("ci,cij->cj", along[:, :3], frames), along[:, 3:] * frames[:, 0]
         owners = parts.owners[contact.geom[acts]][:, ::-1]
         turned = owners[:, 0] < 0
-        owners[turned], forces[turned] = owners[turned, ::-1], -forces[turned]
-        return summed_loads(owners, contact.pos[acts], forces, data.xipos[parts.bodies])
+        for part in (forces, couples):
+            part[turned] *= -1
+        owners[turned] = owners[turned, ::-1]
+        return summed_loads(owners, contact.pos[acts], forces, data.xipos[parts.bodies], couples)
 
     def _taken(self) -> WorldState:
         """Where objects are, and how they move."""

@@ -169,9 +169,10 @@ class _Building:
                 self.whose[name] = (HAND, link)
                 self._add_ball(body, name, centers[ball], radii[ball], contype=0, conaffinity=0)
                 for n, thing in enumerate(self.world.things):
-                    friction = [float(thing.friction)] * 2 + [0, 0, 0]
+                    torsion = float(thing.torsion or 0)
+                    rubs = {"condim": 4 if torsion else 3, "friction": [float(thing.friction)] * 2 + [torsion, 0, 0]}
                     for own in self.geoms[n]:
-                        self._add_pair(name, own, (link, n), condim=3, friction=friction, solreffriction=STICKING)
+                        self._add_pair(name, own, (link, n), solreffriction=STICKING, **rubs)
 
     def compiled(self) -> WorldModel:
         model = self.spec.compile()

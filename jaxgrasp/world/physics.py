@@ -46,8 +46,9 @@ def summed_loads(
     points: Float[np.ndarray, "m 3"],
     forces: Float[np.ndarray, "m 3"],
     centers: Float[AnyArray, "N 3"],
+    couples: Float[np.ndarray, "m 3"] | None = None,
 ) -> Loads:
-    """The loads of contact forces.
+    """The loads of contact forces, and of couples with them.
 
     Args:
         owners: the object that each force acts on, and what exerts it: an object that feels its opposite, or
@@ -55,13 +56,16 @@ def summed_loads(
         points: where they act [m].
         forces: on the first of each [N].
         centers: of the objects [m].
+        couples: on the first of each, where fingers are soft [N.m].
     """
     count = len(centers)
+    couples = np.zeros(forces.shape) if couples is None else couples
     total = np.zeros((count, count + 3, 6))
     for sign, (mine, its) in ((1.0, owners.T), (-1.0, owners.T[::-1])):
         on = np.flatnonzero(mine >= 0)
         pushes = sign * forces[on]
-        wrenches = np.concatenate([pushes, np.cross(points[on] - centers[mine[on]], pushes)], 1)
+        torques = np.cross(points[on] - centers[mine[on]], pushes) + sign * couples[on]
+        wrenches = np.concatenate([pushes, torques], 1)
         # What is no object comes after the objects.
         np.add.at(total, (mine[on], np.where(its[on] < 0, count - 1 - its[on], its[on])), wrenches)
     by = {source: total[:, count - 1 - source] for source in (HAND, TABLE, OBSTACLES)}
@@ -84,6 +88,10 @@ class Step(NamedTuple):
         return weights + self.gained - self.loads.by_world
 
 
+AT_REST = 0.01
+"""How long a step at rest is, by which it is known what the hand bears at first [s]."""
+
+
 @runtime_checkable
 class Engine(Protocol):
     """Moves the objects of one world; it knows the world from when it was made."""
@@ -97,3 +105,18 @@ class Engine(Protocol):
             dt: how long it takes [s].
         """
         ...
+
+
+def left_at_rest(
+    engine: Engine, state: WorldState, contacts: Contacts, frames: HandFrames, weights: Float[np.ndarray, "N 6"]
+) -> Float[np.ndarray, "N 6"]:
+    """What a hand that does not move has to exert on each object, which table and others may bear [N, N.m].
+
+    Args:
+        engine: of the world.
+        state: of its objects.
+        contacts: of the hand with them.
+        frames: of the hand.
+        weights: the wrenches that hold the objects' weights.
+    """
+    return engine.step(state, HandMove(contacts, frames, frames), AT_REST).left_to_hand(weights)

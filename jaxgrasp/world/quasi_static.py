@@ -15,10 +15,18 @@ from jaxgrasp.grip.scene import Obstacle, obstacles_now
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.world.contact_list import ContactList, hand_contact_list, together, world_contact_list
-from jaxgrasp.world.impulse_program import Impulses, compile_programs, jacobian, least_constraint, mobilities_of
+from jaxgrasp.world.impulse_program import (
+    ContactRows,
+    Impulses,
+    compile_programs,
+    jacobian,
+    least_constraint,
+    loads_of,
+    mobilities_of,
+)
 from jaxgrasp.world.led_bodies import Motions, led, link_motion
 from jaxgrasp.world.many_bodies import World, WorldState, masses
-from jaxgrasp.world.physics import HandMove, Loads, Step, summed_loads
+from jaxgrasp.world.physics import HandMove, Step
 from jaxgrasp.world.solids import solid_of
 from jaxgrasp.world.touching_solids import MANY
 
@@ -60,19 +68,21 @@ class QuasiStaticEngine:
         )
         mobilities = mobilities_of(world, self._masses, placed)
         alone = self._alone(state, mobilities, dt)
-        impulses = _impulses(contacts, placed, alone, mobilities, dt)
+        seen = jacobian(contacts, placed.origin)
+        impulses = _impulses(contacts, seen, alone, mobilities, dt)
         velocity = alone + np.einsum("nij,nj->ni", mobilities, impulses.on_things)
         new = Motions(velocity[:, :3], velocity[:, 3:])
         after = WorldState(self._moved(placed, new, dt), new, state.time + dt)
         gained = (self._masses.momentum(after) - self._masses.momentum(state)) / dt
-        return Step(after, _loads(contacts, placed, impulses, dt), gained, impulses.solved)
+        loads = loads_of(contacts, seen, placed, impulses.along / dt)
+        return Step(after, loads, gained, impulses.solved)
 
     def warm_up(self) -> None:
         """Compile whatever a step may need, which otherwise is done when it first does."""
         world = self.world
         things, links, obstacles = len(world.things), len(world.scene.hand.links), len(world.scene.obstacles)
         patches = things * (things - 1) // 2 + things * (1 + obstacles)
-        compile_programs(things * links + MANY * patches)
+        compile_programs(things, things * links + MANY * patches, world.is_soft)
 
     def _alone(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
         """How objects would move after a step if nothing touched them: they keep their momentum, but for gravity."""
@@ -112,17 +122,13 @@ def _speed(obstacle: Obstacle) -> float:
     return float(np.linalg.norm(obstacle.motion.linear) + turning)
 
 
-def _impulses(contacts: ContactList, placed: Pose, alone: np.ndarray, mobilities: np.ndarray, dt: float) -> Impulses:
-    rows, axes = jacobian(contacts, placed.origin)
-    approach = np.einsum("minj,nj->mi", rows, alone) - np.einsum("mij,mj->mi", axes, contacts.carried)
+def _impulses(
+    contacts: ContactList, seen: ContactRows, alone: np.ndarray, mobilities: np.ndarray, dt: float
+) -> Impulses:
+    approach = np.einsum("minj,nj->mi", seen.rows, alone) - seen.seen(contacts.carried, contacts.turning)
     spring = np.isfinite(contacts.stiffness)
     # A spring's push is that of its end; what is rigid closes its gap at most, and is pushed out slowly.
     rigid = np.where(contacts.gaps > 0, contacts.gaps, PUSHED_OUT * np.minimum(contacts.gaps + SLACK, 0))
     approach[:, 0] += np.where(spring, contacts.gaps, rigid) / dt
     giving = np.where(spring, 1 / (contacts.stiffness * dt**2), 0)
-    return least_constraint(rows, axes, contacts.friction, mobilities, approach, giving)
-
-
-def _loads(contacts: ContactList, placed: Pose, impulses: Impulses, dt: float) -> Loads:
-    owners = np.stack([contacts.first, contacts.second], 1)
-    return summed_loads(owners, contacts.points, impulses.on_contacts / dt, placed.origin)
+    return least_constraint(seen.rows, contacts.friction, mobilities, approach, giving)

@@ -9,9 +9,9 @@ from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.world.contact_list import ContactList, hand_contact_list, still_links, together, world_contact_list
-from jaxgrasp.world.impulse_program import jacobian, least_constraint, mobilities_of
+from jaxgrasp.world.impulse_program import jacobian, least_constraint, loads_of, mobilities_of
 from jaxgrasp.world.many_bodies import World, masses
-from jaxgrasp.world.physics import Loads, summed_loads
+from jaxgrasp.world.physics import Loads
 
 TOUCHING = 1e-4
 """Solids no further apart than that touch [m]."""
@@ -43,6 +43,8 @@ class Standing(NamedTuple):
     certificate: Float[np.ndarray, "N 6"]
     """How what is left sets the objects in motion [m/s^2, rad/s^2]. Where they do not stand it proves so: gravity works
     along this motion, and no contact can work against it (Farkas' lemma)."""
+    moments: Float[np.ndarray, "m"] | None = None
+    """About the normals of soft fingers, on the first object [N.m]; None where all fingers are hard."""
 
 
 @checked
@@ -71,11 +73,12 @@ def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Stan
     pull = np.zeros((len(weights.mass), 6))
     pull[:, :3] = weights.mass[:, None] * np.asarray(scene.gravity)
     agile = mobilities_of(world, weights, placed)
-    rows, axes = jacobian(found, placed.origin)
+    seen = jacobian(found, placed.origin)
+    rows = seen.rows
     falling = np.einsum("nij,nj->ni", agile, pull)
     approach = np.einsum("minj,nj->mi", rows, falling)
-    answer = least_constraint(rows, axes, found.friction, agile, approach, np.zeros(len(found.first)))
-    own = np.einsum("mij,mj->mi", axes, answer.on_contacts)
+    answer = least_constraint(rows, found.friction, agile, approach, np.zeros(len(found.first)))
+    own = answer.along
 
     def share_left(forces: np.ndarray) -> float:
         """What they leave of free fall; by energy, since what a guide carries works nowhere."""
@@ -91,19 +94,18 @@ def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Stan
                 break
     left = pull + np.einsum("minj,mi->nj", rows, own)
     certificate = np.einsum("nij,nj->ni", agile, left)
-    forces = np.einsum("mi,mij->mj", own, axes)
-    loads = summed_loads(np.stack([found.first, found.second], 1), found.points, forces, placed.origin)
+    loads = loads_of(found, seen, placed, own)
     rests = bool(share <= BALANCED)
     proved = rests or (answer.solved and bool(share >= FALLING))
-    return Standing(rests, proved, found, forces, loads, left, certificate)
+    return Standing(rests, proved, found, seen.forces(own), loads, left, certificate, seen.moments(own))
 
 
 def _balanced(rows: np.ndarray, agile: np.ndarray, forces: np.ndarray, falling: np.ndarray) -> np.ndarray:
-    """Forces ``(m, 3)`` close to others that nearly balance, which do so to rounding if any that are as large do.
+    """Forces ``(m, d)`` close to others that nearly balance, which do so to rounding if any that are as large do.
 
     The least change, of each contact in units of its normal force: what does not press stays so.
     """
-    sizes = np.repeat(np.maximum(forces[:, 0], 0), 3)
+    sizes = np.repeat(np.maximum(forces[:, 0], 0), forces.shape[1])
     moves = np.einsum("nij,mknj->nimk", agile, rows).reshape(falling.size, -1)
     left = falling.ravel() + moves @ forces.ravel()
     change, *_ = np.linalg.lstsq(moves * sizes, -left, rcond=None)
@@ -111,7 +113,7 @@ def _balanced(rows: np.ndarray, agile: np.ndarray, forces: np.ndarray, falling: 
 
 
 def _allowed(forces: np.ndarray, friction: np.ndarray) -> bool:
-    """Whether forces along their contacts' axes are in their cones."""
+    """Whether forces by the rows of their contacts are in their cones."""
     across = np.linalg.norm(forces[:, 1:], axis=1)
     rounding = INSIDE * np.abs(forces).max(initial=0)
     return bool(np.all((forces[:, 0] >= -rounding) & (across <= friction * forces[:, 0] + rounding)))

@@ -47,13 +47,13 @@ class WorldInstant(NamedTuple):
             support=by_world,
             rests=jnp.asarray(False),
             exerted=share.exerted[0],
-            moments=None,
+            moments=None if share.moments is None else share.moments[0],
             torques=share.torques,
             blocked=share.blocked,
         )
         placed = Pose(self.state.placed.origin[0], self.state.placed.rotation[0])
         stands = bool(np.any(self.loads.by_world[0]))
-        return Instant(placed, tick, Hold(int(assessment.hold)), stands, tick.exerted, share.missed[0])
+        return Instant(placed, tick, Hold(int(assessment.hold)), stands, tick.exerted, share.missed[0], tick.moments)
 
 
 @checked

@@ -53,7 +53,7 @@ def world_of(file: SceneFile, made: GrippedScene) -> tuple[World, WorldState]:
         for other in chain([gripped], others[:k], obstacles):
             _refuse(one.name, _depth(one, other), other.name)
     things = [
-        Thing(Body(one.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing)
+        Thing(Body(one.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing, entry.torsion or None)
         for one, entry in zip(others, file.other, strict=True)
     ]
     everything = [gripped, *others]
@@ -68,8 +68,6 @@ def _check_plain(file: SceneFile) -> None:
         for key in ("centre_of_mass", "inertia"):
             if (given := getattr(entry, key)) is not None:
                 raise ValueError(f"{name}.{key} is {list(given)}: expected a uniform density among several objects")
-        if entry.torsion:
-            raise ValueError(f"{name}.torsion is {entry.torsion}: expected none among several objects")
     for k, obstacle in enumerate(file.obstacle):
         for key in ("friction", "damping"):
             if given := getattr(obstacle, key):

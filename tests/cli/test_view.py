@@ -27,13 +27,20 @@ def refused(arguments: list[str], capsys) -> str:
         (["nowhere"], "scene is 'nowhere': expected a TOML file, or one of ball"),
         (["ball", "--mesh", "mug.stl"], "mesh is given without a file of grasps: expected .npz, .csv"),
         (["--normals", "outward"], "normals is given without a file of grasps"),
-        (["stack"], "scene has 2 tables [[other]]: expected none"),
         (["--seconds", "0"], "seconds is 0.0: expected a positive number"),
         (["--port", "70000"], "port is 70000: expected 0 to 65535"),
     ],
 )
 def test_what_cannot_be_shown(folder, capsys, arguments, message):
     assert message in refused(["view", *arguments], capsys)
+
+
+@HAS_VISER
+@pytest.mark.slow
+def test_a_scene_of_several_objects_is_saved_with_all_of_them(folder, capsys):
+    assert main(["view", "stack", "--save", "stack.html"]) == 0
+    page = (folder / "stack.html").read_text()
+    assert "written: stack.html" in capsys.readouterr().out and "friction margin" in page
 
 
 @HAS_VISER

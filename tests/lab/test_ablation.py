@@ -12,6 +12,7 @@ from jaxgrasp.grip import observe
 from jaxgrasp.grip.scene_file import gripped_scene, load_scene, ready_scenes
 from jaxgrasp.hand import Posture, find_contacts
 from jaxgrasp.lab.ablation import joint_losses
+from jaxgrasp.world import world_of
 
 pytestmark = pytest.mark.slow
 MODEL = lrp_hand_master()
@@ -44,6 +45,21 @@ def test_what_is_felt_is_that_of_the_whole_hand_clear_of_the_table(made):
     torques = -np.asarray(observe(lifted, made.closed, made.placed, law=made.law).torques)
     by_joint = dict(zip(made.scene.hand.joints, torques, strict=True))
     np.testing.assert_allclose([one.torque for one in losses], [by_joint[one.joint] for one in losses], atol=1e-9)
+
+
+def test_among_several_objects_each_is_carried_by_the_hand_alone():
+    """Of a ball on two blocks, which the hand does not touch, what is lost is what is lost of the ball alone."""
+    file = load_scene(ready_scenes()["stack"])
+    made = gripped_scene(file)
+    world, state = world_of(file, made)
+    for one, alone in zip(joint_losses(made, MODEL, (world, state)), joint_losses(made, MODEL), strict=True):
+        assert (one.joint, one.contacts, one.holds) == (alone.joint, alone.contacts, alone.holds)
+        np.testing.assert_allclose(one[1:3] + one[4:5], alone[1:3] + alone[4:5], atol=1e-9)
+
+
+def test_several_objects_are_a_scene_like_another(folder, capsys):
+    assert main(["glove", "ablate", "stack"]) == 0
+    assert "a ball on two blocks: without one of the glove's joints" in capsys.readouterr().out
 
 
 def test_a_joint_is_a_line_and_a_row(folder, capsys):

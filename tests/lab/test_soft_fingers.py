@@ -25,7 +25,7 @@ MASS, FRICTION, TORSION = 0.1, 0.5, 0.004
 
 
 OFF, WEAK = 0.006, 1e-4
-"""How far beside its middle two fingers hold a box [m]; torsion by which they do not."""
+"""How far beside its middle two fingers hold a box [m]; torsion by which two do not."""
 
 
 def pinched(torsion: float | None) -> tuple[Scene, Posture, Pose]:
@@ -72,10 +72,10 @@ def test_two_soft_fingers_hold_what_hard_ones_let_turn(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law, right", [("closed-form", 0.038), ("optimum", 0.9)])
-def test_what_slips_moves_by_what_is_exerted_with_moments(law, right):
+@pytest.mark.parametrize("law, right, torsion", [("closed-form", 0.038, WEAK), ("optimum", 0.9, TORSION)])
+def test_what_slips_moves_by_what_is_exerted_with_moments(law, right, torsion):
     """Newton and Euler: fingers of little torsion, and by the optimum one finger alone, which holds nothing."""
-    scene, posture, placed = pinched(WEAK)
+    scene, posture, placed = pinched(torsion)
     angles = posture.angles.at[1].set(right)
     still = Posture(Pose(jnp.zeros((2, 3)), jnp.stack([jnp.eye(3)] * 2)), jnp.stack([angles] * 2))
     first, second = carry(scene, still, placed, DT, law=law)
@@ -89,8 +89,8 @@ def test_what_slips_moves_by_what_is_exerted_with_moments(law, right):
     np.testing.assert_allclose(MASS * way / DT**2, forces.sum(0) - [0, 0, MASS * G], atol=1e-7)
     pressed = np.sum(normals * forces, -1)
     across = np.linalg.norm(forces - pressed[:, None] * normals, axis=-1)
-    assert np.all((across / FRICTION) ** 2 + (moments / WEAK) ** 2 <= pressed**2 * (1 + 1e-6) + 1e-12)
-    assert np.abs(moments).max() > 1e-9 and np.abs(way).max() > 1e-6
+    assert np.all((across / FRICTION) ** 2 + (moments / torsion) ** 2 <= pressed**2 * (1 + 1e-6) + 1e-12)
+    assert np.abs(moments).max() > 1e-5 and np.abs(way).max() > 1e-6
 
 
 def wrench_of(tick, moments: np.ndarray) -> np.ndarray:

@@ -33,14 +33,25 @@ def found(program):
     return jax.device_get(jax.jit(solve)(program))
 
 
-def test_all_are_solved_and_meet_the_optimality_conditions(program, found):
-    assert found.solved.all()
+@pytest.mark.parametrize("gives", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_all_are_solved_and_meet_the_optimality_conditions(program, found, gives):
     p = jax.device_get(program)
+    giving = np.zeros((B, M))
+    if gives:
+        giving = np.random.default_rng(1).uniform(0.1, 3, (B, M))
+        soft = program._replace(cones=(program.cones[0]._replace(giving=jnp.asarray(giving)), program.cones[1]))
+        rigid, found = found, jax.device_get(jax.jit(solve)(soft))
+        # What presses gives way: otherwise this would be the rigid cones' program again.
+        assert np.abs(found.point - rigid.point).max() > 0.1
+    assert found.solved.all()
     x, y = found.point, found.equality
     np.testing.assert_allclose(np.einsum("bek,bk->be", p.equations, x), p.right, atol=1e-8)
     gradient = np.einsum("bkl,bl->bk", p.quadratic, x) + p.linear + np.einsum("bek,be->bk", p.equations, y)
     for cones, slack, dual in zip(p.cones, found.slack, found.duals, strict=True):
-        np.testing.assert_allclose(slack, cones.offset - np.einsum("bmdk,bk->bmd", cones.rows, x), atol=1e-8)
+        seen = cones.offset - np.einsum("bmdk,bk->bmd", cones.rows, x)
+        if cones is p.cones[0]:
+            seen[..., 0] += giving * dual[..., 0]
+        np.testing.assert_allclose(slack, seen, atol=1e-8)
         for side in (slack, dual):
             assert (np.linalg.norm(side[..., 1:], axis=-1) <= side[..., 0] + 1e-12).all()
         assert np.abs(np.sum(slack * dual, -1)).max() < 1e-8

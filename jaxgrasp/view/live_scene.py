@@ -1,0 +1,107 @@
+"""A scene whose hand, objects and world are moved while one looks: what a page asks of it."""
+
+from abc import ABC, abstractmethod
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxgrasp.grip.monitor import Law
+from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.scene_file import GrippedScene
+from jaxgrasp.lab.haptic_loop import Followed
+from jaxgrasp.model.hand import Pose, Posture
+from jaxgrasp.report.surfaces import DrawnSurface
+from jaxgrasp.view.seen import Seen
+
+SHORTEST, LONGEST = 1e-3, 0.05
+"""Times that a step counts as at least and at most [s]: a pause does not throw the object."""
+
+
+class Controls(NamedTuple):
+    """What a person sets; at first everything is as the scene has it."""
+
+    angles: np.ndarray
+    """Angles of the joints ``(J,)`` [rad]."""
+    lift: np.ndarray
+    """Way of the wrist ``(3,)`` [m]."""
+    turn: float
+    """Turn of the wrist about the world's x axis [rad]."""
+    place: np.ndarray
+    """Way of the gripped object from where it was gripped ``(3,)`` [m]."""
+    friction: float
+    """Between the hand and the gripped object."""
+    squeeze: float
+    """How many times as hard the hand means to press as by eq. 6."""
+    mass: float
+    """Of the gripped object [kg]."""
+    gravity: np.ndarray
+    """``(3,)`` [m/s^2]"""
+
+
+class LiveScene(ABC):
+    """A gripped scene that follows its controls, or a hand that others move."""
+
+    others: list[DrawnSurface]
+    """Further objects, each in its own frame."""
+
+    def __init__(self, made: GrippedScene, law: Law):
+        self.made, self.law = made, law
+        self._names = [link.name for link in made.scene.hand.links]
+
+    def at_first(self) -> Controls:
+        """The scene's own controls."""
+        scene, still = self.made.scene, np.zeros(3)
+        friction, mass, gravity = (np.asarray(x, float) for x in (scene.friction, scene.body.mass, scene.gravity))
+        angles = np.asarray(self.made.closed.angles)
+        return Controls(angles, still, 0.0, still, float(friction), 1.0, float(mass), gravity)
+
+    @property
+    @abstractmethod
+    def begun(self) -> Followed:
+        """The objects at first."""
+
+    @abstractmethod
+    def look(self, controls: Controls) -> Seen:
+        """Things as they stand, at rest."""
+
+    @abstractmethod
+    def step(self, controls: Controls, dt: float) -> Seen:
+        """Let time go on: objects go where they are carried, slip, rest or fall.
+
+        Args:
+            controls: what is set; the object's place counts at the first step alone.
+            dt: since the last step [s].
+        """
+
+    @abstractmethod
+    def start_again(self) -> None:
+        """All objects back to where they were at first, the gripped one to where the controls have it, at rest."""
+
+    @abstractmethod
+    def follow(self, posture: Posture, followed: Followed) -> Seen:
+        """A hand that others move, and objects that go with it."""
+
+    def _placed(self, controls: Controls) -> Pose:
+        """Where the controls have the gripped object at first."""
+        return Pose(self.made.placed.origin + jnp.asarray(controls.place), self.made.placed.rotation)
+
+    def _posture(self, controls: Controls) -> Posture:
+        # In NumPy: what is small costs JAX more to call than to compute.
+        wrist, turn = self.made.closed.wrist, Rotation.from_euler("x", controls.turn).as_matrix()
+        moved = np.asarray(wrist.origin) + controls.lift, turn @ np.asarray(wrist.rotation)
+        return Posture(Pose(*map(jnp.asarray, moved)), jnp.asarray(controls.angles, float))
+
+
+def counted(dt: float) -> float:
+    """How long a step counts as [s]."""
+    return min(max(dt, SHORTEST), LONGEST)
+
+
+def scene_with(scene: Scene, controls: Controls) -> Scene:
+    """The scene with what is set."""
+    where = lambda scene: (scene.friction, scene.stiffness, scene.body.mass, scene.gravity)  # noqa: E731
+    new = (controls.friction, scene.stiffness * controls.squeeze, controls.mass, controls.gravity)
+    return eqx.tree_at(where, scene, tuple(jnp.asarray(value, float) for value in new))

@@ -54,8 +54,8 @@ def wrench_margin(
     its length it stops short, at what smaller forces reach; by friction beyond 1e5, or a pinch that misses
     closing by less than 1e-6, it goes too far, up to +inf.
 
-    With limits it is found to some 1e-8 of what the contacts can exert, as a rule; in single precision to 1e-5, and up
-    to a quarter is left open (NaN). A contact without a limit of its own presses with at most a thousand times the
+    With limits it is found to some 1e-8 of what the contacts can exert, as a rule; in single precision to 1e-5, and
+    about a quarter is left open (NaN). A contact without a limit of its own presses with at most a thousand times the
     geometric mean of the others' (of the load, where there are none); a margin that rests on more is called endless.
 
     Differentiable once, by everything but the sharing, limits too: at the limit a hyperplane bounds what the contacts

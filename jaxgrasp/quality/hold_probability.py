@@ -28,7 +28,7 @@ class HoldProbability(NamedTuple):
     margin: Float[Array, "*batch"]
     """Mean of the cases' margins: by which share of itself each load could grow, below zero where it is not held."""
     margins: Float[Array, "samples *batch"]
-    """Of each case."""
+    """The margin of each case."""
 
 
 @checked

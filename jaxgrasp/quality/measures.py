@@ -85,7 +85,7 @@ def _task_margin(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
 
 
 def _hold_probability(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
-    """Of each grasp's worst load."""
+    """What is known of each grasp's worst load."""
     assert demands.uncertainty is not None
     own = demands.uncertainty
     each = [

@@ -22,9 +22,9 @@ class Uncertainty:
     friction: float = 0.0
     """Standard deviation of the logarithm of friction."""
     place: float = 0.0
-    """Of places along each tangent [m]."""
+    """The spread of places along each tangent [m]."""
     load: Numbers = (0.0,) * 6
-    """Of each component of the load [N, N.m]."""
+    """The spread of each component of the load [N, N.m]."""
     samples: int = 200
     seed: int = 0
 
@@ -47,7 +47,7 @@ class TaskDemands:
     wrenches: tuple[Numbers, ...] | None = None
     """What the hand must resist, for ``task-margin`` [N, N.m]."""
     semi_axes: Numbers | None = None
-    """Of the ellipsoid of disturbances along the six components, for ``task-ball-...`` [N, N.m]."""
+    """Semi-axes of the ellipsoid of disturbances along the six components, for ``task-ball-...`` [N, N.m]."""
     axes: tuple[Numbers, ...] | None = None
     """In place of these, any six semi-axes, one a row."""
     uncertainty: Uncertainty | None = None

@@ -22,7 +22,7 @@ class TaskMargin(NamedTuple):
     weakest: Int[Array, "*batch"]
     """Which wrench it is of, from 0; the first of equal ones."""
     margins: Float[Array, "*batch k"]
-    """Of each wrench, as [`jaxgrasp.wrench_margin`][] has it."""
+    """The margin of each wrench, as [`jaxgrasp.wrench_margin`][] has it."""
 
 
 @checked

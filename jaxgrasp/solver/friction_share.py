@@ -145,5 +145,5 @@ def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
 
 
 def _power(rows: Rows, twist: list[Array]) -> Array:
-    """Of a unit of force along a twist, the total left out."""
+    """Power of a unit of force along a twist, the total left out."""
     return reduce(jnp.add, (r * t for r, t in zip(rows, twist, strict=False)))

@@ -65,7 +65,7 @@ class ProximalState(NamedTuple):
     missed: Array
     """The part of the load that the forces miss."""
     strength: Array
-    """Of the proximal term where the search goes on; 0 where it has come to its end."""
+    """Strength of the proximal term where the search goes on; 0 where it has come to its end."""
 
 
 class PassSettings(NamedTuple):

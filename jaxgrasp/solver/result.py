@@ -41,7 +41,7 @@ class PassResult(NamedTuple):
     undecided: Array
     """Whether the next pass has more to say: where the verdict is none yet, or the load is hidden by rounding."""
     strength: Array
-    """Of the proximal term with which an interrupted search goes on; 0 where none was interrupted."""
+    """Strength of the proximal term with which an interrupted search goes on; 0 where none was interrupted."""
     moments: Array | None
     normal_multiplier: Array | None
     torque_multiplier: Array | None

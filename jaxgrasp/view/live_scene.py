@@ -36,7 +36,7 @@ class Controls(NamedTuple):
     squeeze: float
     """How many times as hard the hand means to press as by eq. 6."""
     mass: float
-    """Of the gripped object [kg]."""
+    """Mass of the gripped object [kg]."""
     gravity: np.ndarray
     """``(3,)`` [m/s^2]"""
 

@@ -22,7 +22,7 @@ from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.quality.in_turn import Progress
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.quality.measures import Columns, Measure, measures_named
 from jaxgrasp.quality.task_demands import TaskDemands
 from jaxgrasp.validation.checked import checked
@@ -79,7 +79,7 @@ def evaluate(
     quality: tuple[str, ...] = (),
     task: TaskDemands | None = None,
     least_friction: bool = False,
-    progress: Progress = None,
+    progress: Progress | None = None,
     dtype: str | np.dtype | None = None,
     skip_bad: bool = False,
     devices: int | None = None,
@@ -159,7 +159,7 @@ def answers(
     measures: tuple[Measure, ...] = (),
     *,
     least_friction: bool = False,
-    progress: Progress = None,
+    progress: Progress | None = None,
     skip_bad: bool = False,
     checked: bool = False,
     first: int = 0,

@@ -7,11 +7,12 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.force.least_friction import least_friction
-from jaxgrasp.quality.in_turn import TOGETHER, Progress
+from jaxgrasp.model.progress import Progress
+from jaxgrasp.quality.in_turn import TOGETHER
 from jaxgrasp.quality.measures import UNDECIDED, Columns, Measure, MeasuredGrasps
 
 
-def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Progress = None) -> Columns:
+def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Progress | None = None) -> Columns:
     """Every measure of every grasp, ``(N,)`` each, by ``MEASURE.COLUMN``; some hundred grasps at a time, as
     ``progress`` is told."""
     if not measures:

@@ -156,6 +156,9 @@ def _escapes_straight(sets: ContactSets, sharing: str) -> np.ndarray:
     """
     if not len(sets):
         return np.zeros(0, bool)
+    # Here, since it takes longer to load than all else that a worker loads, and most batches have no such grasp.
+    from scipy.optimize import nnls
+
     carries = _carries(sets, sharing)
     owner, starts = np.repeat(np.arange(len(sets)), sets.sizes), sets.offsets[:-1]
     middle = _middle(sets, carries)
@@ -180,8 +183,6 @@ def _escapes_straight(sets: ContactSets, sharing: str) -> np.ndarray:
     force = sets.wrench[:, 0, :3].astype(float)
     torque = (sets.wrench[:, 0, 3:] - np.cross(middle, force)) / unit[:, None]
     load = np.concatenate([force, torque], 1)
-    from scipy.optimize import nnls
-
     found = np.zeros(len(sets), bool)
     for k in np.flatnonzero(free.any(1)):
         own, own_contacts = motions[k][:, free[k]], slice(sets.offsets[k], sets.offsets[k + 1])

@@ -19,7 +19,7 @@ from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.compared_methods import METHODS, methods_named
 from jaxgrasp.model.faults import GraspError
-from jaxgrasp.quality.in_turn import Progress
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.quality.measures import Measure, measures_named
 from jaxgrasp.quality.task_demands import TaskDemands
 
@@ -77,7 +77,7 @@ class StreamPlan:
         first: int,
         chunk: int,
         checked: bool = False,
-        progress: Progress = None,
+        progress: Progress | None = None,
     ) -> Answers:
         """All that the plan asks of grasps as they were read, the first of which has the number ``first``."""
         return answers(

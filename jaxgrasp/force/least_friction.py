@@ -14,6 +14,7 @@ from jaxgrasp.force.margin import bound_along
 from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import over_chosen
@@ -21,7 +22,7 @@ from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
-from jaxgrasp.solver.dispatch import Progress, dispatch
+from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.friction_share import WIDEST, least_share
 from jaxgrasp.solver.wrench_boundary import BoundaryPoint, without_sharing, work_along
 

@@ -8,7 +8,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import is_held
-from jaxgrasp.numerics.no_derivative import without_derivative
+from jaxgrasp.numerics.no_derivative import refusing, without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
@@ -88,9 +88,7 @@ def bounded_total(problem: ProblemBatch) -> tuple[Array, BoundaryPoint]:
     return over_tiles(_least_of_tile, (problem, solved), problem.size, TILE, problem.count)
 
 
-@bounded_total.defjvp
-def _no_second_derivative(primals, tangents):
-    raise NotImplementedError("least_squeeze and least_friction have first derivatives only")
+bounded_total.defjvp(refusing("least_squeeze and least_friction have first derivatives only"))
 
 
 def held_total(problem: ProblemBatch) -> Array:

@@ -19,7 +19,7 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import cone_program
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones
-from jaxgrasp.numerics.no_derivative import without_derivative
+from jaxgrasp.numerics.no_derivative import refusing, without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch, plain_batch_last
 from jaxgrasp.problem.cone_problem import (
@@ -97,9 +97,7 @@ def _limit(problem: ProblemBatch, direction: Array) -> LimitedMargin:
     return over_tiles(_limit_of_tile, (problem, direction), problem.size, TILE, problem.count)
 
 
-@_limit.defjvp
-def _no_second_derivative(primals, tangents):
-    raise NotImplementedError("wrench_margin has first derivatives only")
+_limit.defjvp(refusing("wrench_margin has first derivatives only"))
 
 
 def _is_sound(problem: ProblemBatch, direction: Array) -> Array:

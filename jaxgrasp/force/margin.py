@@ -12,7 +12,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS, Limits
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.no_derivative import without_derivative
+from jaxgrasp.numerics.no_derivative import refusing, without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
@@ -123,9 +123,7 @@ def bound_along(problem: ProblemBatch, direction: Array) -> tuple[Array, Boundar
     return over_tiles(_bound_of_tile, (problem, direction), problem.size, TILE)
 
 
-@bound_along.defjvp
-def _no_second_derivative(primals, tangents):
-    raise NotImplementedError("wrench_margin has first derivatives only")
+bound_along.defjvp(refusing("wrench_margin has first derivatives only"))
 
 
 class _Line(NamedTuple):

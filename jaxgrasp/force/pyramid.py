@@ -22,6 +22,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.centring import tangents
+from jaxgrasp.numerics.no_derivative import refusing
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone
@@ -148,10 +149,8 @@ def _answers(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
     return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE, problem.count)
 
 
-@_answers.defjvp
-def _no_derivatives(settings, primals, tangents):
-    # Those that jaxopt gives were off by up to a hundredth for the objective, and by anything for the forces.
-    raise NotImplementedError("pyramid_optimum has no derivatives: differentiate constrained_optimum instead")
+# Those that jaxopt gives were off by up to a hundredth for the objective, and by anything for the forces.
+_answers.defjvp(refusing("pyramid_optimum has no derivatives: differentiate constrained_optimum instead"))
 
 
 def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:

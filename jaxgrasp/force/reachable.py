@@ -12,6 +12,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Verdict, is_held
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
+from jaxgrasp.numerics.no_derivative import refusing
 from jaxgrasp.numerics.tiling import over_chosen
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, to_batch_last
@@ -111,12 +112,12 @@ def _closest(problem: ProblemBatch, inertia: Array | None = None) -> Reachable:
     return over_chosen(_projected, (problem, inertia), answer, usable & ~solved, TILE)
 
 
-@_closest.defjvp
-def _no_derivative(primals, tangents):
-    raise NotImplementedError(
+_closest.defjvp(
+    refusing(
         "reachable_wrench has no derivatives: differentiate constrained_optimum where the wrench is reachable, "
         "wrench_margin where it is not"
     )
+)
 
 
 def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -> Reachable:

@@ -5,7 +5,8 @@ and zero times NaN is NaN. So the rule here is a linear map by name only. What m
 out as NaN; zeros come out as zeros.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -86,6 +87,15 @@ def without_derivative(undefined: Array, tangents: Any, sources: Any, moved: Any
         return tangent + jnp.where(spread(undefined), own, 0)
 
     return jax.tree.map(without, tangents)
+
+
+def refusing(message: str) -> Callable[..., NoReturn]:
+    """A derivative's rule that says why there is none."""
+
+    def refuse(*_: Any) -> NoReturn:
+        raise NotImplementedError(message)
+
+    return refuse
 
 
 def _floats(tree: Any) -> list[Array]:

@@ -13,7 +13,7 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.numerics.no_derivative import underivable, without_derivative
+from jaxgrasp.numerics.no_derivative import refusing, underivable, without_derivative
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
@@ -223,9 +223,7 @@ def _search(problem: ProblemBatch, solution: Solution, objective: Objective) -> 
     return _searched(problem, solution, objective)
 
 
-@_search.defjvp
-def _no_second_derivative(objective, primals, tangents):
-    raise NotImplementedError("best_forces has first derivatives only")
+_search.defjvp(refusing("best_forces has first derivatives only"))
 
 
 @partial(jax.jit, static_argnames=("objective",))

@@ -103,10 +103,7 @@ def contains(u: ContactVec, cone: Cone) -> Array:
 def project(u: ContactVec, cone: Cone, parts: ConeSide) -> ContactVec:
     """The closest allowed force."""
     zero = contact_vec.scale(jnp.zeros_like(parts.along), u)
-    edge = contact_vec.add(
-        contact_vec.along(jnp.ones_like(parts.along), cone.normal, u), contact_vec.scale(cone.friction, parts.tangent)
-    )
-    on_edge = contact_vec.scale(_height(cone, parts), edge)
+    on_edge = contact_vec.scale(_height(cone, parts), edge_force(cone, parts))
     on_cone = contact_vec.where(parts.inside, u, contact_vec.where(parts.polar, zero, on_edge))
     if parts.bound is None:
         return on_cone
@@ -115,6 +112,12 @@ def project(u: ContactVec, cone: Cone, parts: ConeSide) -> ContactVec:
     reach = jnp.minimum(parts.size, cone.friction * height)
     on_disc = contact_vec.add(contact_vec.along(height, cone.normal, u), contact_vec.scale(reach, parts.tangent))
     return contact_vec.where(holds, on_disc, on_cone)
+
+
+def edge_force(cone: Cone, parts: ConeSide) -> ContactVec:
+    """The force of unit normal component on the cone's edge that is closest."""
+    normal = contact_vec.along(jnp.ones_like(parts.along), cone.normal, parts.tangent)
+    return contact_vec.add(normal, contact_vec.scale(cone.friction, parts.tangent))
 
 
 def derivative(cone: Cone, parts: ConeSide) -> list[list[Array]]:
@@ -130,7 +133,7 @@ def derivative(cone: Cone, parts: ConeSide) -> list[list[Array]]:
     isotropic = jnp.where(parts.inside, 1, turning)
     t = contact_vec.components(parts.tangent)
     a = _as_long(cone.normal, t)
-    edge = [p + cone.friction * q for p, q in zip(a, t, strict=True)]
+    edge = contact_vec.components(edge_force(cone, parts))
     matrix = []
     for i in range(len(t)):
         row = [along_edge * edge[i] * edge[j] - turning * (a[i] * a[j] + t[i] * t[j]) for j in range(i + 1)]

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import About, Length, WrenchDiscs
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced
-from jaxgrasp.quality.in_turn import Progress, in_turn
+from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_sets import WrenchSet, WrenchSets
@@ -81,7 +82,7 @@ class Decision(NamedTuple):
 
 @checked
 def force_closure(
-    grasp: Grasp, *, length: Length = None, about: About = None, progress: Progress = None
+    grasp: Grasp, *, length: Length = None, about: About = None, progress: Progress | None = None
 ) -> ForceClosure:
     """Whether a grasp can exert any wrench, if only its forces may be large enough, with a proof of either answer.
 

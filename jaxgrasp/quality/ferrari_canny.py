@@ -10,11 +10,12 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, known_where, measured_discs, work
 from jaxgrasp.quality.closure import decide_all
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
-from jaxgrasp.quality.in_turn import Progress, in_turn
+from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.largest_ball import largest_balls
 from jaxgrasp.quality.refine_facet import touch
 from jaxgrasp.quality.summary_line import count_of, range_of
@@ -57,7 +58,7 @@ def ferrari_canny(
     ellipsoid: Ellipsoid = None,
     tol: float = 1e-3,
     max_points: int = MAX_POINTS,
-    progress: Progress = None,
+    progress: Progress | None = None,
 ) -> Epsilon:
     """The radius of the largest ball around the origin in the grasp's wrench space, between proven bounds.
 

@@ -4,15 +4,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-Progress = Callable[[int], None] | None
-"""Is told how many more grasps are done; what it raises ends the work."""
+from jaxgrasp.model.progress import Progress
 
 TOGETHER = 256
 """Grasps that are looked at before the next: enough that the price of each operation does not count."""
 
 
 def in_turn(
-    count: int, question: Callable[[np.ndarray], tuple[np.ndarray, ...]], progress: Progress = None
+    count: int, question: Callable[[np.ndarray], tuple[np.ndarray, ...]], progress: Progress | None = None
 ) -> tuple[np.ndarray, ...]:
     """Answers ``(count, ...)`` to a question about grasps of some numbers ``(g,)``, which gives arrays ``(g, ...)``."""
     found = []

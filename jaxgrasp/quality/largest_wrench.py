@@ -11,11 +11,12 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import Fault, GraspError
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import discs, scaled_wrench, work
 from jaxgrasp.quality.closure import forces_of, unscaled, weights_or_twist
 from jaxgrasp.quality.grasp_input import GraspInput, check_tolerance, read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
-from jaxgrasp.quality.in_turn import Progress, in_turn
+from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, WrenchSets, check_bound, check_sides, pyramid
@@ -69,7 +70,7 @@ def largest_wrench(
     *,
     sides: int | None = None,
     tol: float = 1e-6,
-    progress: Progress = None,
+    progress: Progress | None = None,
 ) -> LargestWrench:
     """The largest alpha for which forces inside the friction cones exert alpha times the task.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
+from jaxgrasp.numerics.centring import centred
 from jaxgrasp.quality.closure import force_closure
 from jaxgrasp.quality.ferrari_canny import ferrari_canny
 from jaxgrasp.quality.hold_probability import hold_probability
@@ -77,8 +78,8 @@ def _task_margin(demands: TaskDemands, given: MeasuredGrasps) -> Columns:
     grasp, wrenches = given.grasp, np.asarray(demands.wrenches)
     tasks = np.broadcast_to(wrenches, (len(given.wrench), *wrenches.shape)).copy()
     if demands.about == "contacts":
-        there = np.ones(grasp.friction.shape) if grasp.present is None else np.asarray(grasp.present)
-        middle = np.sum(np.where(there[..., None] > 0, grasp.points, 0), 1) / there.sum(1, keepdims=True)
+        there = np.ones(grasp.friction.shape, bool) if grasp.present is None else np.asarray(grasp.present) > 0.5
+        middle = centred(np.asarray(grasp.points), there, numpy=np).middle
         tasks[..., 3:] += np.cross(middle[:, None], tasks[..., :3])
     found = task_margin(grasp, tasks.astype(given.wrench.dtype), sharing="uniform", limits=given.limits)
     return {"margin": np.asarray(found.margin), "weakest": np.asarray(found.weakest, np.int32)}

@@ -11,10 +11,11 @@ from jax import Array
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, known_where
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
-from jaxgrasp.quality.in_turn import Progress, in_turn
+from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
@@ -48,7 +49,7 @@ class MinWeight(NamedTuple):
 
 
 @checked
-def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress = None) -> MinWeight:
+def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None) -> MinWeight:
     """The largest least weight with which all edges of the friction pyramids balance each other.
 
     With w_j the wrenches of the m edges, of normal force 1 each: the largest l for which some weights >= l have the

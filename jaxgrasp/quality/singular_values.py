@@ -8,6 +8,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.wrench import grasp_matrix
+from jaxgrasp.numerics.no_derivative import refusing
 from jaxgrasp.numerics.vec3 import safe_divide
 from jaxgrasp.problem.wrench_discs import About, Length, discs
 from jaxgrasp.validation.checked import checked
@@ -97,6 +98,4 @@ def _decomposed(matrix: Array) -> tuple[Array, Array, Array]:
     return left, values, right
 
 
-@_decomposed.defjvp
-def _no_second_derivative(primals, tangents):
-    raise NotImplementedError("singular values have first derivatives only")
+_decomposed.defjvp(refusing("singular values have first derivatives only"))

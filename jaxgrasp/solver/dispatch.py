@@ -21,6 +21,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.progress import Progress
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, read_sharing
@@ -41,8 +42,6 @@ ALIGNMENT = 64
 
 Solve = Callable[..., Any]
 """From a flat batch of problems, and one array for each of them by name, to a tree of arrays ``(B, ...)``."""
-Progress = Callable[[int], object]
-"""Told of so many more problems that are done, as ``tqdm.update`` is."""
 
 
 class Inputs(NamedTuple):

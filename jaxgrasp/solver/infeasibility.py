@@ -95,10 +95,7 @@ def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
         push = jnp.where(can_move, sides.along + cone.friction * sides.size, -jnp.inf)
         largest = jnp.maximum(jnp.max(push, 0, keepdims=True), 0)
         excess = jnp.maximum(push + BEYOND * largest, 0)
-        strongest = contact_vec.add(
-            contact_vec.along(jnp.ones_like(push), cone.normal, sides.tangent),
-            contact_vec.scale(cone.friction, sides.tangent),
-        )
+        strongest = friction_cone.edge_force(cone, sides)
         # How pushes change with the direction, as the dual's curvature is made of how forces do.
         along = contact_vec.components(strongest)
         rows = [[jnp.where(excess > 0, along[i] * along[j], 0) for j in range(i + 1)] for i in range(len(along))]

@@ -191,10 +191,8 @@ def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings
     careful = settings.careful
     own, valid = to_batch_last(batch)
     problem = in_axes_by_care(batch, without_squeeze(own, ~settings.squeezed), valid, careful)
-    resumed, near = (prior.strength > 0)[None], (prior.route == Route.FAST)[None]
-    if not _is_double(batch):
-        # Where digits are few, what the fast passes came to may be as far off as it looks near.
-        near = jnp.zeros_like(near)
+    # Where digits are few, what the fast passes came to may be as far off as it looks near.
+    resumed, near = (prior.strength > 0)[None], (prior.route == Route.FAST)[None] & _is_double(batch)
     certificate = _out_of_range(problem, careful & ~resumed)
     missed = certificate.force > 0
     goes_on = ~settings.afresh & (~careful | resumed | near)

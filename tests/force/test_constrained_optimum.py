@@ -264,17 +264,19 @@ def test_safety_is_that_of_a_problem_not_of_a_contact():
 
 @pytest.mark.slow
 def test_absent_friction_does_not_spoil_the_derivative_by_safety():
+    """A fourth contact is absent: the other three must hold alone, and can."""
     problem = P.problems("low_friction", 3, 3, seed=1)
-    present = np.ones((3, 3))
-    present[:, 2] = 0
-    friction = np.where(present > 0, problem.friction, np.nan)
+    arrays = (problem.points, problem.normals, problem.friction, problem.squeeze)
+    points, normals, friction, squeeze = (np.concatenate([array, array[:, 2:]], 1) for array in arrays)
+    present = np.tile([1.0, 1, 1, 0], (3, 1))
 
     def total(safety, friction):
-        grasp = Grasp(problem.points, problem.normals, friction, problem.squeeze, present)
+        grasp = Grasp(points, normals, friction, squeeze, present)
         return jaxgrasp.constrained_optimum(grasp, problem.wrench, safety=safety).objective.sum()
 
-    spoiled, clean = (jax.grad(total)(1.1, f) for f in (friction, problem.friction))
-    assert np.isfinite(clean) and spoiled == clean
+    unknown = np.where(present > 0, friction, np.nan)
+    spoiled, clean = (jax.grad(total)(1.0, given) for given in (unknown, friction))
+    assert clean > 0 and spoiled == clean
 
 
 def test_bad_data_leave_their_neighbours_alone(case):

@@ -28,6 +28,14 @@ def rise(k: int) -> float:
     return UP * (max(k - 20, 0) * DT) ** 2 / 2
 
 
+def check_slope(haptics, slope, time, angles, wrist, every):
+    """Of every so many angles, beside differences of torques at the same time."""
+    for k in range(0, len(angles), every):
+        step = 1e-6 * np.eye(len(angles))[k]
+        ahead, back = (haptics.tick(time, angles + by * step, wrist).torques for by in (1.0, -1.0))
+        np.testing.assert_allclose(slope[:, k], (ahead - back) / 2e-6, atol=2e-5 * np.abs(slope).max())
+
+
 @pytest.mark.slow
 def test_a_ball_taken_off_a_stack_is_felt_with_its_weight_and_inertia():
     file = load_scene(ready_scenes()["stack"])
@@ -54,11 +62,7 @@ def test_a_ball_taken_off_a_stack_is_felt_with_its_weight_and_inertia():
     np.testing.assert_allclose(laws[-1].torques, by_work(made.scene.hand, posture, points[0], forces[0]), atol=1e-7)
     # At first the blocks bear the ball, and the hand its squeezing alone: other torques than later.
     assert np.abs(laws[10].torques - laws[-1].torques).max() > 5e-3
-    for k in range(0, len(angles), 4):
-        step = 1e-6 * np.eye(len(angles))[k]
-        ahead, back = (haptics.tick(49 * DT, angles + by * step, posture.wrist).torques for by in (1.0, -1.0))
-        change, slope = (ahead - back) / 2e-6, laws[-1].derivative
-        np.testing.assert_allclose(slope[:, k], change, atol=2e-5 * np.abs(slope).max())
+    check_slope(haptics, laws[-1].derivative, 49 * DT, angles, posture.wrist, every=4)
 
 
 @pytest.mark.slow
@@ -113,11 +117,7 @@ def test_soft_fingers_that_turn_a_ball_off_a_stack_feel_their_moments_too():
     expected = by_work(made.scene.hand, posture, where, forces, couples)
     np.testing.assert_allclose(laws[-1].torques, expected, atol=1e-7)
     assert np.abs(by_work(made.scene.hand, posture, where, forces, 0 * couples) - expected).max() > 1e-5
-    for k in range(0, len(angles), 5):
-        step = 1e-6 * np.eye(len(angles))[k]
-        ahead, back = (haptics.tick(55 * DT, angles + by * step, posture.wrist).torques for by in (1.0, -1.0))
-        change, slope = (ahead - back) / 2e-6, laws[-1].derivative
-        np.testing.assert_allclose(slope[:, k], change, atol=2e-5 * np.abs(slope).max())
+    check_slope(haptics, laws[-1].derivative, 55 * DT, angles, posture.wrist, every=5)
 
 
 @pytest.mark.slow

@@ -33,8 +33,9 @@ TILT = 5e-3
 they find its corners, on a round one four places half a hundredth of its radius off the lowest."""
 QUARTERS = 0.4 + np.pi / 2 * np.arange(4)
 """Where they lean; along no edge of an object whose edges lie along the table's axes."""
-READINESS = 1e4
-"""Weight of each of the table's contacts, in units of what the hand's have together."""
+READINESS = 100.0
+"""Weight of each of the table's contacts, in units of what the hand's have together: what the object asks for, the hand
+carries to a four-hundredth. A hundred times as much takes four times as many steps to find."""
 SLACK = 0.02
 """Part of the load that friction at the table takes up beside, where closed-form forces are cut to their own."""
 STANDING = 0.95

@@ -98,7 +98,9 @@ def test_simulate_and_monitor(folder):
         glove.terminate()
     lines = done.stdout.splitlines()
     assert len(lines) > 10 and "ms old" in lines[-2] and "[mN\N{MIDDLE DOT}m]" in lines[-1]
-    assert "tMP" in lines[1] and "rPIP" in lines[1] and max(map(len, lines[1:])) < 100, "a screen of 100 columns"
+    # On a busy machine the device may not have answered yet when the first line is due.
+    header = next(line for line in lines if "tMP" in line)
+    assert "rPIP" in header and max(map(len, lines[1:])) < 100, "a screen of 100 columns"
 
 
 @POSIX

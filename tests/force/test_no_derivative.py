@@ -76,15 +76,12 @@ def derivatives(values):
     return taken(WRENCHES, jnp.array([[0.1, 0.2, -0.3, 0, 0.1, 0.1]] * 2))
 
 
+QUICK = ("optimum", "least_squeeze", "wrench_margin")
+
+
+@pytest.mark.repeats
 @pytest.mark.parametrize(
-    "name",
-    [
-        *(n for n in VALUES if n not in ("objective", *jaxgrasp.OBJECTIVES)),
-        "least_norm",
-        "largest_margin",
-        pytest.param("least_maximal_force", marks=pytest.mark.slow),
-        pytest.param("least_torque", marks=pytest.mark.slow),
-    ],
+    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in VALUES if n != "objective"]
 )
 def test_what_does_not_exist_has_no_derivative(name):
     assert jaxgrasp.constrained_optimum(PINCH, WRENCHES).verdict[1] == Verdict.INFEASIBLE
@@ -96,8 +93,9 @@ def test_what_does_not_exist_has_no_derivative(name):
         assert (np.asarray(alone[1]) == 0).all()
 
 
+@pytest.mark.repeats
 @pytest.mark.parametrize(
-    "name", ["objective", pytest.param("least_norm", marks=pytest.mark.slow), "least_squeeze_factor"]
+    "name", ["objective", *(pytest.param(n, marks=pytest.mark.slow) for n in ("least_norm", "least_squeeze_factor"))]
 )
 def test_nor_a_second_derivative(name):
     """Of both problems along one move of both, and of the first alone, in the two orders that users take."""
@@ -167,12 +165,14 @@ def test_shared_parameters_keep_the_derivative_of_what_is_held():
 
 
 @pytest.mark.slow
+@pytest.mark.repeats
 @pytest.mark.parametrize("objective", ["least_maximal_force", "least_torque", "largest_margin"])
 def test_the_forces_of_a_search_have_no_derivative(objective):
     for derivative in derivatives(of_best_forces(objective, "forces", "bound"))[:2]:
         assert np.isnan(derivative).all()
 
 
+@pytest.mark.slow
 def test_a_margin_has_no_derivative_by_a_friction_of_zero():
     """A contact has a margin to lose as soon as it has friction; by the friction of the others there is one."""
     grasp = Grasp(TRIPOD.points, TRIPOD.normals, jnp.array([0.5, 0.5, 0.0]), TRIPOD.squeeze)

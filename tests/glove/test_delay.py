@@ -60,7 +60,8 @@ def test_it_is_not_armed_over_a_line_that_is_late(waits):
     assert not any(counts.any() for _, counts in world.history)
 
 
-@pytest.mark.parametrize("drift", [-0.005, 0.0, 0.005])
+@pytest.mark.repeats
+@pytest.mark.parametrize("drift", [-0.005, *(pytest.param(drift, marks=pytest.mark.slow) for drift in (0.0, 0.005))])
 @pytest.mark.parametrize(("way", "rate"), [("inward", 0.005), ("inward", 0.05), ("outward", 0.05), ("both", 0.02)])
 def test_the_age_of_angles_is_right_while_they_are_used(way, rate, drift):
     """Against the true time of each frame, which only the world knows."""

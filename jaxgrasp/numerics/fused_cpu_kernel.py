@@ -83,7 +83,8 @@ def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
     def alone(*arrays: Array) -> Any:
         if not _fits(compiled.trace(*arrays).jaxpr):
             return plain(*arrays)
-        out, touched = compiled(*arrays)
+        # Behind a barrier, since XLA puts what it knows into a kernel's computation, and so leaves arguments unused.
+        out, touched = compiled(*lax.optimization_barrier(arrays))
         # The barrier keeps the second result, and with it the attributes.
         return lax.optimization_barrier((out, _mark.bind(touched)))[0]
 

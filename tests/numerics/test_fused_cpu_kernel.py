@@ -53,6 +53,21 @@ def test_it_gives_the_same_numbers(count, mirrored, dtype):
         np.testing.assert_allclose(given[name], asked[name], rtol=100 * float(jnp.finfo(dtype).eps), atol=1e-12)
 
 
+@pytest.mark.parametrize("rows", [4, 400])
+def test_what_a_program_holds_as_constants_is_read_too(rows):
+    """XLA computes with constants beforehand, and aborts where a kernel then leaves an argument unused."""
+    held = np.random.default_rng(1).normal(size=(rows, 5))
+    spread = fused_cpu_kernel(lambda a, b: {"sum": 2 * a + b, "part": jnp.sum(a[:, 0]) * b[:, 1]})
+    given = np.ones_like(held)
+    for found, (a, b) in (
+        (jax.jit(lambda b: spread(held, b))(given), (held, given)),
+        (jax.jit(lambda a: spread(a, held))(given), (given, held)),
+        (jax.jit(lambda: spread(held, held))(), (held, held)),
+    ):
+        np.testing.assert_allclose(found["sum"], 2 * a + b, rtol=1e-15)
+        np.testing.assert_allclose(found["part"], a[:, 0].sum() * b[:, 1], rtol=1e-12)
+
+
 def test_mapped_and_differentiated_it_is_the_function_itself():
     def of(f):
         return lambda x, terms: jnp.sum(f(x, terms, 3)["end"] ** 2)

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -17,7 +17,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.progress import Progress
 from jaxgrasp.numerics.no_derivative import without_derivative
 from jaxgrasp.numerics.shard_map_loop import varying_like
-from jaxgrasp.numerics.tiling import over_chosen
+from jaxgrasp.numerics.tiling import beside, over_chosen
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
@@ -91,18 +91,38 @@ def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
 
 @jax.custom_jvp
 def _share(problem: ProblemBatch, total: Array) -> Array:
-    # One tile's search ends when its own problems are done. It takes derivatives, which a count does not have.
+    found = _attempted(problem, total)
+    # One tile's search ends when its own problems are done.
+    given = replace(problem, count=None), total, found
+    at_length = over_chosen(lambda given, _: _search(*given, None)[0], given, found.share, found.open, TILE)
+    return jnp.exp(at_length)
+
+
+def _evaluated_share(problem: ProblemBatch, total: Array) -> tuple[Array, "_ShareEvaluation"]:
+    """The share, and what is known at it: the search's last look, so that there is one such piece of compiled code."""
+    found, unseen = _attempted(problem, total), varying_like(_nothing_seen(problem, total), problem, total)
+    given, begun = (replace(problem, count=None), total, found), (found.share, unseen)
+    share, seen = over_chosen(lambda given, begun: _search(*given, begun[1]), given, begun, _there(problem), TILE)
+    return jnp.exp(share), seen
+
+
+def _there(problem: ProblemBatch) -> Array:
+    """Which problems are not padding."""
+    return jnp.arange(problem.size) < (problem.size if problem.count is None else problem.count)
+
+
+def _attempted(problem: ProblemBatch, total: Array) -> "_FoundShare":
+    """What interior-point searches from several places come to."""
+    # It takes derivatives, which a count does not have.
     given = replace(problem, count=None), total
-    there = jnp.arange(problem.size) < (problem.size if problem.count is None else problem.count)
-    found = varying_like(_FoundShare(jnp.zeros_like(total), there), problem, total)
+    found = varying_like(_FoundShare(jnp.zeros_like(total), _there(problem)), problem, total)
 
     def attempt(index: Array, found: _FoundShare) -> _FoundShare:
         first = jnp.asarray(FIRST, total.dtype)[index]
         return over_chosen(partial(_at_once, first), given, found, found.open, TILE)
 
     # A loop rather than several calls: the attempts are one piece of compiled code.
-    found = lax.fori_loop(0, len(FIRST), attempt, found)
-    return jnp.exp(over_chosen(_at_length, given, found, found.open, TILE).share)
+    return lax.fori_loop(0, len(FIRST), attempt, found)
 
 
 class _FoundShare(NamedTuple):
@@ -129,22 +149,16 @@ def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundShare
     return _FoundShare(share, searched[0] & ~best.proven)
 
 
-def _at_length(given: tuple[ProblemBatch, Array], found: _FoundShare) -> _FoundShare:
-    """By looks at one share after the other."""
-    return _FoundShare(_search(*given, found.share), jnp.zeros_like(found.open))
-
-
 @_share.defjvp
 def _share_tangent(primals, tangents):
     """At the share the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
-    share = _share(problem, total)
+    share, seen = _evaluated_share(problem, total)
     inside = jnp.isfinite(share) & (share > 0)
     # An infinite share times a derivative of zero would be no number, in one direction or the other.
     finite = jnp.where(inside, share, 1)
     here = jnp.log(finite)
     scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, here), (problem,), (problem_moved,))
-    seen = _evaluate(problem, total, here)
     spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _narrow(total))
     falls = spent & (seen.slope < 0)
     needed = jnp.where(falls, seen.needed, 1)
@@ -196,6 +210,15 @@ class _ShareEvaluation(NamedTuple):
     """What bounds it."""
 
 
+def _nothing_seen(problem: ProblemBatch, total: Array) -> _ShareEvaluation:
+    """Of the same shapes as what is seen."""
+    points, each = jnp.zeros_like(problem.points), jnp.zeros_like(problem.squeeze)
+    spin = None if problem.torsion is None else each
+    boundary = BoundaryPoint(points[:, 0], jnp.zeros_like(problem.wrench), each, points, spin)
+    none = jnp.zeros_like(total)
+    return _ShareEvaluation(none, none, none, boundary)
+
+
 def _evaluate(problem: ProblemBatch, total: Array, share: Array) -> _ShareEvaluation:
     scaled = _with_share(problem, share)
     needed, boundary = bounded_total(scaled)
@@ -227,23 +250,36 @@ class _Bracket(NamedTuple):
     done: Array
 
 
-def _search(problem: ProblemBatch, total: Array, near: Array) -> Array:
-    """Where the excess falls to zero, or from infinity to below it, ``near`` some place: logarithms."""
+Seen = TypeVar("Seen", bound=_ShareEvaluation | None)
+
+
+def _search(problem: ProblemBatch, total: Array, found: _FoundShare, unseen: Seen) -> tuple[Array, Seen]:
+    """Where the excess falls to zero, or from infinity to below it, by looks at one share after the other.
+
+    Logarithms of shares, and what is known at them, in the place of ``unseen``; None where nobody asks.
+    """
     widest = jnp.full_like(total, jnp.log(WIDEST))
-    no, known = jnp.zeros_like(total, bool), jnp.abs(near) < widest
+    no, known = jnp.zeros_like(total, bool), jnp.abs(found.share) < widest
     apart = jnp.where(known, 0.9 * _narrow(total), 2 * widest)
-    start = _Bracket(-widest, widest, no, no, jnp.where(known, near, 0), apart, no)
+    start = _Bracket(-widest, widest, no, no, jnp.where(known, found.share, 0), apart, ~found.open)
 
     def step(carry):
-        count, state = carry
-        moved = _step(state, _evaluate(problem, total, state.here))
-        return count + 1, jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, moved)
+        count, state, ended, last = carry
+        seen = _evaluate(problem, total, state.here)
+        moved = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, _step(state, seen))
+        if last is None:
+            return count + 1, moved, moved.done, None
+        # Whatever is done has its last look, at its share.
+        last = jax.tree.map(lambda old, new: jnp.where(beside(ended, new), old, new), last, seen)
+        return count + 1, moved, state.done, last
 
-    start = varying_like(start, problem, total)
-    _, state = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[1].done), step, (jnp.int32(0), start))
+    ended = start.done if unseen is None else no
+    begun = (jnp.int32(0), *varying_like((start, ended, unseen), problem, total))
+    _, state, _, last = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[2]), step, begun)
     narrow = _narrow(total)
     always, never = state.high + widest <= narrow, widest - state.low <= narrow
-    return jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
+    share = jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
+    return jnp.where(found.open, share, found.share), last
 
 
 def _narrow(like: Array) -> float:

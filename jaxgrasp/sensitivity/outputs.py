@@ -4,13 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.force.least_friction import least_friction
 from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
-from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
@@ -70,3 +72,24 @@ class Output:
         (method,) = methods_named((self.method,))
         solve = constrained_optimum if method.constrained else closed_form
         return {self.quantity: QUANTITIES[self.quantity](grasp, solve(grasp, wrench, method.sharing))}
+
+
+class SlipAngles(eqx.Module):
+    """(grasp, wrench) -> slip angles, for any leading axes; both sharings are one program."""
+
+    by_squeeze: Bool[AnyArray, ""]
+    """Whether squeezing forces are the weights, or 1."""
+    constrained: bool = eqx.field(static=True)
+
+    @classmethod
+    def by(cls, method: str) -> "SlipAngles":
+        """Those of a method's forces."""
+        (named,) = methods_named((method,))
+        return cls(np.asarray(named.sharing == "squeeze"), named.constrained)
+
+    def __call__(self, grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[str, Array]:
+        """``slip_angle`` [rad]."""
+        squeeze = jnp.asarray(grasp.squeeze)
+        weights = jnp.where(self.by_squeeze, squeeze, jnp.ones_like(squeeze))
+        solve = constrained_optimum if self.constrained else closed_form
+        return {"slip_angle": slip_angle(grasp, solve(grasp, wrench, weights).forces)}

@@ -1,16 +1,17 @@
 """The paper's sensitivity analysis as a whole: slip angles along a task by several methods, and what moves them."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.task import Task
 from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix
 from jaxgrasp.sensitivity.naming import Labels
-from jaxgrasp.sensitivity.outputs import Output, friction_reserve
+from jaxgrasp.sensitivity.outputs import SlipAngles, friction_reserve
 from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, trajectory_call
 
 RESERVE_INSTANTS = 64
@@ -52,19 +53,24 @@ def study(
         ValueError: as [`jaxgrasp.sensitivity.sensitivity_trajectory`][] does.
     """
     slips = {
-        method: trajectory_call(
-            task, times, Output("slip_angle", method), by, vary={vary: values}, labels=labels, once=True
-        )
+        method: trajectory_call(task, times, SlipAngles.by(method), by, vary={vary: values}, labels=labels, once=True)
         for method in methods
     }
     some = times[:: -(-len(times) // RESERVE_INSTANTS)]
     ours = {name: these for name, these in labels.items() if name != "slip_angle"}
     reserve = trajectory_call(task, some, friction_reserve, by, labels=ours, once=True)
-    # Nearly all of the time is compiling, which another core can do as well; what takes longest begins first.
+    # Nearly all of the time is compiling, which another core can do as well; what takes longest begins first. Methods
+    # of one program come one after the other: the first compiles it.
     with ThreadPoolExecutor() as pool:
         found = pool.submit(reserve)
-        others = {method: pool.submit(call) for method, call in slips.items()}
-        return Study({method: one.result() for method, one in others.items()}, found.result())
+        alike = [[name for name in methods if METHODS[name].constrained is each] for each in (True, False)]
+        others = [pool.submit(_in_turn, {name: slips[name] for name in names}) for names in alike]
+        answers = {name: one for each in others for name, one in each.result().items()}
+        return Study({method: answers[method] for method in methods}, found.result())
+
+
+def _in_turn(calls: dict[str, Callable[[], SensitivityTrajectory]]) -> dict[str, SensitivityTrajectory]:
+    return {name: call() for name, call in calls.items()}
 
 
 def at_worst(matrix: SensitivityMatrix, *, largest: bool) -> SensitivityMatrix:

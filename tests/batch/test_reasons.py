@@ -46,7 +46,7 @@ WRENCH = {
 
 
 @pytest.mark.parametrize("methods", [("A", "A-optimum"), ("B-optimum",)], ids="+".join)
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("dtype", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
 def test_each_grasp_fails_for_the_reason_that_it_was_made_for(methods, dtype):
     found = jaxgrasp.evaluate(grasps(*WRENCH.values()), methods=methods, dtype=dtype)
     assert [Reason(int(code)) for code in found.why[:, 0]] == list(WRENCH)

@@ -106,6 +106,7 @@ def test_the_shadow_hand_closes_around_a_cylinder_and_holds_it(shadow):
     assert jaxgrasp.constrained_optimum(grasp, weight).verdict <= Verdict.OPTIMAL
 
 
+@pytest.mark.slow
 def test_its_forces_obey_its_motors_by_mujocos_jacobians(shadow):
     model, found, hand, (posture, placed, contacts) = shadow
     # So firm a squeeze asks more of some motors than they have.
@@ -136,6 +137,7 @@ def test_its_forces_obey_its_motors_by_mujocos_jacobians(shadow):
     assert (np.abs(torques(jaxgrasp.constrained_optimum(grasp, weight).forces)) > 1.01 * bound).any()
 
 
+@pytest.mark.slow
 def test_the_allegro_hand_closes_by_the_users_names():
     hand = name_fingers(hand_from_urdf(allegro(), "palm_link").hand, ALLEGRO)
     way = closing_way(hand, open={"joint_12.0": 1.396})

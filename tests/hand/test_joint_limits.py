@@ -52,6 +52,7 @@ def test_forces_of_a_grip_obey_the_hands_torques(held):
     assert np.isclose(np.abs(felt), weak, rtol=1e-6).any()
 
 
+@pytest.mark.slow
 def test_the_callers_torques_go_before_the_hands_and_batches_are_many_postures(held):
     hand, posture, contacts, _, _ = held
     bounds = np.arange(19.0)

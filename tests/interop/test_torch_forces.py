@@ -37,7 +37,9 @@ def arrays(given: dict) -> tuple[Grasp, jnp.ndarray]:
     return Grasp(**own), wrench
 
 
-@pytest.mark.parametrize(("dtype", "batch"), [(torch.float64, ()), (torch.float32, (2, 2))], ids=str)
+@pytest.mark.parametrize(
+    ("dtype", "batch"), [(torch.float64, ()), pytest.param(torch.float32, (2, 2), marks=pytest.mark.slow)], ids=str
+)
 @pytest.mark.parametrize("method", ["constrained_optimum", "closed_form"])
 def test_forces_are_jaxgrasps(dtype, batch, method):
     given = pinch(dtype, batch)

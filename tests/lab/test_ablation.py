@@ -10,9 +10,9 @@ from jaxgrasp.cli.main import main
 from jaxgrasp.glove.model import lrp_hand_master
 from jaxgrasp.grip import observe
 from jaxgrasp.grip.scene_file import gripped_scene, load_scene, ready_scenes
-from jaxgrasp.hand import Posture, find_contacts
+from jaxgrasp.hand import Pose, Posture, find_contacts
 from jaxgrasp.lab.ablation import joint_losses
-from jaxgrasp.world import world_of
+from jaxgrasp.world import World, at_rest, world_of
 
 pytestmark = pytest.mark.slow
 MODEL = lrp_hand_master()
@@ -55,6 +55,18 @@ def test_among_several_objects_each_is_carried_by_the_hand_alone():
     for one, alone in zip(joint_losses(made, MODEL, (world, state)), joint_losses(made, MODEL), strict=True):
         assert (one.joint, one.contacts, one.holds) == (alone.joint, alone.contacts, alone.holds)
         np.testing.assert_allclose(one[1:3] + one[4:5], alone[1:3] + alone[4:5], atol=1e-9)
+
+
+def test_two_objects_at_one_place_are_twice_the_loss(made):
+    """Each is touched as the one is alone, and weighs as much: twice the torques and contacts, shares as they were."""
+    own = World(made.scene).things[0]
+    state = at_rest(Pose(*(np.stack([part, part]) for part in (made.placed.origin, made.placed.rotation))))
+    alone = {one.joint: one for one in joint_losses(made, MODEL)}
+    for one in joint_losses(made, MODEL, (World(made.scene, (own,)), state)):
+        expected = alone[one.joint]
+        assert (one.contacts, one.holds) == (2 * expected.contacts, expected.holds)
+        np.testing.assert_allclose(one.torque, 2 * expected.torque, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose((one.felt, one.squeeze), (expected.felt, expected.squeeze), atol=1e-9)
 
 
 def test_several_objects_are_a_scene_like_another(folder, capsys):

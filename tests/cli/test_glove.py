@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.request
 
 import numpy as np
 import pytest
@@ -218,6 +219,24 @@ def test_run_now(bending):
         assert bench.answer("disarm") == "no torque\n"
         rest = bench.leave()
     assert "the line: " in rest and "the engine: " in rest and "overruns" in rest
+
+
+@POSIX
+@pytest.mark.slow
+@pytest.mark.realtime
+def test_several_objects_are_felt_and_seen(bending):
+    """A ball on two blocks, with its page open: the loop goes on beside it, and the page answers."""
+    pytest.importorskip("viser")
+    with Bench("stack", "--port", bending, "--rate", "40", "--view", "--view-port", "0") as bench:
+        page = re.search(r"http://\S+", bench.line())
+        assert page and "ready" in bench.line()
+        bench.insist("arm")
+        with urllib.request.urlopen(page[0], timeout=20) as answer:
+            assert answer.status == 200 and b"<html" in answer.read()
+        bench.insist("full")
+        assert bench.answer("disarm") == "no torque\n"
+        rest = bench.leave()
+    assert "the line: " in rest and "the engine: " in rest
 
 
 @POSIX

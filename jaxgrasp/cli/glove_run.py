@@ -19,6 +19,7 @@ from jaxgrasp.glove.line import SerialLine, check_port
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.loop.peers import EngineLink
+from jaxgrasp.glove.loop.rendering import OLDEST_LAW
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
 from jaxgrasp.glove.network.link import NetworkLink
@@ -44,11 +45,18 @@ COMPILED = "the hand, its contacts and its torques"
 KEYLESS = f"warning: no key: anyone on the network can speak for the other side; give both --key-file, or {VARIABLE}"
 OLDEST_POSE = 0.1
 """Age beyond which a tracker's pose is not acted on [s]."""
+SLOWEST = 1.5 / OLDEST_LAW
+"""Rate of ticks below which forces grow too old between two of them, even if a tick takes a third of that time [Hz]."""
 
 
 def run_command(arguments: Run) -> int:
     """Play the story, or render what a glove touches now."""
     check_positive(arguments, "seconds", "rate", "tracker_baud")
+    if not arguments.listen and arguments.rate < SLOWEST:
+        raise ValueError(
+            f"rate is {arguments.rate:g}: expected at least {SLOWEST:g} [Hz], since a glove lets go of forces that are "
+            f"{1e3 * OLDEST_LAW:.0f} ms old"
+        )
     options, model, _ = which_glove(arguments)
     if arguments.listen and arguments.port is None:
         raise ValueError("listen needs the port of the glove")

@@ -79,6 +79,7 @@ def test_bad_arguments(folder, capsys):
         (["run", "--port", "p", "--connect", "x:1"], "port and connect were both given"),
         (["run", "--connect", "x"], "connect is 'x': expected HOST:PORT"),
         (["run", "--connect", "x:1", "--key-file", "bad.key"], "key file bad.key holds no hexadecimal number"),
+        (["run", "--port", "nowhere", "--rate", "40"], "rate is 40: expected at least 50 [Hz], since a glove lets go"),
         (["run", "--port", "nowhere"], "port nowhere cannot be opened: No such file"),
         (["run", "--connect", "x:1", "--tracker", "nowhere"], "port nowhere cannot be opened"),
         (["run", "--alignment", "there"], "alignment needs the port of a glove"),
@@ -227,7 +228,7 @@ def test_run_now(bending):
 def test_several_objects_are_felt_and_seen(bending):
     """A ball on two blocks, with its page open: the loop goes on beside it, and the page answers."""
     pytest.importorskip("viser")
-    with Bench("stack", "--port", bending, "--rate", "40", "--view", "--view-port", "0") as bench:
+    with Bench("stack", "--port", bending, "--view", "--view-port", "0") as bench:
         page = re.search(r"http://\S+", bench.line())
         assert page and "ready" in bench.line()
         bench.insist("arm")

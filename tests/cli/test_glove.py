@@ -98,11 +98,10 @@ def test_simulate_and_monitor(folder):
         assert b"waits at jaxgrasp-glove" in glove.stdout.readline()
         done = subprocess.run([*COMMAND, "monitor", "--seconds", "2"], capture_output=True, text=True, check=True)
         glove.terminate()
-    lines = done.stdout.splitlines()
+    # On a busy machine the device may not have answered yet when the first lines are due.
+    lines = [line for line in done.stdout.splitlines() if not line.endswith("the device does not answer")]
     assert len(lines) > 10 and "ms old" in lines[-2] and "[mN\N{MIDDLE DOT}m]" in lines[-1]
-    # On a busy machine the device may not have answered yet when the first line is due.
-    header = next(line for line in lines if "tMP" in line)
-    assert "rPIP" in header and max(map(len, lines[1:])) < 100, "a screen of 100 columns"
+    assert "tMP" in lines[1] and "rPIP" in lines[1] and max(map(len, lines[1:])) < 100, "a screen of 100 columns"
 
 
 @POSIX

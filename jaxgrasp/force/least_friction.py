@@ -211,10 +211,11 @@ class _ShareEvaluation(NamedTuple):
 
 
 def _nothing_seen(problem: ProblemBatch, total: Array) -> _ShareEvaluation:
-    """Of the same shapes as what is seen."""
-    points, each = jnp.zeros_like(problem.points), jnp.zeros_like(problem.squeeze)
-    spin = None if problem.torsion is None else each
-    boundary = BoundaryPoint(points[:, 0], jnp.zeros_like(problem.wrench), each, points, spin)
+    """Of the same shapes as what is seen: each problem's own, also where all share one grasp."""
+    size, contacts = total.shape[0], problem.points.shape[1]
+    centre, twist = jnp.zeros((size, 3), total.dtype), jnp.zeros((size, 6), total.dtype)
+    each, vectors = jnp.zeros((size, contacts), total.dtype), jnp.zeros((size, contacts, 3), total.dtype)
+    boundary = BoundaryPoint(centre, twist, each, vectors, None if problem.torsion is None else each)
     none = jnp.zeros_like(total)
     return _ShareEvaluation(none, none, none, boundary)
 

@@ -198,6 +198,7 @@ def test_errors_show_control_characters_escaped(folder, capsys):
         assert shown.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_hostile_text_passes_through_an_evaluation(folder, capsys):
     jaxgrasp.save_grasps("set.npz", make_sets([3, 3]), name=[ESCAPES, "<script>"])
     assert main(["evaluate", "set.npz", "--out", "out\x1b[2J", "--no-report"]) == 0

@@ -53,11 +53,13 @@ def test_each_grasp_fails_for_the_reason_that_it_was_made_for(methods, dtype):
     assert found.summary.ranked.counts[Reason.LINE] == 1
 
 
+@pytest.mark.slow
 def test_torsion_mends_the_jaw_that_turns_about_its_line():
     sets = grasps(WRENCH[Reason.LINE], torsion=0.01)
     assert jaxgrasp.evaluate(sets, methods=("A-optimum",)).why.item() == Reason.HOLDS
 
 
+@pytest.mark.slow
 def test_limits_are_blamed_where_the_proof_needs_them():
     push = (*TABLE, np.array([0, 0, 40.0, 0, 0, 0]))
     sets = grasps(push, WRENCH[Reason.FRICTION], push, normal_max=10.0)
@@ -122,6 +124,7 @@ def test_a_tray_that_is_pulled_down_and_aside_would_have_to_pull():
         assert found.why.item() == Reason.PULL
 
 
+@pytest.mark.slow
 def test_contacts_that_carry_nothing_are_on_no_line():
     sets = grasps((*JAW, np.array([0, 0, 0, 0, 0, 0.1])))
     sets = replace(sets, squeeze=np.array([10.0, 0.0]))

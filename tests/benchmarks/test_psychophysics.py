@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from benchmarks import psychophysics
 from benchmarks.page import psychophysics_tables
 from benchmarks.readme import RESULTS
@@ -21,6 +23,7 @@ def test_what_is_committed_keeps_its_limits():
     assert all(0.93 <= row["coverage"] <= 0.97 for row in judged if not row["free"])
 
 
+@pytest.mark.slow
 def test_in_short():
     """A small version: every section runs, and finds what is there within what so few experiments allow."""
     rows = [row for row in psychophysics.misfit(psychophysics.QUICK) if row["answers"] == 500]

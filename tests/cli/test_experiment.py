@@ -274,9 +274,10 @@ questions = ["age"]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method, settings",
-    [("constant-stimuli", "series = 1"), pytest.param("adaptive", "trials = 30", marks=pytest.mark.slow)],
+    [("constant-stimuli", "series = 1"), ("adaptive", "trials = 30")],
 )
 def test_ten_observers_through_all_commands(folder, monkeypatch, capsys, method, settings):
     """Planned, run, one of them interrupted and gone on with, analysed, exported: every answer is in the tables."""

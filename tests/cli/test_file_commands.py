@@ -19,6 +19,7 @@ def pinches(count: int = 3):
     return grasp, np.tile([0, 0, 1.0, 0.005, 0, 0], (count, 1))
 
 
+@pytest.mark.slow
 def test_the_template_is_a_file_of_grasps_that_hold(folder, capsys):
     assert main(["template", "csv"]) == 0
     sets = jaxgrasp.load_grasps("grasps.csv")

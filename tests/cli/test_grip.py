@@ -70,6 +70,7 @@ def test_a_grip_out_of_reach_is_said(folder, capsys):
     assert not list(folder.iterdir())
 
 
+@pytest.mark.slow
 def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatch):
     bundle.plotly_bundle.cache_clear()
     for module in ("plotly.offline", "matplotlib.figure"):

@@ -33,7 +33,11 @@ def relative(forces: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return np.abs(forces - expected).max((1, 2)) / np.abs(expected).max((1, 2))
 
 
-@pytest.fixture(scope="module", params=[(3, "squeeze"), (5, "squeeze"), (5, "uniform")], ids=str)
+@pytest.fixture(
+    scope="module",
+    params=[(3, "squeeze"), (5, "uniform"), pytest.param((5, "squeeze"), marks=pytest.mark.slow)],
+    ids=str,
+)
 def case(request):
     """Ordinary problems, their weights, their solution and its judgement."""
     n, sharing = request.param
@@ -253,6 +257,7 @@ def test_safety_divides_the_friction():
         solve(problem, problem.squeeze, safety=np.ones(5))
 
 
+@pytest.mark.slow
 def test_safety_is_that_of_a_problem_not_of_a_contact():
     """One for each, also where there are as many problems as contacts."""
     problem = P.problems("ordinary", 3, 3, seed=1)

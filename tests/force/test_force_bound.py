@@ -42,6 +42,7 @@ def both() -> tuple[Grasp, np.ndarray, Solution, Solution]:
     return grasp, wrench, single, double
 
 
+@pytest.mark.slow
 def test_forces_that_double_precision_finds_lie_beyond_what_single_excludes(both):
     grasp, _, single, double = both
     missed = (single.verdict == Verdict.INFEASIBLE) & (double.verdict == Verdict.OPTIMAL)

@@ -168,6 +168,7 @@ def test_a_rail_without_friction_cannot_be_climbed():
     assert int(held.verdict) <= Verdict.OPTIMAL and float(held.forces[:, 2].sum()) == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_a_twist_that_no_contact_resists_is_named():
     """A hinge through the only contact: nothing turns the object about it."""
     grasp = Grasp(np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.ones(1), np.ones(1))

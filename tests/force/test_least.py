@@ -225,7 +225,7 @@ def test_derivatives_forward_reverse_and_by_differences(question):
     assert np.quantile(error, 0.9) < 1e-6
 
 
-@pytest.mark.parametrize("question", [least_squeeze, least_friction])
+@pytest.mark.parametrize("question", [least_squeeze, pytest.param(least_friction, marks=pytest.mark.slow)])
 def test_second_derivatives_are_refused(question):
     with pytest.raises(NotImplementedError, match="first derivatives only"):
         # Tracing refuses it: nothing is compiled.
@@ -251,6 +251,7 @@ def test_the_least_factor_is_where_method_b_comes_to_hold(n):
         assert (factor[held] <= tried * (1 + 1e-9)).all()
 
 
+@pytest.mark.slow
 def test_the_least_factor_of_a_pinch_by_hand():
     np.testing.assert_allclose(least_squeeze_factor(PINCH, LIFT), 1 / (0.5 * 4), rtol=1e-12)
     by_friction = jax.grad(lambda mu: least_squeeze_factor(Grasp(PINCH.points, PINCH.normals, mu, PINCH.squeeze), LIFT))

@@ -58,7 +58,7 @@ def exists(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.fixture(scope="module", params=[3, 5])
+@pytest.fixture(scope="module", params=[3, pytest.param(5, marks=pytest.mark.slow)])
 def judged(request) -> tuple[Grasp, np.ndarray, np.ndarray]:
     grasp, wrench = sampled(request.param, seed=0)
     feasible = exists(grasp, wrench)
@@ -122,6 +122,7 @@ def test_the_residual_is_what_is_missed_of_the_load(judged, light):
     assert np.all(left[feasible] / size[feasible] <= 4 * found.residual[feasible] + floor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dtype", "light"), [(np.float64, 1e-11), pytest.param(np.float32, 1e-4, marks=pytest.mark.slow)]
 )

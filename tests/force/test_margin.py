@@ -104,6 +104,7 @@ def test_it_starts_and_ends_where_the_wrench_does():
         assert (np.abs(got[~endless] - expected[~endless]) <= tolerance[~endless]).all()
 
 
+@pytest.mark.slow
 def test_frames_do_not_matter():
     problem = P.problems("ordinary", N, COUNT, seed=7)
     direction = aside(problem, seed=8)

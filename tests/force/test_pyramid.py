@@ -148,6 +148,7 @@ def test_forces_are_allowed_and_balance(batch, by_sides):
         np.testing.assert_allclose(solution.objective[good], judged.primal[good].astype(float), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_agrees_with_clarabel(batch, by_sides):
     for sides, solution in by_sides.items():
         gaps = []

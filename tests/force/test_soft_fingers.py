@@ -67,6 +67,7 @@ def test_answers_balance_within_the_cones_and_an_independent_solver_agrees(kind,
         assert theirs.objective - found.objective[i] < 1e-5 * scale
 
 
+@pytest.mark.slow
 def test_no_torsion_is_a_hard_finger():
     p = soft("ordinary").problem
     hard = solve(Grasp(p.points, p.normals, p.friction, p.squeeze), p.wrench, p.squeeze)
@@ -80,6 +81,7 @@ def test_no_torsion_is_a_hard_finger():
     assert (np.abs(none.forces - hard.forces).max((1, 2)) <= 1e-11 * size).all()
 
 
+@pytest.mark.slow
 def test_two_soft_fingers_with_known_answers():
     """They resist the torque about their line that two hard ones cannot: here each takes half of it."""
     wrench = jnp.array([0, 0, 2.0, 0.01, 0, 0])

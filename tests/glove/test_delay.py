@@ -10,6 +10,7 @@ from tests.glove.virtual import World
 
 IN_TIME = 0.055
 """Torque after any fault [s]."""
+WAYS = ["both", *(pytest.param(way, marks=pytest.mark.slow) for way in ("outward", "inward"))]
 
 
 def growing(since: float, rate: float, most: float):
@@ -25,7 +26,8 @@ def delayed(way: str, rate: float, most: float, **options) -> World:
     return world
 
 
-@pytest.mark.parametrize("way", ["outward", "inward", "both"])
+@pytest.mark.repeats
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize(("rate", "most"), [(0.1, 0.3), (0.165, 0.495), (0.005, 0.14), (1.0, 0.5)])
 def test_a_growing_delay_is_seen_and_ends_torque(way, rate, most):
     world = delayed(way, rate, most)
@@ -38,7 +40,8 @@ def test_a_growing_delay_is_seen_and_ends_torque(way, rate, most):
     assert world.host.state >= LinkState.GREETING
 
 
-@pytest.mark.parametrize("way", ["outward", "inward", "both"])
+@pytest.mark.repeats
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("waits", [0.0, 0.004, 0.008, 0.012, 0.02, 0.1, 0.4])
 def test_a_host_that_dies_leaves_no_torque_whatever_the_delay(way, waits):
     world = delayed(way, 0.1, waits)
@@ -60,9 +63,17 @@ def test_it_is_not_armed_over_a_line_that_is_late(waits):
     assert not any(counts.any() for _, counts in world.history)
 
 
+RATES = [
+    ("inward", 0.05),
+    ("both", 0.02),
+    pytest.param("inward", 0.005, marks=pytest.mark.slow),
+    pytest.param("outward", 0.05, marks=pytest.mark.slow),
+]
+
+
 @pytest.mark.repeats
 @pytest.mark.parametrize("drift", [-0.005, *(pytest.param(drift, marks=pytest.mark.slow) for drift in (0.0, 0.005))])
-@pytest.mark.parametrize(("way", "rate"), [("inward", 0.005), ("inward", 0.05), ("outward", 0.05), ("both", 0.02)])
+@pytest.mark.parametrize(("way", "rate"), RATES)
 def test_the_age_of_angles_is_right_while_they_are_used(way, rate, drift):
     """Against the true time of each frame, which only the world knows."""
     world = World(drift=drift).armed()

@@ -118,7 +118,7 @@ def test_encoders_that_freeze_while_cables_move_latch(seed):
     )
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("friction", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_no_hand_that_moves_or_rests_is_a_fault(friction):
     world = World(friction=friction)
     world.host._watch = TensionWatch(14, relative=0.9)
@@ -249,7 +249,7 @@ def test_an_echo_is_no_device():
     assert world.host.guard.state == GuardState.ARMED and world.host.order.missing == 0
 
 
-@pytest.mark.parametrize("drift", [-0.005, 0.005])
+@pytest.mark.parametrize("drift", [-0.005, pytest.param(0.005, marks=pytest.mark.slow)])
 def test_a_clock_that_is_off_by_half_a_per_cent(drift):
     world = World(drift=drift).armed()
     world.run(8.0)
@@ -382,6 +382,7 @@ def test_a_device_that_says_no_bounds_is_not_linked():
     assert world.host.state == LinkState.GREETING and "has not said all of its bounds" in world.host.trouble
 
 
+@pytest.mark.slow
 def test_a_new_host_learns_how_warm_the_motors_are():
     """Which the device knows: both fade alike, and nothing looks like a broken cable."""
     model = replace(MODEL, continuous=(0.03,) * 14, heating=3.0)

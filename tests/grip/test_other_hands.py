@@ -88,6 +88,7 @@ def test_the_shadow_hands_fingers_have_their_names(shadow):
     assert {"robot0:thbase", "robot0:thhub"} <= set(names) and len(names) == 19
 
 
+@pytest.mark.slow
 def test_the_shadow_hand_closes_around_a_cylinder_and_holds_it(shadow):
     _, _, hand, (posture, placed, contacts) = shadow
     check_posture(hand, posture)

@@ -120,6 +120,7 @@ def test_ready_scenes_are_listed_and_checked(folder, capsys):
     )
 
 
+@pytest.mark.slow
 def test_what_begins_inside_the_object_is_refused(folder, capsys):
     (folder / "scene.toml").write_text("[[obstacle]]\nat = [0, 0, 1]\n[[obstacle]]\nat = [0.0, 0.0, 0.04]")
     assert main(["grip", "--scene", "scene.toml"]) == 1

@@ -144,6 +144,7 @@ def test_the_support_has_the_derivative_of_what_is_felt(scene):
     np.testing.assert_allclose(forward, apart, rtol=2e-4, atol=1e-5 * np.abs(apart).max())
 
 
+@pytest.mark.slow
 def test_a_contact_pushes_back_by_its_effective_stiffness(scene):
     """What its squeezing force grows by, for each metre that it presses deeper."""
     made, closed, placed = scene

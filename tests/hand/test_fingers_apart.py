@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxgrasp.hand import Cylinder, Pose, Posture, close_hand, human_hand, pose_hand
 from jaxgrasp.hand.human_hand import open_angles
@@ -42,6 +43,7 @@ def test_fingers_stop_where_they_meet():
     assert (np.asarray(stopped.angles) <= np.asarray(through.angles) + 1e-12).all()
 
 
+@pytest.mark.slow
 def test_fingers_that_do_not_meet_close_as_before():
     posture, below = (
         Posture(WORLD, jnp.asarray(open_angles(HAND))),

@@ -55,6 +55,7 @@ def real() -> tuple[Posture, Contacts, list[GripType]]:
     return *stacked([*grips, key_pinch(HAND), (open_hand, far)]), kinds
 
 
+@pytest.mark.slow
 def test_each_grip_that_a_hand_makes_has_its_name(real):
     posture, contacts, kinds = real
     found = grip_type(HAND, posture, contacts)

@@ -34,6 +34,7 @@ def held():
     return hand, posture, contacts, grasp, wrench
 
 
+@pytest.mark.slow
 def test_forces_of_a_grip_obey_the_hands_torques(held):
     hand, posture, contacts, grasp, wrench = held
     free = jaxgrasp.constrained_optimum(grasp, wrench)

@@ -80,6 +80,7 @@ def test_balls_lie_inside_and_touch_more_of_the_surface_with_each_level(shape, l
     assert np.max(-distance - tree.balls.radii) <= 1e-9 + 0.5 * 0.13 / 2**levels  # none is needlessly small
 
 
+@pytest.mark.slow
 def test_what_is_left_out_halves_with_the_cells():
     """Balls about as large as their cells leave gaps in proportion to them."""
     errors = level_errors(box_mesh(), 5)
@@ -276,6 +277,7 @@ def test_depth_and_normal_do_not_jump_while_a_sphere_rolls_over_the_balls(tree):
     assert np.min(seen.out[0, :, 2]) > np.cos(np.radians(12))
 
 
+@pytest.mark.slow
 def test_a_pose_that_is_not_a_number_is_bad_data_and_leaves_its_neighbours_alone(tree):
     posture, placed = scenes(60, 5)
     sound = find_contacts(HAND, posture, tree, placed)

@@ -55,6 +55,7 @@ def test_forces_are_jaxgrasps(dtype, batch, method):
     torch.testing.assert_close(exerted, given["wrench"], atol=tolerance, rtol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["constrained_optimum", "closed_form"])
 def test_gradients_of_forces_by_pytorchs_own_check(method):
     given = {name: value.requires_grad_() for name, value in pinch(batch=(2,)).items()}
@@ -106,6 +107,7 @@ def test_the_papers_margin_is_the_angle_that_is_left():
     )
 
 
+@pytest.mark.slow
 def test_only_what_asks_for_a_gradient_has_one_and_numbers_do_for_tensors():
     given = pinch()
     given["squeeze"].requires_grad_()
@@ -118,6 +120,7 @@ def test_only_what_asks_for_a_gradient_has_one_and_numbers_do_for_tensors():
     torch.testing.assert_close(found.forces.detach(), grasp_torch.constrained_optimum(**full).forces)
 
 
+@pytest.mark.slow
 def test_a_loss_that_masks_what_has_no_forces_has_finite_gradients():
     given = pinch(batch=(2,))
     given["friction"][1] = 0.0

@@ -88,6 +88,7 @@ def test_the_default_plan_is_rendered_whole():
     assert not any(stimulus.predict(one).saturated for one in Plan().intensities())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phalanx, most", [("distal", 2.71), ("middle", 3.56), ("proximal", 8.71)])
 def test_nearer_to_the_knuckles_the_same_torque_bears_more(phalanx, most):
     """By virtual work: the torque of a joint is the weight times how fast the bar rises with it."""

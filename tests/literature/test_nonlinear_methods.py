@@ -139,6 +139,7 @@ def test_kumar_waldron_adds_the_least_pull_towards_the_centroid(problem, loose):
             assert answer.objective[i] == pytest.approx(strength * np.linalg.norm(towards[i], axis=-1).max(), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_kumar_waldron_fails_where_a_normal_looks_past_the_centroid(problem):
     """Though allowed forces exist for all of these: and then it says so."""
     answer = kumar_waldron(grasp_of(problem), problem.wrench)

@@ -116,6 +116,7 @@ def test_contact_sets_are_taken_by_number_and_by_mask():
         _ = sets[6]
 
 
+@pytest.mark.slow
 def test_a_solution_prints_what_was_found():
     grasps, wrench = batch()
     answers = jaxgrasp.constrained_optimum(grasps, wrench)

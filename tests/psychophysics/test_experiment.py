@@ -62,6 +62,7 @@ def test_what_is_there_is_found(folder):
     assert len(found.comparison.pairs) == 3 and found.comparison.references == (1.0, 2.0, 4.0)
 
 
+@pytest.mark.slow
 def test_a_reference_without_thresholds_is_left_out(folder):
     class Weak(PredictedStimulus):
         def predict(self, intensity):
@@ -77,6 +78,7 @@ def test_a_reference_without_thresholds_is_left_out(folder):
     assert any("differences of 0.163 on average were felt as" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_who_has_none_is_named(five):
     """A person who guesses is left out by name, and it is said what that does."""
     found = analyse(five, SETTINGS)

@@ -54,6 +54,7 @@ def test_simulated_answers():
     np.testing.assert_allclose(hits.mean(0) / 20, hit_chances(learner, 2.0, 2 * (1 + LEVELS), 20), atol=0.02)
 
 
+@pytest.mark.slow
 def test_precision_grows_with_the_root_of_trials():
     one = Observer(0.15)
     few, many = (precision(one, 2.0, LEVELS, trials, 4) for trials in (100, 400))

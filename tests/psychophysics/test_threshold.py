@@ -55,8 +55,9 @@ def test_profile_interval_ends_where_the_test_rejects(counts):
         assert 2 * (best.fun - least) == pytest.approx(chi2.isf(0.05, 1), abs=0.1)
 
 
+@pytest.mark.repeats
 @pytest.mark.parametrize("shape", list(PsychometricShape))
-@pytest.mark.parametrize("lapse", [(0.0, 0.0), (0.0, 0.05)])
+@pytest.mark.parametrize("lapse", [(0.0, 0.0), pytest.param((0.0, 0.05), marks=pytest.mark.slow)])
 def test_grid_finds_what_the_search_finds(shape, lapse):
     """Estimates of many sets of answers come from the grid alone."""
     model, trials = Model(shape, lapse=lapse), np.full(4, 100)
@@ -191,6 +192,7 @@ def test_goodness():
     assert goodness(wild).p_value < 0.01
 
 
+@pytest.mark.slow
 def test_goodness_of_what_is_right_is_even():
     """Over answers drawn from a function, p values are as often below any share as that share."""
     rng = np.random.default_rng(1)

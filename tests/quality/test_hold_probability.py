@@ -20,6 +20,7 @@ def pinch(friction: float = 0.5, torsion: float | None = None) -> Grasp:
     return Grasp(points, normals, np.full(2, friction), np.ones(2), torsion=soft)
 
 
+@pytest.mark.slow
 def test_what_is_certain_has_probability_one_or_zero():
     for load, share, margin in ((4 * LIFT, 1, 0.25), (8 * LIFT, 0, -0.375)):
         found = hold_probability(pinch(), load, limits=LIMITS, samples=64)

@@ -97,6 +97,7 @@ def test_a_file_that_cannot_be_used_is_refused_before_any_work(folder, sets, cap
     assert not (folder / "jaxgrasp-results").exists()
 
 
+@pytest.mark.slow
 def test_the_command_line_writes_columns_that_rank_sorts_by(folder, sets, demands, capsys):
     jaxgrasp.save_grasps(folder / "grasps.npz", sets)
     common = ["evaluate", "grasps.npz", "--methods", "B-optimum", "--no-report", "--task", "task.toml"]

@@ -171,6 +171,7 @@ def test_a_contact_without_force_moves_nothing():
     assert all(np.isfinite(one.size) for one in found.ranking())
 
 
+@pytest.mark.slow
 def test_what_has_no_derivative_is_left_out_of_the_ranking():
     """Contacts of limited force do not hold every wrench; forces that do not exist influence nothing."""
     several = jnp.stack([VALUES["wrench"], jnp.array([0, 0, 100.0, 0, 0, 0])])

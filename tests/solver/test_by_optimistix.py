@@ -104,6 +104,7 @@ def moving_forces(problem: P.Problems, solver):
     return np.asarray(slope), np.asarray(good), way
 
 
+@pytest.mark.slow
 def test_derivatives_are_the_slope_of_our_own_answers(ordinary):
     problem, _ = ordinary
     slope, good, (squeeze, wrench) = moving_forces(problem, SOLVERS["newton"])

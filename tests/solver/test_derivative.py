@@ -297,6 +297,7 @@ def test_a_batch_of_nothing_else(compiled, ordinary, kind):
         assert is_nan(part).all() if none else np.isfinite(part).all()
 
 
+@pytest.mark.slow
 def test_loads_that_rounding_hides_keep_their_slope(ordinary):
     """Forces of the optimum, called FEASIBLE, move with the wrench; those found without squeezing do not say how."""
     optimum = Compiled("optimum")

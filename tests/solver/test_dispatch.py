@@ -34,6 +34,7 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
+@pytest.mark.slow
 def test_thirty_sizes_need_few_programs(compilations):
     assert len(THIRTY) == 30
     for count in THIRTY:
@@ -97,7 +98,7 @@ def test_progress_is_refused_inside_another_program():
         jax.jit(lambda w: dispatch(one_of_each, grasp, w, "squeeze", progress=print))(wrench)
 
 
-@pytest.mark.parametrize("size", [1234, 4001])
+@pytest.mark.parametrize("size", [1234, pytest.param(4001, marks=pytest.mark.slow)])
 def test_pieces_change_nothing(size):
     grasp, wrench = repeated(size)
     expected = jax.device_get(jaxgrasp.closed_form(*asked(1000)))
@@ -122,6 +123,7 @@ def test_a_weak_type_decides_no_precision_in_pieces():
     assert jaxgrasp.closed_form(single, weak).forces.dtype == np.float32
 
 
+@pytest.mark.slow
 def test_padding_changes_nothing():
     whole = jax.device_get(jaxgrasp.constrained_optimum(*asked(100)))
     for count, first in ((7, 0), (9, 31), (60, 40)):

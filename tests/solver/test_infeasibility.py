@@ -25,6 +25,7 @@ def lifts(n: int, seed: int) -> tuple[np.ndarray, ...]:
     return points, friction, squeeze, np.tile([0, 0, 3.0, 0, 0, 0], (COUNT, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.repeats
 @pytest.mark.parametrize("n", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 10))])
 def test_a_direction_that_nearly_proves_is_often_turned_into_a_proof(n):

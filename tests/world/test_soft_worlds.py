@@ -73,6 +73,7 @@ def turned(name: str, rate: float, on_top: bool, rubbing: float) -> tuple:
     return world, record
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("rate, slips", [(40.0, False), (160.0, True)])
 def test_a_finger_turns_a_block_by_at_most_its_torsion_times_its_force(name, rate, slips):

@@ -39,7 +39,7 @@ def whole(sets):
 @pytest.mark.parametrize(
     ("method", "function", "sharing"),
     [
-        ("A", "closed_form", "uniform"),
+        pytest.param("A", "closed_form", "uniform", marks=pytest.mark.slow),
         ("B", "closed_form", "squeeze"),
         pytest.param("A-optimum", "constrained_optimum", "uniform", marks=pytest.mark.slow),
         ("B-optimum", "constrained_optimum", "squeeze"),

@@ -117,6 +117,7 @@ def test_friction_is_blamed_where_more_of_it_would_hold_and_nowhere_else(kind):
     assert Reason.FRICTION in seen and (Reason.PULL in seen or kind != "tray")
 
 
+@pytest.mark.slow
 def test_a_tray_that_is_pulled_down_and_aside_would_have_to_pull():
     tray = ([np.zeros(3), 0.03 * X + 0.01 * Y, 0.03 * Y], [Z, Z, Z], np.array([1.0, 0, -1, 0, 0, 0]))
     for limits in ({}, {"normal_max": 10.0}):

@@ -98,6 +98,7 @@ def test_fingers_under_a_tray_are_not_suspected(folder, capsys):
     assert "warning" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_jaws_that_cannot_hold_are_told_why_and_what_mends_it(folder, capsys):
     jaxgrasp.save_grasps("jaws.npz", *pinches(), name=["a", "b", "c"])
     common = ["evaluate", "jaws.npz", "--methods", "A-optimum", "--no-report"]

@@ -51,6 +51,7 @@ def test_forces_that_double_precision_finds_lie_beyond_what_single_excludes(both
     assert np.all(single.force_bound[missed] <= total[missed] * 1.001)
 
 
+@pytest.mark.slow
 def test_it_is_the_certificates(both):
     grasp, wrench, single, double = both
     for given, found in ((grasp, single), (wide(grasp), double)):

@@ -144,7 +144,7 @@ def test_no_closed_form_is_called_the_optimum_of_a_load_that_rounding_hides(dtyp
     np.testing.assert_array_equal(best.verdict[alone.verdict == Verdict.FEASIBLE], Verdict.FEASIBLE)
 
 
-@pytest.mark.parametrize("n", [3, 5, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("n", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 8))])
 def test_squeezing_forces_of_every_size_leave_no_verdict_open(n):
     grasp, wrench = sampled(n, seed=1)
     squeeze = 10 ** np.random.default_rng(n).uniform(-12, 6, (COUNT, n))
@@ -158,6 +158,7 @@ def test_squeezing_forces_of_every_size_leave_no_verdict_open(n):
     assert np.all(beyond_cones(grasp, found.forces)[held] <= 1e-13)
 
 
+@pytest.mark.slow
 def test_two_contacts_hold_no_torque_about_their_line_however_light():
     """A pinch holds nothing that turns about its own line, not even what rounding of the pinch hides."""
     grasp = Grasp(

@@ -137,7 +137,9 @@ def test_a_factor_moves_with_what_is_nothing_here():
     np.testing.assert_allclose(slope, (ends[1] - ends[0]) / 2e-5, rtol=1e-5)
 
 
-@pytest.mark.parametrize("count", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 1, 5))])
+@pytest.mark.slow
+@pytest.mark.repeats
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
 def test_one_grasp_serves_many_wrenches(count):
     wrenches = jnp.tile(jnp.array([0.3, -0.5, 1.5, 0.02, -0.03, 0.1]), (count, 1))
     gradient = jax.grad(lambda w: jnp.sum(jaxgrasp.least_squeeze_factor(TRIPOD, w)))(wrenches)

@@ -166,6 +166,7 @@ def test_agrees_with_clarabel(batch, by_sides):
         assert len(gaps) > 0.8 * COUNT and np.median(gaps) <= TOL
 
 
+@pytest.mark.slow
 def test_dearer_than_the_cones_and_better_with_more_sides(batch, by_sides):
     """Pyramids of 4, 8 and 16 sides contain one another, and the cones contain them all."""
     good = np.all([solution.verdict == Verdict.OPTIMAL for solution in by_sides.values()], 0)

@@ -118,7 +118,8 @@ def test_encoders_that_freeze_while_cables_move_latch(seed):
     )
 
 
-@pytest.mark.parametrize("friction", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [False, True])
 def test_no_hand_that_moves_or_rests_is_a_fault(friction):
     world = World(friction=friction)
     world.host._watch = TensionWatch(14, relative=0.9)

@@ -84,6 +84,7 @@ def test_a_law_that_may_not_be_acted_on_zeroes_and_latches(end):
     assert held(glove).min() > 0.005
 
 
+@pytest.mark.slow
 def test_control_by_tension_overcomes_the_cables_friction():
     """Without it the capstan's share is missing or too much; with it the finger feels what was wanted, and no more."""
     off, on = (rendered(4.0, friction=True, control=one) for one in (None, TensionControl(14)))

@@ -81,6 +81,7 @@ def test_power_grips_of_all_sizes_and_sides(make, kind):
                 assert int(grip_type(hand, posture, contacts)) == kind, (side, length, radius)
 
 
+@pytest.mark.slow
 def test_where_hand_and_object_are_and_how_hard_they_press_does_not_matter(real):
     posture, contacts, kinds = real
     rng = np.random.default_rng(0)

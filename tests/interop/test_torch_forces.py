@@ -177,6 +177,7 @@ def test_what_a_function_hands_through_has_memory_of_its_own():
     torch.testing.assert_close(same, x)
 
 
+@pytest.mark.slow
 def test_it_trains():
     """Squeezing forces that make the optimum's forces small, by PyTorch's optimiser."""
     given = pinch()

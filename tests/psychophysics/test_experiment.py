@@ -86,6 +86,7 @@ def test_who_has_none_is_named(five):
     assert any(note.startswith("S4: not in the analysis of variance") for note in found.notes)
 
 
+@pytest.mark.slow
 def test_too_few_are_not_compared(five):
     assert analyse(first(five, 2), SETTINGS).comparison is None
 

@@ -14,9 +14,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.batch.blocks import Block
 from jaxgrasp.model.compared_methods import ComparedMethod
-from jaxgrasp.model.limits import BOUNDS
+from jaxgrasp.model.limits import BOUNDS, Limits
 from jaxgrasp.numerics.compiled_code import compile_options
-from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.solver import passes
 
 ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate", "force_bound")
@@ -163,15 +163,20 @@ def _program(function: Callable, mesh: Mesh) -> _Program:
 def _problem(sharing: str, block: Block) -> ProblemBatch:
     grasp = jax.tree.map(jnp.asarray, block.grasp)
     weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
-    bounds = {} if block.limits is None else {name: getattr(block.limits, name) for name in BOUNDS}
+    limits = block.limits or Limits()
+    least, most, torque_map, torque_max = (
+        None if x is None else jnp.asarray(x) for x in (getattr(limits, name) for name in BOUNDS)
+    )
     return ProblemBatch(
-        grasp.points,
-        grasp.normals,
-        grasp.friction,
-        grasp.squeeze,
-        grasp.present,
-        weights,
-        jnp.asarray(block.wrench),
+        points=grasp.points,
+        normals=grasp.normals,
+        friction=grasp.friction,
+        squeeze=grasp.squeeze,
+        present=grasp.present,
+        weights=weights,
+        wrench=jnp.asarray(block.wrench),
         torsion=grasp.torsion,
-        **bounds,
+        normal_min=least,
+        normal_max=most,
+        torque_bounds=None if torque_map is None or torque_max is None else TorqueBounds(torque_map, torque_max),
     )

@@ -68,9 +68,9 @@ def verify_certificate(
 
 def _force_needed(problem: ProblemBatch, certificate: Array, rates: Array | None = None) -> Array:
     data, valid = to_batch_last(problem)
-    if problem.torque_map is not None:
+    if problem.torque_bounds is not None:
         valid = valid & torque_limits.usable(problem)[None]
-    if rates is None or problem.torque_max is None:
+    if rates is None or problem.torque_bounds is None:
         return jnp.where(valid, _needed(data, certificate.T), 0)[0]
     moved, spent = _by_joints(problem, data, rates.T)
     return jnp.where(valid, _needed(data, certificate.T, moved, spent), 0)[0]
@@ -78,12 +78,12 @@ def _force_needed(problem: ProblemBatch, certificate: Array, rates: Array | None
 
 def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[ContactVec, Array]:
     """How joints move the contacts at these rates, and the most that they can do meanwhile."""
-    assert problem.torque_max is not None
+    assert problem.torque_bounds is not None
     one = jnp.ones_like(data.force.x)
     # In the user's own frame; joints without a bound have no row, and may not move at all.
     rows = torque_limits.torque_constraints(problem, data, Scaling(data.force, one, one, one, one > 0, one))
     turned = vec3.safe_divide(rates, rows.scale)
-    beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_max.T), 0, keepdims=True)
+    beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_bounds.most.T), 0, keepdims=True)
     spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)
     return torque_limits.velocities_by_joints(rows, turned), jnp.where(beyond, jnp.inf, spent)
 

@@ -105,9 +105,10 @@ def _is_sound(problem: ProblemBatch, direction: Array) -> Array:
     _, valid = plain_batch_last(problem)
     largest = tolerances(direction.dtype).largest
     sound = valid[0] & (jnp.sum(jnp.abs(direction), -1) <= largest)
-    if problem.torque_map is not None and problem.torque_max is not None:
-        arms = jnp.sum(jnp.abs(problem.torque_map), (2, 3)) <= largest
-        sound = sound & jnp.all(arms | ~_can_move(problem), -1) & jnp.all(problem.torque_max >= 0, -1)
+    bounds = problem.torque_bounds
+    if bounds is not None:
+        arms = jnp.sum(jnp.abs(bounds.map), (2, 3)) <= largest
+        sound = sound & jnp.all(arms | ~_can_move(problem), -1) & jnp.all(bounds.most >= 0, -1)
     return sound
 
 

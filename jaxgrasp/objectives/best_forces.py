@@ -144,8 +144,7 @@ def _bounded(limits: Limits | None) -> Limits | None:
 def _flat(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> tuple[ProblemBatch, tuple[int, ...]]:
     """Problems without squeezing forces, a grasp that all wrenches share repeated for each."""
     calm = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(jnp.asarray(grasp.squeeze)))
-    fields, _, batch = flatten(calm, wrench, None, "uniform", limits=limits)
-    problem = ProblemBatch(**fields)
+    problem, _, batch = flatten(calm, wrench, None, "uniform", limits=limits)
     return jax.tree.map(lambda x: jnp.broadcast_to(x, (problem.size, *x.shape[1:])), problem), batch
 
 

@@ -5,13 +5,13 @@ belongs to contacts and ``(1, B)`` for what belongs to problems, so that the com
 problems. A grasp that many wrenches share has B = 1 and broadcasts.
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.model.arrays import Float, Int
+from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
@@ -19,29 +19,43 @@ from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.friction_cone import Cone
 from jaxgrasp.problem.tolerances import tolerances
 
+if TYPE_CHECKING:
+    InBatch = Array
+else:
+    # Kernels are given JAX's arrays; on the way there, before a batch is cut into pieces, they may be NumPy's.
+    InBatch = AnyArray
+
+
+class TorqueBounds(eqx.Module):
+    """What bounds the joint torques of a flat batch."""
+
+    map: Float[InBatch, "#B n c j"]
+    """Torques for each unit of a contact's force, and moment where c = 4, in the user's axes [m, 1]."""
+    most: Float[InBatch, "#B j"]
+    """Largest torques [N.m]; infinite where a joint has none."""
+
 
 class ProblemBatch(eqx.Module):
     """A flat batch of problems; the grasp's leading axis may be 1 when all wrenches share it."""
 
-    points: Float[Array, "#B n 3"]
-    normals: Float[Array, "#B n 3"]
-    friction: Float[Array, "#B n"]
-    squeeze: Float[Array, "#B n"]
-    present: Float[Array, "#B n"] | None
-    weights: Float[Array, "#B n"]
+    points: Float[InBatch, "#B n 3"]
+    normals: Float[InBatch, "#B n 3"]
+    friction: Float[InBatch, "#B n"]
+    squeeze: Float[InBatch, "#B n"]
+    present: Float[InBatch, "#B n"] | None
+    weights: Float[InBatch, "#B n"]
     """Sharing weights k."""
-    wrench: Float[Array, "B 6"]
-    free: Float[Array, "#B 6 k"] | None = None
+    wrench: Float[InBatch, "B 6"]
+    free: Float[InBatch, "#B 6 k"] | None = None
     """Twists along which a guide lets the object move; None for an object that no guide holds."""
-    start: Float[Array, "B 6"] | None = None
+    start: Float[InBatch, "B 6"] | None = None
     """A multiplier from which Newton's method starts; None for the closed form's."""
-    torsion: Float[Array, "#B n"] | None = None
+    torsion: Float[InBatch, "#B n"] | None = None
     """Torsional friction; None where all contacts are hard fingers."""
-    normal_min: Float[Array, "#B n"] | None = None
-    normal_max: Float[Array, "#B n"] | None = None
-    torque_map: Float[Array, "#B n c j"] | None = None
-    torque_max: Float[Array, "#B j"] | None = None
-    count: Int[Array, ""] | None = None
+    normal_min: Float[InBatch, "#B n"] | None = None
+    normal_max: Float[InBatch, "#B n"] | None = None
+    torque_bounds: TorqueBounds | None = None
+    count: Int[InBatch, ""] | None = None
     """How many problems there are, the first of those that the arrays hold; None for as many."""
 
     @property

@@ -6,6 +6,7 @@ The force of a contact is y = (press, lean): lean is what it uses of its frictio
 finger, about its normal, and |lean| <= press is the friction cone whatever the coefficients.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.cone_program import Cones
 from jaxgrasp.numerics.vec3 import safe_divide
-from jaxgrasp.problem.batch_last import ProblemBatch
+from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, scaled_wrench
 
 
@@ -65,7 +66,7 @@ def units_of(problem: ProblemBatch) -> Units:
         size = size + jnp.sum(jnp.where(_there(problem), problem.normal_min, 0), -1)
     load = jnp.where(size > 0, size, 1)
     torque = jnp.ones_like(load)
-    if problem.torque_map is not None:
+    if problem.torque_bounds is not None:
         rows = _rows(problem, shapes)
         largest = jnp.max(jnp.sqrt(jnp.sum(rows**2, (2, 3))), -1)
         torque = jnp.where(largest > 0, largest, 1)
@@ -77,8 +78,8 @@ def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     load, there = units.load[:, None], _there(problem)
     spans = shapes.spans if problem.torsion is not None else shapes.spans[..., :2]
     columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
-    rows = None if problem.torque_map is None else _rows(problem, shapes) / units.torque[:, None, None, None]
-    limit = None if problem.torque_max is None else problem.torque_max / (load * units.torque[:, None])
+    bounds, torque = problem.torque_bounds, units.torque[:, None]
+    rows = None if bounds is None else _rows(problem, shapes) / torque[..., None, None]
     return ConeProblem(
         columns=columns,
         right=scaled_wrench(problem.wrench, shapes.about, shapes.length, jnp) / load,
@@ -87,7 +88,7 @@ def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
         least=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
         most=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
         rows=rows,
-        torque_max=limit,
+        torque_max=None if bounds is None else bounds.most / (load * torque),
     )
 
 
@@ -103,9 +104,9 @@ def _there(problem: ProblemBatch) -> Array:
 
 def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     """Joint torques of each component of y ``(B, j, n, c)``."""
-    assert problem.torque_map is not None
+    assert problem.torque_bounds is not None
     there = _there(problem)
-    given = jnp.where(there[..., None, None], problem.torque_map, 0)
+    given = jnp.where(there[..., None, None], problem.torque_bounds.map, 0)
     # The normals, and the tangents that the spans are made along.
     normals = jnp.where(there[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=given.dtype)[2])
     friction = jnp.where(there, problem.friction, 0)
@@ -177,6 +178,7 @@ def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
         (jnp.where(which[:, None], present, 0), wrench),
         is_leaf=lambda x: x is None,
     )
-    if problem.torque_max is None:
+    bounds = problem.torque_bounds
+    if bounds is None:
         return kept
-    return eqx.tree_at(lambda p: p.torque_max, kept, jnp.where(which[:, None], problem.torque_max, jnp.inf))
+    return replace(kept, torque_bounds=TorqueBounds(bounds.map, jnp.where(which[:, None], bounds.most, jnp.inf)))

@@ -12,6 +12,7 @@ import numpy as np
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
+from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.validation.values import check_numbers
 
 Sharing = str | AnyArray
@@ -31,8 +32,7 @@ def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
 class FlatInput(NamedTuple):
     """Arrays with their leading axes broadcast and flattened into one."""
 
-    fields: dict[str, Any]
-    """Arrays of a ``ProblemBatch``, by name."""
+    problem: ProblemBatch
     each: dict[str, Any]
     """What else each problem has one of."""
     batch: tuple[int, ...]
@@ -54,8 +54,8 @@ def flatten(
     """Inputs of any leading axes as a flat batch in one precision.
 
     ``free`` are the twists that a guide allows, ``limits`` what the hand can exert. Friction is divided by
-    ``safety``. ``each`` are further arrays, of which each problem has its own, and their last axes. The arrays are
-    those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
+    ``safety``. ``each`` are further arrays, of which each problem has its own, and their last axes; ``start`` becomes
+    the problem's. The arrays are those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
@@ -87,8 +87,23 @@ def flatten(
             flat[name] = array.reshape(1, *tail)
         else:
             flat[name] = numpy.broadcast_to(array, batch + tail).reshape(math.prod(batch), *tail)
-    more = {name: flat.pop(name) for name in each}
-    return FlatInput({"present": None, "weights": flat.pop("sharing"), **flat}, more, batch)
+    problem = ProblemBatch(
+        points=flat["points"],
+        normals=flat["normals"],
+        friction=flat["friction"],
+        squeeze=flat["squeeze"],
+        present=flat.get("present"),
+        weights=flat["sharing"],
+        wrench=flat["wrench"],
+        free=flat.get("free"),
+        # A problem's own, as wrenches are, which the solver finds among the problem's fields.
+        start=flat.get("start"),
+        torsion=flat.get("torsion"),
+        normal_min=flat.get("normal_min"),
+        normal_max=flat.get("normal_max"),
+        torque_bounds=TorqueBounds(flat["torque_map"], flat["torque_max"]) if "torque_map" in flat else None,
+    )
+    return FlatInput(problem, {name: flat[name] for name in each if name != "start"}, batch)
 
 
 def _safer(friction: AnyArray, present: AnyArray | None, safety: float | AnyArray, numpy: Any) -> AnyArray:

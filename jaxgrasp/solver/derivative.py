@@ -194,7 +194,7 @@ def _constants(problem: ProblemBatch, constrained: bool) -> _Fixed:
     problem = lax.stop_gradient(problem)
     data, _ = to_batch_last(problem)
     data, scaling = scale_in_principal_axes(data)
-    limited = constrained and problem.torque_map is not None
+    limited = constrained and problem.torque_bounds is not None
     constraints = torque_limits.torque_constraints(problem, data, scaling).scale if limited else None
     if problem.free is None:
         return _Fixed(scaling, whitened_metric(data, scaling)[1], constraints)

@@ -9,6 +9,7 @@ import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -101,7 +102,7 @@ def dispatch(
 def _flat(given: Inputs, sharing: str, tails: tuple, numpy: Any) -> FlatInput:
     last = dict(tails)
     each = {name: (array, last.get(name, (6,))) for name, array in given.each.items()}
-    flat = flatten(
+    return flatten(
         given.grasp,
         given.wrench,
         given.weights,
@@ -112,14 +113,11 @@ def _flat(given: Inputs, sharing: str, tails: tuple, numpy: Any) -> FlatInput:
         each=each,
         numpy=numpy,
     )
-    # It is a problem's own, as wrenches are, but the solver finds it among the problem's fields.
-    flat.fields["start"] = flat.each.pop("start", None)
-    return flat
 
 
 def _traced(given: Inputs, *, solve: Solve, sharing: str, tails: tuple) -> Any:
     flat = _flat(given, sharing, tails, jnp)
-    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(ProblemBatch(**flat.fields), **flat.each))
+    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(flat.problem, **flat.each))
 
 
 STATIC = ("solve", "sharing", "tails")
@@ -155,7 +153,7 @@ def _on_devices(solve: Solve, given: Inputs, sharing: str, tails: tuple, devices
     size = math.prod(flat.batch)
     share = max(1, -(-size // devices))
     room = next((room for room in SIZES if room >= share), -(-share // SIZES[-1]) * SIZES[-1])
-    own = jax.tree.map(np.asarray, (flat.fields, flat.each))
+    own = jax.tree.map(np.asarray, (flat.problem, flat.each))
     answer = over_devices(_of_flat(solve), own, size, room, mesh)
     return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), answer)
 
@@ -164,9 +162,9 @@ def _on_devices(solve: Solve, given: Inputs, sharing: str, tails: tuple, devices
 def _of_flat(solve: Solve) -> Solve:
     """The solver of what NumPy has brought into one leading axis, perhaps with so many problems alone."""
 
-    def run(flat: tuple[dict[str, Array], dict[str, Array]], count: Array | None = None) -> Any:
-        fields, each = flat
-        return solve(ProblemBatch(**fields, count=count), **each)
+    def run(flat: tuple[ProblemBatch, dict[str, Array]], count: Array | None = None) -> Any:
+        problem, each = flat
+        return solve(replace(problem, count=count), **each)
 
     return run
 
@@ -201,7 +199,7 @@ def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple, progress
     batch = _plain_batch(given, tails)
     if batch is None:
         flat = _flat(given, sharing, tails, np)
-        own, batch = (flat.fields, flat.each), flat.batch
+        own, batch = (flat.problem, flat.each), flat.batch
         program = _flat_program(solve)
     else:
         program = _program(solve, sharing, tails)
@@ -323,7 +321,7 @@ def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
 
     def run(given: Inputs, count: Array) -> Any:
         flat = _flat(given, sharing, tails, jnp)
-        return solve(ProblemBatch(**flat.fields, count=count), **flat.each)
+        return solve(replace(flat.problem, count=count), **flat.each)
 
     return jax.jit(run, compiler_options=compile_options())
 

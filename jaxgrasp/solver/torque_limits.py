@@ -6,9 +6,9 @@ G_i^T x - R_i^T e, and the dual loses the sum of bound |e|. It is not smooth whe
 all limits that do not bind stay.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -17,7 +17,7 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
-from jaxgrasp.problem.batch_last import ContactData, ProblemBatch
+from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, TorqueBounds
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.metric import squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
@@ -73,8 +73,9 @@ def _in_scaling(
     problem: ProblemBatch, data: ContactData, scaling: Scaling, chosen: Array | None
 ) -> tuple[ContactVec, Array]:
     """Rows and bounds in a problem's axes and loads; rows of zeros for joints that are not bounded."""
-    assert problem.torque_map is not None and problem.torque_max is not None
-    maps, bounds = jnp.transpose(problem.torque_map, (2, 3, 1, 0)), problem.torque_max.T  # (c, j, n, B), (j, B)
+    assert problem.torque_bounds is not None
+    maps, bounds = jnp.transpose(problem.torque_bounds.map, (2, 3, 1, 0)), problem.torque_bounds.most.T
+    # (c, j, n, B), (j, B)
     there, bounded = vec3.dot(data.normals, data.normals) > 0, jnp.isfinite(bounds)
     maps, bounds = jnp.where(there & bounded[:, None], maps, 0), jnp.where(bounded, bounds, 0)
     if chosen is not None:
@@ -92,18 +93,19 @@ def _in_scaling(
 
 def usable(problem: ProblemBatch) -> Array:
     """Whether the limits of torques are numbers that can be computed with ``(B,)``."""
-    assert problem.torque_map is not None and problem.torque_max is not None
-    asked = jnp.sum(jnp.abs(problem.torque_map), (2, 3)) <= tolerances(problem.torque_map.dtype).largest
+    given = problem.torque_bounds
+    assert given is not None
+    asked = jnp.sum(jnp.abs(given.map), (2, 3)) <= tolerances(given.map.dtype).largest
     if problem.present is not None:
         asked = asked | ~(problem.present > 0.5)
-    return jnp.all(asked, 1) & jnp.all(problem.torque_max >= 0, 1)
+    return jnp.all(asked, 1) & jnp.all(given.most >= 0, 1)
 
 
 def cleaned(problem: ProblemBatch) -> ProblemBatch:
     """The problem with zeros where its map of torques has no numbers."""
-    given = problem.torque_map
+    given = problem.torque_bounds
     assert given is not None
-    return eqx.tree_at(lambda p: p.torque_map, problem, jnp.where(jnp.isfinite(given), given, 0))
+    return replace(problem, torque_bounds=TorqueBounds(jnp.where(jnp.isfinite(given.map), given.map, 0), given.most))
 
 
 def torques_of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:

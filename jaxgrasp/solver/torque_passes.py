@@ -5,10 +5,10 @@
 3. The careful pass with all limits, for what that leaves, and a proof where no forces exist.
 """
 
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
@@ -47,18 +47,19 @@ CAREFUL_TILE = 16
 
 def without_torques(problem: ProblemBatch) -> ProblemBatch:
     """The problem with no limits of torques, so that nothing before them has to carry them about."""
-    return eqx.tree_at(lambda p: (p.torque_map, p.torque_max), problem, (None, None), is_leaf=lambda x: x is None)
+    return replace(problem, torque_bounds=None)
 
 
 def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     """The optimum within the limits of torques, from that without."""
-    if problem.torque_map is None or problem.torque_max is None:
+    bounds = problem.torque_bounds
+    if bounds is None:
         return result
-    nothing = jnp.zeros((problem.size, problem.torque_map.shape[-1]), result.forces.dtype)
+    nothing = jnp.zeros((problem.size, bounds.most.shape[-1]), result.forces.dtype)
     # A first look at all; what it suspects is looked at closely where it is gathered.
-    torque = torque_limits.torques_of_forces(problem.torque_map, result.forces, result.moments)
-    within = jnp.all(jnp.abs(torque) <= problem.torque_max, 1)
-    strange = ~jnp.all(jnp.isfinite(torque) & (problem.torque_max >= 0), 1)
+    torque = torque_limits.torques_of_forces(bounds.map, result.forces, result.moments)
+    within = jnp.all(jnp.abs(torque) <= bounds.most, 1)
+    strange = ~jnp.all(jnp.isfinite(torque) & (bounds.most >= 0), 1)
     # Forces that are allowed but not the optimum are no better a start than none.
     broken = (result.verdict == Verdict.FEASIBLE) & ~within
     verdict = jnp.where(broken, Verdict.NOT_CONVERGED, result.verdict)
@@ -100,11 +101,12 @@ def _excess(problem: ProblemBatch, result: PassResult) -> Array:
 
     The batch must be ``cleaned``.
     """
-    assert problem.torque_map is not None and problem.torque_max is not None
-    torque = torque_limits.torques_of_forces(problem.torque_map, result.forces, result.moments)
+    bounds = problem.torque_bounds
+    assert bounds is not None
+    torque = torque_limits.torques_of_forces(bounds.map, result.forces, result.moments)
     # Forces are known to what rounds the largest of them.
-    size = jnp.sum(jnp.abs(problem.torque_map), (1, 2)) * jnp.max(jnp.abs(result.forces), (1, 2))[:, None]
-    beyond = jnp.abs(torque) - problem.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
+    size = jnp.sum(jnp.abs(bounds.map), (1, 2)) * jnp.max(jnp.abs(result.forces), (1, 2))[:, None]
+    beyond = jnp.abs(torque) - bounds.most - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
 

@@ -28,8 +28,8 @@ from jaxgrasp.solver.dual import CandidateForces, DualProblem
 from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm
 from jaxgrasp.solver.result import measure_forces
 
-LARGEST_UNROLLED = 10
-"""Coordinates up to which a factorisation is written out: more take long to compile."""
+LARGEST_UNROLLED = 6
+"""Limits up to which a factorisation is written out: more take long to compile."""
 
 
 class TorqueConstraints(NamedTuple):
@@ -188,6 +188,7 @@ class TorqueLimitedObjective(NamedTuple):
         damping = newton.damping_of(self.squared_norm(at.gradient), damping_factor, self.proximal)
         plain = newton.damped(at.curvature.plain, self.problem.metric, damping)
         matrix = at.curvature._replace(plain=plain, own=_plus_identity(at.curvature.own, damping))
+        system = _eliminate(matrix, at.gradient)
         rates, slope = point[6:], at.gradient[6:]
         # What is about to meet the kink goes there by itself: in Newton's step for all it would cut the others short.
         lands = (rates * slope < 0) & (jnp.abs(rates) <= jnp.sqrt(self.squared_norm(at.gradient)))
@@ -196,8 +197,8 @@ class TorqueLimitedObjective(NamedTuple):
 
         def without_falling(free: Array) -> tuple[Array, Array]:
             """Newton's step, and what of it would leave the kink on its falling side."""
-            step = _solve(matrix, at.gradient, free)
-            return step, free & at_kink & (step[6:] * slope < 0)
+            step = _solve(system.own, system.right, free)
+            return step, free & at_kink & (step * slope < 0)
 
         def again(carry):
             free, (_, falls) = carry
@@ -205,7 +206,7 @@ class TorqueLimitedObjective(NamedTuple):
 
         first = free, without_falling(free)
         _, (step, _) = lax.while_loop(lambda carry: jnp.any(carry[1][1]), again, first)
-        return jnp.concatenate([step[:6], jnp.where(lands, -rates, step[6:])])
+        return jnp.concatenate([system.by_object(step), jnp.where(lands, -rates, step)])
 
     def converged(self, at: TorqueDualEvaluation, point: Array) -> Array:
         squared_norm = self.squared_norm(at.gradient)
@@ -263,17 +264,37 @@ def _gradient_by_rates(torque: Array, rates: Array, bound: Array) -> Array:
     return jnp.where(rates == 0, beyond(torque, bound), torque - jnp.sign(rates) * bound)
 
 
-def _solve(matrix: BorderedMatrix, right: Array, free: Array) -> Array:
+class _RateSystem(NamedTuple):
+    """The equations of a step once the object's coordinates are eliminated from them: those of the rates alone."""
+
+    own: Array
+    """The Schur complement ``(q, q, B)``."""
+    right: Array
+    still: list[Array]
+    """The object's coordinates where no rate changes, each ``(1, B)``."""
+    by_rates: Array
+    """How they change with each rate ``(6, q, B)``."""
+
+    def by_object(self, rates: Array) -> Array:
+        """The object's coordinates of a step, ``(6, B)``."""
+        return jnp.concatenate(self.still) - jnp.sum(self.by_rates * rates, 1)
+
+
+def _eliminate(matrix: BorderedMatrix, right: Array) -> _RateSystem:
+    factors = ldl.factor(matrix.plain)
+    still = ldl.solve(factors, [right[i : i + 1] for i in range(6)])
+    by_rates = ldl.solve(factors, list(matrix.across))
+    own = matrix.own - sum(a[:, None] * b for a, b in zip(matrix.across, by_rates, strict=True))
+    rest = right[6:] - sum(a * x for a, x in zip(matrix.across, still, strict=True))
+    return _RateSystem(own, rest, still, jnp.stack(by_rates))
+
+
+def _solve(matrix: Array, right: Array, free: Array) -> Array:
     """x with matrix x = right, but zero for the rates that are not free."""
     keep = free.astype(right.dtype)
-    right = jnp.concatenate([right[:6], keep * right[6:]])
-    size = len(right)
-    if size > LARGEST_UNROLLED:
-        return pivoted_ldl.solve(pivoted_ldl.factor(full_matrix(matrix, keep), 0.0), right)
-    constraints = [list(row) for row in matrix.plain]
-    for i in range(len(keep)):
-        kept = keep[i : i + 1]
-        across = [kept * matrix.across[j, i : i + 1] for j in range(6)]
-        own = [kept * keep[j : j + 1] * matrix.own[j, i : i + 1] for j in range(i)]
-        constraints.append([*across, *own, jnp.where(kept > 0, matrix.own[i, i : i + 1], 1)])
-    return jnp.concatenate(ldl.solve(ldl.factor(constraints), [right[i : i + 1] for i in range(size)]))
+    kept, right = matrix * keep * keep[:, None], keep * right
+    size = range(len(right))
+    if len(right) > LARGEST_UNROLLED:
+        return pivoted_ldl.solve(pivoted_ldl.factor(kept, 0.0), right)
+    rows = [[kept[i, j : j + 1] for j in range(i)] + [jnp.where(free[i], kept[i, i], 1)[None]] for i in size]
+    return jnp.concatenate(ldl.solve(ldl.factor(rows), [right[i : i + 1] for i in size]))

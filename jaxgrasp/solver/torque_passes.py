@@ -58,7 +58,8 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     nothing = jnp.zeros((problem.size, bounds.most.shape[-1]), result.forces.dtype)
     # A first look at all; what it suspects is looked at closely where it is gathered.
     torque = torque_limits.torques_of_forces(bounds.map, result.forces, result.moments)
-    within = jnp.all(jnp.abs(torque) <= bounds.most, 1)
+    broken = jnp.sum(~(jnp.abs(torque) <= bounds.most), 1)
+    within = broken == 0
     strange = ~jnp.all(jnp.isfinite(torque) & (bounds.most >= 0), 1)
     # Forces that are allowed but not the optimum are no better a start than none.
     broken = (result.verdict == Verdict.FEASIBLE) & ~within
@@ -67,30 +68,32 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     nothing = varying_like(nothing, problem, result)
     result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)
     # One question for all, since every pass that asks for itself copies what it may change.
-    return lax.cond(jnp.any(result.undecided), partial(_within, problem), lambda result: result, result)
+    return lax.cond(jnp.any(result.undecided), partial(_within, problem, broken), lambda result: result, result)
 
 
-def _within(problem: ProblemBatch, result: PassResult) -> PassResult:
-    """Pass after pass, for the undecided."""
+def _within(problem: ProblemBatch, broken: Array, result: PassResult) -> PassResult:
+    """Pass after pass, for the undecided, whose optimum without limits breaks so many ``(B,)``."""
     nothing = result.certificate_rates
     assert nothing is not None
     # The fast ones prove nothing.
     result = result._replace(certificate_rates=None)
     if problem.free is None:
-        for passes in FAST:
-            result = _fast(problem, result, passes)
-            if passes.width >= nothing.shape[1]:
-                break
+        joints = nothing.shape[1]
+        wide = next((k for k, passes in enumerate(FAST) if passes.width >= joints), len(FAST) - 1)
+        for passes in FAST[: wide + 1]:
+            # Where more are broken than a pass has room for, it would end with some of them broken still.
+            fits = (broken <= passes.width) | (passes == FAST[wide])
+            result = _fast(problem, result, passes, fits)
     result = result._replace(certificate_rates=nothing)
     return over_chosen(_careful_tile, problem, result, result.undecided, CAREFUL_TILE)
 
 
-def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass) -> PassResult:
-    """Newton's method for the undecided, as far as it gets."""
+def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass, fits: Array) -> PassResult:
+    """Newton's method for the undecided that ``fits`` says it is for, as far as it gets."""
 
     def newton(index: Array, result: PassResult) -> PassResult:
         tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[index])
-        return over_chosen(tile, problem, result, result.undecided, TILE)
+        return over_chosen(tile, problem, result, result.undecided & fits, TILE)
 
     # A loop rather than several calls: the passes are one piece of compiled code.
     return lax.fori_loop(0, len(passes.steps), newton, result)

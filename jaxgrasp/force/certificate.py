@@ -90,9 +90,9 @@ def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[
 
 def _needed(data: ContactData, direction: Array, moved: ContactVec | None = None, spent: Array | float = 0.0) -> Array:
     linear, angular = spatial.parts(direction)
-    can_move = data.weights > 0
+    adjustable = data.weights > 0
     # About the contacts' middle, so that a far frame makes no small difference of large products.
-    centre = _middle(data.points, can_move)
+    centre = _middle(data.points, adjustable)
     linear = vec3.add(linear, vec3.cross(angular, centre))
     torque = vec3.sub(data.torque, vec3.cross(centre, data.force))
     spin = None if data.spin_radius is None else data.spin_radius * vec3.dot(angular, data.normals)
@@ -100,11 +100,11 @@ def _needed(data: ContactData, direction: Array, moved: ContactVec | None = None
     if moved is not None:
         velocity = contact_vec.sub(velocity, moved)
     endless, bounded = friction_cone.largest_work(friction_cone.work_per_normal_force(velocity, data.cone), data.cone)
-    fixed = jnp.where(can_move, bounded, data.squeeze * vec3.dot(velocity.linear, data.normals))
+    fixed = jnp.where(adjustable, bounded, data.squeeze * vec3.dot(velocity.linear, data.normals))
     work = vec3.dot(data.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
     whole = friction_cone.Cone(data.normals, data.friction)
-    reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.cone_side(velocity, whole)))
-    largest = jnp.max(jnp.where(can_move & (endless > 0), reach, 0), 0, keepdims=True)
+    reach = contact_vec.norm(friction_cone.project(velocity, whole, friction_cone.decompose(velocity, whole)))
+    largest = jnp.max(jnp.where(adjustable & (endless > 0), reach, 0), 0, keepdims=True)
     need = jnp.where(largest > 0, work / jnp.where(largest > 0, largest, 1), jnp.inf)
     return jnp.where(work > 0, need, 0)
 

@@ -75,7 +75,7 @@ def constrained_optimum(
         sharing: as for [`jaxgrasp.closed_form`][].
         free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
         limits: what the hand can exert: bounds of normal forces and of joint torques, ``(..., n)`` and ``(..., j)``.
-            Torques cost nothing but a look where none is beyond its limit.
+            Where no torque exceeds its limit, torque limits cost one check only.
         safety: friction is divided by this, since an optimum on a cone's surface has no margin left: a number
             greater than 0, or one for each problem, an array of the leading axes.
         largest_force: what the hand could exert at most, as a sum of normal forces [N], a number or one for each
@@ -92,7 +92,7 @@ def constrained_optimum(
         devices: over how many of JAX's local devices to spread the batch, as for [`jaxgrasp.closed_form`][].
 
     Returns:
-        A Solution. Where the closed form lies inside all cones it is the answer, at its own price; where
+        A Solution. Where the closed form lies inside all cones it is the answer, at the cost of the closed form; where
         no forces exist the verdict is INFEASIBLE and the certificate proves it.
 
     Example:

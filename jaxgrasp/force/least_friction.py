@@ -15,7 +15,7 @@ from jaxgrasp.model.arguments import check_arguments, check_sign
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.progress import Progress
-from jaxgrasp.numerics.no_derivative import without_derivative
+from jaxgrasp.numerics.no_derivative import nan_tangents_where
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.numerics.tiling import beside, over_chosen
 from jaxgrasp.numerics.zero_tangent import zero_tangent
@@ -23,8 +23,8 @@ from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.friction_share import WIDEST, least_share
-from jaxgrasp.solver.wrench_boundary import BoundaryPoint, without_sharing, work_along
+from jaxgrasp.solver.friction_share import LARGEST_FACTOR, least_friction_factor
+from jaxgrasp.solver.wrench_boundary import BoundaryPoint, with_unit_weights, work_along
 
 FIRST = (10.0, 1.0, 100.0)
 """Shares to begin with, one after the other."""
@@ -44,20 +44,19 @@ def least_friction(
     total: Float[AnyArray, "*#batch"] | float | None = None,
     progress: Progress | None = None,
 ) -> Float[Array, "..."]:
-    """The least share of its friction with which a grasp holds its load by a total of normal forces.
+    """The least factor on all friction coefficients with which a grasp holds its load by a given total normal force.
 
     Its inverse is the grasp's reserve: as many times smaller may every friction coefficient be. An optimum with an
     active cone has no friction margin left, whatever reserve it has.
 
     It is the inverse of [`jaxgrasp.least_squeeze`][], to about 1e-9 of itself, and differentiable once, by the total
-    too. Where less friction would not leave too little, but nothing that balances the wrench at all, it is given from
-    above, to 1e-6, and moves with the boundary of what the grasp can exert; NaN is the derivative where neither the
-    total nor a boundary can be told to hold it.
+    too. Where no forces at all balance the wrench below the factor, it is an upper bound to 1e-6 and moves with the
+    boundary of what the grasp can exert; NaN is the derivative where neither the total nor that boundary is known to
+    bind.
 
-    One search finds most shares, with forces that need no more and a twist that proves less too little; looks at one
-    share after the other find the rest, to the same bounds, and these can mistake a share for the least where friction
-    is scaled to so little (below 1e-4 or so) that no forces are found though some exist. A thousand grasps take about
-    half a second of the processor once compiled (``python -m benchmarks.least_friction``).
+    One search finds most factors, with a proof on either side; a bracketed Newton's method finds the rest, to the same
+    tolerance, but its factor may be too large where it lies below 1e-4 or so and no forces are found though some exist.
+    A thousand grasps take about half a second of the processor once compiled (``python -m benchmarks.least_friction``).
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
@@ -136,15 +135,17 @@ class _FoundShare(NamedTuple):
 def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundShare) -> _FoundShare:
     """By one interior-point search, which proves what it finds but for a few problems at the end of its digits."""
     problem, total = given
-    unshared = without_sharing(problem)
-    data, left = unshared.data, (total - held_total(problem))[None] / unshared.scaling.load
+    unit_weight = with_unit_weights(problem)
+    data, left = unit_weight.data, (total - held_total(problem))[None] / unit_weight.scaling.force_unit
     loaded = spatial.length(spatial.join(data.force, data.torque)) > 0
-    searched = unshared.valid & loaded & (left > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
-    best = least_share(data, jnp.where(searched, left, 1), ~(searched & found.open[None]), first)
+    searched = unit_weight.valid & loaded & (left > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
+    best = least_friction_factor(data, jnp.where(searched, left, 1), ~(searched & found.open[None]), first)
     # At a boundary of what can be exerted no arithmetic tells whether forces exist: a little beyond they do.
     share = jnp.log(best.share) + jnp.where(best.spent, 0, _narrow(total) / 2)
-    share = jnp.where(best.lower >= WIDEST, jnp.inf, jnp.where(best.share <= 1 / WIDEST, -jnp.inf, share))
-    needs_none = unshared.valid & ~loaded & (left >= 0)
+    share = jnp.where(
+        best.lower >= LARGEST_FACTOR, jnp.inf, jnp.where(best.share <= 1 / LARGEST_FACTOR, -jnp.inf, share)
+    )
+    needs_none = unit_weight.valid & ~loaded & (left >= 0)
     share = jnp.where(searched[0], share, jnp.where(needs_none[0], -jnp.inf, jnp.inf))
     return _FoundShare(share, searched[0] & ~best.proven)
 
@@ -168,7 +169,7 @@ def _share_tangent(primals, tangents):
     by_boundary, met = _boundary_tangent(scaled, scaled_moved)
     tangent = jnp.where(falls, by_total, jnp.where(met, by_boundary, 0))
     undefined = jnp.isinf(share) | (inside & ~(falls | (~spent & met)))
-    return share, without_derivative(undefined, jnp.where(inside, finite * tangent, 0), primals, tangents)
+    return share, nan_tangents_where(undefined, jnp.where(inside, finite * tangent, 0), primals, tangents)
 
 
 def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array, Array]:
@@ -259,7 +260,7 @@ def _search(problem: ProblemBatch, total: Array, found: _FoundShare, unseen: See
 
     Logarithms of shares, and what is known at them, in the place of ``unseen``; None where nobody asks.
     """
-    widest = jnp.full_like(total, jnp.log(WIDEST))
+    widest = jnp.full_like(total, jnp.log(LARGEST_FACTOR))
     no, known = jnp.zeros_like(total, bool), jnp.abs(found.share) < widest
     apart = jnp.where(known, 0.9 * _narrow(total), 2 * widest)
     start = _Bracket(-widest, widest, no, no, jnp.where(known, found.share, 0), apart, ~found.open)

@@ -8,13 +8,13 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import is_held
-from jaxgrasp.numerics.no_derivative import refusing, without_derivative
+from jaxgrasp.numerics.no_derivative import nan_tangents_where, refusing
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.solver import reach, transforms
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.wrench_boundary import BoundaryPoint, boundary_point, without_sharing, work_along
+from jaxgrasp.solver.wrench_boundary import BoundaryPoint, boundary_point, with_unit_weights, work_along
 
 TILE = 32
 
@@ -68,7 +68,7 @@ def _least_total_tangent(primals, tangents):
     (problem,), (moved,) = primals, tangents
     total, boundary = bounded_total(problem)
     tangent = total_tangent(problem, moved, total, boundary)
-    return total, without_derivative(jnp.isinf(total), tangent, problem, moved)
+    return total, nan_tangents_where(jnp.isinf(total), tangent, problem, moved)
 
 
 def total_tangent(problem: ProblemBatch, moved: ProblemBatch, total: Array, boundary: BoundaryPoint) -> Array:
@@ -101,9 +101,11 @@ def held_total(problem: ProblemBatch) -> Array:
 
 def _least_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     problem, solved = arguments
-    unshared = without_sharing(problem)
-    found = solved[None] & unshared.valid
-    least, path = reach.least_normal_force(unshared.data, ~found)
-    last, before = (reach.with_normal_cost(unshared.data, penalty) for penalty in (path.penalty, path.penalty_before))
-    boundary = boundary_point(unshared, last, before, path, jnp.ones_like(path.penalty))
-    return jnp.where(found[0], (unshared.scaling.load * least)[0] + held_total(problem), jnp.inf), boundary
+    unit_weight = with_unit_weights(problem)
+    found = solved[None] & unit_weight.valid
+    least, path = reach.least_normal_force(unit_weight.data, ~found)
+    last, before = (
+        reach.with_normal_cost(unit_weight.data, penalty) for penalty in (path.penalty, path.penalty_before)
+    )
+    boundary = boundary_point(unit_weight, last, before, path, jnp.ones_like(path.penalty))
+    return jnp.where(found[0], (unit_weight.scaling.force_unit * least)[0] + held_total(problem), jnp.inf), boundary

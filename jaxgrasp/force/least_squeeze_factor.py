@@ -8,7 +8,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import is_balanced
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.no_derivative import underivable
+from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 from jaxgrasp.numerics.vec3 import Vec3
 
 NOISE = 64
@@ -50,7 +50,7 @@ def least_squeeze_factor(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"]) -> 
     least, most = jnp.maximum(jnp.max(low, -1), 0), jnp.min(high, -1)
     some = balances & (least <= most) & jnp.isfinite(least)
     friction = jnp.broadcast_to(friction, (*some.shape, friction.shape[-1]))
-    return underivable(~some, jnp.where(some, least, jnp.inf), (split.external, split.internal, friction))
+    return nondifferentiable_where(~some, jnp.where(some, least, jnp.inf), (split.external, split.internal, friction))
 
 
 def _parts(forces: Array, normals: Vec3, noise: Array) -> tuple[Vec3, Array]:

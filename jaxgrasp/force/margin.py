@@ -12,7 +12,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import BOUNDS, Limits
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.no_derivative import refusing, without_derivative
+from jaxgrasp.numerics.no_derivative import nan_tangents_where, refusing
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
@@ -24,10 +24,10 @@ from jaxgrasp.solver import reach
 from jaxgrasp.solver.dispatch import dispatch
 from jaxgrasp.solver.wrench_boundary import (
     BoundaryPoint,
-    UnsharedProblem,
+    UnitWeightProblem,
     boundary_point,
+    with_unit_weights,
     with_wrench,
-    without_sharing,
     work_along,
 )
 
@@ -114,7 +114,7 @@ def _margin_tangent(primals, tangents):
         return work_along(problem, problem.wrench + far * direction, boundary)
 
     _, moved = jax.jvp(work, primals, tangents)
-    return theta, without_derivative(jnp.isneginf(theta), jnp.where(finite, moved, 0), primals, tangents)
+    return theta, nan_tangents_where(jnp.isneginf(theta), jnp.where(finite, moved, 0), primals, tangents)
 
 
 @jax.custom_jvp
@@ -129,7 +129,7 @@ bound_along.defjvp(refusing("wrench_margin has first derivatives only"))
 class _Line(NamedTuple):
     """Wrenches load + theta ray."""
 
-    unshared: UnsharedProblem
+    unit_weight: UnitWeightProblem
     ray: SpatialVec
     """Direction of the line, of length 1, or 0."""
     size: Array
@@ -146,17 +146,17 @@ class _End(NamedTuple):
 
 
 def _line(problem: ProblemBatch, direction: Array) -> _Line:
-    unshared = without_sharing(problem)
+    unit_weight = with_unit_weights(problem)
     limits = tolerances(direction.dtype)
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
-    valid = unshared.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
-    ray = wrench_to_scaled(jnp.where(valid, direction.T, 0), unshared.scaling)
+    valid = unit_weight.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
+    ray = wrench_to_scaled(jnp.where(valid, direction.T, 0), unit_weight.scaling)
     size = spatial.length(ray)
-    return _Line(unshared, vec3.safe_divide(ray, size), size, valid)
+    return _Line(unit_weight, vec3.safe_divide(ray, size), size, valid)
 
 
 def _end(line: _Line) -> _End:
-    problem, metric = line.unshared, reach.identity(line.size)
+    problem, metric = line.unit_weight, reach.identity(line.size)
     never_fails = reach.nearest_wrench(with_wrench(problem, line.ray), metric, ~line.valid).reached
     start, somewhere = reach.nearest_wrench(problem, metric, ~line.valid, line.ray)
     theta, path = reach.ray_search(problem, line.ray, start, never_fails | ~somewhere)
@@ -167,7 +167,7 @@ def _end(line: _Line) -> _End:
 def _in_units(line: _Line, end: _End) -> Array:
     finite = jnp.isfinite(end.theta)
     theta = jnp.where(finite, end.theta, 0)
-    return jnp.where(finite, line.unshared.scaling.load * vec3.safe_divide(theta, line.size), end.theta)[0]
+    return jnp.where(finite, line.unit_weight.scaling.force_unit * vec3.safe_divide(theta, line.size), end.theta)[0]
 
 
 def _margin_of_tile(arguments: tuple[ProblemBatch, Array]) -> Array:
@@ -177,5 +177,5 @@ def _margin_of_tile(arguments: tuple[ProblemBatch, Array]) -> Array:
 
 def _bound_of_tile(arguments: tuple[ProblemBatch, Array]) -> tuple[Array, BoundaryPoint]:
     line = _line(*arguments)
-    end, data = _end(line), line.unshared.data
-    return _in_units(line, end), boundary_point(line.unshared, data, data, end.path, line.size)
+    end, data = _end(line), line.unit_weight.data
+    return _in_units(line, end), boundary_point(line.unit_weight, data, data, end.path, line.size)

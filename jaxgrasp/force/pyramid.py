@@ -170,7 +170,7 @@ def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:
     moved = vec3.scale(jnp.sqrt(data.weights), Vec3(*y.reshape(size, -1, 3).transpose(2, 1, 0)))
     forces = contact_vec.add(squeezing_forces(data), ContactVec(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
-    sides = friction_cone.cone_side(forces, data.cone)
+    sides = friction_cone.decompose(forces, data.cone)
     result = ScaledResult(
         forces=friction_cone.project(forces, data.cone, sides),
         multiplier=twist.T,

@@ -140,7 +140,7 @@ def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -
     ok = valid[0]
     if batch.free is not None:
         residual = reach.times(whole, spatial.join(*coordinates.twist(across)))
-    missed = wrench_from_scaled(scaling.load * residual, scaling).T
+    missed = wrench_from_scaled(scaling.force_unit * residual, scaling).T
     moments = moments_from_scaled(data, forces.spin, scaling)
     stacked = jnp.stack([c * one for c in forces_from_scaled(forces.linear, scaling)]).transpose(2, 1, 0)
     linear, angular = certificate_from_scaled(
@@ -150,7 +150,7 @@ def _projected(arguments: tuple[ProblemBatch, Array | None], prior: Reachable) -
         wrench=jnp.where(ok[:, None], batch.wrench - missed, 0),
         forces=jnp.where(ok[:, None, None], stacked, 0),
         moments=None if moments is None else jnp.where(ok[:, None], (moments * one).T, 0),
-        distance=jnp.where(ok, (scaling.load * distance / jnp.sqrt(mass))[0], jnp.inf),
+        distance=jnp.where(ok, (scaling.force_unit * distance / jnp.sqrt(mass))[0], jnp.inf),
         certificate=jnp.where(ok[:, None], spatial.join(linear, angular).T, 0),
         verdict=jnp.where(ok, verdict, Verdict.INVALID_DATA).astype(jnp.int32),
     )
@@ -175,8 +175,8 @@ def _metric(data: ContactData, scaling: Scaling, inertia: Array | None) -> tuple
 def _rescaled(problem: PlainProblem, metric: Lower, point: SpatialVec) -> ContactVec:
     """The forces of the multiplier, all that can move times what brings them closest still: about 1."""
     forces = dual.candidate_forces(problem, point).forces
-    can_move, nothing = problem.data.weights > 0, contact_vec.sub(forces, forces)
-    held, free = contact_vec.where(can_move, nothing, forces), contact_vec.where(can_move, forces, nothing)
+    adjustable, nothing = problem.data.weights > 0, contact_vec.sub(forces, forces)
+    held, free = contact_vec.where(adjustable, nothing, forces), contact_vec.where(adjustable, forces, nothing)
     asked = dual.residual(problem, held)
     exerted = asked - dual.residual(problem, forces)
     along = reach.solve_by(metric, exerted)
@@ -187,10 +187,10 @@ def _rescaled(problem: PlainProblem, metric: Lower, point: SpatialVec) -> Contac
 
 def _is_closest(problem: PlainProblem, metric: Lower, forces: ContactVec, point: SpatialVec, distance: Array) -> Array:
     """Whether the multiplier's direction proves that forces as large as these come no closer (Moreau)."""
-    data, twist = problem.data, dual.contact_velocities(problem, point)
-    can_move = data.weights > 0
-    push = jnp.max(jnp.where(can_move, friction_cone.work_per_normal_force(twist, data.cone), 0), 0, keepdims=True)
-    fixed = jnp.where(can_move, 0, data.squeeze * vec3.dot(twist.linear, data.normals))
+    data, velocity = problem.data, dual.contact_velocities(problem, point)
+    adjustable = data.weights > 0
+    push = jnp.max(jnp.where(adjustable, friction_cone.work_per_normal_force(velocity, data.cone), 0), 0, keepdims=True)
+    fixed = jnp.where(adjustable, 0, data.squeeze * vec3.dot(velocity.linear, data.normals))
     work = spatial.inner(dual.required_wrench(problem), point) - jnp.sum(fixed, 0, keepdims=True)
     best = work - push * dual.total_normal_force(data, forces)
     size = jnp.sqrt(spatial.inner(point, reach.times(metric, point)))

@@ -129,7 +129,7 @@ def _shadow(problem: ScaledBatch, u: Array) -> tuple[Array, Array]:
     n = len(problem.friction)
     opposite = ContactVec(vec3.from_axis(-u.reshape(n, 3), -1))
     cone = Cone(vec3.from_axis(problem.normals, -1), problem.friction)
-    parts = friction_cone.cone_side(opposite, cone)
+    parts = friction_cone.decompose(opposite, cone)
     on_cone = jnp.stack(friction_cone.project(opposite, cone, parts).linear, -1)
     lower = friction_cone.derivative(cone, parts)
     each = jnp.stack([jnp.stack([lower[max(i, j)][min(i, j)] for j in range(3)], -1) for i in range(3)], -2)

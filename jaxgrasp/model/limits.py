@@ -10,7 +10,7 @@ BOUNDS = (*NORMALS, *TORQUES)
 
 
 class Limits(eqx.Module):
-    """Bounds that forces must respect beside friction, for one grasp or a batch; ``None`` where there is none.
+    """Bounds that forces must respect besides friction, for one grasp or a batch; ``None`` where there is none.
 
     The hand itself does not appear: joints are known by what the contact forces ask of them,
     torque = sum of torque_map_i^T f_i. Building them checks nothing; hand concrete ones

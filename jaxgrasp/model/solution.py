@@ -137,7 +137,7 @@ class Solution(Batched):
     the forces stands in place of |w|. An answer of more than 7.5e-9 (in float32 1.7e-4) is not called sound."""
     objective: Float[Array, "*batch"]
     """F_2 (eq. 5) or F_3 (eq. 13), by the sharing weights; contacts of zero weight add nothing. The moment m of a soft
-    finger counts as a force of mu m / gamma, which uses as much friction. For NOT_CONVERGED what it is at least."""
+    finger counts as a force of mu m / gamma, which uses as much friction. For NOT_CONVERGED a lower bound of it."""
     steps: Int[Array, "*batch"]
     """Newton steps taken; 0 where the closed form was already optimal."""
     route: Int[Array, "*batch"]

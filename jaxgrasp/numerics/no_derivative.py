@@ -60,7 +60,7 @@ ad.primitive_jvps[_asked] = _tangent
 ad.primitive_transposes[_asked] = _transposed
 
 
-def without_derivative(undefined: Array, tangents: Any, sources: Any, moved: Any) -> Any:
+def nan_tangents_where(undefined: Array, tangents: Any, sources: Any, moved: Any) -> Any:
     """Tangents ``(*batch, ...)``, made NaN for those ``undefined`` ``(*batch)`` that depend on what has moved.
 
     ``sources`` are all that they depend on and ``moved`` their tangents, whose leading axes broadcast against the
@@ -103,13 +103,13 @@ def _floats(tree: Any) -> list[Array]:
 
 
 @jax.custom_jvp
-def underivable(undefined: Array, value: Array, sources: Any) -> Array:
+def nondifferentiable_where(undefined: Array, value: Array, sources: Any) -> Array:
     """The value, without a derivative by its ``sources`` where it is ``undefined``; axes as above."""
     return value
 
 
-@underivable.defjvp
+@nondifferentiable_where.defjvp
 def _underivable_tangent(primals, tangents):
     undefined, value, sources = primals
     _, moved, sources_moved = tangents
-    return value, without_derivative(undefined, moved, sources, sources_moved)
+    return value, nan_tangents_where(undefined, moved, sources, sources_moved)

@@ -13,7 +13,7 @@ from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.numerics.no_derivative import refusing, underivable, without_derivative
+from jaxgrasp.numerics.no_derivative import nan_tangents_where, nondifferentiable_where, refusing
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.objectives import largest_margin, least_maximal, least_torque
@@ -23,15 +23,15 @@ from jaxgrasp.problem.cone_problem import (
     ConeProblem,
     Units,
     cone_problem,
-    forces_in,
-    forces_out,
+    forces_of_y,
     only,
-    unbalanced,
+    residual_norm,
     units_of,
+    y_of_forces,
 )
 from jaxgrasp.problem.flatten import flatten
 from jaxgrasp.solver import transforms
-from jaxgrasp.solver.multiplier_bounds import leaning
+from jaxgrasp.solver.multiplier_bounds import with_marginal_friction
 from jaxgrasp.validation.checked import checked
 
 Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "least_torque"]
@@ -159,7 +159,7 @@ def _least_norm(solution: Solution) -> BestForces:
     # Half the sum of squares, of derivative zero where it is zero.
     some = solved & (solution.objective > 0)
     size = jnp.where(some, jnp.sqrt(2 * jnp.where(some, solution.objective, 1)), 0)
-    value = underivable(~solved, jnp.where(solved, size, jnp.inf), solution.objective)
+    value = nondifferentiable_where(~solved, jnp.where(solved, size, jnp.inf), solution.objective)
     return _answer(solution, solved, solution.forces, solution.moments, value, value)
 
 
@@ -168,8 +168,10 @@ def _answer(
 ) -> BestForces:
     verdict = jnp.where(solution.verdict == Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL, solution.verdict)
     return BestForces(
-        forces=underivable(~solved, jnp.where(solved[:, None, None], forces, 0), forces),
-        moments=None if moments is None else underivable(~solved, jnp.where(solved[:, None], moments, 0), moments),
+        forces=nondifferentiable_where(~solved, jnp.where(solved[:, None, None], forces, 0), forces),
+        moments=None
+        if moments is None
+        else nondifferentiable_where(~solved, jnp.where(solved[:, None], moments, 0), moments),
         value=value,
         bound=bound,
         verdict=verdict,
@@ -189,15 +191,15 @@ def _best_moves(objective, primals, tangents):
     best, found = _search(*primals, objective)
     problem, moved = primals[0], tangents[0]
     solved = jnp.isfinite(best.value)
-    value = without_derivative(~solved, _moved(problem, moved, found, solved, objective), problem, moved)
+    value = nan_tangents_where(~solved, _moved(problem, moved, found, solved, objective), problem, moved)
     if objective == "largest_margin":
         # A contact has a margin to lose as soon as it has friction.
         slick = solved[:, None] & (problem.friction == 0)
         if problem.present is not None:
             slick = slick & (problem.present > 0.5)
         slick_friction, slick_moved = (jnp.where(slick, of.friction, 0) for of in (problem, moved))
-        value = without_derivative(jnp.any(slick, 1), value, slick_friction, slick_moved)
-    none = without_derivative(jnp.ones_like(solved), jax.tree.map(zero_tangent, best), problem, moved)
+        value = nan_tangents_where(jnp.any(slick, 1), value, slick_friction, slick_moved)
+    none = nan_tangents_where(jnp.ones_like(solved), jax.tree.map(zero_tangent, best), problem, moved)
     return best, none._replace(value=value)
 
 
@@ -208,11 +210,11 @@ def _moved(
     """How the value moves with the problem."""
     units = units_of(only(problem, solved))
     if objective != "largest_margin":
-        found = found._replace(y=leaning(only(problem, solved), units, found.y, found.prices))
+        found = found._replace(y=with_marginal_friction(only(problem, solved), units, found.y, found.multipliers))
 
     def lagrangian(problem: ProblemBatch) -> Array:
-        posed = cone_problem(only(problem, solved), units)
-        return _scale(units, objective) * METHODS[objective].lagrangian(posed, found)
+        conic = cone_problem(only(problem, solved), units)
+        return _scale(units, objective) * METHODS[objective].lagrangian(conic, found)
 
     return jnp.where(solved, jax.jvp(lagrangian, (problem,), (tangent,))[1], 0)
 
@@ -242,31 +244,31 @@ def _tile(given: tuple[ProblemBatch, Solution], objective: Objective):
     solved = solution.verdict <= Verdict.OPTIMAL
     problem = only(problem, solved)
     units = units_of(problem)
-    posed = cone_problem(problem, units)
+    conic = cone_problem(problem, units)
     method = METHODS[objective]
-    found = method.search(posed)
+    found = method.search(conic)
     # A search that got lost leaves the forces that are known.
-    known = forces_in(posed, units, problem, solution.forces, solution.moments)
-    lost = ~(jnp.maximum(unbalanced(posed, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST)
+    known = y_of_forces(conic, units, problem, solution.forces, solution.moments)
+    lost = ~(jnp.maximum(residual_norm(conic, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST)
     y = jnp.where(lost[:, None, None], known, found.y)
-    value = method.value(posed, y)
-    bound = _believed(posed, value, found.bound, objective)
+    value = method.value(conic, y)
+    bound = _believed(conic, value, found.bound, objective)
     close = jnp.abs(value - bound) <= CLOSE * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** NOTHING
-    forces, moments = forces_out(posed, units, problem, y)
+    forces, moments = forces_of_y(conic, units, problem, y)
     scale = _scale(units, objective)
     return forces, moments, scale * value, scale * bound, close & ~lost, found
 
 
-def _believed(posed: ConeProblem, value: Array, bound: Array, objective: Objective) -> Array:
+def _believed(conic: ConeProblem, value: Array, bound: Array, objective: Objective) -> Array:
     """The bound; of forces that rounding lets beat it, what needs no proof."""
     tiny = float(jnp.finfo(value.dtype).eps) ** NOTHING
     if objective == "largest_margin":
-        return jnp.where(bound >= value - tiny, jnp.maximum(bound, value), largest_margin.widest(posed))
+        return jnp.where(bound >= value - tiny, jnp.maximum(bound, value), largest_margin.widest(conic))
     return jnp.where(bound <= value + CLOSE * value + tiny, jnp.minimum(bound, value), 0)
 
 
 def _scale(units: Units, objective: Objective) -> Array:
     """The size of one unit of ``ConeProblem`` in the objective's units."""
     if objective == "largest_margin":
-        return jnp.ones_like(units.load)
-    return units.load * units.torque if objective == "least_torque" else units.load
+        return jnp.ones_like(units.force_unit)
+    return units.force_unit * units.torque if objective == "least_torque" else units.force_unit

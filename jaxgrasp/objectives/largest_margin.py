@@ -20,8 +20,8 @@ from jaxgrasp.numerics.tiling import beside, merged, over_chosen
 from jaxgrasp.numerics.vec3 import safe_divide, safe_sqrt
 from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.cone_problem import ConeProblem, absent, friction_cones
-from jaxgrasp.problem.inequalities import Inequalities, as_cones, limits_of, multipliers
-from jaxgrasp.solver.multiplier_bounds import Prices, asked, constraints, push_of, spent
+from jaxgrasp.problem.inequalities import Inequalities, as_cones, inequality_multipliers, limits_of
+from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
 
 FIRST = 10
 """Looks that are taken for all problems; those that need more are gathered."""
@@ -57,87 +57,87 @@ class _MarginEvaluation(NamedTuple):
     slope: Array
     """Derivative of that multiple by the angle."""
     y: Array
-    prices: Prices
+    multipliers: Multipliers
     missed: Array
 
 
-def search(posed: ConeProblem) -> SearchResult:
+def search(conic: ConeProblem) -> SearchResult:
     """Forces of some margin; its bound is that of narrower cones, which were proven not to do."""
-    posed = _bounded(posed)
-    state = _bracket(posed)
+    conic = _bounded(conic)
+    state = _bracket(conic)
     kept = state.kept
     y = _inside(kept.y) / jnp.where(kept.times > 0, kept.times, 1)[:, None, None]
     # What may be loaded on the near side of a jump and not on its far side.
-    angles = _angles(posed)
+    angles = _angles(conic)
     passed = (angles >= state.low[:, None]) & (angles <= state.proven[:, None] + _apart(angles))
     jumps = jnp.any(passed, -1) & (kept.times > 1 + JUMP)
     shares = jnp.where(jumps[:, None] & passed, 1 / jnp.maximum(jnp.sum(passed, -1, keepdims=True), 1), 0)
     # Forces of one side and the proof of the other are each other's multipliers, however steep it is between them.
-    slope = _slope(posed, _narrowed(posed, state.low), state.beyond, y)
+    slope = _slope(conic, _narrowed(conic, state.low), state.beyond, y)
     falls = ~jumps & (slope < 0)
     # The Lagrangian in these units moves as the margin does.
     unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
-    prices = jax.tree.map(lambda x: x * beside(unit, x), state.beyond)
-    y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(posed, state.low)[..., None]], -1)
-    return SearchResult(y, state.proven, prices, shares, kept.missed)
+    multipliers = jax.tree.map(lambda x: x * beside(unit, x), state.beyond)
+    y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(conic, state.low)[..., None]], -1)
+    return SearchResult(y, state.proven, multipliers, shares, kept.missed)
 
 
-def value(posed: ConeProblem, y: Array) -> Array:
+def value(conic: ConeProblem, y: Array) -> Array:
     """Smallest margin of a loaded contact with friction ``(B,)``."""
     lean = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1))
-    angles = jnp.arctan(posed.friction)
-    left = angles - jnp.arctan2(posed.friction * lean, jnp.where(lean > 0, y[..., 0], 1))
-    counts = posed.there & (posed.friction > 0) & ((y[..., 0] > 0) | (lean > 0))
-    return jnp.min(jnp.where(counts, left, widest(posed)[:, None]), -1)
+    angles = jnp.arctan(conic.friction)
+    left = angles - jnp.arctan2(conic.friction * lean, jnp.where(lean > 0, y[..., 0], 1))
+    counts = conic.there & (conic.friction > 0) & ((y[..., 0] > 0) | (lean > 0))
+    return jnp.min(jnp.where(counts, left, widest(conic)[:, None]), -1)
 
 
-def widest(posed: ConeProblem) -> Array:
+def widest(conic: ConeProblem) -> Array:
     """The largest friction angle ``(B,)``, which no margin exceeds."""
-    return jnp.max(_angles(posed), -1)
+    return jnp.max(_angles(conic), -1)
 
 
-def lagrangian(posed: ConeProblem, found: SearchResult) -> Array:
+def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:
     """Moves as the margin does with the problem: as the root, or as the friction angle where that is a jump."""
     assert found.shares is not None
-    margin = value(lax.stop_gradient(posed), found.y)
-    posed = _bounded(posed)
-    share = _shares(posed, margin)
+    margin = value(lax.stop_gradient(conic), found.y)
+    conic = _bounded(conic)
+    share = _shares(conic, margin)
     y = jnp.concatenate([found.y[..., :1], safe_divide(found.y[..., 1:], lax.stop_gradient(share)[..., None])], -1)
-    rest = constraints(_narrowed(posed, margin), found.prices, y)
-    return jnp.sum(found.shares * jnp.arctan(posed.friction), -1) + rest
+    rest = constraints(_narrowed(conic, margin), found.multipliers, y)
+    return jnp.sum(found.shares * jnp.arctan(conic.friction), -1) + rest
 
 
-def _bounded(posed: ConeProblem) -> ConeProblem:
-    assert posed.most is not None
-    return posed._replace(most=jnp.where(posed.there, jnp.minimum(posed.most, ENDLESS), jnp.inf))
+def _bounded(conic: ConeProblem) -> ConeProblem:
+    assert conic.most is not None
+    return conic._replace(most=jnp.where(conic.there, jnp.minimum(conic.most, ENDLESS), jnp.inf))
 
 
 def _apart(like: Array) -> float:
     return float(jnp.finfo(like.dtype).eps) ** APART
 
 
-def _angles(posed: ConeProblem) -> Array:
+def _angles(conic: ConeProblem) -> Array:
     """Friction angles of contacts ``(B, n)``; 0 of those that are absent."""
-    return jnp.where(posed.there, jnp.arctan(posed.friction), 0)
+    return jnp.where(conic.there, jnp.arctan(conic.friction), 0)
 
 
-def _narrowed(posed: ConeProblem, margin: Array) -> ConeProblem:
+def _narrowed(conic: ConeProblem, margin: Array) -> ConeProblem:
     """Cones narrower by an angle ``(B,)``; a contact whose own angle is smaller is gone."""
-    share = _shares(posed, margin)
-    there = posed.there & ((_angles(posed) >= margin[:, None]) | (posed.friction == 0))
+    share = _shares(conic, margin)
+    there = conic.there & ((_angles(conic) >= margin[:, None]) | (conic.friction == 0))
 
     def lean(columns: Array) -> Array:
         parts = jnp.concatenate([columns[..., :1], columns[..., 1:] * share[:, None, :, None]], -1)
         return jnp.where(there[:, None, :, None], parts, 0)
 
-    rows = None if posed.rows is None else lean(posed.rows)
-    return posed._replace(columns=lean(posed.columns), friction=share * posed.friction, there=there, rows=rows)
+    rows = None if conic.rows is None else lean(conic.rows)
+    return conic._replace(columns=lean(conic.columns), friction=share * conic.friction, there=there, rows=rows)
 
 
-def _shares(posed: ConeProblem, margin: Array) -> Array:
+def _shares(conic: ConeProblem, margin: Array) -> Array:
     """Friction that is left over friction ``(B, n)``."""
-    left = jnp.tan(jnp.maximum(jnp.arctan(posed.friction) - margin[:, None], 0))
-    return safe_divide(left, posed.friction)
+    left = jnp.tan(jnp.maximum(jnp.arctan(conic.friction) - margin[:, None], 0))
+    return safe_divide(left, conic.friction)
 
 
 def _inside(y: Array) -> Array:
@@ -148,51 +148,51 @@ def _inside(y: Array) -> Array:
 
 
 def _look(whole: ConeProblem, margin: Array) -> _MarginEvaluation:
-    posed = _narrowed(whole, margin)
-    size, _, n, c = posed.columns.shape
-    inequalities = _inequalities(posed)
-    equations = jnp.concatenate([posed.columns.reshape(size, 6, n * c), -posed.right[..., None]], -1)
-    aim = jnp.zeros((size, posed.width + 1), posed.right.dtype).at[:, -1].set(-1)
-    cones = (friction_cones(posed, 1), as_cones(inequalities))
-    best = cone_program.solve(ConeProgram(absent(posed, 1), aim, equations, jnp.zeros_like(posed.right), cones))
-    bounds = multipliers(inequalities, best.duals[-1])
+    conic = _narrowed(whole, margin)
+    size, _, n, c = conic.columns.shape
+    inequalities = _inequalities(conic)
+    equations = jnp.concatenate([conic.columns.reshape(size, 6, n * c), -conic.right[..., None]], -1)
+    aim = jnp.zeros((size, conic.width + 1), conic.right.dtype).at[:, -1].set(-1)
+    cones = (friction_cones(conic, 1), as_cones(inequalities))
+    best = cone_program.solve(ConeProgram(absent(conic, 1), aim, equations, jnp.zeros_like(conic.right), cones))
+    bounds = inequality_multipliers(inequalities, best.duals[-1])
     enough = bounds.pop("enough")[:, 0]
-    prices = Prices(-best.equality, bounds)
-    y = jnp.where(posed.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
-    times, most = best.point[:, -1], _most(posed, prices, enough)
-    if posed.least is not None:
+    multipliers = Multipliers(-best.equality, bounds)
+    y = jnp.where(conic.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
+    times, most = best.point[:, -1], _most(conic, multipliers, enough)
+    if conic.least is not None:
         # A contact that is gone cannot press as it must.
-        lacking = jnp.any(whole.there & ~posed.there & (posed.least > 0), -1)
+        lacking = jnp.any(whole.there & ~conic.there & (conic.least > 0), -1)
         times, most = jnp.where(lacking, 0, times), jnp.where(lacking, 0, most)
-    return _MarginEvaluation(times, most, _slope(whole, posed, prices, y), y, prices, best.missed)
+    return _MarginEvaluation(times, most, _slope(whole, conic, multipliers, y), y, multipliers, best.missed)
 
 
-def _slope(whole: ConeProblem, posed: ConeProblem, prices: Prices, y: Array) -> Array:
+def _slope(whole: ConeProblem, conic: ConeProblem, multipliers: Multipliers, y: Array) -> Array:
     """How what is exerted changes with the angle ``(B,)``: as friction that pays does."""
     # Of tan: what a radian takes off the friction that is left, as a part of it.
-    shrinks = -safe_divide(1 + posed.friction**2, posed.friction)
-    pays = y[..., 0] * push_of(posed, prices).across
-    return jnp.sum(jnp.where(posed.there & (whole.friction > 0), pays * shrinks, 0), -1)
+    shrinks = -safe_divide(1 + conic.friction**2, conic.friction)
+    pays = y[..., 0] * contact_power(conic, multipliers).across
+    return jnp.sum(jnp.where(conic.there & (whole.friction > 0), pays * shrinks, 0), -1)
 
 
-def _inequalities(posed: ConeProblem) -> Inequalities:
+def _inequalities(conic: ConeProblem) -> Inequalities:
     """Limits; least presses, like the wrench, as many times as they are exerted."""
-    found = limits_of(posed, 1)
-    if posed.least is not None:
+    found = limits_of(conic, 1)
+    if conic.least is not None:
         rows, ends = found["least"]
-        found["least"] = rows.at[..., -1].set(posed.least), 0 * ends
-    last = jnp.zeros((posed.right.shape[0], 1, posed.width + 1), posed.right.dtype).at[..., -1].set(1)
-    found["enough"] = last, jnp.full_like(posed.right[:, :1], ENOUGH)
+        found["least"] = rows.at[..., -1].set(conic.least), 0 * ends
+    last = jnp.zeros((conic.right.shape[0], 1, conic.width + 1), conic.right.dtype).at[..., -1].set(1)
+    found["enough"] = last, jnp.full_like(conic.right[:, :1], ENOUGH)
     return found
 
 
-def _most(posed: ConeProblem, prices: Prices, enough: Array) -> Array:
-    """What the prices prove, those of largest presses raised until no contact works along them ``(B,)``."""
-    assert posed.most is not None
-    push = jnp.maximum(push_of(posed, prices).most, 0)
-    raised = jnp.sum(jnp.where(push > 0, push * posed.most, 0), -1)
-    given = spent(posed, prices) + ENOUGH * enough + raised
-    worth = asked(posed, prices) + enough
+def _most(conic: ConeProblem, multipliers: Multipliers, enough: Array) -> Array:
+    """What the multipliers prove, those of largest presses raised until no contact works along them ``(B,)``."""
+    assert conic.most is not None
+    push = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0)
+    raised = jnp.sum(jnp.where(push > 0, push * conic.most, 0), -1)
+    given = limit_work(conic, multipliers) + ENOUGH * enough + raised
+    worth = required_work(conic, multipliers) + enough
     return jnp.where(worth > 0, given / jnp.where(worth > 0, worth, 1), jnp.inf)
 
 
@@ -213,30 +213,30 @@ class _State(NamedTuple):
     """0 in search of the root; then 1 for a look at its near side, and the others for those at its far side."""
     kept: _MarginEvaluation
     """What was seen at ``low``."""
-    beyond: Prices
+    beyond: Multipliers
     """The proof at ``proven``, where one was seen."""
 
 
-def _bracket(posed: ConeProblem) -> _State:
+def _bracket(conic: ConeProblem) -> _State:
     """Two angles a little apart, between which the wrench gets out of reach, and what was seen at the smaller."""
-    whole = widest(posed)
+    whole = widest(conic)
     zero = 0 * whole
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, posed, zero))
-    start = _State(_angles(posed), zero, whole, whole, zero, zero, zero.astype(jnp.int32), nothing, nothing.prices)
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, conic, zero))
+    start = _State(_angles(conic), zero, whole, whole, zero, zero, zero.astype(jnp.int32), nothing, nothing.multipliers)
 
-    state = _looked(posed, start, FIRST)
-    return over_chosen(partial(_looked, count=STEPS), posed, state, state.phase < OVER, LEFT)
+    state = _looked(conic, start, FIRST)
+    return over_chosen(partial(_looked, count=STEPS), conic, state, state.phase < OVER, LEFT)
 
 
-def _looked(posed: ConeProblem, state: _State, count: int) -> _State:
+def _looked(conic: ConeProblem, state: _State, count: int) -> _State:
     """After so many more looks, where there are so many to take."""
 
     def step(carry):
         done, state = carry
-        moved = _step(state, _look(posed, state.here))
+        moved = _step(state, _look(conic, state.here))
         return done + 1, merged(state.phase == OVER, state, moved)
 
-    state = varying_like(state, posed)
+    state = varying_like(state, conic)
     return lax.while_loop(lambda c: (c[0] < count) & ~jnp.all(c[1].phase == OVER), step, (jnp.int32(0), state))[1]
 
 
@@ -274,5 +274,5 @@ def _step(state: _State, seen: _MarginEvaluation) -> _State:
     far = apart * FARTHER ** (phase - 2).astype(root.dtype)
     sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, jnp.max(state.angles, -1)))
     here = jnp.where(phase == 0, there, sides)
-    kept, beyond = merged(best, seen, state.kept), merged(proves, seen.prices, state.beyond)
+    kept, beyond = merged(best, seen, state.kept), merged(proves, seen.multipliers, state.beyond)
     return _State(state.angles, low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)

@@ -12,8 +12,8 @@ from jaxgrasp.numerics.cone_program import ConeProgram
 from jaxgrasp.numerics.vec3 import safe_sqrt
 from jaxgrasp.objectives.search import SearchResult
 from jaxgrasp.problem.cone_problem import ConeProblem, absent, friction_cones
-from jaxgrasp.problem.inequalities import as_cones, limits_of, multipliers
-from jaxgrasp.solver.multiplier_bounds import Prices, asked, constraints, push_of, spent
+from jaxgrasp.problem.inequalities import as_cones, inequality_multipliers, limits_of
+from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
 
 TIE = 1e-13
 """Price of the forces' squares beside the torques': it selects the smaller of forces that ask for the same torques."""
@@ -23,50 +23,56 @@ REACH = 1e3
 """Where no limit bounds a press, the bound is proven up to so many times the sum of presses found."""
 
 
-def search(posed: ConeProblem) -> SearchResult:
-    assert posed.rows is not None
-    inequalities = limits_of(posed, 0)
-    size, _, n, c = posed.columns.shape
-    rows = posed.rows.reshape(size, -1, n * c)
+def search(conic: ConeProblem) -> SearchResult:
+    assert conic.rows is not None
+    inequalities = limits_of(conic, 0)
+    size, _, n, c = conic.columns.shape
+    rows = conic.rows.reshape(size, -1, n * c)
     price = jnp.maximum(TIE, 10 * jnp.finfo(rows.dtype).eps)
-    squares = jnp.einsum("bji,bjk->bik", rows, rows) + absent(posed, 0) + price * jnp.eye(n * c, dtype=rows.dtype)
-    cones = [friction_cones(posed, 0)] + ([as_cones(inequalities)] if inequalities else [])
-    equations = posed.columns.reshape(size, 6, n * c)
-    best = cone_program.solve(ConeProgram(squares, jnp.zeros_like(squares[:, 0]), equations, posed.right, tuple(cones)))
-    bounds = multipliers(inequalities, best.duals[-1]) if inequalities else {}
-    y = jnp.where(posed.there[..., None], best.point.reshape(size, n, c), 0)
-    prices = Prices(-best.equality, bounds, _torques(posed, y))
-    return SearchResult(y, _bound(posed, prices, y[..., 0]), prices, None, best.missed)
+    squares = jnp.einsum("bji,bjk->bik", rows, rows) + absent(conic, 0) + price * jnp.eye(n * c, dtype=rows.dtype)
+    cones = [friction_cones(conic, 0)] + ([as_cones(inequalities)] if inequalities else [])
+    equations = conic.columns.reshape(size, 6, n * c)
+    best = cone_program.solve(ConeProgram(squares, jnp.zeros_like(squares[:, 0]), equations, conic.right, tuple(cones)))
+    bounds = inequality_multipliers(inequalities, best.duals[-1]) if inequalities else {}
+    y = jnp.where(conic.there[..., None], best.point.reshape(size, n, c), 0)
+    multipliers = Multipliers(-best.equality, bounds, _torques(conic, y))
+    return SearchResult(y, _bound(conic, multipliers, y[..., 0]), multipliers, None, best.missed)
 
 
-def _torques(posed: ConeProblem, y: Array) -> Array:
-    assert posed.rows is not None
-    return jnp.einsum("bjnc,bnc->bj", posed.rows, y)
+def _torques(conic: ConeProblem, y: Array) -> Array:
+    assert conic.rows is not None
+    return jnp.einsum("bjnc,bnc->bj", conic.rows, y)
 
 
-def value(posed: ConeProblem, y: Array) -> Array:
-    return jnp.sqrt(jnp.sum(_torques(posed, y) ** 2, -1))
+def value(conic: ConeProblem, y: Array) -> Array:
+    return jnp.sqrt(jnp.sum(_torques(conic, y) ** 2, -1))
 
 
-def _bound(posed: ConeProblem, prices: Prices, press: Array) -> Array:
+def _bound(conic: ConeProblem, multipliers: Multipliers, press: Array) -> Array:
     """What no torques stay below, of forces within the limits and ``REACH`` ``(B,)``."""
     farthest = REACH * jnp.sum(press, -1, keepdims=True)
-    if posed.most is not None:
-        farthest = jnp.minimum(farthest, posed.most)
-    gained = jnp.sum(jnp.maximum(push_of(posed, prices).most, 0) * farthest, -1)
-    return _root(_half(posed, prices) - gained)
+    if conic.most is not None:
+        farthest = jnp.minimum(farthest, conic.most)
+    gained = jnp.sum(jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0) * farthest, -1)
+    return _root(_half(conic, multipliers) - gained)
 
 
-def lagrangian(posed: ConeProblem, found: SearchResult) -> Array:
+def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:
     """Stationary in forces and multipliers at the optimum, where it is the value."""
-    half = jnp.sum(_torques(posed, found.y) ** 2, -1) / 2
+    half = jnp.sum(_torques(conic, found.y) ** 2, -1) / 2
     some = half > float(jnp.finfo(half.dtype).eps) ** NOTHING
-    return _root(jnp.where(some, half + constraints(posed, found.prices._replace(drive=None), found.y), 0))
+    return _root(
+        jnp.where(some, half + constraints(conic, found.multipliers._replace(objective_rates=None), found.y), 0)
+    )
 
 
-def _half(posed: ConeProblem, prices: Prices) -> Array:
-    assert prices.drive is not None
-    return asked(posed, prices) - spent(posed, prices) - jnp.sum(prices.drive**2, -1) / 2
+def _half(conic: ConeProblem, multipliers: Multipliers) -> Array:
+    assert multipliers.objective_rates is not None
+    return (
+        required_work(conic, multipliers)
+        - limit_work(conic, multipliers)
+        - jnp.sum(multipliers.objective_rates**2, -1) / 2
+    )
 
 
 def _root(half: Array) -> Array:

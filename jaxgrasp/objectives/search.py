@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jax import Array
 
-from jaxgrasp.solver.multiplier_bounds import Prices
+from jaxgrasp.solver.multiplier_bounds import Multipliers
 
 
 class SearchResult(NamedTuple):
@@ -14,7 +14,7 @@ class SearchResult(NamedTuple):
     """``(B, n, c)``."""
     bound: Array
     """``(B,)``: that no forces are better than."""
-    prices: Prices
+    multipliers: Multipliers
     """What proves it, and how the value moves."""
     shares: Array | None
     """``(B, n)``: of what contacts bear, in an objective that is about the largest of them."""

@@ -64,7 +64,7 @@ class ProblemBatch(eqx.Module):
 
 
 class ContactData(NamedTuple):
-    """What is known of the contacts and their load, one problem in each place of the last axis."""
+    """Contacts ``(n, B)`` and the required force and torque ``(1, B)``, one problem in each place of the last axis."""
 
     points: Vec3
     normals: Vec3
@@ -95,7 +95,7 @@ def squeezing_forces(data: ContactData) -> ContactVec:
     )
 
 
-def plain_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
+def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
     """The data batch-last, and which problems hold usable data.
 
     Absent contacts and unusable problems are replaced by contacts that carry nothing, so that no NaN enters
@@ -124,11 +124,11 @@ def plain_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
         present = problem.present.T
         there = present > 0.5
         good = (good | ~there) & ~jnp.isnan(present)
-    lane_good = vec3.every(good)
-    valid = lane_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
+    all_good = vec3.every(good)
+    valid = all_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
-    use = jnp.broadcast_to(lane_good, good.shape) if there is None else there & lane_good
+    use = jnp.broadcast_to(all_good, good.shape) if there is None else there & all_good
 
     def keep(array: Array) -> Array:
         return jnp.where(use, array, 0)
@@ -153,8 +153,8 @@ def plain_batch_last(problem: ProblemBatch) -> tuple[ContactData, Array]:
     return data, valid
 
 
-to_batch_last = fused_cpu_kernel(plain_batch_last)
-"""As one kernel: for those who read all of its results, since XLA aborts where a kernel's are left out."""
+to_batch_last = fused_cpu_kernel(to_batch_last_unfused)
+"""As one fused kernel; callers must use every result, since XLA aborts where one is unused."""
 
 
 def without_squeeze(data: ContactData, chosen: Array) -> ContactData:

@@ -28,8 +28,8 @@ class Units(NamedTuple):
     """``(B, 3)`` [m]."""
     length: Array
     """``(B,)`` [m]."""
-    load: Array
-    """``(B,)`` [N]."""
+    force_unit: Array
+    """``(B,)`` [N]: size of the wrench, and of least normal forces where there are any."""
     torque: Array
     """``(B,)``: of joints, for each newton of a contact."""
 
@@ -75,7 +75,7 @@ def units_of(problem: ProblemBatch) -> Units:
 
 def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     shapes = discs(_grasp(problem), units.length, units.about)
-    load, there = units.load[:, None], _there(problem)
+    load, there = units.force_unit[:, None], _there(problem)
     spans = shapes.spans if problem.torsion is not None else shapes.spans[..., :2]
     columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
     bounds, torque = problem.torque_bounds, units.torque[:, None]
@@ -119,57 +119,57 @@ def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     return jnp.stack(rows, -1)
 
 
-def forces_out(posed: ConeProblem, units: Units, problem: ProblemBatch, y: Array) -> tuple[Array, Array | None]:
+def forces_of_y(conic: ConeProblem, units: Units, problem: ProblemBatch, y: Array) -> tuple[Array, Array | None]:
     """Forces ``(B, n, 3)`` and, of soft fingers, moments, of y ``(B, n, c)``, in the user's units."""
-    y = jnp.where(posed.there[..., None], y, 0) * units.load[:, None, None]
+    y = jnp.where(conic.there[..., None], y, 0) * units.force_unit[:, None, None]
     # The first three rows of a column are a force.
-    forces = jnp.einsum("bxnc,bnc->bnx", posed.columns[:, :3], y, precision=lax.Precision.HIGHEST)
+    forces = jnp.einsum("bxnc,bnc->bnx", conic.columns[:, :3], y, precision=lax.Precision.HIGHEST)
     if problem.torsion is None:
         return forces, None
-    turning = jnp.where(posed.there & (problem.friction > 0), problem.torsion, 0)
+    turning = jnp.where(conic.there & (problem.friction > 0), problem.torsion, 0)
     return forces, turning * y[..., 3]
 
 
-def forces_in(posed: ConeProblem, units: Units, problem: ProblemBatch, forces: Array, moments: Array | None) -> Array:
-    """y ``(B, n, c)`` of forces, the inverse of ``forces_out``."""
+def y_of_forces(conic: ConeProblem, units: Units, problem: ProblemBatch, forces: Array, moments: Array | None) -> Array:
+    """y ``(B, n, c)`` of forces, the inverse of ``forces_of_y``."""
     # Columns of friction are friction times a tangent.
-    along = jnp.einsum("bxnc,bnx->bnc", posed.columns[:, :3, :, :3], forces, precision=lax.Precision.HIGHEST)
-    parts = [along[..., :1], safe_divide(along[..., 1:], posed.friction[..., None] ** 2)]
+    along = jnp.einsum("bxnc,bnx->bnc", conic.columns[:, :3, :, :3], forces, precision=lax.Precision.HIGHEST)
+    parts = [along[..., :1], safe_divide(along[..., 1:], conic.friction[..., None] ** 2)]
     if moments is not None and problem.torsion is not None:
-        parts.append(safe_divide(moments, jnp.where(posed.there, problem.torsion, 0))[..., None])
-    return jnp.concatenate(parts, -1) / units.load[:, None, None]
+        parts.append(safe_divide(moments, jnp.where(conic.there, problem.torsion, 0))[..., None])
+    return jnp.concatenate(parts, -1) / units.force_unit[:, None, None]
 
 
-def unbalanced(posed: ConeProblem, y: Array) -> Array:
+def residual_norm(conic: ConeProblem, y: Array) -> Array:
     """How much of the wrench is left ``(B,)``."""
-    rest = posed.right - jnp.einsum("bxnc,bnc->bx", posed.columns, y, precision=lax.Precision.HIGHEST)
+    rest = conic.right - jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST)
     return jnp.sqrt(jnp.sum(rest**2, -1))
 
 
-def friction_cones(posed: ConeProblem, extra: int) -> Cones:
+def friction_cones(conic: ConeProblem, extra: int) -> Cones:
     """y of each contact in its cone; of absent ones nothing. ``extra`` variables follow those of y."""
-    size, _, n, c = posed.columns.shape
-    blocks = -jnp.eye(n * c, dtype=posed.columns.dtype).reshape(n, c, n * c)
-    rows = jnp.where(posed.there[..., None, None], blocks, 0)
-    offset = jnp.where(posed.there[..., None], jnp.zeros(c), jnp.eye(c)[0]).astype(rows.dtype)
+    size, _, n, c = conic.columns.shape
+    blocks = -jnp.eye(n * c, dtype=conic.columns.dtype).reshape(n, c, n * c)
+    rows = jnp.where(conic.there[..., None, None], blocks, 0)
+    offset = jnp.where(conic.there[..., None], jnp.zeros(c), jnp.eye(c)[0]).astype(rows.dtype)
     return Cones(jnp.pad(rows, [(0, 0)] * 3 + [(0, extra)]), jnp.broadcast_to(offset, (size, n, c)))
 
 
-def absent(posed: ConeProblem, extra: int) -> Array:
+def absent(conic: ConeProblem, extra: int) -> Array:
     """A quadratic term that keeps absent contacts at zero ``(B, k, k)``."""
-    c = posed.columns.shape[3]
-    idle = jnp.repeat((~posed.there).astype(posed.right.dtype), c, -1)
-    return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(posed.width + extra, dtype=posed.right.dtype)
+    c = conic.columns.shape[3]
+    idle = jnp.repeat((~conic.there).astype(conic.right.dtype), c, -1)
+    return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(conic.width + extra, dtype=conic.right.dtype)
 
 
-def press_rows(posed: ConeProblem, extra: int) -> Array:
+def press_rows(conic: ConeProblem, extra: int) -> Array:
     """The press of each contact as rows ``(n, k)``."""
-    n, c = posed.columns.shape[2:]
-    return jnp.pad(jnp.eye(n * c, dtype=posed.right.dtype)[::c], [(0, 0), (0, extra)])
+    n, c = conic.columns.shape[2:]
+    return jnp.pad(jnp.eye(n * c, dtype=conic.right.dtype)[::c], [(0, 0), (0, extra)])
 
 
 def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
-    """Problems that are to be looked at; of others nothing but a shape, so that they neither spoil nor delay any."""
+    """The problems where ``which`` is true; of others nothing but a shape, so that they neither spoil nor delay any."""
     present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
     wrench = jnp.where(which[:, None], problem.wrench, 0)
     kept = eqx.tree_at(

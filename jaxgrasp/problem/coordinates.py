@@ -64,8 +64,8 @@ class ScaledAxes(NamedTuple):
         zero = Vec3(*(jnp.zeros_like(s) for s in self.scales))
         return join(zero, Vec3(*((s == 0).astype(s.dtype) for s in self.scales)))
 
-    def leverage(self, points: Vec3, spins: Vec3 | None) -> Array:
-        """How much a unit of force at each contact weighs in ``wrench``; ``spins`` are normals times spin radii."""
+    def wrench_bound(self, points: Vec3, spins: Vec3 | None) -> Array:
+        """Bound ``(n, B)`` on |``wrench``| of a unit force at each contact; ``spins`` are normals times spin radii."""
         size2 = vec3.dot(points, points)
         reach2 = sum(s * s * (size2 - r * r) for s, r in zip(self.scales, points, strict=True))
         if spins is not None:
@@ -126,7 +126,7 @@ class GuidedMotion(NamedTuple):
         used = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
         return jnp.concatenate(used + [zero + 1] * (6 - len(used)))
 
-    def leverage(self, points: Vec3, spins: Vec3 | None) -> Array:
+    def wrench_bound(self, points: Vec3, spins: Vec3 | None) -> Array:
         reach2 = jnp.zeros_like(points.x)
         for column in self.columns:
             linear, angular = parts(column)

@@ -28,15 +28,15 @@ class Cone(NamedTuple):
 
 
 class NormalBound(NamedTuple):
-    """What bounds of the normal force make of a projection."""
+    """Where a bound on the normal force is active, and the normal force of the projection there."""
 
-    holds: Array
-    height: Array
-    """Normal component of the projection, where one holds it."""
+    active: Array
+    normal_force: Array
+    """Normal component of the projection, where a bound is active."""
 
 
-class ConeSide(NamedTuple):
-    """A vector against a cone: its parts, and on which side it lies."""
+class ConeDecomposition(NamedTuple):
+    """A vector's normal and tangential parts, and whether it lies inside the cone or in its polar."""
 
     along: Array
     """Component along the normal."""
@@ -51,7 +51,7 @@ class ConeSide(NamedTuple):
     """None where no normal force is bounded."""
 
 
-def cone_side(u: ContactVec, cone: Cone) -> ConeSide:
+def decompose(u: ContactVec, cone: Cone) -> ConeDecomposition:
     along, across = _along_and_across(u, cone)
     square = contact_vec.dot(across, across)
     size = vec3.safe_sqrt(square)
@@ -61,14 +61,14 @@ def cone_side(u: ContactVec, cone: Cone) -> ConeSide:
     # Without friction the cone is a ray, which has no inside: what lies on it may move along it alone.
     limit = cone.friction * along
     inside = (along >= 0) & (square <= limit * limit) & (cone.friction > 0)
-    sides = ConeSide(along, tangent, size, inside, polar)
+    split = ConeDecomposition(along, tangent, size, inside, polar)
     if cone.normal_min is None and cone.normal_max is None:
-        return sides
-    free = jnp.where(inside, along, jnp.where(polar, 0, _height(cone, sides)))
-    height = _clip(free, cone)
-    holds = height != free
-    # What a bound holds is neither in the cone nor in its polar: it lies on a disc.
-    return sides._replace(inside=inside & ~holds, polar=polar & ~holds, bound=NormalBound(holds, height))
+        return split
+    free = jnp.where(inside, along, jnp.where(polar, 0, _edge_normal_force(cone, split)))
+    normal_force = _clip(free, cone)
+    active = normal_force != free
+    # What a bound moves is neither in the cone nor in its polar: it lies on a disc.
+    return split._replace(inside=inside & ~active, polar=polar & ~active, bound=NormalBound(active, normal_force))
 
 
 def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
@@ -77,16 +77,16 @@ def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
     return along, ContactVec(vec3.sub(u.linear, vec3.scale(along, cone.normal)), u.spin)
 
 
-def _height(cone: Cone, parts: ConeSide) -> Array:
+def _edge_normal_force(cone: Cone, split: ConeDecomposition) -> Array:
     """Normal component of the projection on the cone's edge."""
-    rise = parts.along + cone.friction * parts.size
+    rise = split.along + cone.friction * split.size
     # Beside the polar cone the compiler may round this below zero, and the force would pull.
     return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
 
 
-def _clip(height: Array, cone: Cone) -> Array:
-    height = height if cone.normal_min is None else jnp.maximum(height, cone.normal_min)
-    return height if cone.normal_max is None else jnp.minimum(height, cone.normal_max)
+def _clip(normal_force: Array, cone: Cone) -> Array:
+    normal_force = normal_force if cone.normal_min is None else jnp.maximum(normal_force, cone.normal_min)
+    return normal_force if cone.normal_max is None else jnp.minimum(normal_force, cone.normal_max)
 
 
 def contains(u: ContactVec, cone: Cone) -> Array:
@@ -100,57 +100,57 @@ def contains(u: ContactVec, cone: Cone) -> Array:
     return allowed if cone.normal_max is None else allowed & (along <= (1 + slack) * cone.normal_max)
 
 
-def project(u: ContactVec, cone: Cone, parts: ConeSide) -> ContactVec:
+def project(u: ContactVec, cone: Cone, split: ConeDecomposition) -> ContactVec:
     """The closest allowed force."""
-    zero = contact_vec.scale(jnp.zeros_like(parts.along), u)
-    on_edge = contact_vec.scale(_height(cone, parts), edge_force(cone, parts))
-    on_cone = contact_vec.where(parts.inside, u, contact_vec.where(parts.polar, zero, on_edge))
-    if parts.bound is None:
+    zero = contact_vec.scale(jnp.zeros_like(split.along), u)
+    on_edge = contact_vec.scale(_edge_normal_force(cone, split), edge_force(cone, split))
+    on_cone = contact_vec.where(split.inside, u, contact_vec.where(split.polar, zero, on_edge))
+    if split.bound is None:
         return on_cone
     # Where the cone's closest force is beyond a bound, the closest of all lies on that, a disc.
-    holds, height = parts.bound
-    reach = jnp.minimum(parts.size, cone.friction * height)
-    on_disc = contact_vec.add(contact_vec.along(height, cone.normal, u), contact_vec.scale(reach, parts.tangent))
-    return contact_vec.where(holds, on_disc, on_cone)
+    active, normal_force = split.bound
+    reach = jnp.minimum(split.size, cone.friction * normal_force)
+    on_disc = contact_vec.add(contact_vec.along(normal_force, cone.normal, u), contact_vec.scale(reach, split.tangent))
+    return contact_vec.where(active, on_disc, on_cone)
 
 
-def edge_force(cone: Cone, parts: ConeSide) -> ContactVec:
+def edge_force(cone: Cone, split: ConeDecomposition) -> ContactVec:
     """The force of unit normal component on the cone's edge that is closest."""
-    normal = contact_vec.along(jnp.ones_like(parts.along), cone.normal, parts.tangent)
-    return contact_vec.add(normal, contact_vec.scale(cone.friction, parts.tangent))
+    normal = contact_vec.along(jnp.ones_like(split.along), cone.normal, split.tangent)
+    return contact_vec.add(normal, contact_vec.scale(cone.friction, split.tangent))
 
 
-def derivative(cone: Cone, parts: ConeSide) -> list[list[Array]]:
+def derivative(cone: Cone, split: ConeDecomposition) -> list[list[Array]]:
     """The projection's derivative by ``u``, a symmetric matrix as its lower triangle: 3x3, of soft fingers 4x4.
 
     On the cone's surface, at its apex and at its bounds, where the projection has kinks, one of the limits from its
     sides: an element of the generalised Jacobian.
     """
-    on_edge = jnp.logical_not(parts.inside | parts.polar)
+    on_edge = jnp.logical_not(split.inside | split.polar)
     # The curvature of the cone: moving u across it turns the edge that carries the projection.
-    turning = jnp.where(on_edge, vec3.safe_divide(cone.friction * _height(cone, parts), parts.size), 0)
+    turning = jnp.where(on_edge, vec3.safe_divide(cone.friction * _edge_normal_force(cone, split), split.size), 0)
     along_edge = jnp.where(on_edge, 1 / (1 + cone.friction**2), 0)
-    isotropic = jnp.where(parts.inside, 1, turning)
-    t = contact_vec.components(parts.tangent)
+    isotropic = jnp.where(split.inside, 1, turning)
+    t = contact_vec.components(split.tangent)
     a = _as_long(cone.normal, t)
-    edge = contact_vec.components(edge_force(cone, parts))
+    edge = contact_vec.components(edge_force(cone, split))
     matrix = []
     for i in range(len(t)):
         row = [along_edge * edge[i] * edge[j] - turning * (a[i] * a[j] + t[i] * t[j]) for j in range(i + 1)]
         row[i] = row[i] + isotropic
         matrix.append(row)
-    if parts.bound is None:
+    if split.bound is None:
         return matrix
-    held = _disc_derivative(cone, parts, parts.bound.height)
-    return [[jnp.where(parts.bound.holds, p, q) for p, q in zip(*rows, strict=True)] for rows in zip(held, matrix)]
+    held = _disc_derivative(cone, split, split.bound.normal_force)
+    return [[jnp.where(split.bound.active, p, q) for p, q in zip(*rows, strict=True)] for rows in zip(held, matrix)]
 
 
-def _disc_derivative(cone: Cone, parts: ConeSide, height: Array) -> list[list[Array]]:
+def _disc_derivative(cone: Cone, split: ConeDecomposition, normal_force: Array) -> list[list[Array]]:
     """The derivative of the projection on a disc across the cone: all that is tangential, or turns along its rim."""
-    flat = parts.size <= cone.friction * height
-    turning = jnp.where(flat, 0, vec3.safe_divide(cone.friction * height, parts.size))
+    flat = split.size <= cone.friction * normal_force
+    turning = jnp.where(flat, 0, vec3.safe_divide(cone.friction * normal_force, split.size))
     isotropic = jnp.where(flat, 1, turning)
-    t = contact_vec.components(parts.tangent)
+    t = contact_vec.components(split.tangent)
     a = _as_long(cone.normal, t)
     rows = []
     for i in range(len(t)):

@@ -10,19 +10,19 @@ Inequalities = dict[str, tuple[Array, Array]]
 """Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""
 
 
-def limits_of(posed: ConeProblem, extra: int) -> Inequalities:
+def limits_of(conic: ConeProblem, extra: int) -> Inequalities:
     """Bounds of presses and of torques."""
-    size, n = posed.right.shape[0], posed.columns.shape[2]
-    presses = jnp.broadcast_to(press_rows(posed, extra), (size, n, posed.width + extra))
+    size, n = conic.right.shape[0], conic.columns.shape[2]
+    presses = jnp.broadcast_to(press_rows(conic, extra), (size, n, conic.width + extra))
     found: Inequalities = {}
-    if posed.least is not None:
-        found["least"] = -presses, -posed.least
-    if posed.most is not None:
-        found["most"] = presses, posed.most
-    if posed.rows is not None and posed.torque_max is not None:
-        torque = jnp.pad(posed.rows.reshape(size, -1, posed.width), [(0, 0), (0, 0), (0, extra)])
-        found["up"] = torque, posed.torque_max
-        found["down"] = -torque, posed.torque_max
+    if conic.least is not None:
+        found["least"] = -presses, -conic.least
+    if conic.most is not None:
+        found["most"] = presses, conic.most
+    if conic.rows is not None and conic.torque_max is not None:
+        torque = jnp.pad(conic.rows.reshape(size, -1, conic.width), [(0, 0), (0, 0), (0, extra)])
+        found["up"] = torque, conic.torque_max
+        found["down"] = -torque, conic.torque_max
     return found
 
 
@@ -34,7 +34,7 @@ def as_cones(inequalities: Inequalities) -> Cones:
     return Cones(jnp.where(holds[..., None], rows, 0)[:, :, None], jnp.where(holds, ends, 1)[..., None])
 
 
-def multipliers(inequalities: Inequalities, duals: Array) -> dict[str, Array]:
+def inequality_multipliers(inequalities: Inequalities, duals: Array) -> dict[str, Array]:
     """The duals of ``as_cones``, ``(B, m, 1)``, by name ``(B, m)``; zero of those that are none."""
     found, first = {}, 0
     for name, (_, ends) in inequalities.items():

@@ -1,4 +1,4 @@
-"""The metric G W G^T, in which wrenches are as long as the contacts find them hard: plain, or whitened."""
+"""The metric G W G^T, plain or whitened; its inverse measures wrenches, |g|^2 = g.(G W G^T)^-1 g."""
 
 from typing import NamedTuple
 

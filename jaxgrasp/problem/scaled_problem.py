@@ -72,11 +72,11 @@ def in_suitable_axes(problem: ProblemBatch) -> ScaledProblem:
     if problem.free is None:
         return _in_suitable_axes(*to_batch_last(problem))
     careful = in_principal_axes(problem)
-    return careful._replace(ill_conditioned=jnp.ones_like(careful.scaling.load, bool))
+    return careful._replace(ill_conditioned=jnp.ones_like(careful.scaling.force_unit, bool))
 
 
-def in_axes_by_care(problem: ProblemBatch, data: ContactData, valid: Array, careful: Array) -> ScaledProblem:
-    """By the scalar ``careful`` either ``in_principal_axes`` or the user's axes: one compiled code for both.
+def in_principal_or_user_axes(problem: ProblemBatch, data: ContactData, valid: Array, careful: Array) -> ScaledProblem:
+    """As ``in_principal_axes`` where the scalar ``careful`` is true, else along the user's axes: one program for both.
 
     ``data`` are those of the batch, or others in their place.
     """
@@ -108,7 +108,7 @@ def _in_suitable_axes(data: ContactData, valid: Array) -> ScaledProblem:
     one, zero = jnp.ones_like(matrix[0][0]), jnp.zeros_like(matrix[0][0])
     own = (Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
     # Problems where no contact carries anything are not worth the care.
-    matrix = [[jnp.where(where.weight > 0, m, o) for m, o in zip(*rows, strict=False)] for rows in zip(matrix, own)]
+    matrix = [[jnp.where(where.weight_sum > 0, m, o) for m, o in zip(*rows, strict=False)] for rows in zip(matrix, own)]
     _, ill_conditioned = sound_factors(matrix)
     plain = placed._replace(torque=torque_about(where, data, carefully=False))
 

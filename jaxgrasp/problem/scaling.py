@@ -21,17 +21,19 @@ from jaxgrasp.problem.tolerances import tolerances
 
 
 class Scaling(NamedTuple):
-    """How a problem was scaled, which brings results back."""
+    """Centre, units and axes of a scaled problem, which take results back to the user's frame; each ``(1, B)``."""
 
     centre: Vec3
     length: Array
-    weight: Array
+    """Unit of length [m]: root mean square distance of the contacts from the centre, by weight."""
+    weight_sum: Array
     """Sum of the sharing weights; 0 where no contact can carry a force."""
-    load: Array
+    force_unit: Array
+    """Unit of force [N]: squeezing forces, the wrench's force and its torque over the length, added up."""
     sound: Array
     """Whether lengths, loads and weights are numbers whose squares keep their digits."""
-    reach: Array
-    """How far the contacts that can move lie from the centre, each counted alike, in units of the length; at least 1.
+    unweighted_radius: Array
+    """Root mean square distance of the adjustable contacts, each counted alike, in units of the length; at least 1.
 
     Weights may be so uneven that the length is next to nothing beside the grasp."""
     axes: tuple[Vec3, Vec3, Vec3] | None = None
@@ -44,15 +46,15 @@ class Placement(NamedTuple):
     correction: Vec3
     """The centre is their sum: the first mean is off by rounding of the frame's distance, a second one mends that."""
     length: Array
-    blur: Array
-    """Distances that are rounding, of points so far away."""
+    rounding_distance: Array
+    """Distance [m] below which points this far from the origin coincide but for rounding."""
     mean_distance: Array
     """Mean distance of the contacts from the centre."""
-    reach: Array
-    """As of a Scaling."""
-    weight: Array
-    vanishing: Array
-    """Contacts that can move, but whose share of the weights is no normal number: arithmetic takes some for 0."""
+    unweighted_radius: Array
+    """That of a Scaling."""
+    weight_sum: Array
+    subnormal_count: Array
+    """How many contacts have a weight that is positive but subnormal beside the sum: arithmetic takes some for 0."""
 
     @property
     def centre(self) -> Vec3:
@@ -61,8 +63,8 @@ class Placement(NamedTuple):
 
 def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     """Points about the weighted centroid, lengths and weights of order one; forces and torque as they are."""
-    (weight,) = vec3.totals(data.weights)
-    k = data.weights / jnp.where(weight > 0, weight, 1)
+    (weight_sum,) = vec3.totals(data.weights)
+    k = data.weights / jnp.where(weight_sum > 0, weight_sum, 1)
     first = Vec3(*vec3.totals(*vec3.scale(k, data.points)))
     rough = vec3.sub(data.points, first)
     correction = Vec3(*vec3.totals(*vec3.scale(k, rough)))
@@ -71,20 +73,29 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     size2, size = vec3.dot(points, points), vec3.taxicab(points)
     if data.spin_radius is not None:
         size2, size = size2 + data.spin_radius**2, size + data.spin_radius
-    can_move = data.weights > 0
-    movable, lost = can_move.astype(k.dtype), (can_move & (k < jnp.finfo(k.dtype).tiny)).astype(k.dtype)
-    square, mean_distance, plain_square, count, vanishing = vec3.totals(
-        k * size2, k * size, movable * size2, movable, lost
+    is_adjustable = data.weights > 0
+    adjustable, lost = (x.astype(k.dtype) for x in (is_adjustable, is_adjustable & (k < jnp.finfo(k.dtype).tiny)))
+    square, mean_distance, plain_square, count, subnormal_count = vec3.totals(
+        k * size2, k * size, adjustable * size2, adjustable, lost
     )
     length = vec3.safe_sqrt(square)
     # Contacts that coincide but for rounding have no length of their own.
-    blur = tolerances(length.dtype).rank * jnp.sqrt(vec3.dot(centre, centre))
-    length = jnp.where(length > blur, length, jnp.where(blur > 0, jnp.sqrt(vec3.dot(centre, centre)), 1))
+    far = jnp.sqrt(vec3.dot(centre, centre))
+    rounding_distance = tolerances(length.dtype).rank * far
+    length = jnp.where(length > rounding_distance, length, jnp.where(rounding_distance > 0, far, 1))
     spin_radius = None if data.spin_radius is None else data.spin_radius / length
     placed = data._replace(points=vec3.scale(1 / length, points), weights=k, spin_radius=spin_radius)
-    reach2 = plain_square / (jnp.maximum(count, 1) * length**2)
-    reach = jnp.sqrt(jnp.maximum(reach2, 1))
-    return placed, Placement(first, correction, length, blur, mean_distance, reach, weight, vanishing)
+    radius2 = plain_square / (jnp.maximum(count, 1) * length**2)
+    return placed, Placement(
+        first=first,
+        correction=correction,
+        length=length,
+        rounding_distance=rounding_distance,
+        mean_distance=mean_distance,
+        unweighted_radius=jnp.sqrt(jnp.maximum(radius2, 1)),
+        weight_sum=weight_sum,
+        subnormal_count=subnormal_count,
+    )
 
 
 def torque_about(place: Placement, data: ContactData, carefully: bool) -> Vec3:
@@ -107,22 +118,22 @@ def scale_by_load(
     (squeeze,) = vec3.totals(data.squeeze)
     load = squeeze + vec3.norm(data.force) + vec3.norm(data.torque) / place.length
     smallest = tolerances(load.dtype).smallest
-    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight, load)))
-    sound = sound & ((place.mean_distance <= place.blur) | (place.mean_distance >= smallest))
-    sound = sound & (place.vanishing == 0)
+    sound = reduce(jnp.logical_and, ((size == 0) | (size >= smallest) for size in (place.weight_sum, load)))
+    sound = sound & ((place.mean_distance <= place.rounding_distance) | (place.mean_distance >= smallest))
+    sound = sound & (place.subnormal_count == 0)
     load = jnp.where(load > 0, load, 1)
-    scaling = Scaling(place.centre, place.length, place.weight, load, sound, place.reach, axes)
+    scaling = Scaling(place.centre, place.length, place.weight_sum, load, sound, place.unweighted_radius, axes)
     return _divide_by_load(data, scaling), scaling
 
 
 def _divide_by_load(data: ContactData, scaling: Scaling) -> ContactData:
     """Forces in units of the load, the torque in those of the length too."""
     return data._replace(
-        squeeze=data.squeeze / scaling.load,
-        force=vec3.scale(1 / scaling.load, data.force),
-        torque=vec3.scale(1 / (scaling.load * scaling.length), data.torque),
-        normal_min=None if data.normal_min is None else data.normal_min / scaling.load,
-        normal_max=None if data.normal_max is None else data.normal_max / scaling.load,
+        squeeze=data.squeeze / scaling.force_unit,
+        force=vec3.scale(1 / scaling.force_unit, data.force),
+        torque=vec3.scale(1 / (scaling.force_unit * scaling.length), data.torque),
+        normal_min=None if data.normal_min is None else data.normal_min / scaling.force_unit,
+        normal_max=None if data.normal_max is None else data.normal_max / scaling.force_unit,
     )
 
 
@@ -189,19 +200,23 @@ def scale_in_principal_axes(data: ContactData, turned: bool | Array = True) -> t
 def forces_from_scaled(forces: Vec3, scaling: Scaling) -> Vec3:
     """Forces in the user's axes and units."""
     turned = forces if scaling.axes is None else vec3.rotate_back(scaling.axes, forces)
-    return vec3.scale(scaling.load, turned)
+    return vec3.scale(scaling.force_unit, turned)
 
 
 def moments_from_scaled(data: ContactData, spin: Array | None, scaling: Scaling) -> Array | None:
     """Moments about the normals in the user's units; None where all contacts are hard."""
-    return None if spin is None or data.spin_radius is None else scaling.load * scaling.length * data.spin_radius * spin
+    return (
+        None
+        if spin is None or data.spin_radius is None
+        else scaling.force_unit * scaling.length * data.spin_radius * spin
+    )
 
 
 def multiplier_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3, Vec3]:
     """A multiplier about the user's origin, in the user's units."""
     if scaling.axes is not None:
         linear, angular = vec3.rotate_back(scaling.axes, linear), vec3.rotate_back(scaling.axes, angular)
-    unit = vec3.safe_divide(scaling.load, scaling.weight)
+    unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
     linear, angular = vec3.scale(unit, linear), vec3.scale(unit / scaling.length, angular)
     return vec3.sub(linear, vec3.cross(angular, scaling.centre)), angular
 
@@ -211,7 +226,7 @@ def multiplier_to_scaled(multiplier: Array, scaling: Scaling) -> tuple[Vec3, Vec
     columns = multiplier.T
     linear, angular = Vec3(*(columns[i : i + 1] for i in range(3))), Vec3(*(columns[i : i + 1] for i in range(3, 6)))
     linear, angular = twist_to_scaled(linear, angular, scaling)
-    unit = scaling.weight / scaling.load
+    unit = scaling.weight_sum / scaling.force_unit
     return vec3.scale(unit, linear), vec3.scale(unit * scaling.length, angular)
 
 

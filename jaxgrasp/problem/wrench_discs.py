@@ -19,7 +19,7 @@ from jax import Array, lax
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics.centring import centred, tangents
-from jaxgrasp.numerics.no_derivative import underivable
+from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 
 Length = Float[AnyArray, "..."] | float | None
 About = Float[AnyArray, "... 3"] | None
@@ -123,4 +123,4 @@ def known_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:
     undefined = jnp.broadcast_to(~defined, value.shape)
     centres = jnp.broadcast_to(shapes.centres, value.shape + shapes.centres.shape[-2:])
     spans = jnp.broadcast_to(shapes.spans, value.shape + shapes.spans.shape[-3:])
-    return underivable(undefined, value, (centres, spans))
+    return nondifferentiable_where(undefined, value, (centres, spans))

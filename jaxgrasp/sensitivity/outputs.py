@@ -16,7 +16,7 @@ from jaxgrasp.model.arrays import AnyArray, Bool, Float
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.numerics.no_derivative import underivable
+from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 from jaxgrasp.validation.checked import checked
 
 QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
@@ -46,7 +46,7 @@ def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> Frict
     share = least_friction(grasp, wrench)
     bounded = (share > 0) & jnp.isfinite(share)
     reserve = jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf))
-    return FrictionReserve(underivable(jnp.isinf(share), reserve, share))
+    return FrictionReserve(nondifferentiable_where(jnp.isinf(share), reserve, share))
 
 
 @dataclass(frozen=True)

@@ -65,21 +65,21 @@ def _tile(solver: Any, batch: ProblemBatch) -> PassResult:
     free = pseudo_inverse.forces_without_cones(problem, start)
     inside = jnp.all(friction_cone.contains(free, problem.data.cone), 0, keepdims=True)
     beyond = out_of_range(problem)
-    missed = beyond.force > 0
+    unreachable = beyond.force_bound > 0
     point, steps = _search(solver, problem, start)
     tolerance = float(max(solver.rtol, solver.atol))
     forces, optimal = _check_optimality(problem, point, tolerance)
     certificate = _find_certificate(problem, start, point)
-    verdict = jnp.where(certificate.force > 0, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
+    verdict = jnp.where(certificate.force_bound > 0, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, verdict)
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
     found = ScaledResult(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
-        verdict=jnp.where(missed, Verdict.INFEASIBLE, verdict),
+        verdict=jnp.where(unreachable, Verdict.INFEASIBLE, verdict),
         steps=jnp.where(inside, 0, steps),
-        certificate=jax.tree.map(partial(jnp.where, missed), beyond, certificate),
-        undecided=jnp.zeros_like(missed),
+        certificate=jax.tree.map(partial(jnp.where, unreachable), beyond, certificate),
+        undecided=jnp.zeros_like(unreachable),
     )
     return to_result_within(problem, found, tolerance)
 

@@ -70,10 +70,10 @@ class _DualProblem(NamedTuple):
 
     def velocities(self, at: Array) -> ContactVec:
         """Velocities of the contacts by the object, less those by the joints."""
-        twist = dual.contact_velocities(self, at[:6])
+        velocity = dual.contact_velocities(self, at[:6])
         if self.constraints is None:
-            return twist
-        return contact_vec.sub(twist, torque_limits.velocities_by_joints(self.constraints, at[6:]))
+            return velocity
+        return contact_vec.sub(velocity, torque_limits.velocities_by_joints(self.constraints, at[6:]))
 
 
 class Tangent(NamedTuple):
@@ -111,7 +111,7 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
     moving, moving_tangent = jax.jvp(lambda p: _in_scaling(p, fixed), (problem,), (moved,))
     balanced = is_balanced(solution.verdict)[None, :]
     at = jnp.where(balanced, _multipliers(solution, scaling, fixed.problem(moving)), 0)
-    unit = scaling.weight / scaling.load
+    unit = scaling.weight_sum / scaling.force_unit
 
     def residual(moving: _Moving) -> Array:
         problem = fixed.problem(moving)
@@ -152,7 +152,7 @@ def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) ->
     point = problem.coordinates.from_twist(*multiplier_to_scaled(solution.multiplier, scaling))
     if problem.constraints is None or solution.torque_multiplier is None:
         return point
-    unit = scaling.weight / scaling.load
+    unit = scaling.weight_sum / scaling.force_unit
     return jnp.concatenate([point, unit * vec3.safe_divide(solution.torque_multiplier.T, problem.constraints.scale)])
 
 
@@ -172,20 +172,20 @@ def _forces(problem: _DualProblem, at: Array, unit: Array, constrained: bool) ->
     if not constrained:
         return pseudo_inverse.forces_without_cones(problem, at), dual.contact_velocities(problem, at)
     best = dual.candidate_forces_at(data, problem.velocities(at))
-    forces = contact_vec.where(_neither_squeezes_nor_moves(data), _about_apex(data, best.twist, unit), best.forces)
+    forces = contact_vec.where(_is_fixed_at_zero(data), _about_apex(data, best.velocity, unit), best.forces)
     return forces, dual.weighted_deviation(data, best, unit)
 
 
-def _neither_squeezes_nor_moves(data: ContactData) -> Array:
-    """Contacts that neither squeeze nor may move: their force stands at its cone's apex."""
+def _is_fixed_at_zero(data: ContactData) -> Array:
+    """Contacts of zero squeeze and zero weight: their force is fixed at zero, the apex of the cone."""
     return (data.squeeze == 0) & (data.weights == 0)
 
 
-def _about_apex(data: ContactData, twist: ContactVec, unit: Array) -> ContactVec:
+def _about_apex(data: ContactData, velocity: ContactVec, unit: Array) -> ContactVec:
     """s a + k v on its cone, for s and k about 0, linearised where both are equal: as method B moves them."""
-    seen = lax.stop_gradient(dual.relaxed_target(data, twist, unit))
-    side = lax.stop_gradient(friction_cone.derivative(data.cone, friction_cone.cone_side(seen, data.cone)))
-    target = contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, twist))
+    seen = lax.stop_gradient(dual.relaxed_target(data, velocity, unit))
+    side = lax.stop_gradient(friction_cone.derivative(data.cone, friction_cone.decompose(seen, data.cone)))
+    target = contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, velocity))
     return contact_vec.of_components(ldl.multiply(side, contact_vec.components(target)))
 
 
@@ -205,7 +205,7 @@ def _in_scaling(problem: ProblemBatch, fixed: _Fixed) -> _Moving:
     """The problem in a given scaling; a contact that is absent stays where no derivative reaches it."""
     data, _ = to_batch_last(problem)
     scaling = fixed.scaling
-    weight = jnp.where(scaling.weight > 0, scaling.weight, 1)
+    weight = jnp.where(scaling.weight_sum > 0, scaling.weight_sum, 1)
     moved = vec3.sub(data.torque, vec3.cross(scaling.centre, data.force))
     there = with_scaling(data, scaling, vec3.sub(data.points, scaling.centre), data.weights / weight, moved)
     assert scaling.axes is not None
@@ -225,7 +225,7 @@ def _negative_hessian(problem: _DualProblem, at: Array, constrained: bool) -> Ar
         size = 3 if data.spin_radius is None else 4
         return _full(dual.negative_hessian(problem, [[zero] * i + [one] for i in range(size)]))
     best = dual.candidate_forces_at(data, problem.velocities(at))
-    plain = dual.negative_hessian(problem, friction_cone.derivative(data.cone, best.sides))
+    plain = dual.negative_hessian(problem, friction_cone.derivative(data.cone, best.split))
     if problem.constraints is None:
         return _full(plain)
     binds = (at[6:] != 0).astype(at.dtype)
@@ -249,7 +249,7 @@ def _solve(curvature: Array, right: Array) -> Array:
 
 
 def _to_solution(scaling: Scaling, answered: Array, defined: Array, found: _Outputs) -> Tangent:
-    unit = vec3.safe_divide(scaling.load, scaling.weight)
+    unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
     linear, angular = multiplier_from_scaled(*found.twist, scaling)
 
     def batch_first(array: Array | None, factor: Array | float = 1) -> Array | None:
@@ -259,7 +259,7 @@ def _to_solution(scaling: Scaling, answered: Array, defined: Array, found: _Outp
     return Tangent(
         forces=jnp.stack([jnp.where(answered, c, 0) for c in forces]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
-        objective=jnp.where(answered, unit * scaling.load * found.objective, 0)[0],
+        objective=jnp.where(answered, unit * scaling.force_unit * found.objective, 0)[0],
         moments=batch_first(found.moments),
         normal_multiplier=batch_first(found.normal_multipliers, unit),
         torque_multiplier=batch_first(found.torque_multipliers, unit),

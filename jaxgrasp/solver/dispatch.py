@@ -33,7 +33,7 @@ SIZES = (1, 10, 100, 1000, 3000, 10000)
 dear beside some hundred problems alone."""
 LEAST_WHOLE = 1000
 """From this size on a piece is worth a call of its own; what is left after such pieces is padded instead."""
-REMEMBERED = 16
+MAX_ASSEMBLERS = 16
 """Sizes of batches: one that comes again meanwhile gets a small program that puts its answers together. Programs hold
 memory, so of these too there are no more."""
 LARGEST_ASSEMBLED = 30000
@@ -83,14 +83,14 @@ def dispatch(
     given = Inputs(grasp, wrench, weights, free, limits, safety, there)
     if devices is not None:
         return _on_devices(solve, given, name, tails, devices)
-    if not _is_alone(given):
+    if not _is_local_cpu_data(given):
         if progress is not None:
             raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
     try:
         size = _size(given, tails)
         if size in SIZES and (progress is None or size <= LEAST_WHOLE):
-            return _told(progress, size, _exactly()(given, solve=solve, sharing=name, tails=tails))
+            return _after_progress(progress, size, _unpadded_program()(given, solve=solve, sharing=name, tails=tails))
         return _in_pieces(solve, given, name, tails, progress)
     except ValueError as error:
         if "compiler_options" not in str(error):
@@ -125,7 +125,7 @@ _within = jax.jit(_traced, static_argnames=STATIC)
 
 
 @cache
-def _exactly() -> Callable[..., Any]:
+def _unpadded_program() -> Callable[..., Any]:
     """The program for sizes that need no padding, called outside any other: the least work before and after."""
     return jax.jit(_traced, static_argnames=STATIC, compiler_options=compile_options())
 
@@ -169,7 +169,7 @@ def _of_flat(solve: Solve) -> Solve:
     return run
 
 
-def _is_alone(given: Inputs) -> bool:
+def _is_local_cpu_data(given: Inputs) -> bool:
     """Whether all is data on this machine's one processor: neither traced, nor spread, nor on another device."""
     if jax.default_backend() != "cpu":
         return False
@@ -209,11 +209,11 @@ def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple, progress
     def found(first: int, room: int) -> Any:
         part = jax.tree.map(lambda array: _piece(array, first, room, size), own)
         count = min(room, size - first)
-        return _told(progress, count, program(part, np.int32(count)))
+        return _after_progress(progress, count, program(part, np.int32(count)))
 
     cut = pieces(size) if progress is None else pieces(size, LEAST_WHOLE)
     answers = (found(*piece) for piece in cut)
-    if size <= LARGEST_ASSEMBLED and _comes_again(size):
+    if size <= LARGEST_ASSEMBLED and _is_repeated_size(size):
         return _assembler(batch)(tuple(answers))
     return _assembled_by_numpy(answers, batch)
 
@@ -236,7 +236,7 @@ def _plain_batch(given: Inputs, tails: tuple) -> tuple[int, ...] | None:
     return batch if same and not getattr(grasp.points, "weak_type", False) else None
 
 
-def _told(progress: Progress | None, count: int, answer: Any) -> Any:
+def _after_progress(progress: Progress | None, count: int, answer: Any) -> Any:
     """The answer, once it is there if somebody waits to be told."""
     if progress is not None:
         jax.block_until_ready(answer)
@@ -268,10 +268,10 @@ def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
 
 @cache
 def _sizes_met() -> deque[int]:
-    return deque(maxlen=REMEMBERED)
+    return deque(maxlen=MAX_ASSEMBLERS)
 
 
-def _comes_again(size: int) -> bool:
+def _is_repeated_size(size: int) -> bool:
     """Whether a batch of this size was asked for not long ago: then another program for it is worth its compilation."""
     met = _sizes_met()
     if size in met:
@@ -280,7 +280,7 @@ def _comes_again(size: int) -> bool:
     return False
 
 
-@lru_cache(REMEMBERED)
+@lru_cache(MAX_ASSEMBLERS)
 def _assembler(batch: tuple[int, ...]) -> Callable[[tuple[Any, ...]], Any]:
     """From the answers of all pieces to one of all problems, without what was padded."""
     size = math.prod(batch)

@@ -61,9 +61,9 @@ def solve(factors: tuple[list[list[Array]], list[Array]], right: SpatialVec) -> 
 class CandidateForces(NamedTuple):
     """Forces that minimise the Lagrangian for a multiplier, and what they came from."""
 
-    twist: ContactVec
+    velocity: ContactVec
     """The multiplier's velocity at each contact, less the cost along its normal."""
-    sides: friction_cone.ConeSide
+    split: friction_cone.ConeDecomposition
     forces: ContactVec
 
 
@@ -90,28 +90,28 @@ def candidate_forces(problem: DualProblem, multiplier: SpatialVec) -> CandidateF
     return candidate_forces_at(problem.data, contact_velocities(problem, multiplier))
 
 
-def target_forces(data: ContactData, twist: ContactVec) -> ContactVec:
-    """The forces that the cones then cut to the candidate forces: s a + k v."""
-    return _target(data, _less_cost(data, twist))
+def target_forces(data: ContactData, velocity: ContactVec) -> ContactVec:
+    """s a + k v for contact velocities v: projected on the cones, these give the candidate forces."""
+    return _target(data, _less_cost(data, velocity))
 
 
-def _target(data: ContactData, twist: ContactVec) -> ContactVec:
-    return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, twist))
+def _target(data: ContactData, velocity: ContactVec) -> ContactVec:
+    return contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, velocity))
 
 
-def _less_cost(data: ContactData, twist: ContactVec) -> ContactVec:
+def _less_cost(data: ContactData, velocity: ContactVec) -> ContactVec:
     """The velocities less what a unit of normal force costs, along the normals."""
     if data.normal_cost is None:
-        return twist
-    return twist._replace(linear=vec3.sub(twist.linear, vec3.scale(data.normal_cost, data.normals)))
+        return velocity
+    return velocity._replace(linear=vec3.sub(velocity.linear, vec3.scale(data.normal_cost, data.normals)))
 
 
-def candidate_forces_at(data: ContactData, twist: ContactVec) -> CandidateForces:
+def candidate_forces_at(data: ContactData, velocity: ContactVec) -> CandidateForces:
     """The candidate forces for velocities of the contacts, wherever these come from."""
-    twist = _less_cost(data, twist)
-    target = _target(data, twist)
-    sides = friction_cone.cone_side(target, data.cone)
-    return CandidateForces(twist, sides, friction_cone.project(target, data.cone, sides))
+    velocity = _less_cost(data, velocity)
+    target = _target(data, velocity)
+    split = friction_cone.decompose(target, data.cone)
+    return CandidateForces(velocity, split, friction_cone.project(target, data.cone, split))
 
 
 def residual(problem: DualProblem, forces: ContactVec) -> SpatialVec:
@@ -140,25 +140,25 @@ def evaluate(problem: DualProblem, multiplier: SpatialVec) -> DualEvaluation:
 def evaluate_at(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> DualEvaluation:
     """The dual at a multiplier whose forces are known."""
     data = problem.data
-    jacobian = friction_cone.derivative(data.cone, best.sides)
+    jacobian = friction_cone.derivative(data.cone, best.split)
     sums = vec3.totals(*_value_terms(data, best)) + vec3.stacked_totals(*_hessian_terms(data, jacobian))
     value, gradient, total_normal_force = _value(problem, multiplier, sums[:VALUE_TERMS])
     curvature = _hessian_of(sums[VALUE_TERMS:], problem.coordinates)
     return DualEvaluation(value, gradient, curvature, total_normal_force)
 
 
-def normal_multipliers(data: ContactData, twist: ContactVec) -> Array:
+def normal_multipliers(data: ContactData, velocity: ContactVec) -> Array:
     """Multipliers of the bounds of the normal forces: positive at upper ones, negative at lower ones, zero elsewhere.
 
     Target less projection is k times a normal of what is allowed: the bound's own, and on a disc's rim the cone's.
     """
-    sides = candidate_forces_at(data, twist).sides
-    if sides.bound is None:
-        return jnp.zeros_like(sides.along)
-    holds, height = sides.bound
-    beyond = jnp.maximum(sides.size - data.friction * height, 0)
-    price = sides.along - height + data.friction * beyond
-    return jnp.where(holds, vec3.safe_divide(price, data.weights), 0)
+    split = candidate_forces_at(data, velocity).split
+    if split.bound is None:
+        return jnp.zeros_like(split.along)
+    active, normal_force = split.bound
+    beyond = jnp.maximum(split.size - data.friction * normal_force, 0)
+    price = split.along - normal_force + data.friction * beyond
+    return jnp.where(active, vec3.safe_divide(price, data.weights), 0)
 
 
 def dual_value(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> Array:
@@ -176,7 +176,7 @@ VALUE_TERMS = 8
 
 def _value_terms(data: ContactData, best: CandidateForces) -> tuple[Array, ...]:
     # w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing.
-    own = deviation_cost(data, best.forces) - contact_vec.dot(best.twist, best.forces)
+    own = deviation_cost(data, best.forces) - contact_vec.dot(best.velocity, best.forces)
     return own, vec3.dot(best.forces.linear, data.normals), *wrench_terms(data, best.forces)
 
 
@@ -201,18 +201,18 @@ def weighted_deviation(data: ContactData, best: CandidateForces, unit: Array) ->
     apart = contact_vec.scale(
         1 / jnp.where(moves, data.weights, 1), contact_vec.sub(best.forces, squeezing_forces(data))
     )
-    along = contact_vec.along(vec3.dot(best.twist.linear, data.normals), data.normals, best.twist)
-    still = contact_vec.where(data.friction > 0, best.twist, along)
+    along = contact_vec.along(vec3.dot(best.velocity.linear, data.normals), data.normals, best.velocity)
+    still = contact_vec.where(data.friction > 0, best.velocity, along)
     # At s = k = 0 the force is k times a projection.
-    target, own = relaxed_target(data, best.twist, unit), contact_vec.along(unit, data.normals, best.twist)
-    sides = friction_cone.cone_side(target, data.cone)
-    relaxed = contact_vec.sub(friction_cone.project(target, data.cone, sides), own)
+    target, own = relaxed_target(data, best.velocity, unit), contact_vec.along(unit, data.normals, best.velocity)
+    split = friction_cone.decompose(target, data.cone)
+    relaxed = contact_vec.sub(friction_cone.project(target, data.cone, split), own)
     return contact_vec.where(moves, apart, contact_vec.where(data.squeeze > 0, still, relaxed))
 
 
-def relaxed_target(data: ContactData, twist: ContactVec, unit: Array) -> ContactVec:
+def relaxed_target(data: ContactData, velocity: ContactVec, unit: Array) -> ContactVec:
     """s a + k v where s and k grow from 0 together, as by method B; for each unit of weight."""
-    return contact_vec.add(contact_vec.along(unit, data.normals, twist), twist)
+    return contact_vec.add(contact_vec.along(unit, data.normals, velocity), velocity)
 
 
 def deviation_cost_by(data: ContactData, forces: ContactVec, deviation: ContactVec) -> Array:
@@ -231,7 +231,7 @@ def objective_of_no_force(data: ContactData) -> Array:
 
 
 def gap_scale(data: ContactData, objective: Array) -> Array:
-    """What a duality gap is small or large beside: the objective, or that of no force where it is less."""
+    """The scale of a duality gap: |objective|, or the objective of zero forces where that is larger."""
     return jnp.maximum(jnp.abs(objective), objective_of_no_force(data))
 
 
@@ -242,7 +242,7 @@ def negative_hessian(problem: DualProblem, jacobian: Lower) -> Lower:
 
 def force_change(data: ContactData, best: CandidateForces, velocity: ContactVec) -> ContactVec:
     """How the candidate forces change with velocities of the contacts, k D v."""
-    jacobian = friction_cone.derivative(data.cone, best.sides)
+    jacobian = friction_cone.derivative(data.cone, best.split)
     moved = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(velocity)))
     return contact_vec.scale(data.weights, moved)
 

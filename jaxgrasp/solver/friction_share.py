@@ -21,7 +21,7 @@ from jaxgrasp.numerics.quasiconvex import InteriorPoint, QuasiconvexProgram, Row
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem.batch_last import ContactData
 
-WIDEST = 1e4
+LARGEST_FACTOR = 1e4
 """Shares beyond this, or below its inverse, are not looked for."""
 HEAVY = 10.0
 """How many times as large a share a search begins with for loads as large as the total: larger than the answers mostly
@@ -32,7 +32,7 @@ CLOSE = 0.6
 """How far apart the bounds of a share may be, relative to it, as a power of the rounding."""
 
 
-class FrictionShare(NamedTuple):
+class FrictionFactor(NamedTuple):
     """What was found, ``(B,)`` each."""
 
     share: Array
@@ -44,8 +44,8 @@ class FrictionShare(NamedTuple):
     """Whether the total is what holds the share; else less friction would balance the load by no forces at all."""
 
 
-def least_share(data: ContactData, total: Array, frozen: Array, first: Array) -> FrictionShare:
-    """The least shares of problems ``without_sharing``, whose normal forces may reach a ``total (1, B)`` above 0.
+def least_friction_factor(data: ContactData, total: Array, frozen: Array, first: Array) -> FrictionFactor:
+    """The least shares of problems ``with_unit_weights``, whose normal forces may reach a ``total (1, B)`` above 0.
 
     Those that are ``frozen (1, B)`` are not looked for. The search begins with a share of ``first``, for small loads.
     """
@@ -113,11 +113,11 @@ def _start(program: QuasiconvexProgram, frozen: Array, first: Array) -> Interior
 
 
 @fused_cpu_kernel
-def _found(program: QuasiconvexProgram, state: InteriorPoint) -> FrictionShare:
+def _found(program: QuasiconvexProgram, state: InteriorPoint) -> FrictionFactor:
     # The one of the total's two parts that vanishes is next to nothing beside the other.
     spent = state.spare * state.parameter <= state.prices
     parts = state.parameter + state.owed, _lower(program, state), _is_proven(program, state), spent
-    return FrictionShare(*(part[0] for part in parts))
+    return FrictionFactor(*(part[0] for part in parts))
 
 
 def _is_proven(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
@@ -125,8 +125,8 @@ def _is_proven(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     lower, upper = _lower(program, state), state.parameter + state.owed
     # What is owed is known to first order: what is left of it is a square.
     balanced = jnp.maximum(jnp.abs(state.owed), state.missed * state.parameter) <= eps**BALANCED * state.parameter
-    enough = (jnp.abs(upper - lower) <= eps**CLOSE * upper) | (upper <= 1 / WIDEST)
-    return (balanced & enough) | (lower >= WIDEST)
+    enough = (jnp.abs(upper - lower) <= eps**CLOSE * upper) | (upper <= 1 / LARGEST_FACTOR)
+    return (balanced & enough) | (lower >= LARGEST_FACTOR)
 
 
 def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:

@@ -30,26 +30,26 @@ STATED = 8.0
 """Times the rounding of a direction that is granted to whoever computes anew what it proves."""
 
 
-def least_normal_force(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
+def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
     """The total normal force that ``direction`` (in the coordinates) proves to be needed, as of a Certificate.
 
     With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
     data = problem.data
-    twist = dual.contact_velocities(problem, direction[:6])
+    velocity = dual.contact_velocities(problem, direction[:6])
     work = spatial.inner(dual.required_wrench(problem), direction[:6])
     size = spatial.length(spatial.join(*problem.coordinates.twist(direction[:6])))
     if constraints is not None:
         rates = direction[6:]
-        twist = contact_vec.sub(twist, torque_limits.velocities_by_joints(constraints, rates))
+        velocity = contact_vec.sub(velocity, torque_limits.velocities_by_joints(constraints, rates))
         work = work - jnp.sum(constraints.bound * jnp.abs(rates), 0, keepdims=True)
         size = size + spatial.length(rates)
-    push = friction_cone.work_per_normal_force(twist, data.cone)
-    can_move = data.weights > 0
+    push = friction_cone.work_per_normal_force(velocity, data.cone)
+    adjustable = data.weights > 0
     endless, bounded = friction_cone.largest_work(push, data.cone)
-    largest = jnp.max(jnp.where(can_move, endless, 0), 0, keepdims=True)
-    held = data.squeeze * vec3.dot(twist.linear, data.normals)
-    work = work - vec3.totals(jnp.where(can_move, bounded, held))[0]
+    largest = jnp.max(jnp.where(adjustable, endless, 0), 0, keepdims=True)
+    held = data.squeeze * vec3.dot(velocity.linear, data.normals)
+    work = work - vec3.totals(jnp.where(adjustable, bounded, held))[0]
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
     rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
     proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
@@ -60,8 +60,8 @@ def least_normal_force(problem: ScaledProblem, direction: Array, constraints: To
 def find_certificate(
     problem: ScaledProblem, residual: Array, run: Array, constraints: TorqueConstraints | None = None
 ) -> Certificate:
-    """What is left of the wrench, the way the multiplier ran, or what is left turned away from the contacts, whichever
-    proves it, as a twist.
+    """The first proof among three directions: the residual, the multiplier's displacement, and the residual corrected
+    until no contact can push along it; as a twist.
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
@@ -70,16 +70,16 @@ def find_certificate(
         directions.append(_turned_away(problem, residual))
     # What is looked at is what is returned: computed anew, in other kernels, it would be rounded otherwise.
     first, *others = lax.optimization_barrier(directions)
-    found = Certificate(first, least_normal_force(problem, first, constraints))
+    found = Certificate(first, proven_force_bound(problem, first, constraints))
     for direction in others:
-        open_, force = found.force <= 0, least_normal_force(problem, direction, constraints)
-        found = Certificate(jnp.where(open_, direction, found.direction), jnp.where(open_, force, found.force))
+        open_, force = found.force_bound <= 0, proven_force_bound(problem, direction, constraints)
+        found = Certificate(jnp.where(open_, direction, found.direction), jnp.where(open_, force, found.force_bound))
     linear, angular = problem.coordinates.twist(found.direction[:6])
     return found._replace(direction=jnp.concatenate([spatial.join(linear, angular), found.direction[6:]]))
 
 
 def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
-    """The direction, turned by as little as makes those contacts let go that push along it.
+    """The direction, corrected by Newton steps until no contact can push along it.
 
     What is left of the wrench tends to a direction along which some contacts just do not push; until then they push by
     a little. Mostly there are others beside it along which none pushes at all, and any of them is a proof.
@@ -87,15 +87,15 @@ def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
     data = problem.data
     cone = friction_cone.Cone(data.normals, data.friction)
     endless = True if data.normal_max is None else ~jnp.isfinite(data.normal_max)
-    can_move = (data.weights > 0) & endless
+    adjustable = (data.weights > 0) & endless
     damping = jnp.asarray(jnp.finfo(direction.dtype).eps ** 0.5, direction.dtype)
 
     def turn(_: Array, direction: SpatialVec) -> SpatialVec:
-        sides = friction_cone.cone_side(dual.contact_velocities(problem, direction), cone)
-        push = jnp.where(can_move, sides.along + cone.friction * sides.size, -jnp.inf)
+        split = friction_cone.decompose(dual.contact_velocities(problem, direction), cone)
+        push = jnp.where(adjustable, split.along + cone.friction * split.size, -jnp.inf)
         largest = jnp.maximum(jnp.max(push, 0, keepdims=True), 0)
         excess = jnp.maximum(push + BEYOND * largest, 0)
-        strongest = friction_cone.edge_force(cone, sides)
+        strongest = friction_cone.edge_force(cone, split)
         # How pushes change with the direction, as the dual's curvature is made of how forces do.
         along = contact_vec.components(strongest)
         rows = [[jnp.where(excess > 0, along[i] * along[j], 0) for j in range(i + 1)] for i in range(len(along))]
@@ -116,5 +116,5 @@ def out_of_range(problem: ScaledProblem) -> Certificate:
     plain = problem._replace(coordinates=plain_axes(problem.data.force.x))
     direction = problem.coordinates.unreached(dual.required_wrench(plain))
     # Loads are of order one here, so this compares with the whole load.
-    missed = spatial.length(direction) > tolerances(direction.dtype).range
-    return Certificate(direction, jnp.where(missed, least_normal_force(plain, direction), 0))
+    unreachable = spatial.length(direction) > tolerances(direction.dtype).range
+    return Certificate(direction, jnp.where(unreachable, proven_force_bound(plain, direction), 0))

@@ -1,8 +1,8 @@
 """What multipliers prove: bounds of an objective by arithmetic alone, and so its derivatives.
 
-A twist d, speeds e of the joints and prices of the bounds say how fast each contact would move: no force of contact i
-does more work along that than |y_i| times the length of its projection on the contact's cone. Whatever exerts the
-wrench does the work w.d, less what the limits let joints and bounds do.
+A twist d, speeds e of the joints and multipliers of the bounds say how fast each contact would move: no force of
+contact i does more work along that than |y_i| times the length of its projection on the contact's cone. Whatever exerts
+the wrench does the work w.d, less what the limits let joints and bounds do.
 """
 
 from typing import NamedTuple
@@ -16,80 +16,80 @@ from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.cone_problem import ConeProblem, Units, cone_problem
 
 
-class Prices(NamedTuple):
+class Multipliers(NamedTuple):
     """Multipliers, in the units of ``ConeProblem``."""
 
     twist: Array
     """Multipliers of the wrench, a twist ``(B, 6)``."""
     bounds: dict[str, Array]
     """Multipliers of inequalities, by name; zero or more."""
-    drive: Array | None = None
+    objective_rates: Array | None = None
     """Speeds of joints that no limit asks for ``(B, j)``."""
 
 
-class Push(NamedTuple):
-    """How contacts would move."""
+class ContactPower(NamedTuple):
+    """Power that a unit force of each contact has at the velocity which the multipliers give it."""
 
     along: Array
-    """The normal, ``(B, n)``."""
+    """That of a unit of normal force ``(B, n)``."""
     across: Array
-    """Largest power of a unit of lean ``(B, n)``."""
+    """The largest of a unit of friction force over its coefficient ``(B, n)``."""
 
     @property
-    def most(self) -> Array:
-        """Largest power for each unit of press."""
+    def per_normal_force(self) -> Array:
+        """The largest for each unit of normal force, with the friction that it allows."""
         return self.along + self.across
 
 
-def push_of(posed: ConeProblem, prices: Prices) -> Push:
-    velocity = velocity_of(posed, prices)
+def contact_power(conic: ConeProblem, multipliers: Multipliers) -> ContactPower:
+    velocity = velocity_of(conic, multipliers)
     across = safe_sqrt(jnp.sum(velocity[..., 1:] ** 2, -1))
-    return Push(velocity[..., 0], across)
+    return ContactPower(velocity[..., 0], across)
 
 
-def velocity_of(posed: ConeProblem, prices: Prices) -> Array:
+def velocity_of(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """What each component of y works against ``(B, n, c)``."""
-    velocity = jnp.einsum("bxnc,bx->bnc", posed.columns, prices.twist)
-    rates = _rates(prices)
-    if rates is not None and posed.rows is not None:
-        velocity = velocity - jnp.einsum("bjnc,bj->bnc", posed.rows, rates)
-    along = prices.bounds.get("least", 0) - prices.bounds.get("most", 0)
+    velocity = jnp.einsum("bxnc,bx->bnc", conic.columns, multipliers.twist)
+    rates = _rates(multipliers)
+    if rates is not None and conic.rows is not None:
+        velocity = velocity - jnp.einsum("bjnc,bj->bnc", conic.rows, rates)
+    along = multipliers.bounds.get("least", 0) - multipliers.bounds.get("most", 0)
     velocity = velocity.at[..., 0].add(along)
-    return jnp.where(posed.there[..., None], velocity, 0)
+    return jnp.where(conic.there[..., None], velocity, 0)
 
 
-def constraints(posed: ConeProblem, prices: Prices, y: Array) -> Array:
+def constraints(conic: ConeProblem, multipliers: Multipliers, y: Array) -> Array:
     """What a Lagrangian adds to the objective of forces y ``(B,)``: nothing at the optimum, where it is stationary.
 
     The friction cones are not among them: y is in the same cones whatever the problem.
     """
-    work = jnp.sum(y * velocity_of(posed, prices), (1, 2))
-    return asked(posed, prices) - spent(posed, prices) - work
+    work = jnp.sum(y * velocity_of(conic, multipliers), (1, 2))
+    return required_work(conic, multipliers) - limit_work(conic, multipliers) - work
 
 
-def _rates(prices: Prices) -> Array | None:
-    rates = prices.drive
-    if "up" in prices.bounds:
-        limited = prices.bounds["up"] - prices.bounds["down"]
+def _rates(multipliers: Multipliers) -> Array | None:
+    rates = multipliers.objective_rates
+    if "up" in multipliers.bounds:
+        limited = multipliers.bounds["up"] - multipliers.bounds["down"]
         rates = limited if rates is None else rates + limited
     return rates
 
 
-def asked(posed: ConeProblem, prices: Prices) -> Array:
+def required_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """Work that forces of the wrench do at the least, least presses taken off ``(B,)``."""
-    work = jnp.sum(posed.right * prices.twist, -1)
-    if posed.least is not None:
-        work = work + jnp.sum(prices.bounds["least"] * posed.least, -1)
+    work = jnp.sum(conic.right * multipliers.twist, -1)
+    if conic.least is not None:
+        work = work + jnp.sum(multipliers.bounds["least"] * conic.least, -1)
     return work
 
 
-def spent(posed: ConeProblem, prices: Prices) -> Array:
+def limit_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """What upper bounds of presses and torques let them do at the most ``(B,)``."""
-    given = jnp.zeros_like(posed.right[:, 0])
-    if posed.most is not None:
-        given = given + _worth(prices.bounds["most"], posed.most)
-    if posed.torque_max is not None and "up" in prices.bounds:
-        given = given + _worth(prices.bounds["up"] + prices.bounds["down"], posed.torque_max)
+    given = jnp.zeros_like(conic.right[:, 0])
+    if conic.most is not None:
+        given = given + _worth(multipliers.bounds["most"], conic.most)
+    if conic.torque_max is not None and "up" in multipliers.bounds:
+        given = given + _worth(multipliers.bounds["up"] + multipliers.bounds["down"], conic.torque_max)
     return given
 
 
@@ -98,19 +98,19 @@ def _worth(price: Array, end: Array) -> Array:
     return jnp.sum(jnp.where(holds, price * jnp.where(holds, end, 0), 0), -1)
 
 
-def reach(posed: ConeProblem, push: Push) -> Array:
+def unit_force_power(conic: ConeProblem, power: ContactPower) -> Array:
     """Largest power of each contact, of forces of size 1 inside its cone ``(B, n)``."""
-    slide = safe_divide(push.across, posed.friction)
-    inside = (push.along > 0) & (push.across <= posed.friction**2 * push.along)
-    on_edge = jnp.maximum(push.most, 0) / jnp.sqrt(1 + posed.friction**2)
-    return jnp.where(inside, safe_sqrt(push.along**2 + slide**2), on_edge)
+    slide = safe_divide(power.across, conic.friction)
+    inside = (power.along > 0) & (power.across <= conic.friction**2 * power.along)
+    on_edge = jnp.maximum(power.per_normal_force, 0) / jnp.sqrt(1 + conic.friction**2)
+    return jnp.where(inside, safe_sqrt(power.along**2 + slide**2), on_edge)
 
 
-def leaning(problem: ProblemBatch, units: Units, y: Array, prices: Prices) -> Array:
-    """Forces with the lean that the first friction of a contact without any would be used for."""
+def with_marginal_friction(problem: ProblemBatch, units: Units, y: Array, multipliers: Multipliers) -> Array:
+    """The forces, with the friction direction that frictionless contacts would use first; for derivatives."""
     slick = (problem.friction == 0)[..., None]
     rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
-    across = velocity_of(cone_problem(rough, units), prices)[..., 1:3]
+    across = velocity_of(cone_problem(rough, units), multipliers)[..., 1:3]
     press, rest = y[..., :1], y[..., 3:]
     lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
     return jnp.concatenate([press, jnp.where(slick, lean, y[..., 1:3]), rest], -1)

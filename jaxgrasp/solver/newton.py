@@ -52,7 +52,7 @@ class ConcaveObjective(Protocol):
         ...
 
     def squared_norm(self, gradient: Array) -> Array:
-        """Squared length of a gradient, as the contacts see it."""
+        """Squared length ``(1, B)`` of a gradient in the inverse metric, g.(G W G^T)^-1 g."""
         ...
 
     def direction(self, at: Any, point: Array, damping_factor: Array) -> Array:
@@ -95,7 +95,7 @@ class DualObjective(NamedTuple):
 
 
 class NewtonState(NamedTuple):
-    """Where each problem stands."""
+    """State of Newton's method: ``point`` and ``direction`` ``(k, B)``, all else ``(1, B)``."""
 
     point: Array
     value: Array
@@ -114,11 +114,11 @@ class NewtonState(NamedTuple):
     """Unable to move on."""
 
 
-def maximise(objective: ConcaveObjective, start: Array, frozen: Array, limit: int | Array) -> NewtonState:
-    """Maximise from ``start`` in at most ``limit`` evaluations; problems that are ``frozen`` stay where they are."""
+def maximise(objective: ConcaveObjective, start: Array, frozen: Array, max_evaluations: int | Array) -> NewtonState:
+    """Maximise from ``start`` in at most so many evaluations; problems that are ``frozen`` stay where they are."""
     # A grasp that many wrenches share has one column here; where each problem stands is its own.
     frozen = jnp.broadcast_to(frozen, start[:1].shape)
-    return advance(objective, varying_like(at_start(start, frozen), start, objective), limit)
+    return advance(objective, varying_like(at_start(start, frozen), start, objective), max_evaluations)
 
 
 def at_start(point: Array, frozen: Array) -> NewtonState:
@@ -128,12 +128,12 @@ def at_start(point: Array, frozen: Array) -> NewtonState:
     return NewtonState(point, zero - jnp.inf, 0 * point, zero, zero, zero + 1, zero, steps, frozen, frozen)
 
 
-def advance(objective: ConcaveObjective, state: NewtonState, limit: int | Array) -> NewtonState:
-    """Maximise further, in at most ``limit`` evaluations."""
+def advance(objective: ConcaveObjective, state: NewtonState, max_evaluations: int | Array) -> NewtonState:
+    """Maximise further, in at most so many evaluations."""
 
     def unfinished(carry: tuple[Array, NewtonState]) -> Array:
         evaluations, state = carry
-        return (evaluations < limit) & ~jnp.all(state.done)
+        return (evaluations < max_evaluations) & ~jnp.all(state.done)
 
     def one(carry: tuple[Array, NewtonState]) -> tuple[Array, NewtonState]:
         evaluations, state = carry
@@ -247,17 +247,17 @@ def is_within(
     squared_norm: Array,
     value: Array,
     total_normal_force: Array,
-    residual: float,
-    gap: float,
+    residual_tolerance: float,
+    gap_tolerance: float,
 ) -> Array:
-    """Whether the residual, beside the forces, and the duality gap, beside the objective, are as small as that."""
-    small_gap = jnp.abs(spatial.inner(point, gradient)) <= gap * dual.gap_scale(data, value)
-    return is_small(squared_norm, total_normal_force, residual) & small_gap
+    """Whether the residual relative to the forces and the gap relative to the objective meet these tolerances."""
+    small_gap = jnp.abs(spatial.inner(point, gradient)) <= gap_tolerance * dual.gap_scale(data, value)
+    return is_small(squared_norm, total_normal_force, residual_tolerance) & small_gap
 
 
-def is_small(squared_norm: Array, total_normal_force: Array, residual: float) -> Array:
-    """Whether a residual of that squared length is as small beside forces of that size."""
-    return squared_norm <= (residual * (1 + total_normal_force)) ** 2
+def is_small(squared_norm: Array, total_normal_force: Array, residual_tolerance: float) -> Array:
+    """Whether a residual of that squared length meets the tolerance relative to forces of that size."""
+    return squared_norm <= (residual_tolerance * (1 + total_normal_force)) ** 2
 
 
 class OptimalityCheck(NamedTuple):
@@ -267,21 +267,21 @@ class OptimalityCheck(NamedTuple):
     optimal: Array
     loosely_optimal: Array
     """Whether it is but for ``LOOSE_FACTOR`` times the tolerances."""
-    missed: Array
+    relative_residual: Array
     """The part of the load that the forces miss."""
     residual: Array
     """What they leave of the wrench, in the coordinates."""
 
 
-def as_returned(forces: ContactVec) -> ContactVec:
-    """Forces that are judged to the bit as they are returned: computed anew they might be rounded otherwise."""
+def without_recomputation(forces: ContactVec) -> ContactVec:
+    """Forces behind an optimisation barrier: XLA would recompute them, for the caller, with other rounding."""
     return lax.optimization_barrier(forces)
 
 
 @fused_cpu_kernel
 def check_optimality(problem: ScaledProblem, point: SpatialVec) -> OptimalityCheck:
     """Whether the forces of ``point`` balance the wrench, so that both are optimal."""
-    best = as_returned(dual.candidate_forces(problem, point).forces)
+    best = without_recomputation(dual.candidate_forces(problem, point).forces)
     found = measure_forces(problem, best)
     residual = problem.coordinates.wrench(*spatial.parts(found.residual))
     return optimality_by(problem.data, best, point, residual, squared_norm(problem.metric, residual), found)
@@ -295,7 +295,7 @@ def optimality_by(
     def within(slack: float) -> Array:
         return has_converged(data, point, residual, squared_norm, found.objective, found.total_normal_force, slack)
 
-    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.error, residual)
+    return OptimalityCheck(best, within(1.0), within(LOOSE_FACTOR), found.relative_residual, residual)
 
 
 def damping_of(squared_norm: Array, damping_factor: Array, proximal: ProximalTerm | None) -> Array:
@@ -313,7 +313,7 @@ def damping_of(squared_norm: Array, damping_factor: Array, proximal: ProximalTer
 
 
 def damped(curvature: Lower, metric: Metric, damping: Array) -> list[list[Array]]:
-    """The curvature and so many times the metric of the unconstrained problem."""
+    """The curvature plus ``damping`` times the metric G W G^T, a lower triangle 6x6."""
     rows = [list(row) for row in curvature]
     for i in range(3):
         rows[i][i] = rows[i][i] + damping

@@ -32,7 +32,7 @@ from jaxgrasp.problem.batch_last import (
     without_squeeze,
 )
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.scaled_problem import ScaledProblem, in_axes_by_care, in_suitable_axes
+from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_or_user_axes, in_suitable_axes
 from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, pseudo_inverse, torque_passes
@@ -41,10 +41,10 @@ from jaxgrasp.solver.proximal import (
     NEAR,
     STEPS_PER_LEVEL,
     STRONGEST,
-    UNLIMITED,
+    UNLIMITED_CHECKS,
+    ConeOnlyProblem,
     PassSettings,
     ProximalState,
-    UnlimitedProblem,
     initial_state,
     proximal_search,
 )
@@ -54,14 +54,14 @@ from jaxgrasp.solver.result import Certificate, PassResult, ScaledResult, no_cer
 CAREFUL_TILE = 16
 STEPS = (5, 6, 8, 22)
 """Evaluations that each fast pass may spend; after each of them the unfinished are gathered again."""
-PATIENCE = 300
+LONG_PASS_STEPS = 300
 """Evaluations at each level of the last pass. Where torque rests on next to no friction, each step gets past one kink
 of a cone and there are hundreds; almost no other problem comes so far."""
-LOOKS = (3, 8, UNLIMITED)
-"""Looks of the careful pass, after each of which the unfinished are gathered again and go on where they stopped."""
-CAREFUL = len(STEPS)
+CAREFUL_CHECKS = (3, 8, UNLIMITED_CHECKS)
+"""Checks of the careful pass, after each of which the unfinished are gathered again and go on where they stopped."""
+FIRST_CAREFUL_PASS = len(STEPS)
 """The first pass after the fast ones."""
-UNSQUEEZED, PATIENT = CAREFUL + len(LOOKS), CAREFUL + len(LOOKS) + 1
+FEASIBILITY_PASS, LONG_PASS = FIRST_CAREFUL_PASS + len(CAREFUL_CHECKS), FIRST_CAREFUL_PASS + len(CAREFUL_CHECKS) + 1
 """The passes after the careful one."""
 
 
@@ -98,37 +98,37 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     def improve(index: Array, result: PassResult) -> PassResult:
         settings = _settings(index)
         # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
-        open_ = settings.careful & (~is_optimum(result.verdict) | ~settings.squeezed)
+        open_ = settings.careful & (~is_optimum(result.verdict) | ~settings.with_squeeze)
         chosen = result.undecided & (open_ | (result.verdict == Verdict.OUTSIDE_CONES))
-        resumes = (index > CAREFUL) & ~settings.afresh
+        resumes = (index > FIRST_CAREFUL_PASS) & ~settings.restarts
         chosen = chosen & (~resumes | (result.strength > 0))
         tile = partial(_optimum_tile, settings=settings)
         return over_chosen(tile, bare, result, chosen, _newton_width(bare))
 
     # A loop rather than several calls: all passes, the careful one too, are one piece of compiled code.
-    passes = PATIENT + 1 if _is_double(bare) else UNSQUEEZED
+    passes = LONG_PASS + 1 if _is_double(bare) else FEASIBILITY_PASS
     result = lax.fori_loop(0, passes, improve, varying_like(result, bare))
-    return torque_passes.within_torques(problem, _as_far_as_rounding_lets_see(result))
+    return torque_passes.within_torques(problem, _feasible_where_load_is_hidden(result))
 
 
 def _settings(index: Array) -> PassSettings:
     """The settings of a pass, by its place in the order of all."""
-    levels = len(LOOKS) * (STEPS_PER_LEVEL,)
-    steps = jnp.asarray((*STEPS, *levels, STEPS_PER_LEVEL, PATIENCE), jnp.int32)[index]
-    looks = jnp.asarray((*len(STEPS) * (1,), *LOOKS, UNLIMITED, UNLIMITED), jnp.int32)[index]
+    levels = len(CAREFUL_CHECKS) * (STEPS_PER_LEVEL,)
+    steps = jnp.asarray((*STEPS, *levels, STEPS_PER_LEVEL, LONG_PASS_STEPS), jnp.int32)[index]
+    checks = jnp.asarray((*len(STEPS) * (1,), *CAREFUL_CHECKS, UNLIMITED_CHECKS, UNLIMITED_CHECKS), jnp.int32)[index]
     return PassSettings(
-        careful=index >= CAREFUL,
+        careful=index >= FIRST_CAREFUL_PASS,
         steps=steps,
         # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.
         proves=index > 0,
-        squeezed=index != UNSQUEEZED,
-        afresh=index >= UNSQUEEZED,
-        looks=looks,
+        with_squeeze=index != FEASIBILITY_PASS,
+        restarts=index >= FEASIBILITY_PASS,
+        checks=checks,
     )
 
 
-def _as_far_as_rounding_lets_see(result: PassResult) -> PassResult:
-    """Where rounding hides the load, forces that are allowed are not known to be the optimum."""
+def _feasible_where_load_is_hidden(result: PassResult) -> PassResult:
+    """Change OPTIMAL to FEASIBLE where the load is below the rounding of the forces."""
     hidden = result.undecided & is_optimum(result.verdict)
     return result._replace(verdict=jnp.where(hidden, Verdict.FEASIBLE, result.verdict))
 
@@ -162,11 +162,11 @@ def _closed_result(problem: ScaledProblem, certificate: Certificate) -> PassResu
     forces = pseudo_inverse.forces_without_cones(problem, multiplier)
     inside = vec3.every(friction_cone.contains(forces, problem.data.cone))
     verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, Verdict.OUTSIDE_CONES)
-    verdict = jnp.where(certificate.force > 0, Verdict.INFEASIBLE, verdict)
+    verdict = jnp.where(certificate.force_bound > 0, Verdict.INFEASIBLE, verdict)
     undecided = ill_conditioned & (verdict == Verdict.OUTSIDE_CONES)
     found = ScaledResult(forces, multiplier, verdict, jnp.zeros_like(verdict), certificate, undecided)
     result = to_result(problem, found, jnp.where(ill_conditioned, Route.CAREFUL, Route.CLOSED_FORM))
-    return _as_far_as_rounding_lets_see(result)
+    return _feasible_where_load_is_hidden(result)
 
 
 def _out_of_range(problem: ScaledProblem, suspects: Array) -> Certificate:
@@ -190,19 +190,21 @@ def _optimum_tile(batch: ProblemBatch, prior: PassResult, settings: PassSettings
     """
     careful = settings.careful
     own, valid = to_batch_last(batch)
-    problem = in_axes_by_care(batch, without_squeeze(own, ~settings.squeezed), valid, careful)
+    problem = in_principal_or_user_axes(batch, without_squeeze(own, ~settings.with_squeeze), valid, careful)
     # Where digits are few, what the fast passes came to may be as far off as it looks near.
     resumed, near = (prior.strength > 0)[None], (prior.route == Route.FAST)[None] & _is_double(batch)
     certificate = _out_of_range(problem, careful & ~resumed)
-    missed = certificate.force > 0
-    goes_on = ~settings.afresh & (~careful | resumed | near)
+    unreachable = certificate.force_bound > 0
+    goes_on = ~settings.restarts & (~careful | resumed | near)
     last = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, problem.scaling))
     point = jnp.where(goes_on, last, 0)
     begun = jnp.where(resumed, prior.strength[None], jnp.where(near, NEAR, STRONGEST))
-    strength = jnp.where(careful, jnp.where(settings.afresh, STRONGEST, begun), 0)
-    verdict = jnp.where(missed, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
-    start = initial_state(point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | missed, strength)
-    found = proximal_search(UnlimitedProblem(problem), start._replace(certificate=certificate), settings)
+    strength = jnp.where(careful, jnp.where(settings.restarts, STRONGEST, begun), 0)
+    verdict = jnp.where(unreachable, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
+    start = initial_state(
+        point, squeezing_forces(problem.data), verdict, problem.ill_conditioned | unreachable, strength
+    )
+    found = proximal_search(ConeOnlyProblem(problem), start._replace(certificate=certificate), settings)
     if _is_double(batch):
         found = refined(problem, found, careful)
     return _optimum_result(problem, found, own, settings, goes_on, prior)
@@ -217,9 +219,9 @@ def _optimum_result(
     goes_on: Array,
     prior: PassResult,
 ) -> PassResult:
-    careful, squeezed = settings.careful, settings.squeezed
+    careful, with_squeeze = settings.careful, settings.with_squeeze
     converged = state.verdict == Verdict.OPTIMAL
-    steps = state.steps + jnp.where(goes_on | ~squeezed, prior.steps[None], 0)
+    steps = state.steps + jnp.where(goes_on | ~with_squeeze, prior.steps[None], 0)
     undecided = ~(converged | (state.verdict == Verdict.INFEASIBLE))
     found = ScaledResult(state.forces, state.point, state.verdict, steps, state.certificate, undecided)
     result = to_result(problem, found, jnp.where(careful, Route.CAREFUL, Route.FAST))
@@ -228,25 +230,25 @@ def _optimum_result(
     # Without squeezing, proofs that there are no allowed forces hold; such forces may not be the optimum.
     cost, least = _cost(problem, state.forces, own, prior)
     verdict = jnp.where(least, Verdict.OPTIMAL, Verdict.FEASIBLE)
-    feasible = ~squeezed & (result.verdict == Verdict.OPTIMAL)
+    feasible = ~with_squeeze & (result.verdict == Verdict.OPTIMAL)
     # What rounding makes miss its load is known to be allowed then, and stays as it is.
     hidden = is_optimum(prior.verdict) & feasible
-    vain = ~squeezed & ((result.verdict == Verdict.NOT_CONVERGED) | hidden)
+    no_gain = ~with_squeeze & ((result.verdict == Verdict.NOT_CONVERGED) | hidden)
     kept = jnp.where(hidden, Verdict.FEASIBLE, prior.verdict)
     prior = prior._replace(verdict=kept, undecided=prior.undecided & ~hidden)
     result = result._replace(
         verdict=jnp.where(feasible, verdict, result.verdict),
         objective=jnp.where(feasible, cost, result.objective),
-        multiplier=jnp.where(squeezed, result.multiplier, prior.multiplier),
+        multiplier=jnp.where(with_squeeze, result.multiplier, prior.multiplier),
         strength=state.strength[0],
     )
-    return merged(vain, prior, result)
+    return merged(no_gain, prior, result)
 
 
 def _cost(problem: ScaledProblem, forces: ContactVec, own: ContactData, prior: PassResult) -> tuple[Array, Array]:
     """The objective of forces in the problem as it is, and whether it is what ``prior`` proves to be least, within the
     gap of a converged optimum."""
     user = problem.data._replace(squeeze=own.squeeze, weights=own.weights)
-    (cost,) = vec3.totals(dual.deviation_cost(user, contact_vec.scale(problem.scaling.load, forces)))
+    (cost,) = vec3.totals(dual.deviation_cost(user, contact_vec.scale(problem.scaling.force_unit, forces)))
     gap = tolerances(cost.dtype).gap * dual.gap_scale(user, cost)
     return cost[0], (cost - prior.objective[None] <= gap)[0]

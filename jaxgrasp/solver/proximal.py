@@ -38,13 +38,13 @@ STRONGEST = 1e-2
 NEAR = 1e-4
 """Strength of the first level where the fast passes came near."""
 STEPS_PER_LEVEL = 40
-BETWEEN_LOOKS = 3
-"""Evaluations after which the careful search looks which problems have reached the end of their level. Each goes
-through the levels by itself, so that few of a tile wait for others; a look costs about two evaluations."""
+STEPS_PER_CHECK = 3
+"""Evaluations after which the careful search checks which problems have reached the end of their level. Each goes
+through the levels by itself, so that few of a tile wait for others; a check costs about two evaluations."""
 
 
-UNLIMITED = 2**30
-"""Looks: as many as it takes."""
+UNLIMITED_CHECKS = 2**30
+"""Checks: as many as it takes."""
 
 
 class ProximalState(NamedTuple):
@@ -62,7 +62,7 @@ class ProximalState(NamedTuple):
     """Whether the point is the optimum within ``LOOSE_FACTOR`` times the tolerances."""
     stalled: Array
     """Whether Newton's method was unable to move on."""
-    missed: Array
+    relative_residual: Array
     """The part of the load that the forces miss."""
     strength: Array
     """Strength of the proximal term where the search goes on; 0 where it has come to its end."""
@@ -77,12 +77,12 @@ class PassSettings(NamedTuple):
     """Evaluations at each level."""
     proves: Array
     """With proofs that no forces exist, which the way of the multiplier gives once it has run far enough."""
-    squeezed: Array
+    with_squeeze: Array
     """The problem as it is; else without squeezing and with equal sharing, which asks only for allowed forces."""
-    afresh: Array
+    restarts: Array
     """From the beginning, whatever the last pass found; else where it stopped."""
-    looks: Array
-    """How often to look which problems are at the end of a level, before the unfinished are gathered anew."""
+    checks: Array
+    """How often to check which problems are at the end of a level, before the unfinished are gathered anew."""
 
 
 @runtime_checkable
@@ -102,8 +102,8 @@ class ProximalProblem(Protocol):
         ...
 
 
-class UnlimitedProblem(NamedTuple):
-    """Problems without limits that tie their contacts together."""
+class ConeOnlyProblem(NamedTuple):
+    """Problems whose contacts are limited one by one, without limits of joint torques."""
 
     problem: ScaledProblem
 
@@ -120,7 +120,7 @@ class UnlimitedProblem(NamedTuple):
 def careful_settings() -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
     yes = jnp.asarray(True)
-    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED))
+    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED_CHECKS))
 
 
 def weakest(dtype: jnp.dtype) -> float:
@@ -146,18 +146,18 @@ class _Level(NamedTuple):
 
     search: ProximalState
     newton: NewtonState
-    left: Array
-    """Whether this level is not the last one that the pass goes through."""
-    looks: Array
+    unfinished: Array
+    """Whether the pass still has levels to finish for this problem, the present one included."""
+    checks: Array
     """So far, of all problems together ``()``."""
 
 
 def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, settings: PassSettings) -> ProximalState:
     """The optimum of the problems that are not decided, or a proof that there is none."""
-    evaluations = jnp.where(settings.careful, BETWEEN_LOOKS, settings.steps)
+    evaluations = jnp.where(settings.careful, STEPS_PER_CHECK, settings.steps)
 
-    def unfinished(level: _Level) -> Array:
-        return (level.looks < settings.looks) & ~jnp.all(level.search.decided | ~level.left)
+    def keep_going(level: _Level) -> Array:
+        return (level.checks < settings.checks) & ~jnp.all(level.search.decided | ~level.unfinished)
 
     def go_on(level: _Level) -> _Level:
         search = level.search
@@ -165,13 +165,13 @@ def proximal_search(proximal_problem: ProximalProblem, search: ProximalState, se
         newton = advance(objective, level.newton, evaluations)
         return _end_levels(proximal_problem, settings, level._replace(newton=newton))
 
-    left = jnp.ones_like(search.decided)
-    level = _Level(search, at_start(search.point, search.decided), left, jnp.int32(0))
-    level = lax.while_loop(unfinished, go_on, varying_like(level, proximal_problem))
+    unfinished = jnp.ones_like(search.decided)
+    level = _Level(search, at_start(search.point, search.decided), unfinished, jnp.int32(0))
+    level = lax.while_loop(keep_going, go_on, varying_like(level, proximal_problem))
     search = level.search
-    good = settings.careful & ~search.decided & ~level.left & search.loosely_optimal
+    good = settings.careful & ~search.decided & ~level.unfinished & search.loosely_optimal
     # An interrupted level is begun again, from the same centre: the way is the same as without interruption.
-    interrupted = ~search.decided & level.left
+    interrupted = ~search.decided & level.unfinished
     return search._replace(
         verdict=jnp.where(good, Verdict.OPTIMAL, search.verdict),
         strength=jnp.where(interrupted, search.strength, 0),
@@ -183,7 +183,9 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
     """Ask of the problems at the end of a level whether they are solved, or what is left a proof; else the next level
     begins."""
     search, newton = level.search, level.newton
-    ended = ~search.decided & level.left & (newton.done | ~settings.careful | (newton.steps >= settings.steps - 1))
+    ended = (
+        ~search.decided & level.unfinished & (newton.done | ~settings.careful | (newton.steps >= settings.steps - 1))
+    )
     check = proximal_problem.check_optimality(newton.point)
 
     def unproven(check: OptimalityCheck, run: Array) -> Certificate:
@@ -192,11 +194,11 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
     asked = settings.proves & jnp.any(ended & ~check.optimal)
     certificate = lax.cond(asked, proximal_problem.proof, unproven, check, newton.point - search.point)
     optimal = ended & check.optimal
-    infeasible = ended & ~optimal & (certificate.force > 0)
+    infeasible = ended & ~optimal & (certificate.force_bound > 0)
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     decided = search.decided | optimal | infeasible
     strength = jnp.where(ended, search.strength / 10, search.strength)
-    left = level.left & ~(ended & (strength < weakest(strength.dtype)))
+    unfinished = level.unfinished & ~(ended & (strength < weakest(strength.dtype)))
     found = ProximalState(
         point=jnp.where(ended, newton.point, search.point),
         forces=contact_vec.where(ended, check.forces, search.forces),
@@ -206,8 +208,8 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
         decided=decided,
         loosely_optimal=jnp.where(ended, check.loosely_optimal, search.loosely_optimal),
         stalled=jnp.where(ended, newton.stalled, search.stalled),
-        missed=jnp.where(ended, check.missed, search.missed),
+        relative_residual=jnp.where(ended, check.relative_residual, search.relative_residual),
         strength=strength,
     )
-    begun = jax.tree.map(partial(jnp.where, ended), at_start(newton.point, decided | ~left), newton)
-    return _Level(found, begun, left, level.looks + 1)
+    begun = jax.tree.map(partial(jnp.where, ended), at_start(newton.point, decided | ~unfinished), newton)
+    return _Level(found, begun, unfinished, level.checks + 1)

@@ -46,5 +46,5 @@ def _balancing(problem: ScaledProblem, forces: ContactVec) -> SpatialVec:
 
 def forces_without_cones(problem: DualProblem, multiplier: SpatialVec) -> ContactVec:
     """Forces of eq. 8 with weights: s a + k (G^T multiplier), whatever friction says."""
-    twist = dual.contact_velocities(problem, multiplier)
-    return contact_vec.add(squeezing_forces(problem.data), contact_vec.scale(problem.data.weights, twist))
+    velocity = dual.contact_velocities(problem, multiplier)
+    return contact_vec.add(squeezing_forces(problem.data), contact_vec.scale(problem.data.weights, velocity))

@@ -20,7 +20,7 @@ from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec, parts
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.newton import LOOSE_FACTOR, as_returned, damped, is_small
+from jaxgrasp.solver.newton import LOOSE_FACTOR, damped, is_small, without_recomputation
 from jaxgrasp.solver.proximal import ProximalState
 from jaxgrasp.solver.result import measure_forces
 
@@ -39,34 +39,34 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
 
     As ``careful``, what has come to its end without having converged is tried too.
     """
-    data, tol = problem.data, tolerances(state.missed.dtype)
+    data, tol = problem.data, tolerances(state.relative_residual.dtype)
     enough = ENOUGH * tol.balance
-    rounding = jnp.asarray(16 * jnp.finfo(state.missed.dtype).eps, state.missed.dtype)
-    wanting = (state.verdict == Verdict.OPTIMAL) & (state.missed > enough)
+    rounding = jnp.asarray(16 * jnp.finfo(state.relative_residual.dtype).eps, state.relative_residual.dtype)
+    wanting = (state.verdict == Verdict.OPTIMAL) & (state.relative_residual > enough)
     wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED) & (state.strength == 0))
 
     def step(i: Array, carry: _Carry) -> _Carry:
         target, corrected, point, wanting, state = carry
-        sides = friction_cone.cone_side(target, data.cone)
-        nearest = friction_cone.project(target, data.cone, sides)
-        forces = as_returned(contact_vec.where(i <= REFINING_STEPS, nearest, corrected))
+        split = friction_cone.decompose(target, data.cone)
+        nearest = friction_cone.project(target, data.cone, split)
+        forces = without_recomputation(contact_vec.where(i <= REFINING_STEPS, nearest, corrected))
         found = measure_forces(problem, forces)
         left = problem.coordinates.wrench(*parts(found.residual))
         small = is_small(squared_norm(problem.metric, left), found.total_normal_force, LOOSE_FACTOR * tol.gradient)
-        good = wanting & (found.error <= enough) & small & _costs_least(problem, found.objective, point)
+        good = wanting & (found.relative_residual <= enough) & small & _costs_least(problem, found.objective, point)
         state = state._replace(
             point=jnp.where(good, point, state.point),
             forces=contact_vec.where(good, forces, state.forces),
             verdict=jnp.where(good, Verdict.OPTIMAL, state.verdict),
             steps=state.steps + wanting.astype(jnp.int32),
         )
-        jacobian = friction_cone.derivative(data.cone, sides)
+        jacobian = friction_cone.derivative(data.cone, split)
         curvature = dual.negative_hessian(problem, jacobian)
         more = dual.solve(ldl.factor(damped(curvature, problem.metric, rounding)), left)
         moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
         beyond = contact_vec.add(forces, along)
-        corrected = friction_cone.project(beyond, data.cone, friction_cone.cone_side(beyond, data.cone))
+        corrected = friction_cone.project(beyond, data.cone, friction_cone.decompose(beyond, data.cone))
         more_target = i < REFINING_STEPS
         target = contact_vec.where(more_target, contact_vec.add(target, moved), target)
         return target, corrected, jnp.where(more_target, point + more, point), wanting & ~good, state

@@ -53,7 +53,7 @@ class Certificate(NamedTuple):
 
     direction: Array
     """A twist, of limited torques over the rates of the joints."""
-    force: Array
+    force_bound: Array
     """The total normal force that any allowed forces of the wrench would need at least ``(1, B)``, in units of the
     load; 0 where that is within any sensible force's reach, so that the direction proves nothing."""
 
@@ -95,18 +95,18 @@ def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array)
     size, valid = problem.size, problem.valid & scaling.sound
     solved = is_optimum(found.verdict)
     answered = solved | (found.verdict == Verdict.OUTSIDE_CONES)
-    residual, error, hidden, objective, _ = measure_forces(problem, found.forces)
+    residual, relative_residual, hidden, objective, _ = measure_forces(problem, found.forces)
     # The dual's value at the multiplier, which no allowed forces undercut.
     left = coordinates.wrench(*spatial.parts(residual))
     bound = objective + spatial.inner(found.multiplier, left)
     objective = jnp.where(found.verdict == Verdict.NOT_CONVERGED, bound, objective)
-    unsound = answered & ~(error <= tolerances(error.dtype).balance)
+    unsound = answered & ~(relative_residual <= tolerances(relative_residual.dtype).balance)
     verdict = jnp.where(unsound, Verdict.NOT_CONVERGED, found.verdict)
-    verdict = jnp.where(scaling.weight > 0, verdict, Verdict.NO_CONTACTS)
+    verdict = jnp.where(scaling.weight_sum > 0, verdict, Verdict.NO_CONTACTS)
     verdict = jnp.where(valid, verdict, Verdict.INVALID_DATA)
-    unit = vec3.safe_divide(scaling.load, scaling.weight) * scaling.load
+    unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum) * scaling.force_unit
     linear, angular = multiplier_from_scaled(*coordinates.twist(found.multiplier), scaling)
-    one = jnp.ones((1, size), error.dtype)
+    one = jnp.ones((1, size), relative_residual.dtype)
     certificate = _certificate(scaling, found, verdict, residual, one)
     moments = moments_from_scaled(data, found.forces.spin, scaling)
     proven, joints = verdict == Verdict.INFEASIBLE, found.joints
@@ -114,15 +114,15 @@ def to_result(problem: ScaledProblem, found: ScaledResult, route: Route | Array)
         forces=jnp.stack([c * one for c in forces_from_scaled(found.forces.linear, scaling)]).transpose(2, 1, 0),
         multiplier=_rows((*linear, *angular), one),
         verdict=_row(verdict, size).astype(jnp.int32),
-        residual=_row(error, size),
+        residual=_row(relative_residual, size),
         objective=_row(unit * objective, size),
         steps=_row(found.steps, size).astype(jnp.int32),
         route=_row(jnp.full_like(verdict, route), size).astype(jnp.int32),
         rank=_row(rank(scaling, coordinates), size).astype(jnp.int32),
         certificate=certificate,
-        force_bound=_row(jnp.where(proven, scaling.load * found.certificate.force, 0), size),
-        undecided=_row((found.undecided | unsound | (solved & hidden)) & valid & (scaling.weight > 0), size),
-        strength=jnp.zeros((size,), error.dtype),
+        force_bound=_row(jnp.where(proven, scaling.force_unit * found.certificate.force_bound, 0), size),
+        undecided=_row((found.undecided | unsound | (solved & hidden)) & valid & (scaling.weight_sum > 0), size),
+        strength=jnp.zeros((size,), relative_residual.dtype),
         moments=None if moments is None else (moments * one).T,
         normal_multiplier=_normal_multipliers(problem, found, one),
         torque_multiplier=None if joints is None else (joints.multiplier * _multiplier_unit(scaling) * one).T,
@@ -134,30 +134,30 @@ def _normal_multipliers(problem: ScaledProblem, found: ScaledResult, one: Array)
     data = problem.data
     if data.normal_min is None and data.normal_max is None:
         return None
-    twist = dual.contact_velocities(problem, found.multiplier)
+    velocity = dual.contact_velocities(problem, found.multiplier)
     if found.joints is not None:
-        twist = contact_vec.sub(twist, found.joints.velocities)
-    return (dual.normal_multipliers(data, twist) * _multiplier_unit(problem.scaling) * one).T
+        velocity = contact_vec.sub(velocity, found.joints.velocities)
+    return (dual.normal_multipliers(data, velocity) * _multiplier_unit(problem.scaling) * one).T
 
 
 def _multiplier_unit(scaling: Scaling) -> Array:
     """A multiplier of forces in the user's units for one of the problem's."""
-    return vec3.safe_divide(scaling.load, scaling.weight)
+    return vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
 
 
 def rank(scaling: Scaling, coordinates: Coordinates) -> Array:
-    return jnp.where(scaling.weight > 0, coordinates.rank(), 0)
+    return jnp.where(scaling.weight_sum > 0, coordinates.rank(), 0)
 
 
 class Measurement(NamedTuple):
-    """What forces achieve, whatever they were meant to."""
+    """Residual, objective and total normal force of given forces, in the scaled problem."""
 
     residual: SpatialVec
     """w - G f, but for what a guide carries of it."""
-    error: Array
+    relative_residual: Array
     """The residual's size beside the load."""
     hidden: Array
-    """Whether it is more than a small part of the load, which rounding of the forces hides."""
+    """Whether it exceeds its tolerance relative to the load, and is excused by rounding of the forces alone."""
     objective: Array
     total_normal_force: Array
     """Sum of the normal forces."""
@@ -173,15 +173,15 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
     counts as balanced.
     """
     data, coordinates, tol = problem.data, problem.coordinates, tolerances(problem.data.force.x.dtype)
-    unit = 1 / problem.scaling.reach
+    unit = 1 / problem.scaling.unweighted_radius
     plain = ScaledAxes(Vec3(unit, unit, unit))
     size = contact_vec.norm(forces)
     spins = None if data.spin_radius is None else vec3.scale(data.spin_radius, data.normals)
-    objective, total_push, *through, fx, fy, fz, tx, ty, tz = vec3.totals(
+    objective, total_normal_force, *through, fx, fy, fz, tx, ty, tz = vec3.totals(
         dual.deviation_cost(data, forces),
         vec3.dot(forces.linear, data.normals),
-        plain.leverage(data.points, spins) * size,
-        coordinates.leverage(data.points, spins) * size,
+        plain.wrench_bound(data.points, spins) * size,
+        coordinates.wrench_bound(data.points, spins) * size,
         *dual.wrench_terms(data, forces),
     )
     force, torque = vec3.sub(data.force, Vec3(fx, fy, fz)), vec3.sub(data.torque, Vec3(tx, ty, tz))
@@ -196,8 +196,8 @@ def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
         return vec3.safe_divide(left, jnp.maximum(asked, tol.sums / tol.balance * through)), hidden
 
     as_they_are, as_seen = relative(plain, through[0]), relative(coordinates, through[1])
-    error, hidden = jnp.maximum(as_they_are[0], as_seen[0]), as_they_are[1] | as_seen[1]
-    return Measurement(residual, error, hidden, objective, total_push)
+    relative_residual, hidden = jnp.maximum(as_they_are[0], as_seen[0]), as_they_are[1] | as_seen[1]
+    return Measurement(residual, relative_residual, hidden, objective, total_normal_force)
 
 
 def _certificate(scaling: Scaling, found: ScaledResult, verdict: Array, residual: SpatialVec, one: Array) -> Array:

@@ -88,7 +88,7 @@ def _in_scaling(
     spin = None
     if data.spin_radius is not None:
         spin = scaling.length * data.spin_radius * maps[3] if len(maps) == 4 else 0 * linear.x
-    return ContactVec(linear, spin), bounds / scaling.load
+    return ContactVec(linear, spin), bounds / scaling.force_unit
 
 
 def usable(problem: ProblemBatch) -> Array:
@@ -220,7 +220,7 @@ class TorqueLimitedObjective(NamedTuple):
 
     def check_optimality(self, point: Array) -> OptimalityCheck:
         """Whether the best forces for ``point`` balance the wrench and break no limit, so that both are optimal."""
-        best = newton.as_returned(self.forces(point).forces)
+        best = newton.without_recomputation(self.forces(point).forces)
         found = measure_forces(self.problem, best)
         off = _gradient_by_rates(torques(self.constraints, best), point[6:], self.constraints.bound)
         residual = jnp.concatenate([self.problem.coordinates.wrench(*spatial.parts(found.residual)), off])

@@ -92,7 +92,7 @@ def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass, fits: 
     """Newton's method for the undecided that ``fits`` says it is for, as far as it gets."""
 
     def newton(index: Array, result: PassResult) -> PassResult:
-        tile = partial(_fast_tile, width=passes.width, limit=jnp.asarray(passes.steps, jnp.int32)[index])
+        tile = partial(_fast_tile, width=passes.width, max_evaluations=jnp.asarray(passes.steps, jnp.int32)[index])
         return over_chosen(tile, problem, result, result.undecided & fits, TILE)
 
     # A loop rather than several calls: the passes are one piece of compiled code.
@@ -126,7 +126,7 @@ def _merge(settled: Array, prior: PassResult, result: PassResult) -> PassResult:
     )
 
 
-def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, limit: Array) -> PassResult:
+def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, max_evaluations: Array) -> PassResult:
     problem = _with_usable_torques(in_plain_axes(batch), batch)
     batch = torque_limits.cleaned(batch)
     scaling, ill_conditioned = problem.scaling, problem.ill_conditioned
@@ -136,9 +136,9 @@ def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, limit: Array)
     constraints = torque_limits.torque_constraints(batch, problem.data, scaling, chosen)
     objective = TorqueLimitedObjective(problem, constraints)
     twist = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, scaling))
-    known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight / scaling.load
+    known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight_sum / scaling.force_unit
     start = jnp.concatenate([twist, vec3.safe_divide(known, constraints.scale)])
-    reached = maximise(objective, start, ill_conditioned, limit)
+    reached = maximise(objective, start, ill_conditioned, max_evaluations)
     best, good, *_ = objective.check_optimality(reached.point)
     good = good & ~ill_conditioned
     rates = jnp.sum(chosen * (constraints.scale * reached.point[6:]).T[..., None], 1)

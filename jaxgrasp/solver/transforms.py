@@ -16,7 +16,7 @@ from jax import Array
 from jax.custom_batching import custom_vmap
 
 from jaxgrasp.model.solution import Solution
-from jaxgrasp.numerics.no_derivative import without_derivative
+from jaxgrasp.numerics.no_derivative import nan_tangents_where
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import by_optimistix, derivative, passes
@@ -45,7 +45,7 @@ def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> C
 
         def tangent(constrained: bool, solution: Solution) -> Solution:
             parts = derivative.tangent(problem, moved, solution, constrained)
-            return without_derivative(parts.undefined, _tangent_solution(solution, parts), problem, moved)
+            return nan_tangents_where(parts.undefined, _tangent_solution(solution, parts), problem, moved)
 
         return solutions, jax.tree.map(tangent, constrained, solutions)
 

@@ -21,8 +21,8 @@ from jaxgrasp.solver import dual, reach
 from jaxgrasp.solver.dual import PlainProblem
 
 
-class UnsharedProblem(NamedTuple):
-    """Problems whose contacts can all move, with one weight, or carry nothing; and hold nothing."""
+class UnitWeightProblem(NamedTuple):
+    """Problems with weight 1 or 0 for every contact and no squeeze: questions of what is reachable."""
 
     data: ContactData
     coordinates: Coordinates
@@ -53,18 +53,18 @@ class _SupportingTwist(NamedTuple):
     friction_use: ContactVec
 
 
-def without_sharing(batch: ProblemBatch) -> UnsharedProblem:
+def with_unit_weights(batch: ProblemBatch) -> UnitWeightProblem:
     """Problems for questions of reach; what contacts of weight zero hold is taken off the load."""
     data, valid = to_batch_last(batch)
-    can_move = data.weights > 0
-    weights = can_move.astype(data.weights.dtype)
-    data = data._replace(weights=weights, squeeze=jnp.where(can_move, 0, data.squeeze))
+    adjustable = data.weights > 0
+    weights = adjustable.astype(data.weights.dtype)
+    data = data._replace(weights=weights, squeeze=jnp.where(adjustable, 0, data.squeeze))
     data, scaling = scale_in_principal_axes(data)
-    problem = UnsharedProblem(data, plain_axes(data.force.x), scaling, valid & scaling.sound)
+    problem = UnitWeightProblem(data, plain_axes(data.force.x), scaling, valid & scaling.sound)
     return with_wrench(problem, dual.residual(problem, squeezing_forces(data)))
 
 
-def with_wrench(problem: UnsharedProblem, wrench: SpatialVec) -> UnsharedProblem:
+def with_wrench(problem: UnitWeightProblem, wrench: SpatialVec) -> UnitWeightProblem:
     """The problems under another wrench, and nothing held."""
     force, torque = spatial.parts(wrench)
     data = problem.data
@@ -72,7 +72,7 @@ def with_wrench(problem: UnsharedProblem, wrench: SpatialVec) -> UnsharedProblem
 
 
 def boundary_point(
-    unshared: UnsharedProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
+    unit_weight: UnitWeightProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
 ) -> BoundaryPoint:
     """What a path of multipliers leads to, in the user's axes and units; ``size`` is that of a unit of its answer.
 
@@ -89,7 +89,7 @@ def boundary_point(
     friction_use = contact_vec.add(
         now.friction_use, contact_vec.scale(share, contact_vec.sub(now.friction_use, then.friction_use))
     )
-    scaling, one = unshared.scaling, jnp.ones_like(size)
+    scaling, one = unit_weight.scaling, jnp.ones_like(size)
     assert scaling.axes is not None
     linear, angular = spatial.parts(vec3.safe_divide(normal, size))
     linear = vec3.rotate_back(scaling.axes, linear)
@@ -97,7 +97,7 @@ def boundary_point(
     return BoundaryPoint(
         centre=jnp.concatenate([c * one for c in scaling.centre]).T,
         normal=spatial.join(linear, angular).T,
-        normal_force=(scaling.load * normal_force * one).T,
+        normal_force=(scaling.force_unit * normal_force * one).T,
         friction_use=jnp.stack([c * one for c in vec3.rotate_back(scaling.axes, friction_use.linear)]).transpose(
             2, 1, 0
         ),
@@ -107,10 +107,10 @@ def boundary_point(
 
 def _supporting_twist(data: ContactData, point: SpatialVec, penalty: Array) -> _SupportingTwist:
     best = dual.candidate_forces(PlainProblem(data, plain_axes(penalty)), point)
-    sides = best.sides
-    used = jnp.where(sides.inside, vec3.safe_divide(sides.size, data.friction * sides.along), 1)
+    split = best.split
+    used = jnp.where(split.inside, vec3.safe_divide(split.size, data.friction * split.along), 1)
     normal_force = vec3.dot(best.forces.linear, data.normals)
-    return _SupportingTwist(vec3.safe_divide(point, penalty), normal_force, contact_vec.scale(used, sides.tangent))
+    return _SupportingTwist(vec3.safe_divide(point, penalty), normal_force, contact_vec.scale(used, split.tangent))
 
 
 def work_along(problem: ProblemBatch, wrench: Array, boundary: BoundaryPoint) -> Array:
@@ -128,9 +128,9 @@ def work_along(problem: ProblemBatch, wrench: Array, boundary: BoundaryPoint) ->
     slide = vec3.dot(friction_use, across)
     if data.spin_radius is not None and boundary.spin_use is not None:
         slide = slide + boundary.spin_use.T * data.spin_radius * vec3.dot(angular, data.normals)
-    can_move = data.weights > 0
-    normal_force = jnp.where(can_move, boundary.normal_force.T, data.squeeze)
-    push = along + jnp.where(can_move, data.friction * slide, 0)
+    adjustable = data.weights > 0
+    normal_force = jnp.where(adjustable, boundary.normal_force.T, data.squeeze)
+    push = along + jnp.where(adjustable, data.friction * slide, 0)
     force, torque = spatial.parts(wrench.T)
     asked = vec3.dot(linear, force) + vec3.dot(angular, vec3.sub(torque, vec3.cross(centre, force)))
     return (jnp.sum(normal_force * push, 0, keepdims=True) - asked)[0]

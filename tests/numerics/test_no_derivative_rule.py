@@ -5,14 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.numerics.no_derivative import underivable
+from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 
 UNDEFINED = jnp.array([False, True])
 
 
 def cubes(x, other):
     """``(2,)``: x^3 by hand of ``other`` ``(2, 3)``, which has no derivative at the second."""
-    return underivable(UNDEFINED, x**3 + jnp.sum(other, -1), (x, other))
+    return nondifferentiable_where(UNDEFINED, x**3 + jnp.sum(other, -1), (x, other))
 
 
 X, OTHER = jnp.array([2.0, 3.0]), jnp.arange(6.0).reshape(2, 3)

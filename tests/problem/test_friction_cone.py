@@ -17,7 +17,7 @@ def projected(u, normal, friction):
     """Projections ``(B, 3)``, their normal parts, and the sizes of their tangential ones."""
     cone = Cone(vec3.from_axis(normal, -1), friction)
     target = ContactVec(vec3.from_axis(u, -1))
-    force = friction_cone.project(target, cone, friction_cone.cone_side(target, cone)).linear
+    force = friction_cone.project(target, cone, friction_cone.decompose(target, cone)).linear
     along = vec3.dot(force, cone.normal)
     across = vec3.sub(force, vec3.scale(along, cone.normal))
     return jnp.stack(force, -1), along, vec3.norm(across)
@@ -69,6 +69,6 @@ def test_two_lengths_at_the_surface_are_told_apart_without_a_root():
     normal = jnp.tile(jnp.asarray([0.0, 0.0, 1.0]), (3, 1))
     u, friction = jnp.asarray([[0, 0, 1.0], [0, 0, 0.0], [0, 0, -1.0]]), jnp.full(3, 0.5)
     target = ContactVec(vec3.from_axis(u, -1))
-    sides = friction_cone.cone_side(target, Cone(vec3.from_axis(normal, -1), friction))
+    sides = friction_cone.decompose(target, Cone(vec3.from_axis(normal, -1), friction))
     assert sides.inside.tolist() == [True, True, False] and sides.polar.tolist() == [False, False, True]
     assert contact_vec.norm(target).tolist() == [1, 0, 1]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.solver.friction_share import least_share
-from jaxgrasp.solver.wrench_boundary import without_sharing
+from jaxgrasp.solver.friction_share import least_friction_factor
+from jaxgrasp.solver.wrench_boundary import with_unit_weights
 
 FRICTION, TORSION, LIFT = 0.5, 0.02, 2.0
 
@@ -27,8 +27,10 @@ def test_a_pinch_by_soft_fingers_shares_its_friction_between_lift_and_turning():
     batch = ProblemBatch(*(None if x is None else jnp.asarray(x) for x in given), torsion=jnp.asarray(TORSION * one))
 
     def search(batch, total):
-        problem = without_sharing(batch)
-        return least_share(problem.data, total / problem.scaling.load, jnp.zeros((1, count), bool), jnp.asarray(10.0))
+        problem = with_unit_weights(batch)
+        return least_friction_factor(
+            problem.data, total / problem.scaling.force_unit, jnp.zeros((1, count), bool), jnp.asarray(10.0)
+        )
 
     found = jax.jit(search)(batch, jnp.asarray(total)[None])
     known = LIFT / 2 / (FRICTION * np.sqrt((total / 2) ** 2 - (moment / 2 / TORSION) ** 2))

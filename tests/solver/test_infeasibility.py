@@ -46,7 +46,7 @@ def test_a_direction_that_nearly_proves_is_often_turned_into_a_proof(n):
     twist = twist_to_scaled(Vec3(*nearly.T[:3, None]), Vec3(*nearly.T[3:, None]), problem.scaling)
     direction = problem.coordinates.from_twist(*twist)
     found = find_certificate(problem, direction, 0 * direction)
-    proven = np.asarray(found.force)[0] > 0
+    proven = np.asarray(found.force_bound)[0] > 0
     # Of those that miss by a little; without turning none is.
     assert proven[open_].mean() > 0.4
     turned = spatial.join(*certificate_from_scaled(*spatial.parts(found.direction), problem.scaling))

@@ -9,7 +9,7 @@ from jaxgrasp import Route, Verdict
 from jaxgrasp.model.solution import is_optimum
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.solver import passes
-from jaxgrasp.solver.proximal import UNLIMITED
+from jaxgrasp.solver.proximal import UNLIMITED_CHECKS
 
 N, COUNT = 5, 600
 
@@ -28,13 +28,13 @@ def lifts() -> ProblemBatch:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("looks", [(1, 1, UNLIMITED), (8, 13, UNLIMITED)])
-def test_an_interrupted_search_goes_on_where_it_stopped(monkeypatch, looks):
+@pytest.mark.parametrize("checks", [(1, 1, UNLIMITED_CHECKS), (8, 13, UNLIMITED_CHECKS)])
+def test_an_interrupted_search_goes_on_where_it_stopped(monkeypatch, checks):
     given = lifts()
-    whole = solved_by(monkeypatch, given, (UNLIMITED,) * 3)
-    parts = solved_by(monkeypatch, given, looks)
+    whole = solved_by(monkeypatch, given, (UNLIMITED_CHECKS,) * 3)
+    parts = solved_by(monkeypatch, given, checks)
     careful = whole.steps[whole.route == Route.CAREFUL]
-    assert len(careful) > 50 and np.median(careful) > 3 * looks[0]
+    assert len(careful) > 50 and np.median(careful) > 3 * checks[0]
     assert np.sum(whole.verdict == Verdict.INFEASIBLE) > COUNT / 4
     np.testing.assert_array_equal(whole.verdict, parts.verdict)
     solved = np.asarray(is_optimum(whole.verdict))
@@ -44,6 +44,6 @@ def test_an_interrupted_search_goes_on_where_it_stopped(monkeypatch, looks):
     np.testing.assert_allclose(parts.forces[solved] / size, expected / size, atol=1e-8)
 
 
-def solved_by(monkeypatch, given: ProblemBatch, looks: tuple[int, ...]):
-    monkeypatch.setattr(passes, "LOOKS", looks)
+def solved_by(monkeypatch, given: ProblemBatch, checks: tuple[int, ...]):
+    monkeypatch.setattr(passes, "CAREFUL_CHECKS", checks)
     return jax.device_get(jax.jit(lambda problem: passes.solve_optimum(problem))(given))

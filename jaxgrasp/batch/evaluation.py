@@ -47,7 +47,7 @@ class Evaluation:
     numbers: np.ndarray
     """``(N,)``: of the grasps in what was given, of which bad ones may have been left out."""
     least_friction: np.ndarray | None = None
-    """``(N, W)``: the least share of its friction with which each grasp holds, where asked for."""
+    """``(N, W)``: the least factor on its friction with which each grasp holds, where asked for."""
 
     def __repr__(self) -> str:
         methods = ", ".join(self.results)

@@ -30,7 +30,7 @@ def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Prog
 
 
 def least_friction_of(sets: ContactSets) -> np.ndarray:
-    """The least share of their friction with which sets hold, ``(N, W)``; +inf where no friction would do.
+    """The least factor on their friction with which sets hold, ``(N, W)``; +inf where no friction would do.
 
     By the total of normal forces that the hand means to exert, its squeezing forces.
     """

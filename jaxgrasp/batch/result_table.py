@@ -10,7 +10,7 @@ Columns, in this order:
     METHOD.margin_deg  smallest friction margin of the loaded contacts; empty where the forces balance nothing
     METHOD.largest_force_N   likewise
     A.price, B.price   price of friction, a share; empty where there is no optimum to compare with
-    least_friction     with --least-friction: the least share of the friction with which it holds, perhaps inf
+    least_friction     with --least-friction: the least factor on the friction with which it holds, perhaps inf
     MEASURE.COLUMN     measures of quality that were asked for
     METHOD.forces      in Parquet alone: a list of [x, y, z] for each contact [N]
     METHOD.moments     likewise, of soft fingers: a number for each contact [N.m]

@@ -39,7 +39,7 @@ class StreamPlan:
     quality: tuple[str, ...] = ()
     """Measures of quality, by name."""
     least_friction: bool = False
-    """Whether to find the least share of the friction with which each grasp holds."""
+    """Whether to find the least factor on the friction with which each grasp holds."""
     task: TaskDemands | None = None
     """What measures of a task ask for."""
 

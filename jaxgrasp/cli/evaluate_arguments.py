@@ -36,7 +36,7 @@ class Evaluate(Convention):
     """Torsional friction of all contacts [m], in place of the file's: soft fingers, which resist some torque about
     their normals, as wide pads do. A pad's torsional friction is about its friction times 2/3 of its radius."""
     least_friction: bool = False
-    """Find the least share of its friction with which each grasp holds, if its normal forces together are its squeeze:
+    """Find the least factor on its friction with which each grasp holds, if its normal forces together are its squeeze:
     above 1 it has to press harder. Costs about half a millisecond a grasp and wrench."""
     table: Literal["auto", "csv", "parquet", "none"] = "auto"
     """A table beside the results, one row for each grasp and wrench: auto writes results.csv up to 100,000 rows.

@@ -60,9 +60,16 @@ def verify_certificate(
         raise ValueError("rates are given without limits of torques: expected limits with a torque_map")
     joints = () if limits is None or limits.torque_max is None else np.shape(limits.torque_max)[-1:]
     check_arguments(grasp, {"wrench": (wrench, (6,)), "certificate": (certificate, (6,))}, {"rates": (rates, ("j",))})
-    tails = (("rates", joints),)
+    trailing_shapes = (("rates", joints),)
     return dispatch(
-        _force_needed, grasp, wrench, sharing, limits=limits, tails=tails, certificate=certificate, rates=rates
+        _force_needed,
+        grasp,
+        wrench,
+        sharing,
+        limits=limits,
+        trailing_shapes=trailing_shapes,
+        certificate=certificate,
+        rates=rates,
     )
 
 

@@ -23,17 +23,17 @@ from jaxgrasp.problem import spatial
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import Sharing
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.friction_share import LARGEST_FACTOR, least_friction_factor
+from jaxgrasp.solver.friction_factor import LARGEST_FACTOR, least_friction_factor
 from jaxgrasp.solver.wrench_boundary import BoundaryPoint, with_unit_weights, work_along
 
 FIRST = (10.0, 1.0, 100.0)
-"""Shares to begin with, one after the other."""
+"""Factors to begin with, one after the other."""
 STEPS = 60
 FARTHER = 16.0
 """Times as far for each further look, where a place that was found at once is not the answer."""
 TILE = 32
 NEAR = 100
-"""Bounds of a share at a boundary, within which the boundary must be: what is farther was not what bounds."""
+"""Bounds of a factor at a boundary, within which the boundary must be: what is farther was not what bounds."""
 
 
 def least_friction(
@@ -78,31 +78,33 @@ def least_friction(
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"total": (total, ())})
     if total is not None:
         check_sign("total", total)
-    return dispatch(_least_share, grasp, wrench, sharing, tails=(("total", ()),), total=total, progress=progress)
+    return dispatch(
+        _least_factor, grasp, wrench, sharing, trailing_shapes=(("total", ()),), total=total, progress=progress
+    )
 
 
-def _least_share(problem: ProblemBatch, total: Array | None = None) -> Array:
+def _least_factor(problem: ProblemBatch, total: Array | None = None) -> Array:
     if total is None:
         there = 1.0 if problem.present is None else problem.present > 0.5
         total = jnp.broadcast_to(jnp.sum(jnp.where(there, problem.squeeze, 0), 1), (problem.size,))
-    return _share(problem, total)
+    return _factor(problem, total)
 
 
 @jax.custom_jvp
-def _share(problem: ProblemBatch, total: Array) -> Array:
+def _factor(problem: ProblemBatch, total: Array) -> Array:
     found = _attempted(problem, total)
     # One tile's search ends when its own problems are done.
     given = replace(problem, count=None), total, found
-    at_length = over_chosen(lambda given, _: _search(*given, None)[0], given, found.share, found.open, TILE)
+    at_length = over_chosen(lambda given, _: _search(*given, None)[0], given, found.factor, found.unproven, TILE)
     return jnp.exp(at_length)
 
 
-def _evaluated_share(problem: ProblemBatch, total: Array) -> tuple[Array, "_ShareEvaluation"]:
-    """The share, and what is known at it: the search's last look, so that there is one such piece of compiled code."""
+def _evaluated_factor(problem: ProblemBatch, total: Array) -> tuple[Array, "_FactorEvaluation"]:
+    """The factor, and what is known at it: the search's last look, so that there is one such piece of compiled code."""
     found, unseen = _attempted(problem, total), varying_like(_nothing_seen(problem, total), problem, total)
-    given, begun = (replace(problem, count=None), total, found), (found.share, unseen)
-    share, seen = over_chosen(lambda given, begun: _search(*given, begun[1]), given, begun, _there(problem), TILE)
-    return jnp.exp(share), seen
+    given, begun = (replace(problem, count=None), total, found), (found.factor, unseen)
+    factor, seen = over_chosen(lambda given, begun: _search(*given, begun[1]), given, begun, _there(problem), TILE)
+    return jnp.exp(factor), seen
 
 
 def _there(problem: ProblemBatch) -> Array:
@@ -110,57 +112,57 @@ def _there(problem: ProblemBatch) -> Array:
     return jnp.arange(problem.size) < (problem.size if problem.count is None else problem.count)
 
 
-def _attempted(problem: ProblemBatch, total: Array) -> "_FoundShare":
+def _attempted(problem: ProblemBatch, total: Array) -> "_FoundFactor":
     """What interior-point searches from several places come to."""
     # It takes derivatives, which a count does not have.
     given = replace(problem, count=None), total
-    found = varying_like(_FoundShare(jnp.zeros_like(total), _there(problem)), problem, total)
+    found = varying_like(_FoundFactor(jnp.zeros_like(total), _there(problem)), problem, total)
 
-    def attempt(index: Array, found: _FoundShare) -> _FoundShare:
+    def attempt(index: Array, found: _FoundFactor) -> _FoundFactor:
         first = jnp.asarray(FIRST, total.dtype)[index]
-        return over_chosen(partial(_at_once, first), given, found, found.open, TILE)
+        return over_chosen(partial(_at_once, first), given, found, found.unproven, TILE)
 
     # A loop rather than several calls: the attempts are one piece of compiled code.
     return lax.fori_loop(0, len(FIRST), attempt, found)
 
 
-class _FoundShare(NamedTuple):
-    """Logarithms of shares."""
+class _FoundFactor(NamedTuple):
+    """Logarithms of factors."""
 
-    share: Array
-    open: Array
+    factor: Array
+    unproven: Array
     """Whether it is not proven yet: a place to begin from, which may be no number."""
 
 
-def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundShare) -> _FoundShare:
+def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundFactor) -> _FoundFactor:
     """By one interior-point search, which proves what it finds but for a few problems at the end of its digits."""
     problem, total = given
     unit_weight = with_unit_weights(problem)
     data, left = unit_weight.data, (total - held_total(problem))[None] / unit_weight.scaling.force_unit
     loaded = spatial.length(spatial.join(data.force, data.torque)) > 0
     searched = unit_weight.valid & loaded & (left > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
-    best = least_friction_factor(data, jnp.where(searched, left, 1), ~(searched & found.open[None]), first)
+    best = least_friction_factor(data, jnp.where(searched, left, 1), ~(searched & found.unproven[None]), first)
     # At a boundary of what can be exerted no arithmetic tells whether forces exist: a little beyond they do.
-    share = jnp.log(best.share) + jnp.where(best.spent, 0, _narrow(total) / 2)
-    share = jnp.where(
-        best.lower >= LARGEST_FACTOR, jnp.inf, jnp.where(best.share <= 1 / LARGEST_FACTOR, -jnp.inf, share)
+    factor = jnp.log(best.factor) + jnp.where(best.spent, 0, _bracket_tolerance(total) / 2)
+    factor = jnp.where(
+        best.lower >= LARGEST_FACTOR, jnp.inf, jnp.where(best.factor <= 1 / LARGEST_FACTOR, -jnp.inf, factor)
     )
     needs_none = unit_weight.valid & ~loaded & (left >= 0)
-    share = jnp.where(searched[0], share, jnp.where(needs_none[0], -jnp.inf, jnp.inf))
-    return _FoundShare(share, searched[0] & ~best.proven)
+    factor = jnp.where(searched[0], factor, jnp.where(needs_none[0], -jnp.inf, jnp.inf))
+    return _FoundFactor(factor, searched[0] & ~best.proven)
 
 
-@_share.defjvp
-def _share_tangent(primals, tangents):
-    """At the share the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
+@_factor.defjvp
+def _factor_tangent(primals, tangents):
+    """At the factor the least total is the one allowed and stays so, or the wrench is at its boundary and stays so."""
     (problem, total), (problem_moved, total_moved) = primals, tangents
-    share, seen = _evaluated_share(problem, total)
-    inside = jnp.isfinite(share) & (share > 0)
-    # An infinite share times a derivative of zero would be no number, in one direction or the other.
-    finite = jnp.where(inside, share, 1)
+    factor, seen = _evaluated_factor(problem, total)
+    inside = jnp.isfinite(factor) & (factor > 0)
+    # An infinite factor times a derivative of zero would be no number, in one direction or the other.
+    finite = jnp.where(inside, factor, 1)
     here = jnp.log(finite)
-    scaled, scaled_moved = jax.jvp(lambda problem: _with_share(problem, here), (problem,), (problem_moved,))
-    spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _narrow(total))
+    scaled, scaled_moved = jax.jvp(lambda problem: _with_factor(problem, here), (problem,), (problem_moved,))
+    spent = jnp.isfinite(seen.excess) & (jnp.abs(seen.excess) <= _bracket_tolerance(total))
     falls = spent & (seen.slope < 0)
     needed = jnp.where(falls, seen.needed, 1)
     rise = total_tangent(scaled, scaled_moved, seen.needed, seen.boundary) / needed
@@ -168,12 +170,12 @@ def _share_tangent(primals, tangents):
     by_total = -rise / jnp.where(falls, seen.slope, 1)
     by_boundary, met = _boundary_tangent(scaled, scaled_moved)
     tangent = jnp.where(falls, by_total, jnp.where(met, by_boundary, 0))
-    undefined = jnp.isinf(share) | (inside & ~(falls | (~spent & met)))
-    return share, nan_tangents_where(undefined, jnp.where(inside, finite * tangent, 0), primals, tangents)
+    undefined = jnp.isinf(factor) | (inside & ~(falls | (~spent & met)))
+    return factor, nan_tangents_where(undefined, jnp.where(inside, finite * tangent, 0), primals, tangents)
 
 
 def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array, Array]:
-    """How the logarithm of a share moves below which nothing balances, and whether a boundary was found.
+    """How the logarithm of a factor moves below which nothing balances, and whether a boundary was found.
 
     It is sought from the wrench away from that of pressing contacts, which lies inside of what they can exert.
     """
@@ -191,15 +193,15 @@ def _boundary_tangent(problem: ProblemBatch, moved: ProblemBatch) -> tuple[Array
     growing = eqx.tree_at(lambda p: p.friction, jax.tree.map(zero_tangent, problem), problem.friction)
     _, by_friction = jax.jvp(work, (problem,), (growing,))
     _, by_problem = jax.jvp(work, (problem,), (moved,))
-    # The wrench lies at the boundary as far as the share was found; else nothing was found below for want of
-    # digits, and the share moves with nothing that is known.
+    # The wrench lies at the boundary as far as the factor was found; else nothing was found below for want of
+    # digits, and the factor moves with nothing that is known.
     distance = jnp.where(jnp.isfinite(theta), jnp.abs(theta), jnp.inf)
-    met = (by_friction > 0) & (distance <= NEAR * _narrow(theta) * by_friction)
+    met = (by_friction > 0) & (distance <= NEAR * _bracket_tolerance(theta) * by_friction)
     return -by_problem / jnp.where(met, by_friction, 1), met
 
 
-class _ShareEvaluation(NamedTuple):
-    """What is known at a share of the friction; shares are logarithms."""
+class _FactorEvaluation(NamedTuple):
+    """What is known at a factor of the friction; factors are logarithms."""
 
     excess: Array
     """Logarithm of the least total over the one allowed; infinite where no forces exist."""
@@ -211,28 +213,28 @@ class _ShareEvaluation(NamedTuple):
     """What bounds it."""
 
 
-def _nothing_seen(problem: ProblemBatch, total: Array) -> _ShareEvaluation:
+def _nothing_seen(problem: ProblemBatch, total: Array) -> _FactorEvaluation:
     """Of the same shapes as what is seen: each problem's own, also where all share one grasp."""
     size, contacts = total.shape[0], problem.points.shape[1]
     centre, twist = jnp.zeros((size, 3), total.dtype), jnp.zeros((size, 6), total.dtype)
     each, vectors = jnp.zeros((size, contacts), total.dtype), jnp.zeros((size, contacts, 3), total.dtype)
     boundary = BoundaryPoint(centre, twist, each, vectors, None if problem.torsion is None else each)
     none = jnp.zeros_like(total)
-    return _ShareEvaluation(none, none, none, boundary)
+    return _FactorEvaluation(none, none, none, boundary)
 
 
-def _evaluate(problem: ProblemBatch, total: Array, share: Array) -> _ShareEvaluation:
-    scaled = _with_share(problem, share)
+def _evaluate(problem: ProblemBatch, total: Array, factor: Array) -> _FactorEvaluation:
+    scaled = _with_factor(problem, factor)
     needed, boundary = bounded_total(scaled)
     still = jax.tree.map(jnp.zeros_like, scaled)
     growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
     finite = jnp.isfinite(needed) & (needed > 0)
     slope = jnp.where(finite, total_tangent(scaled, growing, needed, boundary) / jnp.where(finite, needed, 1), 0)
-    return _ShareEvaluation(_log_ratio(needed, total), slope, needed, boundary)
+    return _FactorEvaluation(_log_ratio(needed, total), slope, needed, boundary)
 
 
-def _with_share(problem: ProblemBatch, share: Array) -> ProblemBatch:
-    return eqx.tree_at(lambda p: p.friction, problem, problem.friction * jnp.exp(share)[:, None])
+def _with_factor(problem: ProblemBatch, factor: Array) -> ProblemBatch:
+    return eqx.tree_at(lambda p: p.friction, problem, problem.friction * jnp.exp(factor)[:, None])
 
 
 def _log_ratio(needed: Array, total: Array) -> Array:
@@ -252,18 +254,18 @@ class _Bracket(NamedTuple):
     done: Array
 
 
-Seen = TypeVar("Seen", bound=_ShareEvaluation | None)
+Seen = TypeVar("Seen", bound=_FactorEvaluation | None)
 
 
-def _search(problem: ProblemBatch, total: Array, found: _FoundShare, unseen: Seen) -> tuple[Array, Seen]:
-    """Where the excess falls to zero, or from infinity to below it, by looks at one share after the other.
+def _search(problem: ProblemBatch, total: Array, found: _FoundFactor, unseen: Seen) -> tuple[Array, Seen]:
+    """Where the excess falls to zero, or from infinity to below it, by looks at one factor after the other.
 
-    Logarithms of shares, and what is known at them, in the place of ``unseen``; None where nobody asks.
+    Logarithms of factors, and what is known at them, in the place of ``unseen``; None where nobody asks.
     """
     widest = jnp.full_like(total, jnp.log(LARGEST_FACTOR))
-    no, known = jnp.zeros_like(total, bool), jnp.abs(found.share) < widest
-    apart = jnp.where(known, 0.9 * _narrow(total), 2 * widest)
-    start = _Bracket(-widest, widest, no, no, jnp.where(known, found.share, 0), apart, ~found.open)
+    no, known = jnp.zeros_like(total, bool), jnp.abs(found.factor) < widest
+    apart = jnp.where(known, 0.9 * _bracket_tolerance(total), 2 * widest)
+    start = _Bracket(-widest, widest, no, no, jnp.where(known, found.factor, 0), apart, ~found.unproven)
 
     def step(carry):
         count, state, ended, last = carry
@@ -271,25 +273,25 @@ def _search(problem: ProblemBatch, total: Array, found: _FoundShare, unseen: See
         moved = jax.tree.map(lambda old, new: jnp.where(state.done, old, new), state, _step(state, seen))
         if last is None:
             return count + 1, moved, moved.done, None
-        # Whatever is done has its last look, at its share.
+        # Whatever is done has its last look, at its factor.
         last = jax.tree.map(lambda old, new: jnp.where(beside(ended, new), old, new), last, seen)
         return count + 1, moved, state.done, last
 
     ended = start.done if unseen is None else no
     begun = (jnp.int32(0), *varying_like((start, ended, unseen), problem, total))
     _, state, _, last = lax.while_loop(lambda c: (c[0] < STEPS) & ~jnp.all(c[2]), step, begun)
-    narrow = _narrow(total)
+    narrow = _bracket_tolerance(total)
     always, never = state.high + widest <= narrow, widest - state.low <= narrow
-    share = jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
-    return jnp.where(found.open, share, found.share), last
+    factor = jnp.where(always, -jnp.inf, jnp.where(never, jnp.inf, state.here))
+    return jnp.where(found.unproven, factor, found.factor), last
 
 
-def _narrow(like: Array) -> float:
+def _bracket_tolerance(like: Array) -> float:
     """Bounds that are as good as one."""
     return float(jnp.finfo(like.dtype).eps) ** 0.4
 
 
-def _step(state: _Bracket, seen: _ShareEvaluation) -> _Bracket:
+def _step(state: _Bracket, seen: _FactorEvaluation) -> _Bracket:
     """Newton's, where forces exist; what leads out of the bounds is halved, once these have been tried."""
     eps = float(jnp.finfo(state.here.dtype).eps)
     enough = seen.excess <= 0
@@ -303,6 +305,6 @@ def _step(state: _Bracket, seen: _ShareEvaluation) -> _Bracket:
     middle = (low + high) / 2
     middle = jnp.where(low_tried, middle, jnp.maximum(high - state.apart, middle))
     middle = jnp.where(high_tried, middle, jnp.minimum(low + state.apart, middle))
-    met, arrived = high - low <= _narrow(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
-    share = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, middle))
-    return _Bracket(low, high, low_tried, high_tried, share, FARTHER * state.apart, met | arrived)
+    met, arrived = high - low <= _bracket_tolerance(state.here), falls & (jnp.abs(newton - state.here) <= eps**0.6)
+    factor = jnp.where(arrived | (falls & ~tried), led, jnp.where(met, high, middle))
+    return _Bracket(low, high, low_tried, high_tried, factor, FARTHER * state.apart, met | arrived)

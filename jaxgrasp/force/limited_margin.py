@@ -49,11 +49,11 @@ EXTRA = 7
 COST = 0.25
 """What a unit of missed wrench costs, as a power of the inverse rounding: beyond the rate at which a margin changes
 with the load."""
-ENDLESS = 1e3
+NORMAL_FORCE_CAP = 1e3
 """Units that a contact presses with at the most where no limit is nearer; what rests on that is called endless."""
-LOST = 0.4
-"""What may be missed of a wrench that is in reach, and of the bound of its margin, or may rest on ``ENDLESS``: a power
-of the rounding."""
+LOST_EXPONENT = 0.4
+"""What may be missed of a wrench that is in reach, and of the bound of its margin, or may rest on ``NORMAL_FORCE_CAP``:
+an exponent of the machine epsilon."""
 TRUSTED = 1e-3
 """Largest gap, relative to what is missed and its cost, of a program that says that the line is out of reach."""
 
@@ -153,7 +153,11 @@ def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
 def _posed(problem: ProblemBatch, direction: Array, units: Units, size: Array) -> tuple[ConeProblem, Array]:
     """The problem, whose presses are all bounded, and the direction of length 1."""
     conic = cone_problem(problem, units)
-    most = jnp.full_like(conic.friction, ENDLESS) if conic.most is None else jnp.minimum(conic.most, ENDLESS)
+    most = (
+        jnp.full_like(conic.friction, NORMAL_FORCE_CAP)
+        if conic.most is None
+        else jnp.minimum(conic.most, NORMAL_FORCE_CAP)
+    )
     aim = scaled_wrench(direction, units.about, units.length, jnp) / size[:, None]
     return conic._replace(most=jnp.where(conic.there, most, jnp.inf)), aim
 
@@ -173,7 +177,7 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     multipliers = Multipliers(twist, inequality_multipliers(inequalities, best.duals[-1]))
     beyond = jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST) - conic.right
     theta = jnp.sum(aim * beyond, -1)
-    small = rounding**LOST
+    small = rounding**LOST_EXPONENT
     left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
     reached = jnp.maximum(left, best.missed) <= small * (1 + jnp.abs(theta))
     close = jnp.abs(_bound(conic, aim, multipliers) - theta) <= small * (1 + jnp.abs(theta))
@@ -245,5 +249,5 @@ def _leant_on(conic: ConeProblem, problem: ProblemBatch, units: Units, multiplie
     assert conic.most is not None
     rests = multipliers.bounds["most"] * jnp.where(conic.there, conic.most, 0)
     if problem.normal_max is not None:
-        rests = jnp.where(problem.normal_max / units.force_unit[:, None] > ENDLESS, rests, 0)
+        rests = jnp.where(problem.normal_max / units.force_unit[:, None] > NORMAL_FORCE_CAP, rests, 0)
     return jnp.sum(rests, -1)

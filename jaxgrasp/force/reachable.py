@@ -90,7 +90,9 @@ def reachable_wrench(
         NotImplementedError: when differentiated.
     """
     check_arguments(grasp, {"wrench": (wrench, (6,))}, {"inertia": (inertia, (6, 6)), "free": (free, ())})
-    return dispatch(_closest, grasp, wrench, sharing, free=free, tails=(("inertia", (6, 6)),), inertia=inertia)
+    return dispatch(
+        _closest, grasp, wrench, sharing, free=free, trailing_shapes=(("inertia", (6, 6)),), inertia=inertia
+    )
 
 
 @jax.custom_jvp

@@ -22,8 +22,8 @@ Parts = TypeVar("Parts")
 STEPS = 60
 NEAR = 0.995
 """Part of the way to the cones' surface that a step may go."""
-CLOSE = 0.6
-"""The gap asked for, as a power of the rounding."""
+GAP_EXPONENT = 0.6
+"""The gap asked for, as an exponent of the machine epsilon."""
 REFINED = 2
 """Times that a step's equations are solved again for what they leave."""
 SHORTEST = 1e-7
@@ -151,7 +151,7 @@ def _judged(program: ConeProgram, at: ConeOptimum, steps: Array) -> ConeOptimum:
     worth = jnp.abs(_dot(program.linear, at.point)) + _dot(at.point, _times(program.quadratic, at.point)) / 2
     for kind, z in zip(program.cones, at.duals, strict=True):
         worth = worth + jnp.sum(_given(kind, z) * z, (1, 2)) / 2
-    close = float(jnp.finfo(gap.dtype).eps) ** CLOSE
+    close = float(jnp.finfo(gap.dtype).eps) ** GAP_EXPONENT
     solved = (gap <= close * worth) & (error <= close)
     return at._replace(gap=gap, error=error, missed=missed, steps=steps, solved=solved)
 

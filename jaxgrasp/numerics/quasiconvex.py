@@ -36,8 +36,8 @@ SHORTEST = 1e-8
 """A step so short is none."""
 RIDGE = 8.0
 """Roundings of its diagonal that are added to a matrix, which has no inverse where cones cannot reach all of b."""
-LEAST_GAP = 0.66
-"""The gap, as a power of the rounding, below which nothing is gained, but digits of the equations are lost."""
+LEAST_GAP_EXPONENT = 0.66
+"""An exponent of the machine epsilon: the gap below which nothing is gained, but digits of the equations are lost."""
 REFINED = 1
 """Times that the equations of a step are solved again for what they leave."""
 
@@ -141,7 +141,7 @@ def _advance(program: QuasiconvexProgram, state: InteriorPoint, finished: Finish
     product = state.spare * state.prices
     foreseen = _solve(program, system, state, _Aim([-m for m in middle], -product))
     length = _room(program, state, [(middle, foreseen.slack), (middle, foreseen.duals)], foreseen)
-    least = float(jnp.finfo(total.dtype).eps) ** LEAST_GAP * state.parameter
+    least = float(jnp.finfo(total.dtype).eps) ** LEAST_GAP_EXPONENT * state.parameter
     centring = jnp.maximum((1 - length) ** 3 * total, jnp.minimum(least, total)) / count
     bent = _product(foreseen.slack, foreseen.duals)
     aim = [-(s + p) for s, p in zip(_product(middle, middle), bent, strict=True)]

@@ -38,13 +38,13 @@ Objective = Literal["least_norm", "least_maximal_force", "largest_margin", "leas
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 """What ``best_forces`` takes for an objective."""
 TILE = 32
-CLOSE = 1e-4
+OPTIMAL_GAP = 1e-4
 """Largest distance of value and bound, relative to the value, that is called optimal."""
-NOTHING = 0.45
-"""Distance of value and bound that is called optimal where the value is zero but for rounding: a power of the rounding,
-in units of the load."""
-LOST = 0.4
-"""By how much forces may miss their wrench or their limits: a power of the rounding, in units of the load."""
+ZERO_VALUE_EXPONENT = 0.45
+"""An exponent of the machine epsilon: the distance of value and bound that is called optimal where the value is zero
+but for rounding, in units of the load."""
+LOST_EXPONENT = 0.4
+"""An exponent of the machine epsilon: by how much forces may miss their wrench or limits, in units of the load."""
 METHODS: dict[str, Any] = {
     "least_maximal_force": least_maximal,
     "largest_margin": largest_margin,
@@ -249,11 +249,16 @@ def _tile(given: tuple[ProblemBatch, Solution], objective: Objective):
     found = method.search(conic)
     # A search that got lost leaves the forces that are known.
     known = y_of_forces(conic, units, problem, solution.forces, solution.moments)
-    lost = ~(jnp.maximum(residual_norm(conic, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST)
+    lost = ~(
+        jnp.maximum(residual_norm(conic, found.y), found.missed) <= float(jnp.finfo(known.dtype).eps) ** LOST_EXPONENT
+    )
     y = jnp.where(lost[:, None, None], known, found.y)
     value = method.value(conic, y)
     bound = _believed(conic, value, found.bound, objective)
-    close = jnp.abs(value - bound) <= CLOSE * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** NOTHING
+    close = (
+        jnp.abs(value - bound)
+        <= OPTIMAL_GAP * jnp.abs(value) + float(jnp.finfo(value.dtype).eps) ** ZERO_VALUE_EXPONENT
+    )
     forces, moments = forces_of_y(conic, units, problem, y)
     scale = _scale(units, objective)
     return forces, moments, scale * value, scale * bound, close & ~lost, found
@@ -261,10 +266,10 @@ def _tile(given: tuple[ProblemBatch, Solution], objective: Objective):
 
 def _believed(conic: ConeProblem, value: Array, bound: Array, objective: Objective) -> Array:
     """The bound; of forces that rounding lets beat it, what needs no proof."""
-    tiny = float(jnp.finfo(value.dtype).eps) ** NOTHING
+    tiny = float(jnp.finfo(value.dtype).eps) ** ZERO_VALUE_EXPONENT
     if objective == "largest_margin":
         return jnp.where(bound >= value - tiny, jnp.maximum(bound, value), largest_margin.widest(conic))
-    return jnp.where(bound <= value + CLOSE * value + tiny, jnp.minimum(bound, value), 0)
+    return jnp.where(bound <= value + OPTIMAL_GAP * value + tiny, jnp.minimum(bound, value), 0)
 
 
 def _scale(units: Units, objective: Objective) -> Array:

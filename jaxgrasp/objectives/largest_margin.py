@@ -33,17 +33,17 @@ ENOUGH = 10.0
 LITTLE = 1e-3
 """Times the wrench below which the slope says nothing about the root."""
 OVER = 5
-APART = 0.45
-"""How far from the root its two sides are looked at, as a power of the rounding [rad]."""
+APART_EXPONENT = 0.45
+"""How far from the root its two sides are looked at, as an exponent of the machine epsilon [rad]."""
 FARTHER = 16
 """Times as far for the next look, where programs close to the root cannot be solved to a proof."""
-NEARLY = 0.5
-"""Nearer to the whole wrench than this power of the rounding is all of it: limits may leave room for no more."""
-SOUND = 0.45
-"""By how much forces may miss the wrench or their limits, as a power of the rounding."""
+WHOLE_WRENCH_EXPONENT = 0.5
+"""An exponent of the machine epsilon: as near to the whole wrench is all of it, since limits may leave no more room."""
+SOUND_EXPONENT = 0.45
+"""By how much forces may miss the wrench or their limits, as an exponent of the machine epsilon."""
 JUMP = 1e-4
 """More than this beyond the wrench, on the root's near side, is a jump."""
-ENDLESS = 1e3
+NORMAL_FORCE_CAP = 1e3
 """Loads that a contact presses with at the most where no limit is nearer: with more there is always more margin."""
 
 
@@ -109,11 +109,11 @@ def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:
 
 def _bounded(conic: ConeProblem) -> ConeProblem:
     assert conic.most is not None
-    return conic._replace(most=jnp.where(conic.there, jnp.minimum(conic.most, ENDLESS), jnp.inf))
+    return conic._replace(most=jnp.where(conic.there, jnp.minimum(conic.most, NORMAL_FORCE_CAP), jnp.inf))
 
 
 def _apart(like: Array) -> float:
-    return float(jnp.finfo(like.dtype).eps) ** APART
+    return float(jnp.finfo(like.dtype).eps) ** APART_EXPONENT
 
 
 def _angles(conic: ConeProblem) -> Array:
@@ -254,11 +254,11 @@ def _step(state: _State, seen: _MarginEvaluation) -> _State:
     """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out."""
     apart = _apart(state.here)
     eps = float(jnp.finfo(state.here.dtype).eps)
-    holds = (seen.times >= 1 - eps**NEARLY) & (seen.missed <= eps**SOUND)
+    holds = (seen.times >= 1 - eps**WHOLE_WRENCH_EXPONENT) & (seen.missed <= eps**SOUND_EXPONENT)
     best = holds & (state.here >= state.low)
     low = jnp.where(best, state.here, state.low)
     high = jnp.where(holds, state.high, jnp.minimum(state.here, state.high))
-    proves = (seen.most < 1 - eps**NEARLY) & (state.here <= state.proven)
+    proves = (seen.most < 1 - eps**WHOLE_WRENCH_EXPONENT) & (state.here <= state.proven)
     proven = jnp.where(proves, state.here, state.proven)
     falls = (seen.times > LITTLE) & (seen.slope < 0)
     rate = jnp.where(falls, seen.slope, -1) / jnp.where(falls, seen.times, 1)

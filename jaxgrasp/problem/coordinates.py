@@ -33,7 +33,7 @@ class ScaledAxes(NamedTuple):
         return join(linear, Vec3(*(vec3.safe_divide(a, s) for a, s in zip(angular, self.scales, strict=True))))
 
     def wrench(self, force: Vec3, torque: Vec3) -> SpatialVec:
-        """The work that a wrench does for each of the coordinates."""
+        """The generalised force ``(6, B)`` of a wrench: its work for a unit of each coordinate."""
         return join(force, vec3.times(self.scales, torque))
 
     def wrenches(self, several: Array) -> Array:
@@ -41,7 +41,7 @@ class ScaledAxes(NamedTuple):
         return jnp.concatenate([several[:3], jnp.stack(self.scales) * several[3:]])
 
     def curvature(self, plain: list[list[Array]]) -> Lower:
-        """A symmetric matrix that acts on twists, as it acts on the coordinates."""
+        """A symmetric 6x6 matrix over twists, transformed to one over the coordinates."""
         s = self.scales
         rows = [
             [s[i] * h for h in row[:3]] + [s[i] * s[j] * h for j, h in enumerate(row[3:])]
@@ -123,8 +123,8 @@ class GuidedMotion(NamedTuple):
 
     def unused(self) -> SpatialVec:
         zero = jnp.zeros_like(self.columns[0][:1])
-        used = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
-        return jnp.concatenate(used + [zero + 1] * (6 - len(used)))
+        unused = [(inner(c, c) == 0).astype(zero.dtype) for c in self.columns]
+        return jnp.concatenate(unused + [zero + 1] * (6 - len(unused)))
 
     def wrench_bound(self, points: Vec3, spins: Vec3 | None) -> Array:
         reach2 = jnp.zeros_like(points.x)

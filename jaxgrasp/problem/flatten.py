@@ -33,8 +33,8 @@ class FlatInput(NamedTuple):
     """Arrays with their leading axes broadcast and flattened into one."""
 
     problem: ProblemBatch
-    each: dict[str, Any]
-    """What else each problem has one of."""
+    per_problem: dict[str, Any]
+    """Further arrays with one entry for each problem, by name."""
     batch: tuple[int, ...]
     """The leading axes."""
 
@@ -48,14 +48,14 @@ def flatten(
     free: AnyArray | None = None,
     limits: Limits | None = None,
     safety: float | AnyArray | None = None,
-    each: Mapping[str, tuple[Any, tuple[int, ...]]] = MappingProxyType({}),
+    per_problem: Mapping[str, tuple[Any, tuple[int, ...]]] = MappingProxyType({}),
     numpy: Any = jnp,
 ) -> FlatInput:
     """Inputs of any leading axes as a flat batch in one precision.
 
     ``free`` are the twists that a guide allows, ``limits`` what the hand can exert. Friction is divided by
-    ``safety``. ``each`` are further arrays, of which each problem has its own, and their last axes; ``start`` becomes
-    the problem's. The arrays are those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
+    ``safety``. ``per_problem`` are further arrays, of which each problem has its own, and their last axes; ``start``
+    becomes the problem's. The arrays are those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
@@ -69,16 +69,18 @@ def flatten(
     if free is not None:
         given["free"] = (free, (6, _directions(free)))
     given |= _bounds(limits, n)
-    given |= {"wrench": (wrench, (6,)), **each}
+    given |= {"wrench": (wrench, (6,)), **per_problem}
     optional = [array for array in (free, grasp.torsion, *jax.tree.leaves(limits)) if array is not None]
-    dtype = _precision(points, normals, friction, squeeze, wrench, *(array for array, _ in each.values()), *optional)
+    dtype = _precision(
+        points, normals, friction, squeeze, wrench, *(array for array, _ in per_problem.values()), *optional
+    )
     arrays = {name: numpy.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
     if safety is not None:
         arrays["friction"] = _safer(arrays["friction"], arrays.get("present"), safety, numpy)
     leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
     batch = _broadcast(leading)
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
-    loads = ("wrench", *each)
+    loads = ("wrench", *per_problem)
     shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name not in loads)
     flat = {}
     for name, array in arrays.items():
@@ -103,7 +105,7 @@ def flatten(
         normal_max=flat.get("normal_max"),
         torque_bounds=TorqueBounds(flat["torque_map"], flat["torque_max"]) if "torque_map" in flat else None,
     )
-    return FlatInput(problem, {name: flat[name] for name in each if name != "start"}, batch)
+    return FlatInput(problem, {name: flat[name] for name in per_problem if name != "start"}, batch)
 
 
 def _safer(friction: AnyArray, present: AnyArray | None, safety: float | AnyArray, numpy: Any) -> AnyArray:

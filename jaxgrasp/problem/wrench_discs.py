@@ -118,7 +118,7 @@ def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArr
     return jnp.sum(press * along + jnp.sum(lean * across, -1), -1)
 
 
-def known_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:
+def differentiable_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:
     """A value ``(...)`` of discs, which has a derivative by them only where it is ``defined``."""
     undefined = jnp.broadcast_to(~defined, value.shape)
     centres = jnp.broadcast_to(shapes.centres, value.shape + shapes.centres.shape[-2:])

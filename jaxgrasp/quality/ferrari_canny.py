@@ -11,7 +11,15 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.progress import Progress
-from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, known_where, measured_discs, work
+from jaxgrasp.problem.wrench_discs import (
+    About,
+    Ellipsoid,
+    Length,
+    WrenchDiscs,
+    differentiable_where,
+    measured_discs,
+    work,
+)
 from jaxgrasp.quality.closure import decide_all
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
@@ -67,9 +75,9 @@ def ferrari_canny(
     most 1 each (``"linf"``: the sum of the positive ones). Source: Ferrari and Canny, Planning optimal grasps, ICRA
     1992.
 
-    Forces and torques are only comparable by a length. The larger it is, the less torques count, and the smaller is
-    the radius; times the length it grows. About another point it is another radius too. So values agree with
-    those of another program only with the same length, point and shape of friction. Its unit: a wrench of force F and
+    Forces and torques are only comparable by a length. A larger length counts torques less: the radius falls, and
+    radius times length grows. The radius depends on ``about`` too. So values agree with those of another program only
+    with the same length, point and shape of friction. Its unit: a wrench of force F and
     torque T counts sqrt(F^2 + (T / length)^2).
 
     With an ``ellipsoid`` of the wrenches that a task asks for it is the largest factor on that ellipsoid with which all
@@ -162,7 +170,7 @@ def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
     press, lean, direction = (
         jnp.asarray(array, shapes.centres.dtype) for array in (found.press, found.lean, found.direction)
     )
-    return known_where(jnp.any(direction != 0, -1), work(shapes, press, lean, direction), shapes)
+    return differentiable_where(jnp.any(direction != 0, -1), work(shapes, press, lean, direction), shapes)
 
 
 def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: float, max_points: int) -> Epsilon:

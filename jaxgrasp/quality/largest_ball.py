@@ -53,20 +53,20 @@ def _bring_together(bodies: WrenchSets, own: np.ndarray, balls: Balls, tol: floa
     """Bring the bounds of some bodies together, whose lower ones are proven already."""
     shrinking = np.random.default_rng(0).uniform(size=max_points + 16)
     # One whose surface is large does not widen the arrays of others that come after it: all start at once.
-    stars, some = InnerPolytopes(balls.lower[own]), bodies.take(own)
+    polytopes, some = InnerPolytopes(balls.lower[own]), bodies.take(own)
     while len(own):
-        lowest, normals, corners = stars.lowest()
+        lowest, normals, corners = polytopes.lowest()
         reached = some.reach(normals)
         better = reached.height < balls.upper[own]
         balls.upper[own[better]] = reached.height[better]
         balls.direction[own[better]], balls.corners[own[better]] = normals[better], corners[better]
-        drawn = reached.points * (1 - SHRINKING * tol * shrinking[stars.size])[:, None]
-        met = (lowest >= (1 - tol) * balls.upper[own]) | (stars.size >= max_points)
+        drawn = reached.points * (1 - SHRINKING * tol * shrinking[polytopes.size])[:, None]
+        met = (lowest >= (1 - tol) * balls.upper[own]) | (polytopes.size >= max_points)
         # No facet needs to come nearer than this for the bounds to meet.
         least = np.where(met, np.inf, tol / 2 * balls.upper[own])
-        done = ~stars.grow(drawn, normals, least)
+        done = ~polytopes.grow(drawn, normals, least)
         if done.any():
             balls.lower[own[done]] = np.maximum(lowest[done], balls.lower[own[done]])
             own = own[~done]
-            stars.keep(~done)
+            polytopes.keep(~done)
             some = some.take(~done)

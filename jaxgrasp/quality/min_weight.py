@@ -12,7 +12,7 @@ from jax import Array
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.progress import Progress
-from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, known_where
+from jaxgrasp.problem.wrench_discs import WrenchDiscs, differentiable_where, discs
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
 from jaxgrasp.quality.in_turn import in_turn
@@ -79,7 +79,9 @@ def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None
     given = read_grasps(grasp)
     corners = pyramid(sides, given.soft)
     bodies = given.bodies()
-    value, weights, twists = in_turn(len(bodies.present), lambda own: evenest(bodies.take(own), corners), progress)
+    value, weights, twists = in_turn(
+        len(bodies.present), lambda own: solve_min_weight(bodies.take(own), corners), progress
+    )
     batch, contacts = given.batch, given.present.shape
     weights = weights.reshape((*contacts, len(corners)))
     return MinWeight(value.reshape(batch), weights, twists.reshape((*batch, 6)), corners)
@@ -88,7 +90,7 @@ def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None
 def _traced(grasp: Grasp, sides: int) -> MinWeight:
     corners = pyramid(sides, grasp.torsion is not None)
     trailing = ((), (grasp.friction.shape[-1], len(corners)), (6,))
-    shapes, answers = call_on_host(partial(evenest, corners=corners), trailing, grasp, None, None)
+    shapes, answers = call_on_host(partial(solve_min_weight, corners=corners), trailing, grasp, None, None)
     value, weights, twist = answers
     found: Any = MinWeight(value, weights, twist, corners)
     return found._replace(value=moved(found.value, jnp.where(jnp.isfinite(found.value), _value_at(shapes, found), 0)))
@@ -118,10 +120,10 @@ def _value_at(shapes: WrenchDiscs, found: MinWeight) -> Array:
     leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
     edges = shapes.centres[..., None, :] + leans
     at = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
-    return known_where(jnp.isfinite(value), at, shapes)
+    return differentiable_where(jnp.isfinite(value), at, shapes)
 
 
-def evenest(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def solve_min_weight(bodies: WrenchSets, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Values ``(G,)``, weights ``(G, n * k)`` of the edges and multipliers ``(G, 6)``.
 
     Columns of the programs are those of the weights above the least, and the value, which may be negative. Programs

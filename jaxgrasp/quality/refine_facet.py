@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.quality.largest_ball import Balls
-from jaxgrasp.quality.wrench_sets import Reach, WrenchSets
+from jaxgrasp.quality.wrench_sets import Support, WrenchSets
 
 STEPS = 20
 SOLVED = 1e-10
@@ -53,14 +53,14 @@ class _Guess(NamedTuple):
     """``(G,)``."""
     forces: np.ndarray
     """``(G, n, 4)``: normal force and lean."""
-    tolls: np.ndarray
+    bound_multipliers: np.ndarray
     """``(G, 1)`` or ``(G, n)``: the multipliers of bounds."""
 
 
 def touch(bodies: WrenchSets, balls: Balls) -> TouchingPoints:
     """The best that is known of where the bodies' largest balls touch them."""
     corners = [bodies.reach(balls.corners[:, corner]) for corner in range(6)]
-    near = Reach(*(np.stack(parts, 1) for parts in zip(*corners)))
+    near = Support(*(np.stack(parts, 1) for parts in zip(*corners)))
     found = _of_corners(bodies, balls, near)
     if bodies.corners is not None:
         return found
@@ -69,14 +69,16 @@ def touch(bodies: WrenchSets, balls: Balls) -> TouchingPoints:
     left = np.flatnonzero(~sure)
     if len(left):
         some = bodies.take(left)
-        start = _by_weights(balls.upper[left], balls.direction[left], Reach(*(part[left] for part in near)), some.size)
+        start = _by_weights(
+            balls.upper[left], balls.direction[left], Support(*(part[left] for part in near)), some.size
+        )
         better, sure = _newton(some, start)
         for whole, own in zip(found, better):
             whole[left[sure]] = own[sure]
     return found
 
 
-def _of_corners(bodies: WrenchSets, balls: Balls, near: Reach) -> TouchingPoints:
+def _of_corners(bodies: WrenchSets, balls: Balls, near: Support) -> TouchingPoints:
     """The planes through the corners, where no rounding drew them aside, and the forces that carry them; where these
     reach no lower, the directions that are known."""
     every = np.any(balls.corners != 0, 2).all(1)
@@ -97,7 +99,7 @@ def _of_corners(bodies: WrenchSets, balls: Balls, near: Reach) -> TouchingPoints
     return TouchingPoints(height, direction, press, _within(np.einsum("gp,gpnk->gnk", weights, near.lean), press))
 
 
-def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Reach, size: np.ndarray) -> TouchingPoints:
+def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Support, size: np.ndarray) -> TouchingPoints:
     """Forces of the points of the hulls of some wrenches that come closest to where the balls end."""
     from scipy.optimize import nnls
 
@@ -124,9 +126,11 @@ def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, 
     every = np.arange(grasps)[:, None]
     discs = bodies.discs[every, chosen] / size[:, None, None, None]
     total = bodies.bound == "l1"
-    tolls = start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][every, chosen], 0)
+    bound_multipliers = (
+        start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][every, chosen], 0)
+    )
     forces = np.concatenate([start.press[..., None], start.lean], -1)[every, chosen]
-    now = _Guess(start.direction, start.height / size, forces, tolls / size[:, None])
+    now = _Guess(start.direction, start.height / size, forces, bound_multipliers / size[:, None])
     left = np.ones(grasps, bool)
     for _ in range(STEPS):
         moving = np.flatnonzero(left)
@@ -168,27 +172,27 @@ def _move(now: _Guess, which: np.ndarray, step: np.ndarray) -> None:
     now.direction[which] -= step[:, :6]
     now.height[which] -= step[:, 6]
     now.forces[which] -= step[:, 7 : 7 + 4 * count].reshape(-1, count, 4)
-    now.tolls[which] -= step[:, 7 + 4 * count :]
+    now.bound_multipliers[which] -= step[:, 7 + 4 * count :]
 
 
 def _equations(discs: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and Jacobian by (direction, height, forces, tolls) for discs ``(G, n, 4, 6)`` of size 1."""
-    (grasps, count), bounds, d = discs.shape[:2], now.tolls.shape[1], now.direction
+    """Residual and Jacobian by (direction, height, forces, bound_multipliers) for discs ``(G, n, 4, 6)`` of size 1."""
+    (grasps, count), bounds, d = discs.shape[:2], now.bound_multipliers.shape[1], now.direction
     ends = 7 + 4 * count
     owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
     flat = discs.reshape(grasps, 4 * count, 6)
     slack = -np.matmul(flat, d[..., None]).reshape(grasps, count, 4)
-    slack[..., 0] += now.tolls[:, owner]
+    slack[..., 0] += now.bound_multipliers[:, owner]
     projected, bend = _project(now.forces - slack)
     bounded = now.forces[..., 0].sum(1, keepdims=True) if bounds == 1 else now.forces[..., 0]
-    paid = now.tolls + bounded - 1
+    paid = now.bound_multipliers + bounded - 1
     exerted = np.matmul(now.forces.reshape(grasps, 1, -1), flat)[:, 0]
     residual = np.concatenate(
         [
             exerted - now.height[:, None] * d,
             (np.sum(d * d, 1)[:, None] - 1) / 2,
             (now.forces - projected).reshape(grasps, -1),
-            now.tolls - np.maximum(paid, 0),
+            now.bound_multipliers - np.maximum(paid, 0),
         ],
         1,
     )

@@ -14,7 +14,7 @@ BOUNDS = get_args(Bound)
 LEAST_SIDES = 3
 
 
-class Reach(NamedTuple):
+class Support(NamedTuple):
     """How far a body goes along some directions, and by which forces."""
 
     height: np.ndarray
@@ -58,13 +58,13 @@ class WrenchSet:
         sizes, lean = _furthest(np.einsum("fj,njk->fnk", directions, self.spans), self.corners)
         return directions @ self.centres.T + sizes, lean
 
-    def reach(self, directions: np.ndarray) -> Reach:
+    def reach(self, directions: np.ndarray) -> Support:
         """Along directions ``(f, 6)``."""
         values, lean = self.supports(directions)
         press = _pressing(values, self.bound)
         lean = lean * press[..., None]
         points = press @ self.centres + np.einsum("njk,fnk->fj", self.spans, lean)
-        return Reach(np.sum(press * values, 1), points, press, lean)
+        return Support(np.sum(press * values, 1), points, press, lean)
 
 
 @dataclass(frozen=True)
@@ -131,12 +131,12 @@ class WrenchSets:
         sizes, lean = _furthest(rates[..., 1:], self.corners)
         return rates[..., 0] + sizes, lean
 
-    def reach(self, directions: np.ndarray) -> Reach:
+    def reach(self, directions: np.ndarray) -> Support:
         """Along a direction each ``(G, 6)``: arrays as of ``WrenchSet.reach``, an entry for each grasp."""
         values, lean = self.supports(directions)
         press = _pressing(values, self.bound)
         forces = np.concatenate([press[..., None], lean * press[..., None]], -1)
-        return Reach(np.sum(press * values, 1), self.exerted(forces), press, forces[..., 1:])
+        return Support(np.sum(press * values, 1), self.exerted(forces), press, forces[..., 1:])
 
     def exerted(self, forces: np.ndarray) -> np.ndarray:
         """The wrenches ``(G, 6)`` of forces (press, lean) ``(G, n, 4)``."""

@@ -9,7 +9,7 @@ from jaxgrasp.report.look import counted, degrees, method_title, number, share, 
 
 MEANINGS = {
     MARGIN: "friction angle less slip angle of the closed form's worst contact; below zero it slips",
-    "least friction": "the share of its friction that is just enough, if it exerts the normal forces that it means to "
+    "least friction": "the factor on its friction that is just enough, if it exerts the normal forces that it means to "
     "exert, all together; above 1 it has to press harder than that",
 }
 

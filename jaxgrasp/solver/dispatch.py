@@ -54,7 +54,7 @@ class Inputs(NamedTuple):
     free: AnyArray | None
     limits: Limits | None
     safety: float | AnyArray | None
-    each: Mapping[str, AnyArray | float]
+    per_problem: Mapping[str, AnyArray | float]
 
 
 def dispatch(
@@ -66,42 +66,44 @@ def dispatch(
     free: AnyArray | None = None,
     limits: Limits | None = None,
     safety: float | AnyArray | None = None,
-    tails: tuple[tuple[str, tuple[int, ...]], ...] = (),
+    trailing_shapes: tuple[tuple[str, tuple[int, ...]], ...] = (),
     devices: int | None = None,
     progress: Progress | None = None,
-    **each: AnyArray | float | None,
+    **per_problem: AnyArray | float | None,
 ) -> Any:
     """The answers of ``solve`` with the leading axes of what was given, on so many ``devices`` where that is asked for.
 
-    ``each`` are further arrays, one for each problem, whose last axes ``tails`` name, or ``(6,)``; those that are None
-    are left out. ``start``, multipliers to begin from, becomes a field of the problem.
+    ``per_problem`` are further arrays, one for each problem, whose last axes ``trailing_shapes`` name, or ``(6,)``;
+    those that are None are left out. ``start``, multipliers to begin from, becomes a field of the problem.
 
     ``progress`` is told how many problems are done, piece by piece, between which the batch can be interrupted.
     """
     name, weights = read_sharing(sharing)
-    there = {key: array for key, array in each.items() if array is not None}
+    there = {key: array for key, array in per_problem.items() if array is not None}
     given = Inputs(grasp, wrench, weights, free, limits, safety, there)
     if devices is not None:
-        return _on_devices(solve, given, name, tails, devices)
+        return _on_devices(solve, given, name, trailing_shapes, devices)
     if not _is_local_cpu_data(given):
         if progress is not None:
             raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
-        return _on_mesh(given, partial(_within, solve=solve, sharing=name, tails=tails))
+        return _on_mesh(given, partial(_within, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
     try:
-        size = _size(given, tails)
+        size = _size(given, trailing_shapes)
         if size in SIZES and (progress is None or size <= LEAST_WHOLE):
-            return _after_progress(progress, size, _unpadded_program()(given, solve=solve, sharing=name, tails=tails))
-        return _in_pieces(solve, given, name, tails, progress)
+            return _after_progress(
+                progress, size, _unpadded_program()(given, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
+            )
+        return _in_pieces(solve, given, name, trailing_shapes, progress)
     except ValueError as error:
         if "compiler_options" not in str(error):
             raise
         # Constants inside another program, which has its own options.
-        return _within(given, solve=solve, sharing=name, tails=tails)
+        return _within(given, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
 
 
-def _flat(given: Inputs, sharing: str, tails: tuple, numpy: Any) -> FlatInput:
-    last = dict(tails)
-    each = {name: (array, last.get(name, (6,))) for name, array in given.each.items()}
+def _flat(given: Inputs, sharing: str, trailing_shapes: tuple, numpy: Any) -> FlatInput:
+    last = dict(trailing_shapes)
+    per_problem = {name: (array, last.get(name, (6,))) for name, array in given.per_problem.items()}
     return flatten(
         given.grasp,
         given.wrench,
@@ -110,17 +112,17 @@ def _flat(given: Inputs, sharing: str, tails: tuple, numpy: Any) -> FlatInput:
         free=given.free,
         limits=given.limits,
         safety=given.safety,
-        each=each,
+        per_problem=per_problem,
         numpy=numpy,
     )
 
 
-def _traced(given: Inputs, *, solve: Solve, sharing: str, tails: tuple) -> Any:
-    flat = _flat(given, sharing, tails, jnp)
-    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(flat.problem, **flat.each))
+def _traced(given: Inputs, *, solve: Solve, sharing: str, trailing_shapes: tuple) -> Any:
+    flat = _flat(given, sharing, trailing_shapes, jnp)
+    return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(flat.problem, **flat.per_problem))
 
 
-STATIC = ("solve", "sharing", "tails")
+STATIC = ("solve", "sharing", "trailing_shapes")
 _within = jax.jit(_traced, static_argnames=STATIC)
 
 
@@ -145,15 +147,15 @@ def _on_mesh(given: Inputs, within: Callable[[Inputs], Any]) -> Any:
     return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(given)
 
 
-def _on_devices(solve: Solve, given: Inputs, sharing: str, tails: tuple, devices: int) -> Any:
+def _on_devices(solve: Solve, given: Inputs, sharing: str, trailing_shapes: tuple, devices: int) -> Any:
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
         raise ValueError("devices is given inside another program, which says itself where its data are: leave it out")
     mesh = local_mesh(devices)
-    flat = _flat(given, sharing, tails, np)
+    flat = _flat(given, sharing, trailing_shapes, np)
     size = math.prod(flat.batch)
     share = max(1, -(-size // devices))
     room = next((room for room in SIZES if room >= share), -(-share // SIZES[-1]) * SIZES[-1])
-    own = jax.tree.map(np.asarray, (flat.problem, flat.each))
+    own = jax.tree.map(np.asarray, (flat.problem, flat.per_problem))
     answer = over_devices(_of_flat(solve), own, size, room, mesh)
     return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), answer)
 
@@ -163,8 +165,8 @@ def _of_flat(solve: Solve) -> Solve:
     """The solver of what NumPy has brought into one leading axis, perhaps with so many problems alone."""
 
     def run(flat: tuple[ProblemBatch, dict[str, Array]], count: Array | None = None) -> Any:
-        problem, each = flat
-        return solve(replace(problem, count=count), **each)
+        problem, per_problem = flat
+        return solve(replace(problem, count=count), **per_problem)
 
     return run
 
@@ -180,11 +182,11 @@ def _is_local_cpu_data(given: Inputs) -> bool:
     return True
 
 
-def _size(given: Inputs, tails: tuple) -> int | None:
-    """How many problems there are, as far as grasp, wrench and ``each`` tell; None where that makes no sense."""
-    grasp, last = given.grasp, dict(tails)
+def _size(given: Inputs, trailing_shapes: tuple) -> int | None:
+    """How many problems there are, as far as grasp, wrench and ``per_problem`` tell; None where that makes no sense."""
+    grasp, last = given.grasp, dict(trailing_shapes)
     shapes = [np.shape(grasp.points)[:-2], np.shape(grasp.friction)[:-1], np.shape(given.wrench)[:-1]]
-    for name, array in given.each.items():
+    for name, array in given.per_problem.items():
         shape = np.shape(array)
         shapes.append(shape[: len(shape) - len(last.get(name, (6,)))])
     try:
@@ -193,16 +195,16 @@ def _size(given: Inputs, tails: tuple) -> int | None:
         return None  # whoever reads the arrays says what is wrong
 
 
-def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple, progress: Progress | None) -> Any:
+def _in_pieces(solve: Solve, given: Inputs, sharing: str, trailing_shapes: tuple, progress: Progress | None) -> Any:
     own: Any = given
     program: Callable
-    batch = _plain_batch(given, tails)
+    batch = _plain_batch(given, trailing_shapes)
     if batch is None:
-        flat = _flat(given, sharing, tails, np)
-        own, batch = (flat.problem, flat.each), flat.batch
+        flat = _flat(given, sharing, trailing_shapes, np)
+        own, batch = (flat.problem, flat.per_problem), flat.batch
         program = _flat_program(solve)
     else:
-        program = _program(solve, sharing, tails)
+        program = _program(solve, sharing, trailing_shapes)
     size = math.prod(batch)
     own = jax.tree.map(np.asarray, own)
 
@@ -218,9 +220,9 @@ def _in_pieces(solve: Solve, given: Inputs, sharing: str, tails: tuple, progress
     return _assembled_by_numpy(answers, batch)
 
 
-def _plain_batch(given: Inputs, tails: tuple) -> tuple[int, ...] | None:
+def _plain_batch(given: Inputs, trailing_shapes: tuple) -> tuple[int, ...] | None:
     """The leading axis, where all arrays have the same one and no other: then each program reads its piece itself."""
-    grasp, last = given.grasp, dict(tails)
+    grasp, last = given.grasp, dict(trailing_shapes)
     contacts = np.shape(grasp.points)[:-1]
     one_safety = given.safety is None or np.ndim(given.safety) == 0
     if len(contacts) != 2 or given.free is not None or given.limits is not None or not one_safety:
@@ -230,7 +232,7 @@ def _plain_batch(given: Inputs, tails: tuple) -> tuple[int, ...] | None:
     shapes = [(grasp.normals, (*contacts, 3)), (given.wrench, (*batch, 6))]
     each = (grasp.friction, grasp.squeeze, grasp.present, grasp.torsion, given.weights)
     shapes += [(array, contacts) for array in each if array is not None]
-    shapes += [(array, batch + last.get(name, (6,))) for name, array in given.each.items()]
+    shapes += [(array, batch + last.get(name, (6,))) for name, array in given.per_problem.items()]
     # A weak type would be lost with NumPy.
     same = all(np.shape(array) == shape and not getattr(array, "weak_type", False) for array, shape in shapes)
     return batch if same and not getattr(grasp.points, "weak_type", False) else None
@@ -316,12 +318,12 @@ def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
 
 
 @cache
-def _program(solve: Solve, sharing: str, tails: tuple) -> Callable:
+def _program(solve: Solve, sharing: str, trailing_shapes: tuple) -> Callable:
     """The program for pieces of what the user gave."""
 
     def run(given: Inputs, count: Array) -> Any:
-        flat = _flat(given, sharing, tails, jnp)
-        return solve(replace(flat.problem, count=count), **flat.each)
+        flat = _flat(given, sharing, trailing_shapes, jnp)
+        return solve(replace(flat.problem, count=count), **flat.per_problem)
 
     return jax.jit(run, compiler_options=compile_options())
 

@@ -134,6 +134,7 @@ def _unbalanced(problem: DualProblem, wrench: list[Array]) -> SpatialVec:
 
 
 def evaluate(problem: DualProblem, multiplier: SpatialVec) -> DualEvaluation:
+    """Value, gradient ``(6, B)`` and minus Hessian of the dual at a multiplier ``(6, B)``."""
     return evaluate_at(problem, candidate_forces(problem, multiplier), multiplier)
 
 

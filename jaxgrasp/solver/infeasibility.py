@@ -25,9 +25,9 @@ from jaxgrasp.solver.torque_limits import TorqueConstraints
 TURNS = 2
 """Newton steps by which a direction is turned away from contacts that push along it: the digits double with each."""
 BEYOND = 0.5
-"""Times the largest push, so far beyond letting go a step aims: its error is smaller once the push is small."""
-STATED = 8.0
-"""Times the rounding of a direction that is granted to whoever computes anew what it proves."""
+"""Each step aims for pushes below zero by this factor of the largest one; its error shrinks with them."""
+VERIFIER_ROUNDING = 8.0
+"""Factor on the direction's rounding, taken off what it proves so that a recomputation confirms it."""
 
 
 def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
@@ -53,19 +53,19 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
     # Written out, the direction loses its last digits, and more of them the further away the frame is.
     rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
     proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
-    return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, 0) + STATED * rounding), 0)
+    return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, 0) + VERIFIER_ROUNDING * rounding), 0)
 
 
 @fused_cpu_kernel
 def find_certificate(
-    problem: ScaledProblem, residual: Array, run: Array, constraints: TorqueConstraints | None = None
+    problem: ScaledProblem, residual: Array, displacement: Array, constraints: TorqueConstraints | None = None
 ) -> Certificate:
     """The first proof among three directions: the residual, the multiplier's displacement, and the residual corrected
     until no contact can push along it; as a twist.
 
     Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
     """
-    directions = [residual, run / jnp.maximum(spatial.length(run), 1)]
+    directions = [residual, displacement / jnp.maximum(spatial.length(displacement), 1)]
     if constraints is None:
         directions.append(_turned_away(problem, residual))
     # What is looked at is what is returned: computed anew, in other kernels, it would be rounded otherwise.

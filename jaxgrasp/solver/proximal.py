@@ -76,7 +76,7 @@ class PassSettings(NamedTuple):
     steps: Array
     """Evaluations at each level."""
     proves: Array
-    """With proofs that no forces exist, which the way of the multiplier gives once it has run far enough."""
+    """With proofs that no forces exist, which the displacement of the multiplier gives once it is large enough."""
     with_squeeze: Array
     """The problem as it is; else without squeezing and with equal sharing, which asks only for allowed forces."""
     restarts: Array
@@ -97,8 +97,8 @@ class ProximalProblem(Protocol):
         """The forces of a point, and whether they are the optimum."""
         ...
 
-    def proof(self, check: OptimalityCheck, run: Array) -> Certificate:
-        """What a point, by its check, or the way that the multiplier ran, proves of forces that do not exist."""
+    def proof(self, check: OptimalityCheck, displacement: Array) -> Certificate:
+        """What a point, by its check, or the way that the multiplier went, proves of forces that do not exist."""
         ...
 
 
@@ -113,8 +113,8 @@ class ConeOnlyProblem(NamedTuple):
     def check_optimality(self, point: SpatialVec) -> OptimalityCheck:
         return check_optimality(self.problem, point)
 
-    def proof(self, check: OptimalityCheck, run: SpatialVec) -> Certificate:
-        return find_certificate(self.problem, check.residual, run)
+    def proof(self, check: OptimalityCheck, displacement: SpatialVec) -> Certificate:
+        return find_certificate(self.problem, check.residual, displacement)
 
 
 def careful_settings() -> PassSettings:
@@ -188,8 +188,8 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
     )
     check = proximal_problem.check_optimality(newton.point)
 
-    def unproven(check: OptimalityCheck, run: Array) -> Certificate:
-        return no_certificate(run)
+    def unproven(check: OptimalityCheck, displacement: Array) -> Certificate:
+        return no_certificate(displacement)
 
     asked = settings.proves & jnp.any(ended & ~check.optimal)
     certificate = lax.cond(asked, proximal_problem.proof, unproven, check, newton.point - search.point)

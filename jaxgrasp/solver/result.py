@@ -155,7 +155,7 @@ class Measurement(NamedTuple):
     residual: SpatialVec
     """w - G f, but for what a guide carries of it."""
     relative_residual: Array
-    """The residual's size beside the load."""
+    """The residual's size relative to the load."""
     hidden: Array
     """Whether it exceeds its tolerance relative to the load, and is excused by rounding of the forces alone."""
     objective: Array
@@ -164,7 +164,7 @@ class Measurement(NamedTuple):
 
 
 def measure_forces(problem: ScaledProblem, forces: ContactVec) -> Measurement:
-    """What the forces leave of the wrench, their objective, and the residual beside the load
+    """The residual w - G f of the forces, their objective, and the residual relative to the load,
 
     |w - G f| / max(|w|, c sum of |G_i| |f_i|), for twists as the contacts' reach and as the coordinates count them: the
     larger.

@@ -193,10 +193,12 @@ class _TorqueLimitedProblem(NamedTuple):
     def check_optimality(self, point: Array) -> OptimalityCheck:
         return self.with_proximal_term().check_optimality(point)
 
-    def proof(self, check: OptimalityCheck, run: Array) -> Certificate:
+    def proof(self, check: OptimalityCheck, displacement: Array) -> Certificate:
         torques = torque_limits.torques(self.constraints, check.forces)
         beyond = torque_limits.beyond(torques, self.constraints.bound)
-        return find_certificate(self.problem, jnp.concatenate([check.residual[:6], beyond]), run, self.constraints)
+        return find_certificate(
+            self.problem, jnp.concatenate([check.residual[:6], beyond]), displacement, self.constraints
+        )
 
 
 def _careful_tile(batch: ProblemBatch, prior: PassResult) -> PassResult:

@@ -1,10 +1,10 @@
-"""The least share of their friction with which contacts exert a load by a total of normal forces.
+"""The least factor on their friction with which contacts exert a load by a total of normal forces.
 
     minimise  sigma   subject to   G f = w,   sum of n_i <= 1,   |(t_i / mu_i, sigma m_i / gamma_i)| <= sigma n_i
 
 for forces of normal parts n, tangential parts t and, of soft fingers, moments m, in units of the total.
 
-An answer proves itself. Forces that balance the load, inside the cones of some share, show that the least is no more.
+An answer proves itself. Forces that balance the load, inside the cones of some factor, show that the least is no more.
 And a twist lambda with w.lambda = 1 bounds it from below: no forces of that total do as much work along it, unless some
 contact's v_n + sigma mu |v_t| reaches 1, by the velocities v that it gives to the contacts.
 """
@@ -24,30 +24,30 @@ from jaxgrasp.problem.batch_last import ContactData
 LARGEST_FACTOR = 1e4
 """Shares beyond this, or below its inverse, are not looked for."""
 HEAVY = 10.0
-"""How many times as large a share a search begins with for loads as large as the total: larger than the answers mostly
-are, since a share that has to grow leads along the surfaces of cones."""
-BALANCED = 0.4
-"""By how much forces may miss their load beside it, as a power of the rounding."""
-CLOSE = 0.6
-"""How far apart the bounds of a share may be, relative to it, as a power of the rounding."""
+"""How many times as large a factor a search begins with for loads as large as the total: larger than the answers mostly
+are, since a factor that has to grow leads along the surfaces of cones."""
+BALANCE_EXPONENT = 0.4
+"""By how much forces may miss their load beside it, as an exponent of the machine epsilon."""
+GAP_EXPONENT = 0.6
+"""How far apart the bounds of a factor may be, relative to it, as an exponent of the machine epsilon."""
 
 
 class FrictionFactor(NamedTuple):
     """What was found, ``(B,)`` each."""
 
-    share: Array
+    factor: Array
     lower: Array
-    """A share that was proven to be no more than enough."""
+    """A factor that was proven to be no more than enough."""
     proven: Array
     """Whether both are one but for rounding, or beyond what is looked for."""
     spent: Array
-    """Whether the total is what holds the share; else less friction would balance the load by no forces at all."""
+    """Whether the total is what holds the factor; else less friction would balance the load by no forces at all."""
 
 
 def least_friction_factor(data: ContactData, total: Array, frozen: Array, first: Array) -> FrictionFactor:
-    """The least shares of problems ``with_unit_weights``, whose normal forces may reach a ``total (1, B)`` above 0.
+    """The least factors of problems ``with_unit_weights``, whose normal forces may reach a ``total (1, B)`` above 0.
 
-    Those that are ``frozen (1, B)`` are not looked for. The search begins with a share of ``first``, for small loads.
+    Those that are ``frozen (1, B)`` are not looked for. The search begins with a factor of ``first``, for small loads.
     """
     program = _program(data, total)
     state = quasiconvex.minimise(program, _start(program, frozen, first), _is_proven)
@@ -124,13 +124,15 @@ def _is_proven(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     eps = float(jnp.finfo(state.parameter.dtype).eps)
     lower, upper = _lower(program, state), state.parameter + state.owed
     # What is owed is known to first order: what is left of it is a square.
-    balanced = jnp.maximum(jnp.abs(state.owed), state.missed * state.parameter) <= eps**BALANCED * state.parameter
-    enough = (jnp.abs(upper - lower) <= eps**CLOSE * upper) | (upper <= 1 / LARGEST_FACTOR)
+    balanced = (
+        jnp.maximum(jnp.abs(state.owed), state.missed * state.parameter) <= eps**BALANCE_EXPONENT * state.parameter
+    )
+    enough = (jnp.abs(upper - lower) <= eps**GAP_EXPONENT * upper) | (upper <= 1 / LARGEST_FACTOR)
     return (balanced & enough) | (lower >= LARGEST_FACTOR)
 
 
 def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
-    """The largest share that the twist proves to be no more than enough."""
+    """The largest factor that the twist proves to be no more than enough."""
     twist = [state.twist[i : i + 1] for i in range(6)]
     work = sum(t * program.right[i : i + 1] for i, t in enumerate(twist))
     along, *spins = (_power(rows, twist) for rows in program.grown)
@@ -139,9 +141,9 @@ def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     spin = jnp.abs(spins[0]) if spins else jnp.zeros_like(lead)
     slide = vec3.safe_sqrt(across[0] ** 2 + across[1] ** 2)
     room = jnp.sqrt(jnp.maximum((lead - spin) * (lead + spin), 0))
-    share = jnp.where(slide > 0, room / jnp.where(slide > 0, slide, 1), jnp.inf)
-    share = jnp.where(program.there > 0, jnp.where(lead >= spin, share, 0), jnp.inf)
-    return jnp.where(work > 0, jnp.min(share, 0, keepdims=True), 0)
+    factor = jnp.where(slide > 0, room / jnp.where(slide > 0, slide, 1), jnp.inf)
+    factor = jnp.where(program.there > 0, jnp.where(lead >= spin, factor, 0), jnp.inf)
+    return jnp.where(work > 0, jnp.min(factor, 0, keepdims=True), 0)
 
 
 def _power(rows: Rows, twist: list[Array]) -> Array:

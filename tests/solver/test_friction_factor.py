@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.solver.friction_share import least_friction_factor
+from jaxgrasp.solver.friction_factor import least_friction_factor
 from jaxgrasp.solver.wrench_boundary import with_unit_weights
 
 FRICTION, TORSION, LIFT = 0.5, 0.02, 2.0

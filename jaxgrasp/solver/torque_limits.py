@@ -281,6 +281,7 @@ class _RateSystem(NamedTuple):
 
 
 def _eliminate(matrix: BorderedMatrix, right: Array) -> _RateSystem:
+    """What is left for the rates of matrix x = right, ``(6 + q, B)``; the block of the object is positive definite."""
     factors = ldl.factor(matrix.plain)
     still = ldl.solve(factors, [right[i : i + 1] for i in range(6)])
     by_rates = ldl.solve(factors, list(matrix.across))

@@ -14,7 +14,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxgrasp.batch.blocks import Block
 from jaxgrasp.model.compared_methods import ComparedMethod
-from jaxgrasp.model.limits import BOUNDS, Limits
+from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.solver import passes
@@ -163,10 +163,7 @@ def _program(function: Callable, mesh: Mesh) -> _Program:
 def _problem(sharing: str, block: Block) -> ProblemBatch:
     grasp = jax.tree.map(jnp.asarray, block.grasp)
     weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
-    limits = block.limits or Limits()
-    least, most, torque_map, torque_max = (
-        None if x is None else jnp.asarray(x) for x in (getattr(limits, name) for name in BOUNDS)
-    )
+    limits = jax.tree.map(jnp.asarray, block.limits or Limits())
     return ProblemBatch(
         points=grasp.points,
         normals=grasp.normals,
@@ -176,7 +173,7 @@ def _problem(sharing: str, block: Block) -> ProblemBatch:
         weights=weights,
         wrench=jnp.asarray(block.wrench),
         torsion=grasp.torsion,
-        normal_min=least,
-        normal_max=most,
-        torque_bounds=None if torque_map is None or torque_max is None else TorqueBounds(torque_map, torque_max),
+        normal_min=limits.normal_min,
+        normal_max=limits.normal_max,
+        torque_bounds=None if limits.torque_max is None else TorqueBounds(limits.torque_map, limits.torque_max),
     )

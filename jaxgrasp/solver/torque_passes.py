@@ -62,8 +62,8 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     within = broken == 0
     strange = ~jnp.all(jnp.isfinite(torque) & (bounds.most >= 0), 1)
     # Forces that are allowed but not the optimum are no better a start than none.
-    broken = (result.verdict == Verdict.FEASIBLE) & ~within
-    verdict = jnp.where(broken, Verdict.NOT_CONVERGED, result.verdict)
+    no_start = (result.verdict == Verdict.FEASIBLE) & ~within
+    verdict = jnp.where(no_start, Verdict.NOT_CONVERGED, result.verdict)
     result = result._replace(undecided=(is_optimum(result.verdict) & ~within) | strange, verdict=verdict)
     nothing = varying_like(nothing, problem, result)
     result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)

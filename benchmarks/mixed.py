@@ -19,6 +19,7 @@ import jaxgrasp
 from benchmarks.page import mixed_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.rivals.by_clarabel import RIVALS
+from benchmarks.sampled_grasps import sampled
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp, Solution, Verdict
 from jaxgrasp.testing.problem_data import Problems
@@ -27,8 +28,6 @@ from jaxgrasp.testing.problems import problems
 NAME = "mixed"
 LOOSE = 1e-8
 """What Clarabel is asked for."""
-LIFT = 3.0
-"""Force of a lift [N]."""
 
 
 class Plan(NamedTuple):
@@ -40,19 +39,6 @@ class Plan(NamedTuple):
     """Problems that Clarabel gets."""
     repeats: int = 9
     shares: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
-
-
-def sampled(n: int, batch: int, lift: bool) -> Problems:
-    """Contacts at random on a unit sphere, pressing inward; any wrench, or a lift by the upper half alone."""
-    rng = np.random.default_rng([n, lift])
-    points = rng.normal(size=(batch, n, 3))
-    points /= np.linalg.norm(points, axis=-1, keepdims=True)
-    wrench = rng.normal(size=(batch, 6)) * np.repeat([1.0, 0.3], 3)
-    if lift:
-        points[..., 2] = np.abs(points[..., 2])
-        wrench = np.tile([0, 0, LIFT, 0, 0, 0], (batch, 1))
-    friction, squeeze = rng.uniform(0.2, 0.6, (batch, n)), rng.uniform(0.5, 5, (batch, n))
-    return Problems("lift" if lift else "any", points, -points, friction, squeeze, wrench, None)
 
 
 def _call(problem: Problems):

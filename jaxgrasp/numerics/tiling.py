@@ -27,10 +27,12 @@ FEW = 4
 NARROW = "cpu"
 """The platform whose cores compute narrow tiles, which stay in their caches. All others compute many problems at a
 time, and wait for one tile after the other."""
-WIDE = 1 << 14
+WIDE = 1 << 15
 """Problems in a tile of other platforms at least, where a batch has so many."""
 TRIPS = 8
 """Tiles, one after the other, on other platforms at the most."""
+GATHERED_TRIPS = 32
+"""The same of problems that were gathered, in narrower tiles since all wait for the slowest of them."""
 
 
 def spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
@@ -56,7 +58,7 @@ def over_tiles(
     """
     if size == 0:
         return _nothing(function, arguments)
-    return _by_platform(partial(_over_tiles, function, arguments, size, count), size, tile)
+    return _by_platform(partial(_over_tiles, function, arguments, size, count), size, tile, TRIPS)
 
 
 def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, tile: int) -> Out:
@@ -74,14 +76,14 @@ def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, cou
     return lax.fori_loop(0, tiles, body, results)
 
 
-def width(size: int, tile: int) -> int:
-    """Problems in a tile off the processor, so that there are few tiles whatever the size of the batch."""
-    return max(tile, min(size, max(WIDE, -(-size // TRIPS))))
+def width(size: int, tile: int, trips: int) -> int:
+    """Problems in a tile off the processor, so that there are at most so many tiles whatever the size of the batch."""
+    return max(tile, min(size, max(WIDE, -(-size // trips))))
 
 
-def _by_platform(compute: Callable[[int], Out], size: int, tile: int) -> Out:
+def _by_platform(compute: Callable[[int], Out], size: int, tile: int, trips: int) -> Out:
     """What is computed by tiles of so many problems on the processor, decided where the program is lowered."""
-    wide = width(size, tile)
+    wide = width(size, tile, trips)
     if wide == tile:
         return compute(tile)
     return lax.platform_dependent(default=partial(compute, wide), **{NARROW: partial(compute, tile)})
@@ -102,22 +104,30 @@ def over_chosen(function: Callable[[Tree, Out], Out], arguments: Tree, results: 
     count = jnp.sum(chosen, dtype=jnp.int32)
 
     def replace(results):
-        return _by_platform(partial(_replace, function, arguments, results, chosen, count), size, min(tile, size))
+        narrow = min(tile, size)
+        compute = partial(_replace, function, arguments, results, chosen, count, narrow)
+        return _by_platform(compute, size, narrow, GATHERED_TRIPS)
 
     return lax.cond(count > 0, replace, lambda results: results, results)
 
 
 def _replace(
-    function: Callable[[Tree, Out], Out], arguments: Tree, results: Out, chosen: Array, count: Array, tile: int
+    function: Callable[[Tree, Out], Out],
+    arguments: Tree,
+    results: Out,
+    chosen: Array,
+    count: Array,
+    narrow: int,
+    tile: int,
 ) -> Out:
-    """``results`` with those of the ``chosen`` problems, of which there are ``count``, replaced tile by tile."""
+    """``results`` with those of the ``chosen`` problems, of which there are ``count``, replaced tile by tile.
+
+    On the processor tiles are as ``narrow`` as this.
+    """
     size = chosen.shape[0]
     last = jnp.cumsum(chosen, dtype=jnp.int32)
     padded = -(-size // tile) * tile
-    # Off the processor by a sort: a search takes steps one after the other.
-    method = "scan" if tile < WIDE else "sort"
-    order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32), method=method)
-    order = jnp.minimum(order, size - 1).astype(jnp.int32)
+    order = _searched(last, padded) if tile == narrow else _in_order(chosen, last, padded)
 
     def body(state):
         i, gathered = state
@@ -130,6 +140,19 @@ def _replace(
     _, gathered = lax.while_loop(lambda state: state[0] * tile < count, body, (jnp.int32(0), gathered))
     place = jnp.maximum(last - 1, 0)
     return merged(chosen, jax.tree.map(lambda g: g[place], gathered), results)
+
+
+def _searched(last: Array, padded: int) -> Array:
+    """The chosen problems one after the other, by how many are chosen up to each; on a processor a search is cheap."""
+    order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32))
+    return jnp.minimum(order, last.shape[0] - 1).astype(jnp.int32)
+
+
+def _in_order(chosen: Array, last: Array, padded: int) -> Array:
+    """The same off the processor, where a search takes steps one after the other: each writes itself into its place."""
+    every = jnp.arange(chosen.shape[0], dtype=jnp.int32)
+    place = jnp.where(chosen, last - 1, padded + every)
+    return jnp.zeros(padded, jnp.int32).at[place].set(every, mode="drop", unique_indices=True)
 
 
 def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:

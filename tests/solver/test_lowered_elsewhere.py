@@ -37,7 +37,8 @@ def test_loops_off_the_processor_do_not_grow_with_the_batch(question):
     # A loop over gathered tiles goes on while fewer problems are done than were chosen, a tile at a time. What else
     # loops are bounded by, such as steps of Newton's method, is the same for all batches.
     grown = [bound for bound in large if bound not in small]
-    assert all(bound <= tiling.TRIPS or bound * tiling.TRIPS >= LARGE for bound in grown)
+    trips = max(tiling.TRIPS, tiling.GATHERED_TRIPS)
+    assert all(bound <= trips or bound * trips >= LARGE for bound in grown)
     assert TILES not in large
 
 
@@ -47,9 +48,10 @@ def test_on_the_processor_tiles_stay_as_narrow_as_they_are():
 
 @pytest.mark.parametrize("size", [1, 127, 1_000, 16_384, 100_000, 3_000_000])
 @pytest.mark.parametrize("tile", [16, 128])
-def test_tiles_are_few_and_hold_all(size, tile):
-    wide = tiling.width(size, tile)
-    assert wide >= min(tile, size) and -(-size // wide) <= tiling.TRIPS
+@pytest.mark.parametrize("trips", [tiling.TRIPS, tiling.GATHERED_TRIPS])
+def test_tiles_are_few_and_hold_all(size, tile, trips):
+    wide = tiling.width(size, tile, trips)
+    assert wide >= min(tile, size) and -(-size // wide) <= trips
 
 
 @pytest.mark.parametrize("size", [20, 50])
@@ -68,6 +70,7 @@ def test_wide_tiles_find_what_narrow_ones_find(size, monkeypatch):
 
     narrow = jax.jit(both)(each, chosen)
     monkeypatch.setattr(tiling, "NARROW", "tpu")
+    monkeypatch.setattr(tiling, "WIDE", 8)
     wide = jax.jit(lambda *given: both(*given))(each, chosen)
     for one, other in zip(narrow, wide, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-15)

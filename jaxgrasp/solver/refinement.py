@@ -6,18 +6,23 @@ that a multiplier gives, Newton's method goes on with corrections to these targe
 their digits. Rounding of the targets does no harm: it stands for squeezing forces that differ by as little.
 """
 
+from functools import partial
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import ldl
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.contact_vec import ContactVec
 from jaxgrasp.problem.metric import squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
-from jaxgrasp.problem.spatial import SpatialVec, parts
+from jaxgrasp.problem.spatial import SpatialVec, inner, parts
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
 from jaxgrasp.solver.newton import LOOSE_FACTOR, damped, is_small, without_recomputation
@@ -30,7 +35,22 @@ CORRECTIONS = 3
 """Steps of the forces themselves, along their cones, after that."""
 ENOUGH = 0.25
 """Part of the largest residual of a sound answer at which none is refined."""
-_Carry = tuple[ContactVec, ContactVec, Array, Array, ProximalState]
+
+
+class _Refinement(NamedTuple):
+    """Where a refinement stands."""
+
+    aim: ContactVec
+    """What is projected on the cones next: targets, then forces moved along their cones."""
+    jacobian: Lower
+    """The projection's derivative at the last target."""
+    point: SpatialVec
+    """The multiplier that belongs to the targets."""
+    least: Array
+    """What the dual proves to be least there."""
+    wanting: Array
+    """Whether the problem is still to be refined."""
+    state: ProximalState
 
 
 @fused_cpu_kernel
@@ -45,43 +65,36 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
     wanting = (state.verdict == Verdict.OPTIMAL) & (state.relative_residual > enough)
     wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED) & (state.strength == 0))
 
-    def step(i: Array, carry: _Carry) -> _Carry:
-        target, corrected, point, wanting, state = carry
-        split = friction_cone.decompose(target, data.cone)
-        nearest = friction_cone.project(target, data.cone, split)
-        forces = without_recomputation(contact_vec.where(i <= REFINING_STEPS, nearest, corrected))
+    def step(i: Array, at: _Refinement) -> _Refinement:
+        by_target = i <= REFINING_STEPS
+        split = friction_cone.decompose(at.aim, data.cone)
+        forces = without_recomputation(friction_cone.project(at.aim, data.cone, split))
         found = measure_forces(problem, forces)
         left = problem.coordinates.wrench(*parts(found.residual))
+        # Forces of a target minimise the Lagrangian, whose value is then the dual's. Those moved along their cones have
+        # left it, so that their residual alone does not tell what they cost.
+        least = jnp.where(by_target, found.objective + inner(at.point, left), at.least)
+        gap = LOOSE_FACTOR * tol.gap * dual.gap_scale(data, found.objective)
         small = is_small(squared_norm(problem.metric, left), found.total_normal_force, LOOSE_FACTOR * tol.gradient)
-        good = wanting & (found.relative_residual <= enough) & small & _costs_least(problem, found.objective, point)
-        state = state._replace(
-            point=jnp.where(good, point, state.point),
-            forces=contact_vec.where(good, forces, state.forces),
-            verdict=jnp.where(good, Verdict.OPTIMAL, state.verdict),
-            steps=state.steps + wanting.astype(jnp.int32),
+        good = at.wanting & (found.relative_residual <= enough) & small & (found.objective - least <= gap)
+        state = at.state._replace(
+            point=jnp.where(good, at.point, at.state.point),
+            forces=contact_vec.where(good, forces, at.state.forces),
+            verdict=jnp.where(good, Verdict.OPTIMAL, at.state.verdict),
+            steps=at.state.steps + at.wanting.astype(jnp.int32),
         )
-        jacobian = friction_cone.derivative(data.cone, split)
+        jacobian = jax.tree.map(partial(jnp.where, by_target), friction_cone.derivative(data.cone, split), at.jacobian)
         curvature = dual.negative_hessian(problem, jacobian)
         more = dual.solve(ldl.factor(damped(curvature, problem.metric, rounding)), left)
         moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
-        beyond = contact_vec.add(forces, along)
-        corrected = friction_cone.project(beyond, data.cone, friction_cone.decompose(beyond, data.cone))
-        more_target = i < REFINING_STEPS
-        target = contact_vec.where(more_target, contact_vec.add(target, moved), target)
-        return target, corrected, jnp.where(more_target, point + more, point), wanting & ~good, state
+        newton = i < REFINING_STEPS
+        aim = contact_vec.where(newton, contact_vec.add(at.aim, moved), contact_vec.add(forces, along))
+        point = jnp.where(newton, at.point + more, at.point)
+        return _Refinement(aim, jacobian, point, least, at.wanting & ~good, state)
 
     target = dual.target_forces(data, dual.contact_velocities(problem, state.point))
-    start = varying_like((target, target, state.point, wanting, state), problem, state)
+    none = jax.tree.map(jnp.zeros_like, friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone)))
+    begun = _Refinement(target, none, state.point, 0 * state.relative_residual, wanting, state)
     trips = jnp.where(jnp.any(wanting), REFINING_STEPS + CORRECTIONS + 1, 0)
-    return lax.fori_loop(0, trips, step, start)[-1]
-
-
-def _costs_least(problem: ScaledProblem, objective: Array, point: SpatialVec) -> Array:
-    """Whether an objective is what the dual at ``point`` proves to be least, within the gap of an optimum.
-
-    The forces have left those that the point stands for, so that their residual alone does not tell.
-    """
-    least = dual.dual_value(problem, dual.candidate_forces(problem, point), point)
-    gap = LOOSE_FACTOR * tolerances(objective.dtype).gap
-    return objective - least <= gap * dual.gap_scale(problem.data, objective)
+    return lax.fori_loop(0, trips, step, varying_like(begun, problem, state)).state

@@ -90,7 +90,9 @@ def _by_joints(problem: ProblemBatch, data: ContactData, rates: Array) -> tuple[
     # In the user's own frame; joints without a bound have no row, and may not move at all.
     rows = torque_limits.torque_constraints(problem, data, Scaling(data.force, one, one, one, one > 0, one))
     turned = vec3.safe_divide(rates, rows.scale)
-    beyond = jnp.any((rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_bounds.most.T), 0, keepdims=True)
+    beyond = jnp.any(
+        (rates != 0) & (rows.scale == 0) & ~jnp.isfinite(problem.torque_bounds.torque_max.T), 0, keepdims=True
+    )
     spent = jnp.sum(rows.bound * jnp.abs(turned), 0, keepdims=True)
     return torque_limits.velocities_by_joints(rows, turned), jnp.where(beyond, jnp.inf, spent)
 

@@ -114,8 +114,8 @@ def _is_sound(problem: ProblemBatch, direction: Array) -> Array:
     sound = valid[0] & (jnp.sum(jnp.abs(direction), -1) <= largest)
     bounds = problem.torque_bounds
     if bounds is not None:
-        arms = jnp.sum(jnp.abs(bounds.map), (2, 3)) <= largest
-        sound = sound & jnp.all(arms | ~_is_adjustable(problem), -1) & jnp.all(bounds.most >= 0, -1)
+        arms = jnp.sum(jnp.abs(bounds.torque_map), (2, 3)) <= largest
+        sound = sound & jnp.all(arms | ~_is_adjustable(problem), -1) & jnp.all(bounds.torque_max >= 0, -1)
     return sound
 
 
@@ -136,12 +136,12 @@ def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
     """Forces in units of what the contacts can press with, or of the load, if that is more; the direction's length."""
     units = units_of(problem)
     conic = cone_problem(problem, units)
-    most = jnp.full_like(conic.friction, jnp.inf) if conic.most is None else conic.most
+    most = jnp.full_like(conic.friction, jnp.inf) if conic.normal_max is None else conic.normal_max
     if conic.rows is not None and conic.torque_max is not None:
         each = jnp.abs(conic.rows[..., 0])
         least = jnp.where(each > 0, conic.torque_max[..., None] / jnp.where(each > 0, each, 1), jnp.inf)
         most = jnp.minimum(most, jnp.min(least, 1))
-    counts = conic.there & jnp.isfinite(most) & (most > 0)
+    counts = conic.present & jnp.isfinite(most) & (most > 0)
     # The geometric mean: neither a limit that is as good as none nor a contact that can do next to nothing rules it.
     mean = jnp.sum(jnp.where(counts, jnp.log(jnp.where(counts, most, 1)), 0), -1) / jnp.maximum(jnp.sum(counts, -1), 1)
     loaded = jnp.sum(jnp.abs(conic.right), -1) > 0
@@ -155,11 +155,11 @@ def _posed(problem: ProblemBatch, direction: Array, units: Units, size: Array) -
     conic = cone_problem(problem, units)
     most = (
         jnp.full_like(conic.friction, NORMAL_FORCE_CAP)
-        if conic.most is None
-        else jnp.minimum(conic.most, NORMAL_FORCE_CAP)
+        if conic.normal_max is None
+        else jnp.minimum(conic.normal_max, NORMAL_FORCE_CAP)
     )
     aim = scaled_wrench(direction, units.about, units.length, jnp) / size[:, None]
-    return conic._replace(most=jnp.where(conic.there, most, jnp.inf)), aim
+    return conic._replace(normal_max=jnp.where(conic.present, most, jnp.inf)), aim
 
 
 def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
@@ -172,7 +172,7 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     cost = rounding**-COST
     best = cone_program.solve(_program(conic, aim, axes, inequalities, cost))
     batch, _, n, c = conic.columns.shape
-    y = jnp.where(conic.there[..., None], best.point[:, :-EXTRA].reshape(batch, n, c), 0)
+    y = jnp.where(conic.present[..., None], best.point[:, :-EXTRA].reshape(batch, n, c), 0)
     twist = aim - jnp.einsum("bij,bi->bj", axes, _across(aim) * best.equality, precision=lax.Precision.HIGHEST)
     multipliers = Multipliers(twist, inequality_multipliers(inequalities, best.duals[-1]))
     beyond = jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST) - conic.right
@@ -192,9 +192,9 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
 def _inequalities(conic: ConeProblem) -> Inequalities:
     """Limits; but for the least press of absent contacts, which are at its end and would say so twice."""
     found = limits_of(conic, EXTRA)
-    if conic.least is not None:
-        rows, ends = found["least"]
-        found["least"] = rows, jnp.where(conic.there, ends, jnp.inf)
+    if conic.normal_min is not None:
+        rows, ends = found["normal_min"]
+        found["normal_min"] = rows, jnp.where(conic.present, ends, jnp.inf)
     return found
 
 
@@ -237,8 +237,10 @@ def _across(aim: Array) -> Array:
 
 def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:
     """What theta no forces exceed whose presses are within their limits ``(B,)``."""
-    assert conic.most is not None
-    gained = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0) * jnp.where(conic.there, conic.most, 0)
+    assert conic.normal_max is not None
+    gained = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0) * jnp.where(
+        conic.present, conic.normal_max, 0
+    )
     rate = jnp.sum(multipliers.twist * aim, -1)
     given = limit_work(conic, multipliers) - required_work(conic, multipliers) + jnp.sum(gained, -1)
     return jnp.where(rate > 0.5, given / jnp.where(rate > 0.5, rate, 1), jnp.inf)
@@ -246,8 +248,8 @@ def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:
 
 def _leant_on(conic: ConeProblem, problem: ProblemBatch, units: Units, multipliers: Multipliers) -> Array:
     """How much of theta's bound rests on no limit of the hand, but on how far it was looked ``(B,)``."""
-    assert conic.most is not None
-    rests = multipliers.bounds["most"] * jnp.where(conic.there, conic.most, 0)
+    assert conic.normal_max is not None
+    rests = multipliers.bounds["normal_max"] * jnp.where(conic.present, conic.normal_max, 0)
     if problem.normal_max is not None:
         rests = jnp.where(problem.normal_max / units.force_unit[:, None] > NORMAL_FORCE_CAP, rests, 0)
     return jnp.sum(rests, -1)

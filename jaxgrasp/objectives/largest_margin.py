@@ -84,10 +84,10 @@ def search(conic: ConeProblem) -> SearchResult:
 
 def value(conic: ConeProblem, y: Array) -> Array:
     """Smallest margin of a loaded contact with friction ``(B,)``."""
-    lean = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1))
+    tangential = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1))
     angles = jnp.arctan(conic.friction)
-    left = angles - jnp.arctan2(conic.friction * lean, jnp.where(lean > 0, y[..., 0], 1))
-    counts = conic.there & (conic.friction > 0) & ((y[..., 0] > 0) | (lean > 0))
+    left = angles - jnp.arctan2(conic.friction * tangential, jnp.where(tangential > 0, y[..., 0], 1))
+    counts = conic.present & (conic.friction > 0) & ((y[..., 0] > 0) | (tangential > 0))
     return jnp.min(jnp.where(counts, left, widest(conic)[:, None]), -1)
 
 
@@ -108,8 +108,8 @@ def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:
 
 
 def _bounded(conic: ConeProblem) -> ConeProblem:
-    assert conic.most is not None
-    return conic._replace(most=jnp.where(conic.there, jnp.minimum(conic.most, NORMAL_FORCE_CAP), jnp.inf))
+    assert conic.normal_max is not None
+    return conic._replace(normal_max=jnp.where(conic.present, jnp.minimum(conic.normal_max, NORMAL_FORCE_CAP), jnp.inf))
 
 
 def _apart(like: Array) -> float:
@@ -118,20 +118,20 @@ def _apart(like: Array) -> float:
 
 def _angles(conic: ConeProblem) -> Array:
     """Friction angles of contacts ``(B, n)``; 0 of those that are absent."""
-    return jnp.where(conic.there, jnp.arctan(conic.friction), 0)
+    return jnp.where(conic.present, jnp.arctan(conic.friction), 0)
 
 
 def _narrowed(conic: ConeProblem, margin: Array) -> ConeProblem:
     """Cones narrower by an angle ``(B,)``; a contact whose own angle is smaller is gone."""
     share = _shares(conic, margin)
-    there = conic.there & ((_angles(conic) >= margin[:, None]) | (conic.friction == 0))
+    there = conic.present & ((_angles(conic) >= margin[:, None]) | (conic.friction == 0))
 
-    def lean(columns: Array) -> Array:
+    def narrowed(columns: Array) -> Array:
         parts = jnp.concatenate([columns[..., :1], columns[..., 1:] * share[:, None, :, None]], -1)
         return jnp.where(there[:, None, :, None], parts, 0)
 
-    rows = None if conic.rows is None else lean(conic.rows)
-    return conic._replace(columns=lean(conic.columns), friction=share * conic.friction, there=there, rows=rows)
+    rows = None if conic.rows is None else narrowed(conic.rows)
+    return conic._replace(columns=narrowed(conic.columns), friction=share * conic.friction, present=there, rows=rows)
 
 
 def _shares(conic: ConeProblem, margin: Array) -> Array:
@@ -142,9 +142,11 @@ def _shares(conic: ConeProblem, margin: Array) -> Array:
 
 def _inside(y: Array) -> Array:
     """In its cones, where rounding may have left forces of next to nothing outside."""
-    press = jnp.maximum(y[..., :1], 0)
-    lean = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1, keepdims=True))
-    return jnp.concatenate([press, y[..., 1:] * jnp.where(lean > press, safe_divide(press, lean), 1)], -1)
+    normal_force = jnp.maximum(y[..., :1], 0)
+    tangential = safe_sqrt(jnp.sum(y[..., 1:] ** 2, -1, keepdims=True))
+    return jnp.concatenate(
+        [normal_force, y[..., 1:] * jnp.where(tangential > normal_force, safe_divide(normal_force, tangential), 1)], -1
+    )
 
 
 def _look(whole: ConeProblem, margin: Array) -> _MarginEvaluation:
@@ -158,11 +160,11 @@ def _look(whole: ConeProblem, margin: Array) -> _MarginEvaluation:
     bounds = inequality_multipliers(inequalities, best.duals[-1])
     enough = bounds.pop("enough")[:, 0]
     multipliers = Multipliers(-best.equality, bounds)
-    y = jnp.where(conic.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
+    y = jnp.where(conic.present[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     times, most = best.point[:, -1], _most(conic, multipliers, enough)
-    if conic.least is not None:
+    if conic.normal_min is not None:
         # A contact that is gone cannot press as it must.
-        lacking = jnp.any(whole.there & ~conic.there & (conic.least > 0), -1)
+        lacking = jnp.any(whole.present & ~conic.present & (conic.normal_min > 0), -1)
         times, most = jnp.where(lacking, 0, times), jnp.where(lacking, 0, most)
     return _MarginEvaluation(times, most, _slope(whole, conic, multipliers, y), y, multipliers, best.missed)
 
@@ -172,25 +174,25 @@ def _slope(whole: ConeProblem, conic: ConeProblem, multipliers: Multipliers, y: 
     # Of tan: what a radian takes off the friction that is left, as a part of it.
     shrinks = -safe_divide(1 + conic.friction**2, conic.friction)
     pays = y[..., 0] * contact_power(conic, multipliers).across
-    return jnp.sum(jnp.where(conic.there & (whole.friction > 0), pays * shrinks, 0), -1)
+    return jnp.sum(jnp.where(conic.present & (whole.friction > 0), pays * shrinks, 0), -1)
 
 
 def _inequalities(conic: ConeProblem) -> Inequalities:
-    """Limits; least presses, like the wrench, as many times as they are exerted."""
+    """Limits; least normal forces, like the wrench, as many times as they are exerted."""
     found = limits_of(conic, 1)
-    if conic.least is not None:
-        rows, ends = found["least"]
-        found["least"] = rows.at[..., -1].set(conic.least), 0 * ends
+    if conic.normal_min is not None:
+        rows, ends = found["normal_min"]
+        found["normal_min"] = rows.at[..., -1].set(conic.normal_min), 0 * ends
     last = jnp.zeros((conic.right.shape[0], 1, conic.width + 1), conic.right.dtype).at[..., -1].set(1)
     found["enough"] = last, jnp.full_like(conic.right[:, :1], ENOUGH)
     return found
 
 
 def _most(conic: ConeProblem, multipliers: Multipliers, enough: Array) -> Array:
-    """What the multipliers prove, those of largest presses raised until no contact works along them ``(B,)``."""
-    assert conic.most is not None
+    """What the multipliers prove, those of largest normal forces raised until no contact works along them ``(B,)``."""
+    assert conic.normal_max is not None
     push = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0)
-    raised = jnp.sum(jnp.where(push > 0, push * conic.most, 0), -1)
+    raised = jnp.sum(jnp.where(push > 0, push * conic.normal_max, 0), -1)
     given = limit_work(conic, multipliers) + ENOUGH * enough + raised
     worth = required_work(conic, multipliers) + enough
     return jnp.where(worth > 0, given / jnp.where(worth > 0, worth, 1), jnp.inf)

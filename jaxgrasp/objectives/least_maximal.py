@@ -33,7 +33,7 @@ def search(conic: ConeProblem) -> SearchResult:
     last = jnp.zeros((size, n * c + 1), conic.right.dtype).at[:, -1].set(1)
     best = cone_program.solve(ConeProgram(absent(conic, 1), last, equations, conic.right, tuple(cones)))
     bounds = inequality_multipliers(inequalities, best.duals[-1]) if inequalities else {}
-    y = jnp.where(conic.there[..., None], best.point[:, :-1].reshape(size, n, c), 0)
+    y = jnp.where(conic.present[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     multipliers = Multipliers(-best.equality, bounds)
     shares = best.duals[1][..., 0]
     return SearchResult(y, _bound(conic, multipliers), multipliers, shares, best.missed)
@@ -52,8 +52,8 @@ def value(conic: ConeProblem, y: Array) -> Array:
 
 def _sizes(conic: ConeProblem, y: Array) -> Array:
     """Size of each force ``(B, n)``."""
-    lean = conic.friction[..., None] * y[..., 1:]
-    return safe_sqrt(y[..., 0] ** 2 + jnp.sum(lean**2, -1))
+    tangential = conic.friction[..., None] * y[..., 1:]
+    return safe_sqrt(y[..., 0] ** 2 + jnp.sum(tangential**2, -1))
 
 
 def _bound(conic: ConeProblem, multipliers: Multipliers) -> Array:

@@ -20,7 +20,7 @@ TIE = 1e-13
 NOTHING = 0.9
 """Half the squares of torques that are no more than rounding, as a power of it."""
 REACH = 1e3
-"""Where no limit bounds a press, the bound is proven up to so many times the sum of presses found."""
+"""Where no limit bounds a normal force, the bound is proven up to so many times the sum of those found."""
 
 
 def search(conic: ConeProblem) -> SearchResult:
@@ -34,7 +34,7 @@ def search(conic: ConeProblem) -> SearchResult:
     equations = conic.columns.reshape(size, 6, n * c)
     best = cone_program.solve(ConeProgram(squares, jnp.zeros_like(squares[:, 0]), equations, conic.right, tuple(cones)))
     bounds = inequality_multipliers(inequalities, best.duals[-1]) if inequalities else {}
-    y = jnp.where(conic.there[..., None], best.point.reshape(size, n, c), 0)
+    y = jnp.where(conic.present[..., None], best.point.reshape(size, n, c), 0)
     multipliers = Multipliers(-best.equality, bounds, _torques(conic, y))
     return SearchResult(y, _bound(conic, multipliers, y[..., 0]), multipliers, None, best.missed)
 
@@ -48,11 +48,11 @@ def value(conic: ConeProblem, y: Array) -> Array:
     return jnp.sqrt(jnp.sum(_torques(conic, y) ** 2, -1))
 
 
-def _bound(conic: ConeProblem, multipliers: Multipliers, press: Array) -> Array:
+def _bound(conic: ConeProblem, multipliers: Multipliers, normal_force: Array) -> Array:
     """What no torques stay below, of forces within the limits and ``REACH`` ``(B,)``."""
-    farthest = REACH * jnp.sum(press, -1, keepdims=True)
-    if conic.most is not None:
-        farthest = jnp.minimum(farthest, conic.most)
+    farthest = REACH * jnp.sum(normal_force, -1, keepdims=True)
+    if conic.normal_max is not None:
+        farthest = jnp.minimum(farthest, conic.normal_max)
     gained = jnp.sum(jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0) * farthest, -1)
     return _root(_half(conic, multipliers) - gained)
 

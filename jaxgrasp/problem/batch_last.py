@@ -29,9 +29,9 @@ else:
 class TorqueBounds(eqx.Module):
     """What bounds the joint torques of a flat batch."""
 
-    map: Float[InBatch, "#B n c j"]
+    torque_map: Float[InBatch, "#B n c j"]
     """Torques for each unit of a contact's force, and moment where c = 4, in the user's axes [m, 1]."""
-    most: Float[InBatch, "#B j"]
+    torque_max: Float[InBatch, "#B j"]
     """Largest torques [N.m]; infinite where a joint has none."""
 
 

@@ -2,8 +2,8 @@
 
 Nothing is shared among the problems: every array has as many entries as there are.
 
-The force of a contact is y = (press, lean): lean is what it uses of its friction along two tangents and, of a soft
-finger, about its normal, and |lean| <= press is the friction cone whatever the coefficients.
+The force of a contact is y = (normal, tangential): the latter is what it uses of its friction along two tangents and,
+of a soft finger, about its normal, and |tangential| <= normal is the friction cone whatever the coefficients.
 """
 
 from dataclasses import replace
@@ -43,10 +43,10 @@ class ConeProblem(NamedTuple):
     """The wrench ``(B, 6)``."""
     friction: Array
     """``(B, n)``."""
-    there: Array
-    least: Array | None
-    """Least press of each contact ``(B, n)``; None where none is bounded, and so for ``most``."""
-    most: Array | None
+    present: Array
+    normal_min: Array | None
+    """Least normal force of each contact ``(B, n)``; None where none is bounded, and so for ``normal_max``."""
+    normal_max: Array | None
     rows: Array | None
     """Torque of each component of y ``(B, j, n, c)``; None where no joint is known."""
     torque_max: Array | None
@@ -84,11 +84,11 @@ def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
         columns=columns,
         right=scaled_wrench(problem.wrench, shapes.about, shapes.length, jnp) / load,
         friction=jnp.where(there, problem.friction, 0),
-        there=there,
-        least=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
-        most=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
+        present=there,
+        normal_min=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
+        normal_max=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
         rows=rows,
-        torque_max=None if bounds is None else bounds.most / (load * torque),
+        torque_max=None if bounds is None else bounds.torque_max / (load * torque),
     )
 
 
@@ -106,7 +106,7 @@ def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     """Joint torques of each component of y ``(B, j, n, c)``."""
     assert problem.torque_bounds is not None
     there = _there(problem)
-    given = jnp.where(there[..., None, None], problem.torque_bounds.map, 0)
+    given = jnp.where(there[..., None, None], problem.torque_bounds.torque_map, 0)
     # The normals, and the tangents that the spans are made along.
     normals = jnp.where(there[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=given.dtype)[2])
     friction = jnp.where(there, problem.friction, 0)
@@ -121,12 +121,12 @@ def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
 
 def forces_of_y(conic: ConeProblem, units: Units, problem: ProblemBatch, y: Array) -> tuple[Array, Array | None]:
     """Forces ``(B, n, 3)`` and, of soft fingers, moments, of y ``(B, n, c)``, in the user's units."""
-    y = jnp.where(conic.there[..., None], y, 0) * units.force_unit[:, None, None]
+    y = jnp.where(conic.present[..., None], y, 0) * units.force_unit[:, None, None]
     # The first three rows of a column are a force.
     forces = jnp.einsum("bxnc,bnc->bnx", conic.columns[:, :3], y, precision=lax.Precision.HIGHEST)
     if problem.torsion is None:
         return forces, None
-    turning = jnp.where(conic.there & (problem.friction > 0), problem.torsion, 0)
+    turning = jnp.where(conic.present & (problem.friction > 0), problem.torsion, 0)
     return forces, turning * y[..., 3]
 
 
@@ -136,7 +136,7 @@ def y_of_forces(conic: ConeProblem, units: Units, problem: ProblemBatch, forces:
     along = jnp.einsum("bxnc,bnx->bnc", conic.columns[:, :3, :, :3], forces, precision=lax.Precision.HIGHEST)
     parts = [along[..., :1], safe_divide(along[..., 1:], conic.friction[..., None] ** 2)]
     if moments is not None and problem.torsion is not None:
-        parts.append(safe_divide(moments, jnp.where(conic.there, problem.torsion, 0))[..., None])
+        parts.append(safe_divide(moments, jnp.where(conic.present, problem.torsion, 0))[..., None])
     return jnp.concatenate(parts, -1) / units.force_unit[:, None, None]
 
 
@@ -150,20 +150,20 @@ def friction_cones(conic: ConeProblem, extra: int) -> Cones:
     """y of each contact in its cone; of absent ones nothing. ``extra`` variables follow those of y."""
     size, _, n, c = conic.columns.shape
     blocks = -jnp.eye(n * c, dtype=conic.columns.dtype).reshape(n, c, n * c)
-    rows = jnp.where(conic.there[..., None, None], blocks, 0)
-    offset = jnp.where(conic.there[..., None], jnp.zeros(c), jnp.eye(c)[0]).astype(rows.dtype)
+    rows = jnp.where(conic.present[..., None, None], blocks, 0)
+    offset = jnp.where(conic.present[..., None], jnp.zeros(c), jnp.eye(c)[0]).astype(rows.dtype)
     return Cones(jnp.pad(rows, [(0, 0)] * 3 + [(0, extra)]), jnp.broadcast_to(offset, (size, n, c)))
 
 
 def absent(conic: ConeProblem, extra: int) -> Array:
     """A quadratic term that keeps absent contacts at zero ``(B, k, k)``."""
     c = conic.columns.shape[3]
-    idle = jnp.repeat((~conic.there).astype(conic.right.dtype), c, -1)
+    idle = jnp.repeat((~conic.present).astype(conic.right.dtype), c, -1)
     return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(conic.width + extra, dtype=conic.right.dtype)
 
 
 def press_rows(conic: ConeProblem, extra: int) -> Array:
-    """The press of each contact as rows ``(n, k)``."""
+    """The normal force of each contact as rows ``(n, k)``."""
     n, c = conic.columns.shape[2:]
     return jnp.pad(jnp.eye(n * c, dtype=conic.right.dtype)[::c], [(0, 0), (0, extra)])
 
@@ -181,4 +181,6 @@ def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
     bounds = problem.torque_bounds
     if bounds is None:
         return kept
-    return replace(kept, torque_bounds=TorqueBounds(bounds.map, jnp.where(which[:, None], bounds.most, jnp.inf)))
+    return replace(
+        kept, torque_bounds=TorqueBounds(bounds.torque_map, jnp.where(which[:, None], bounds.torque_max, jnp.inf))
+    )

@@ -15,10 +15,10 @@ def limits_of(conic: ConeProblem, extra: int) -> Inequalities:
     size, n = conic.right.shape[0], conic.columns.shape[2]
     presses = jnp.broadcast_to(press_rows(conic, extra), (size, n, conic.width + extra))
     found: Inequalities = {}
-    if conic.least is not None:
-        found["least"] = -presses, -conic.least
-    if conic.most is not None:
-        found["most"] = presses, conic.most
+    if conic.normal_min is not None:
+        found["normal_min"] = -presses, -conic.normal_min
+    if conic.normal_max is not None:
+        found["normal_max"] = presses, conic.normal_max
     if conic.rows is not None and conic.torque_max is not None:
         torque = jnp.pad(conic.rows.reshape(size, -1, conic.width), [(0, 0), (0, 0), (0, extra)])
         found["up"] = torque, conic.torque_max

@@ -108,14 +108,14 @@ def scaled_wrench(wrench: Any, about: Any, length: Any, library: Any) -> Any:
     return library.concatenate([wrench[..., :3], torque / length[..., None]], -1)
 
 
-def work(shapes: WrenchDiscs, press: AnyArray, lean: AnyArray, direction: AnyArray) -> Array:
-    """Power along scaled twists ``(..., 6)`` of normal forces ``press`` (..., n) and friction ``lean`` (..., n, 3).
+def work(shapes: WrenchDiscs, normal_force: AnyArray, tangential: AnyArray, direction: AnyArray) -> Array:
+    """Power along scaled twists ``(..., 6)`` of normal forces (..., n) and tangential ones (..., n, 3).
 
-    The lean of a contact is u times its normal force: its length is at most the normal force.
+    A tangential force is in units of the friction coefficient: its length is at most the normal force.
     """
     along = jnp.einsum("...nj,...j->...n", shapes.centres, direction)
     across = jnp.einsum("...njk,...j->...nk", shapes.spans, direction)
-    return jnp.sum(press * along + jnp.sum(lean * across, -1), -1)
+    return jnp.sum(normal_force * along + jnp.sum(tangential * across, -1), -1)
 
 
 def differentiable_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:

@@ -76,8 +76,8 @@ class Decision(NamedTuple):
     decided: bool
     margin: float
     twist: np.ndarray
-    press: np.ndarray
-    lean: np.ndarray
+    normal_force: np.ndarray
+    tangential: np.ndarray
 
 
 @checked
@@ -116,8 +116,8 @@ def force_closure(
     bodies = given.bodies()
     found = Decisions(*in_turn(len(bodies.present), lambda own: decide_all(bodies.take(own)), progress))
     batch, contacts = given.batch, given.present.shape
-    press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
-    forces, moments = forces_of(given.shapes, press, lean, np)
+    normal_force, tangential = found.normal_force.reshape(contacts), found.tangential.reshape((*contacts, 3))
+    forces, moments = forces_of(given.shapes, normal_force, tangential, np)
     twist = unscaled(found.twist.reshape((*batch, 6)), given.shapes, np)
     closed, decided, margin = (array.reshape(batch) for array in (found.closed, found.decided, found.margin))
     return ForceClosure(closed, decided, margin, twist, forces, moments)
@@ -126,9 +126,11 @@ def force_closure(
 def _traced(grasp: Grasp, length: Length, about: About) -> ForceClosure:
     count = grasp.friction.shape[-1]
     trailing = ((), (), (), (6,), (count,), (count, 3))
-    shapes, (closed, decided, margin, twist, press, lean) = call_on_host(decide_all, trailing, grasp, length, about)
+    shapes, (closed, decided, margin, twist, normal_force, tangential) = call_on_host(
+        decide_all, trailing, grasp, length, about
+    )
     shapes = jax.lax.stop_gradient(shapes)
-    forces, moments = forces_of(shapes, press, lean, jnp)
+    forces, moments = forces_of(shapes, normal_force, tangential, jnp)
     return ForceClosure(closed > 0.5, decided > 0.5, margin, unscaled(twist, shapes, jnp), forces, moments)
 
 
@@ -138,11 +140,11 @@ def unscaled(twist: Any, shapes: WrenchDiscs, library: Any) -> Any:
     return library.concatenate([twist[..., :3] - library.cross(angular, shapes.about), angular], -1)
 
 
-def forces_of(shapes: WrenchDiscs, press: Any, lean: Any, library: Any) -> tuple[Any, Any]:
+def forces_of(shapes: WrenchDiscs, normal_force: Any, tangential: Any, library: Any) -> tuple[Any, Any]:
     """Forces ``(..., n, 3)`` and moments about the normals ``(..., n)`` [m], per newton, by NumPy or JAX."""
-    exerted = press[..., None] * shapes.centres + library.einsum("...njk,...nk->...nj", shapes.spans, lean)
+    exerted = normal_force[..., None] * shapes.centres + library.einsum("...njk,...nk->...nj", shapes.spans, tangential)
     moment = library.einsum("...j,...j->...", shapes.spans[..., 3:, 2], shapes.centres[..., :3])
-    return exerted[..., :3], moment * lean[..., 2] * library.asarray(shapes.length)[..., None]
+    return exerted[..., :3], moment * tangential[..., 2] * library.asarray(shapes.length)[..., None]
 
 
 class Decisions(NamedTuple):
@@ -152,9 +154,9 @@ class Decisions(NamedTuple):
     decided: np.ndarray
     margin: np.ndarray
     twist: np.ndarray
-    press: np.ndarray
+    normal_force: np.ndarray
     """``(G, n)``, zeros for absent contacts."""
-    lean: np.ndarray
+    tangential: np.ndarray
     """``(G, n, 3)``."""
 
 
@@ -173,7 +175,11 @@ def decide_all(bodies: WrenchSets) -> Decisions:
     for index in map(int, np.flatnonzero(~found.decided)):
         own, one = bodies.present[index], decide(bodies.alone(index))
         found.closed[index], found.decided[index], found.margin[index] = one.closed, one.decided, one.margin
-        found.twist[index], found.press[index, own], found.lean[index, own] = one.twist, one.press, one.lean
+        found.twist[index], found.normal_force[index, own], found.tangential[index, own] = (
+            one.twist,
+            one.normal_force,
+            one.tangential,
+        )
     return found
 
 
@@ -188,13 +194,16 @@ def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
     bodies = bodies.take(well)
     whitening = axes[well] / np.sqrt(sizes[well])[:, None]
     white = replace(bodies, discs=bodies.discs @ whitening[:, None])
-    weights, leans, twists = weights_or_twist(white, -white.discs[:, :, 0].sum(1))
-    press = np.where(bodies.present, 1 + weights, 0)
+    weights, tangentials, twists = weights_or_twist(white, -white.discs[:, :, 0].sum(1))
+    normal_force = np.where(bodies.present, 1 + weights, 0)
     smooth = np.any(bodies.discs[:, :, 1:] != 0, (2, 3))
-    total = press.sum(1)
-    press, leans = press / total[:, None], np.where(smooth[..., None], leans, 0) / total[:, None, None]
-    missed = white.exerted(np.concatenate([press[..., None], leans], -1))
-    room = np.min(np.where(bodies.present, press - np.linalg.norm(leans, axis=-1), np.inf), 1) / np.sqrt(2)
+    total = normal_force.sum(1)
+    normal_force, tangentials = (
+        normal_force / total[:, None],
+        np.where(smooth[..., None], tangentials, 0) / total[:, None, None],
+    )
+    missed = white.exerted(np.concatenate([normal_force[..., None], tangentials], -1))
+    room = np.min(np.where(bodies.present, normal_force - np.linalg.norm(tangentials, axis=-1), np.inf), 1) / np.sqrt(2)
     radius = np.sqrt(sizes[well, 0]) * (room - np.linalg.norm(missed, axis=1)) - bodies.slack
     margin = CAUTIOUS * radius / (1 + np.sqrt(bodies.present.sum(1)) * room)
     plain = np.matmul(whitening, twists[..., None])[..., 0]
@@ -205,38 +214,38 @@ def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
     found.closed[well], found.decided[well] = balanced, balanced | opened
     found.margin[well] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
     found.twist[well[opened]] = plain[opened]
-    found.press[well[balanced]], found.lean[well[balanced]] = press[balanced], leans[balanced]
+    found.normal_force[well[balanced]], found.tangential[well[balanced]] = normal_force[balanced], tangentials[balanced]
 
 
 def weights_or_twist(white: WrenchSets, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights ``(G, n)`` and leans ``(G, n, 3)`` of wrenches that make up those to the ``right`` (G, 6); else a twist
-    ``(G, 6)`` that works along these and along which no contact does, as far as the search has come."""
+    """Weights ``(G, n)`` and tangential forces ``(G, n, 3)`` of wrenches that make up those to the ``right`` (G, 6);
+    else twists ``(G, 6)`` that work along these and along which no contact does, as far as the search has come."""
     grasps, count = white.present.shape
     bases = SimplexBases(right, 1.0)
-    leans, twists = np.zeros((grasps, 6, 3)), np.zeros((grasps, 6))
+    tangentials, twists = np.zeros((grasps, 6, 3)), np.zeros((grasps, 6))
     size = np.linalg.norm(right, axis=1)
     left = np.flatnonzero(bases.artificial() > BALANCED * size)
     some = white.take(left)
     for _ in range(PIVOTS):
         directions = bases.multipliers()[left]
-        values, lean = some.supports(directions)
+        values, tangential = some.supports(directions)
         best = np.argmax(values, 1)
         every = np.arange(len(left))
         works = values[every, best] > UNMOVED * np.linalg.norm(directions, axis=1)
         twists[left[~works]] = directions[~works]
         forces = np.zeros((len(left), count, 4))
-        forces[every, best, 0], forces[every, best, 1:] = 1, lean[every, best]
+        forces[every, best, 0], forces[every, best, 1:] = 1, tangential[every, best]
         columns = some.exerted(forces)
         moving = left[works]
         place = bases.enter(moving, columns[works], np.full(len(moving), -AHEAD), best[works])
-        leans[moving[place >= 0], place[place >= 0]] = lean[every, best][works][place >= 0]
+        tangentials[moving[place >= 0], place[place >= 0]] = tangential[every, best][works][place >= 0]
         keep = works.copy()
         keep[works] = (place >= 0) & (bases.artificial()[moving] > BALANCED * size[moving])
         if not keep.any():
             break
         left = left[keep]
         some = some.take(np.flatnonzero(keep))
-    return *bases.by_contact(np.arange(grasps), leans, count), twists
+    return *bases.by_contact(np.arange(grasps), tangentials, count), twists
 
 
 def decide(body: WrenchSet) -> Decision:
@@ -256,7 +265,7 @@ class _InSight(NamedTuple):
 
     points: np.ndarray
     owner: np.ndarray
-    lean: np.ndarray
+    tangential: np.ndarray
 
 
 def _separate_or_balance(body: WrenchSet, whitening: np.ndarray) -> Decision:
@@ -278,19 +287,19 @@ def _separate_or_balance(body: WrenchSet, whitening: np.ndarray) -> Decision:
             plain /= np.linalg.norm(plain)
             if body.supports(plain[None])[0].max() <= body.slack:
                 return _open(plain, body, True)
-        values, lean = (array[0] for array in white.supports(twist[None]))
+        values, tangential = (array[0] for array in white.supports(twist[None]))
         seen = np.flatnonzero(values > 0)
-        reached = white.centres[seen] + np.einsum("njk,nk->nj", white.spans[seen], lean[seen])
-        sight = _InSight(*(np.concatenate(pair) for pair in zip(sight, (reached, seen, lean[seen]))))
+        reached = white.centres[seen] + np.einsum("njk,nk->nj", white.spans[seen], tangential[seen])
+        sight = _InSight(*(np.concatenate(pair) for pair in zip(sight, (reached, seen, tangential[seen]))))
     return _undecided(body)
 
 
 def _first_wrenches(body: WrenchSet) -> _InSight:
     """Each disc's, at both ends of every column of its span."""
     count = len(body.centres)
-    lean = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (count, 1))
+    tangential = np.tile(np.concatenate([np.eye(3), -np.eye(3)]), (count, 1))
     owner = np.repeat(np.arange(count), 6)
-    return _InSight(body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], lean), owner, lean)
+    return _InSight(body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], tangential), owner, tangential)
 
 
 def _without_idle(body: WrenchSet, twist: np.ndarray) -> np.ndarray:
@@ -339,24 +348,24 @@ def _towards(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.nda
 def _balance(body: WrenchSet, sight: _InSight, weights: np.ndarray, whitening: np.ndarray) -> Decision | None:
     """One newton at every contact and what makes up for it, if that is proven to be strictly inside.
 
-    The forces (press, lean) of all contacts may move by ``room`` each and stay inside. In white coordinates such
+    The forces (normal, tangential) of all contacts may move by ``room`` each and stay inside. In white coordinates such
     moves make up for any wrench of their own length, and lengths are at most those in plain ones over the least
     singular value of the discs' matrix.
     """
     count = len(body.centres)
-    press = 1 + np.bincount(sight.owner, weights, count)
-    lean = np.zeros((count, 3))
-    np.add.at(lean, sight.owner, weights[:, None] * sight.lean)
+    normal_force = 1 + np.bincount(sight.owner, weights, count)
+    tangential = np.zeros((count, 3))
+    np.add.at(tangential, sight.owner, weights[:, None] * sight.tangential)
     smooth = np.any(body.spans != 0, (1, 2))
-    total = press.sum()
-    press, lean = press / total, np.where(smooth[:, None], lean, 0) / total
-    missed = (press @ body.centres + np.einsum("njk,nk->j", body.spans, lean)) @ whitening
-    room = np.min(press - np.linalg.norm(lean, axis=1)) / np.sqrt(2)
+    total = normal_force.sum()
+    normal_force, tangential = normal_force / total, np.where(smooth[:, None], tangential, 0) / total
+    missed = (normal_force @ body.centres + np.einsum("njk,nk->j", body.spans, tangential)) @ whitening
+    room = np.min(normal_force - np.linalg.norm(tangential, axis=1)) / np.sqrt(2)
     least_size = 1 / np.linalg.norm(whitening, axis=0).max()
     radius = least_size * (room - np.linalg.norm(missed)) - body.slack
     if radius <= 0:
         return None
-    return Decision(True, True, radius / (1 + np.sqrt(count) * room), np.zeros(6), press, lean)
+    return Decision(True, True, radius / (1 + np.sqrt(count) * room), np.zeros(6), normal_force, tangential)
 
 
 def _open(twist: np.ndarray, body: WrenchSet, decided: bool) -> Decision:

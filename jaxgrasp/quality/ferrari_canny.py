@@ -43,11 +43,12 @@ class Epsilon(NamedTuple):
     direction: np.ndarray
     """``(..., 6)``: of the wrench (force, torque / length) about ``about`` that is hardest to exert, of length 1; with
     an ellipsoid of semi-axes A the wrench that is hardest for its size is A times the direction."""
-    press: np.ndarray
+    normal_force: np.ndarray
     """``(..., n)``: normal forces with which the grasp exerts ``upper`` times that wrench; zeros where it is not
     closed."""
-    lean: np.ndarray
-    """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times press."""
+    tangential: np.ndarray
+    """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times that
+    force."""
 
     def __str__(self) -> str:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
@@ -137,7 +138,7 @@ def ferrari_canny_at(
 ) -> Float[Array, "..."]:
     """The radius near a grasp that ``ferrari_canny`` has measured, for derivatives by points, normals and friction.
 
-    By the envelope theorem the radius moves as the work of the forces ``found.press``, ``found.lean`` along
+    By the envelope theorem the radius moves as the work of ``found.normal_force`` and ``found.tangential`` along
     ``found.direction`` does, since nearby neither another direction nor other forces change it to first order. So
     ``jax.grad`` of this, at the grasp measured, is the radius's derivative; its value there is ``found.upper`` but for
     rounding. (On a few grasps in a hundred the search ends without the point of touch to all digits; value and
@@ -167,10 +168,10 @@ def _worked(grasp: Grasp, found: Epsilon, frame: Frame) -> Array:
 
 
 def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
-    press, lean, direction = (
-        jnp.asarray(array, shapes.centres.dtype) for array in (found.press, found.lean, found.direction)
+    normal_force, tangential, direction = (
+        jnp.asarray(array, shapes.centres.dtype) for array in (found.normal_force, found.tangential, found.direction)
     )
-    return differentiable_where(jnp.any(direction != 0, -1), work(shapes, press, lean, direction), shapes)
+    return differentiable_where(jnp.any(direction != 0, -1), work(shapes, normal_force, tangential, direction), shapes)
 
 
 def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: float, max_points: int) -> Epsilon:
@@ -204,7 +205,7 @@ def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
         touched = touch(some, balls)
         found.lower[own] = np.maximum(balls.lower - some.slack, closure.margin[own])
         found.upper[own] = np.minimum(balls.upper, touched.height) + some.slack
-        found.direction[own], found.press[own], found.lean[own] = touched[1:]
+        found.direction[own], found.normal_force[own], found.tangential[own] = touched[1:]
     return found
 
 

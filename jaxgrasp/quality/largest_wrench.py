@@ -53,10 +53,11 @@ class LargestWrench(NamedTuple):
     """``(..., n, 3)``."""
     moments: np.ndarray
     """``(..., n)`` [m]: of soft fingers about their normals."""
-    press: np.ndarray
+    normal_force: np.ndarray
     """``(..., n)``: normal forces."""
-    lean: np.ndarray
-    """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times press."""
+    tangential: np.ndarray
+    """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times that
+    force."""
 
     def __str__(self) -> str:
         return f"LargestWrench: upper bound {range_of(self.upper)}"
@@ -116,8 +117,10 @@ def largest_wrench(
     batch, contacts = given.batch, given.present.shape
     lower, upper = (array.reshape(batch) / size for array in (found.lower, found.upper))
     twist = unscaled(found.twist.reshape((*batch, 6)) / size[..., None], given.shapes, np)
-    press, lean = found.press.reshape(contacts), found.lean.reshape((*contacts, 3))
-    return LargestWrench(lower, upper, twist, *forces_of(given.shapes, press, lean, np), press, lean)
+    normal_force, tangential = found.normal_force.reshape(contacts), found.tangential.reshape((*contacts, 3))
+    return LargestWrench(
+        lower, upper, twist, *forces_of(given.shapes, normal_force, tangential, np), normal_force, tangential
+    )
 
 
 def _traced(grasp: Grasp, task: AnyArray, bound: Bound, sides: int | None, tol: float) -> LargestWrench:
@@ -136,13 +139,20 @@ def _traced(grasp: Grasp, task: AnyArray, bound: Bound, sides: int | None, tol: 
 
     unit = jax.lax.stop_gradient(scaled) / size[..., None]
     trailing = ((), (), (6,), (count,), (count, 3))
-    shapes, (lower, upper, twist, press, lean) = call_on_host(question, trailing, grasp, None, None, each=(unit,))
+    shapes, (lower, upper, twist, normal_force, tangential) = call_on_host(
+        question, trailing, grasp, None, None, each=(unit,)
+    )
     along = jnp.sum(twist * scaled, -1)
-    at = work(shapes, press, lean, twist) / jnp.where(along > 0, along, 1)
+    at = work(shapes, normal_force, tangential, twist) / jnp.where(along > 0, along, 1)
     lower, upper = (moved(bounds / size, at) for bounds in (lower, upper))
     frame = jax.lax.stop_gradient(shapes)
     found: Any = LargestWrench(
-        lower, upper, unscaled(twist / size[..., None], frame, jnp), *forces_of(frame, press, lean, jnp), press, lean
+        lower,
+        upper,
+        unscaled(twist / size[..., None], frame, jnp),
+        *forces_of(frame, normal_force, tangential, jnp),
+        normal_force,
+        tangential,
     )
     return found
 
@@ -166,9 +176,11 @@ def largest_wrench_at(grasp: Grasp, task: Float[AnyArray, "*#batch 6"], found: L
 @jax.jit
 def _worked(grasp: Grasp, task: Array, found: LargestWrench) -> Array:
     dtype = grasp.points.dtype
-    press, lean, twist = (array.astype(dtype) for array in (found.press, found.lean, found.twist))
+    normal_force, tangential, twist = (
+        array.astype(dtype) for array in (found.normal_force, found.tangential, found.twist)
+    )
     shapes = discs(grasp, length=1.0, about=jnp.zeros(3, dtype))
-    return work(shapes, press, lean, twist) / jnp.sum(twist * task, -1)
+    return work(shapes, normal_force, tangential, twist) / jnp.sum(twist * task, -1)
 
 
 def _scaled_tasks(task: AnyArray, given: GraspInput) -> np.ndarray:
@@ -192,8 +204,8 @@ class _Along(NamedTuple):
     lower: float
     upper: float
     twist: np.ndarray
-    press: np.ndarray
-    lean: np.ndarray
+    normal_force: np.ndarray
+    tangential: np.ndarray
 
 
 class _AlongAll(NamedTuple):
@@ -202,29 +214,33 @@ class _AlongAll(NamedTuple):
     lower: np.ndarray
     upper: np.ndarray
     twist: np.ndarray
-    press: np.ndarray
-    lean: np.ndarray
+    normal_force: np.ndarray
+    tangential: np.ndarray
 
     def better(self, which: np.ndarray, other: "_AlongAll") -> None:
         """Take what is better of other bounds for some grasps."""
         lower, upper = other.upper < self.upper[which], other.lower > self.lower[which]
         self.upper[which[lower]], self.twist[which[lower]] = other.upper[lower], other.twist[lower]
-        for own, theirs in ((self.lower, other.lower), (self.press, other.press), (self.lean, other.lean)):
+        for own, theirs in (
+            (self.lower, other.lower),
+            (self.normal_force, other.normal_force),
+            (self.tangential, other.tangential),
+        ):
             own[which[upper]] = theirs[upper]
 
 
 def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
     """The bounds for unit tasks ``(G, 6)``, side by side, and what that does not finish grasp by grasp."""
     grasps, count = bodies.present.shape
-    press, lean = np.zeros((grasps, count)), np.zeros((grasps, count, 3))
-    found = _AlongAll(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), press, lean)
+    normal_force, tangential = np.zeros((grasps, count)), np.zeros((grasps, count, 3))
+    found = _AlongAll(np.zeros(grasps), np.full(grasps, np.inf), tasks.copy(), normal_force, tangential)
     _by_simplex(bodies, tasks, tol, found)
     _by_twist(bodies, tasks, np.flatnonzero(found.lower < (1 - tol) * found.upper), found)
     for index in np.flatnonzero((found.lower < (1 - tol) * found.upper) & (found.upper > REACHED * bodies.slack)):
         body, own = bodies.alone(int(index)), bodies.present[index]
         one = _along(body, tasks[index], tol)
         wide = np.zeros((1, count)), np.zeros((1, count, 3))
-        wide[0][0, own], wide[1][0, own] = one.press, one.lean
+        wide[0][0, own], wide[1][0, own] = one.normal_force, one.tangential
         bounds = np.array([one.lower]), np.array([one.upper])
         found.better(np.array([index]), _AlongAll(*bounds, one.twist[None], *wide))
     return found
@@ -237,7 +253,13 @@ def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _
     power = np.sum(twist * tasks[which], 1)
     twist = twist / np.where(power > 0, power, 1)[:, None]
     height = some.reach(twist).height + some.slack * np.linalg.norm(twist, axis=1)
-    none = np.zeros(len(which)), np.where(power > 0, height, np.inf), twist, found.press[which], found.lean[which]
+    none = (
+        np.zeros(len(which)),
+        np.where(power > 0, height, np.inf),
+        twist,
+        found.normal_force[which],
+        found.tangential[which],
+    )
     found.better(which, _AlongAll(*none))
 
 
@@ -252,7 +274,7 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _Along
     right = np.concatenate([np.zeros((grasps, 6)), np.ones((grasps, bounds))], 1)
     bases = SimplexBases(right, 0.0)
     bases.columns[:, 6:] = count + np.arange(bounds)
-    leans, slack = np.zeros((*right.shape, 3)), bodies.slack
+    tangentials, slack = np.zeros((*right.shape, 3)), bodies.slack
     every = np.arange(grasps)
     multiple = np.full(grasps, count + bounds)
     bases.enter(every, np.concatenate([-tasks, np.zeros((grasps, bounds))], 1), -np.ones(grasps), multiple)
@@ -263,18 +285,18 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _Along
         twist = paid[:, :6] / np.where(power > 0, power, 1)[:, None]
         height = some.reach(twist).height + slack[left] * np.linalg.norm(twist, axis=1)
         upper = np.where(power > 0, height, np.inf)
-        exerted = _exerted(some, bases, leans, left, tasks[left])
+        exerted = _exerted(some, bases, tangentials, left, tasks[left])
         found.better(left, _AlongAll(exerted[0], upper, twist, *exerted[1:]))
-        values, lean = some.supports(paid[:, :6])
+        values, tangential = some.supports(paid[:, :6])
         worth = np.concatenate([np.where(some.present, values + paid[:, 6 + owner], -np.inf), paid[:, 6:]], 1)
         best = np.argmax(worth, 1)
         own = np.arange(len(left))
         close = found.lower[left] >= (1 - tol) * found.upper[left]
         close |= (found.upper[left] <= slack[left]) | (worth[own, best] <= WORTHLESS)
-        columns, contact = _columns(some, best, lean, owner, bounds)
+        columns, contact = _columns(some, best, tangential, owner, bounds)
         going = np.flatnonzero(~close)
         place = bases.enter(left[going], columns[going], np.zeros(len(going)), best[going])
-        leans[left[going], place] = np.where((best < count)[going, None], lean[going, contact[going]], 0)
+        tangentials[left[going], place] = np.where((best < count)[going, None], tangential[going, contact[going]], 0)
         going = going[place >= 0]
         if not len(going):
             break
@@ -282,49 +304,49 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _Along
 
 
 def _columns(
-    bodies: WrenchSets, best: np.ndarray, lean: np.ndarray, owner: np.ndarray, bounds: int
+    bodies: WrenchSets, best: np.ndarray, tangential: np.ndarray, owner: np.ndarray, bounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """For each grasp the column of a contact's wrench, or of a bound's slack; and the contact."""
     count, own = bodies.present.shape[1], np.arange(len(best))
     is_slack = best >= count
     contact = np.where(is_slack, 0, best)
     discs = bodies.discs[own, contact]
-    wrench = discs[:, 0] + np.einsum("gk,gkj->gj", lean[own, contact], discs[:, 1:])
+    wrench = discs[:, 0] + np.einsum("gk,gkj->gj", tangential[own, contact], discs[:, 1:])
     row = np.where(is_slack, best - count, owner[contact])
     counted = (np.arange(bounds) == row[:, None]).astype(float)
     return np.concatenate([np.where(is_slack[:, None], 0, wrench), counted], 1), contact
 
 
 def _exerted(
-    bodies: WrenchSets, bases: SimplexBases, leans: np.ndarray, which: np.ndarray, tasks: np.ndarray
+    bodies: WrenchSets, bases: SimplexBases, tangentials: np.ndarray, which: np.ndarray, tasks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The multiples that the basic wrenches exert, by arithmetic of their own, with press and lean."""
-    press, lean = bases.by_contact(which, leans, bodies.present.shape[1])
-    used = np.maximum(press.sum(1) if bodies.bound == "l1" else press.max(1, initial=0), 1)
-    press, lean = press / used[:, None], lean / used[:, None, None]
-    wrench = bodies.exerted(np.concatenate([press[..., None], lean], -1))
+    """The multiples that the basic wrenches exert, by arithmetic of their own, with normal and tangential forces."""
+    normal_force, tangential = bases.by_contact(which, tangentials, bodies.present.shape[1])
+    used = np.maximum(normal_force.sum(1) if bodies.bound == "l1" else normal_force.max(1, initial=0), 1)
+    normal_force, tangential = normal_force / used[:, None], tangential / used[:, None, None]
+    wrench = bodies.exerted(np.concatenate([normal_force[..., None], tangential], -1))
     multiple = np.sum(wrench * tasks, 1)
     missed = np.linalg.norm(wrench - multiple[:, None] * tasks, axis=1)
-    return np.where(missed <= BALANCED * multiple, multiple, 0), press, lean
+    return np.where(missed <= BALANCED * multiple, multiple, 0), normal_force, tangential
 
 
 def _along(body: WrenchSet, task: np.ndarray, tol: float) -> _Along:
     count = len(body.centres)
     best = _Along(0.0, np.inf, task, np.zeros(count), np.zeros((count, 3)))
-    directions, owner, lean = task[None], np.zeros(0, int), np.zeros((0, 3))
+    directions, owner, tangential = task[None], np.zeros(0, int), np.zeros((0, 3))
     if not count:
         return best._replace(upper=0.0)
     directions = np.concatenate([directions, np.eye(6), -np.eye(6)])
     for _ in range(ROUNDS):
         _, new = body.supports(directions)
         owner = np.concatenate([owner, np.tile(np.arange(count), len(directions))])
-        lean = np.concatenate([lean, new.reshape(-1, 3)])
-        points = body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], lean)
+        tangential = np.concatenate([tangential, new.reshape(-1, 3)])
+        points = body.centres[owner] + np.einsum("njk,nk->nj", body.spans[owner], tangential)
         program = _program(body, task, points, owner)
         if program.status != 0:
             return best
         twist, weights = program.eqlin.marginals, np.maximum(program.x[:-1], 0)
-        best = _better(best, body, task, twist, weights, points, owner, lean)
+        best = _better(best, body, task, twist, weights, points, owner, tangential)
         if best.lower >= (1 - tol) * best.upper or best.upper <= body.slack:
             break
         directions = twist[None]
@@ -358,7 +380,7 @@ def _better(
     weights: np.ndarray,
     points: np.ndarray,
     owner: np.ndarray,
-    lean: np.ndarray,
+    tangential: np.ndarray,
 ) -> _Along:
     """What a program's answer proves, by arithmetic alone."""
     power = twist @ task
@@ -368,13 +390,13 @@ def _better(
         if upper < best.upper:
             best = best._replace(upper=float(upper), twist=twist)
     count = len(body.centres)
-    press = np.bincount(owner, weights, count)
-    used = press.sum() if body.bound == "l1" else press.max()
+    normal_force = np.bincount(owner, weights, count)
+    used = normal_force.sum() if body.bound == "l1" else normal_force.max()
     weights = weights / max(used, 1)
     exerted = weights @ points
     lower = float(exerted @ task)
     if lower > best.lower and np.linalg.norm(exerted - lower * task) <= BALANCED * lower:
         leaning = np.zeros((count, 3))
-        np.add.at(leaning, owner, weights[:, None] * lean)
-        best = best._replace(lower=lower, press=np.bincount(owner, weights, count), lean=leaning)
+        np.add.at(leaning, owner, weights[:, None] * tangential)
+        best = best._replace(lower=lower, normal_force=np.bincount(owner, weights, count), tangential=leaning)
     return best

@@ -117,8 +117,8 @@ def _worked(grasp: Grasp, found: MinWeight) -> Array:
 
 def _value_at(shapes: WrenchDiscs, found: MinWeight) -> Array:
     value, weights, twist, corners = (jnp.asarray(array, shapes.centres.dtype) for array in found)
-    leans = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
-    edges = shapes.centres[..., None, :] + leans
+    tangentials = jnp.einsum("...njc,kc->...nkj", shapes.spans, corners)
+    edges = shapes.centres[..., None, :] + tangentials
     at = value + jnp.einsum("...nk,...nkj,...j->...", weights, edges, twist)
     return differentiable_where(jnp.isfinite(value), at, shapes)
 

@@ -1,9 +1,9 @@
 """Where a body's largest ball touches its surface: the direction to many digits, and the forces of that wrench.
 
-Contact i exerts x_i = (normal force p_i, lean) in the cone Q = {|lean| <= p}. At the touching point e d, with a
-multiplier for every bound of forces, t for their sum or t_i for each,
+Contact i exerts x_i = (normal force p_i, tangential force q_i) in the cone Q = {|q| <= p}. At the touching point e d,
+with a multiplier for every bound of forces, t for their sum or t_i for each,
 
-    sum over contacts of c_i p_i + B_i lean_i = e d,    |d| = 1,
+    sum over contacts of c_i p_i + B_i q_i = e d,    |d| = 1,
     x_i in Q,   y_i = (t - c_i.d, -B_i^T d) in Q,   x_i.y_i = 0,
     the force bounded <= 1,   t >= 0,   t (1 - the force bounded) = 0.
 
@@ -35,9 +35,9 @@ class TouchingPoints(NamedTuple):
     """``(G,)``."""
     direction: np.ndarray
     """``(G, 6)``."""
-    press: np.ndarray
+    normal_force: np.ndarray
     """``(G, n)``."""
-    lean: np.ndarray
+    tangential: np.ndarray
     """``(G, n, 3)``."""
 
     def where(self, which: np.ndarray, others: "TouchingPoints") -> "TouchingPoints":
@@ -52,7 +52,7 @@ class _Guess(NamedTuple):
     height: np.ndarray
     """``(G,)``."""
     forces: np.ndarray
-    """``(G, n, 4)``: normal force and lean."""
+    """``(G, n, 4)``: normal and tangential force."""
     bound_multipliers: np.ndarray
     """``(G, 1)`` or ``(G, n)``: the multipliers of bounds."""
 
@@ -94,9 +94,11 @@ def _of_corners(bodies: WrenchSets, balls: Balls, near: Support) -> TouchingPoin
     height = bodies.reach(direction).height
     lower = height <= balls.upper * (1 + SOLVED)
     weights = np.where(known[:, None], weights, 1 / 6)
-    press = np.maximum(np.matmul(weights[:, None], near.press)[:, 0], 0)
+    normal_force = np.maximum(np.matmul(weights[:, None], near.normal_force)[:, 0], 0)
     direction, height = np.where(lower[:, None], direction, balls.direction), np.where(lower, height, balls.upper)
-    return TouchingPoints(height, direction, press, _within(np.einsum("gp,gpnk->gnk", weights, near.lean), press))
+    return TouchingPoints(
+        height, direction, normal_force, _within(np.einsum("gp,gpnk->gnk", weights, near.tangential), normal_force)
+    )
 
 
 def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Support, size: np.ndarray) -> TouchingPoints:
@@ -108,14 +110,17 @@ def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Support, size: n
         rows = np.vstack([points.T, np.full((1, len(points)), size[index])])
         weights[index], _ = nnls(rows, np.append(upper[index] * direction[index], size[index]))
     weights /= np.maximum(weights.sum(1, keepdims=True), COUNTS)
-    press, lean = np.einsum("gp,gpn->gn", weights, near.press), np.einsum("gp,gpnk->gnk", weights, near.lean)
-    return TouchingPoints(upper, direction, press, lean)
+    normal_force, tangential = (
+        np.einsum("gp,gpn->gn", weights, near.normal_force),
+        np.einsum("gp,gpnk->gnk", weights, near.tangential),
+    )
+    return TouchingPoints(upper, direction, normal_force, tangential)
 
 
-def _within(lean: np.ndarray, press: np.ndarray) -> np.ndarray:
-    """Leans of that press at most."""
-    size = np.linalg.norm(lean, axis=-1)
-    return lean * np.where(size > press, press / np.where(size > 0, size, 1), 1)[..., None]
+def _within(tangential: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
+    """Tangential forces as large as that normal force at most."""
+    size = np.linalg.norm(tangential, axis=-1)
+    return tangential * np.where(size > normal_force, normal_force / np.where(size > 0, size, 1), 1)[..., None]
 
 
 def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, np.ndarray]:
@@ -129,7 +134,7 @@ def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, 
     bound_multipliers = (
         start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][every, chosen], 0)
     )
-    forces = np.concatenate([start.press[..., None], start.lean], -1)[every, chosen]
+    forces = np.concatenate([start.normal_force[..., None], start.tangential], -1)[every, chosen]
     now = _Guess(start.direction, start.height / size, forces, bound_multipliers / size[:, None])
     left = np.ones(grasps, bool)
     for _ in range(STEPS):
@@ -154,8 +159,8 @@ def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
     of all, and as many for each grasp."""
     if bodies.bound == "linf":
         return np.broadcast_to(np.arange(bodies.present.shape[1]), bodies.present.shape)
-    most = int((start.press > COUNTS).sum(1).max(initial=1))
-    return np.argsort(-start.press, 1, kind="stable")[:, : max(most, 1)]
+    most = int((start.normal_force > COUNTS).sum(1).max(initial=1))
+    return np.argsort(-start.normal_force, 1, kind="stable")[:, : max(most, 1)]
 
 
 def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:

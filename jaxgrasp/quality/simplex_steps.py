@@ -29,11 +29,12 @@ class SimplexBases:
         """``(L, m)``: a column is worth taking in where its product with these exceeds its cost."""
         return np.matmul(self.costs[:, None], self.inverse)[:, 0]
 
-    def by_contact(self, which: np.ndarray, leans: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the columns of some programs ``(l,)`` come to for each contact: press ``(l, n)`` and lean ``(l, n, 3)``,
-        where columns below ``count`` are wrenches of the contact of that number, of the ``leans`` (L, m, 3)."""
+    def by_contact(self, which: np.ndarray, tangentials: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the columns of some programs ``(l,)`` come to for each contact: normal forces ``(l, n)`` and tangential
+        ones ``(l, n, 3)``, where columns below ``count`` are wrenches of the contact of that number, of the
+        ``tangentials`` (L, m, 3)."""
         own = self.amounts[which][..., None] * (self.columns[which][..., None] == np.arange(count))
-        return own.sum(1), np.einsum("gkn,gkj->gnj", own, leans[which])
+        return own.sum(1), np.einsum("gkn,gkj->gnj", own, tangentials[which])
 
     def artificial(self) -> np.ndarray:
         """``(L,)``: how much of artificial columns there is."""

@@ -21,9 +21,9 @@ class Support(NamedTuple):
     """``(f,)``: the support function."""
     points: np.ndarray
     """``(f, 6)``: wrenches that attain it."""
-    press: np.ndarray
+    normal_force: np.ndarray
     """``(f, n)``: their normal forces."""
-    lean: np.ndarray
+    tangential: np.ndarray
     """``(f, n, 3)``: u times normal force."""
 
 
@@ -55,16 +55,16 @@ class WrenchSet:
 
     def supports(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Each contact's largest power of unit normal force ``(f, n)``, and the u that attains it ``(f, n, 3)``."""
-        sizes, lean = _furthest(np.einsum("fj,njk->fnk", directions, self.spans), self.corners)
-        return directions @ self.centres.T + sizes, lean
+        sizes, tangential = _furthest(np.einsum("fj,njk->fnk", directions, self.spans), self.corners)
+        return directions @ self.centres.T + sizes, tangential
 
     def reach(self, directions: np.ndarray) -> Support:
         """Along directions ``(f, 6)``."""
-        values, lean = self.supports(directions)
-        press = _pressing(values, self.bound)
-        lean = lean * press[..., None]
-        points = press @ self.centres + np.einsum("njk,fnk->fj", self.spans, lean)
-        return Support(np.sum(press * values, 1), points, press, lean)
+        values, tangential = self.supports(directions)
+        normal_force = _pressing(values, self.bound)
+        tangential = tangential * normal_force[..., None]
+        points = normal_force @ self.centres + np.einsum("njk,fnk->fj", self.spans, tangential)
+        return Support(np.sum(normal_force * values, 1), points, normal_force, tangential)
 
 
 @dataclass(frozen=True)
@@ -128,18 +128,18 @@ class WrenchSets:
         that attains it ``(G, n, 3)``."""
         grasps, count = self.present.shape
         rates = np.matmul(self.discs.reshape(grasps, 4 * count, 6), directions[..., None]).reshape(grasps, count, 4)
-        sizes, lean = _furthest(rates[..., 1:], self.corners)
-        return rates[..., 0] + sizes, lean
+        sizes, tangential = _furthest(rates[..., 1:], self.corners)
+        return rates[..., 0] + sizes, tangential
 
     def reach(self, directions: np.ndarray) -> Support:
         """Along a direction each ``(G, 6)``: arrays as of ``WrenchSet.reach``, an entry for each grasp."""
-        values, lean = self.supports(directions)
-        press = _pressing(values, self.bound)
-        forces = np.concatenate([press[..., None], lean * press[..., None]], -1)
-        return Support(np.sum(press * values, 1), self.exerted(forces), press, forces[..., 1:])
+        values, tangential = self.supports(directions)
+        normal_force = _pressing(values, self.bound)
+        forces = np.concatenate([normal_force[..., None], tangential * normal_force[..., None]], -1)
+        return Support(np.sum(normal_force * values, 1), self.exerted(forces), normal_force, forces[..., 1:])
 
     def exerted(self, forces: np.ndarray) -> np.ndarray:
-        """The wrenches ``(G, 6)`` of forces (press, lean) ``(G, n, 4)``."""
+        """The wrenches ``(G, 6)`` of forces (normal, tangential) ``(G, n, 4)``."""
         grasps, count = self.present.shape
         flat = self.discs.reshape(grasps, 4 * count, 6)
         return np.matmul(forces.reshape(grasps, 1, 4 * count), flat)[:, 0]
@@ -156,10 +156,10 @@ def _furthest(across: np.ndarray, corners: np.ndarray | None) -> tuple[np.ndarra
 
 def _pressing(values: np.ndarray, bound: Bound) -> np.ndarray:
     """The normal forces ``(f, n)`` that do most work, by each contact's power of a unit one."""
-    press = (values > 0).astype(float)
+    normal_force = (values > 0).astype(float)
     if bound == "l1":
-        press *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
-    return press
+        normal_force *= np.arange(values.shape[1]) == np.argmax(values, 1)[:, None]
+    return normal_force
 
 
 def pyramid(sides: int, soft: bool) -> np.ndarray:

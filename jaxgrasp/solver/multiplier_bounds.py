@@ -53,9 +53,9 @@ def velocity_of(conic: ConeProblem, multipliers: Multipliers) -> Array:
     rates = _rates(multipliers)
     if rates is not None and conic.rows is not None:
         velocity = velocity - jnp.einsum("bjnc,bj->bnc", conic.rows, rates)
-    along = multipliers.bounds.get("least", 0) - multipliers.bounds.get("most", 0)
+    along = multipliers.bounds.get("normal_min", 0) - multipliers.bounds.get("normal_max", 0)
     velocity = velocity.at[..., 0].add(along)
-    return jnp.where(conic.there[..., None], velocity, 0)
+    return jnp.where(conic.present[..., None], velocity, 0)
 
 
 def constraints(conic: ConeProblem, multipliers: Multipliers, y: Array) -> Array:
@@ -78,16 +78,16 @@ def _rates(multipliers: Multipliers) -> Array | None:
 def required_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """Work that forces of the wrench do at the least, least presses taken off ``(B,)``."""
     work = jnp.sum(conic.right * multipliers.twist, -1)
-    if conic.least is not None:
-        work = work + jnp.sum(multipliers.bounds["least"] * conic.least, -1)
+    if conic.normal_min is not None:
+        work = work + jnp.sum(multipliers.bounds["normal_min"] * conic.normal_min, -1)
     return work
 
 
 def limit_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
     """What upper bounds of presses and torques let them do at the most ``(B,)``."""
     given = jnp.zeros_like(conic.right[:, 0])
-    if conic.most is not None:
-        given = given + _worth(multipliers.bounds["most"], conic.most)
+    if conic.normal_max is not None:
+        given = given + _worth(multipliers.bounds["normal_max"], conic.normal_max)
     if conic.torque_max is not None and "up" in multipliers.bounds:
         given = given + _worth(multipliers.bounds["up"] + multipliers.bounds["down"], conic.torque_max)
     return given

@@ -74,7 +74,7 @@ def _in_scaling(
 ) -> tuple[ContactVec, Array]:
     """Rows and bounds in a problem's axes and loads; rows of zeros for joints that are not bounded."""
     assert problem.torque_bounds is not None
-    maps, bounds = jnp.transpose(problem.torque_bounds.map, (2, 3, 1, 0)), problem.torque_bounds.most.T
+    maps, bounds = jnp.transpose(problem.torque_bounds.torque_map, (2, 3, 1, 0)), problem.torque_bounds.torque_max.T
     # (c, j, n, B), (j, B)
     there, bounded = vec3.dot(data.normals, data.normals) > 0, jnp.isfinite(bounds)
     maps, bounds = jnp.where(there & bounded[:, None], maps, 0), jnp.where(bounded, bounds, 0)
@@ -95,17 +95,20 @@ def usable(problem: ProblemBatch) -> Array:
     """Whether the limits of torques are numbers that can be computed with ``(B,)``."""
     given = problem.torque_bounds
     assert given is not None
-    asked = jnp.sum(jnp.abs(given.map), (2, 3)) <= tolerances(given.map.dtype).largest
+    asked = jnp.sum(jnp.abs(given.torque_map), (2, 3)) <= tolerances(given.torque_map.dtype).largest
     if problem.present is not None:
         asked = asked | ~(problem.present > 0.5)
-    return jnp.all(asked, 1) & jnp.all(given.most >= 0, 1)
+    return jnp.all(asked, 1) & jnp.all(given.torque_max >= 0, 1)
 
 
 def cleaned(problem: ProblemBatch) -> ProblemBatch:
     """The problem with zeros where its map of torques has no numbers."""
     given = problem.torque_bounds
     assert given is not None
-    return replace(problem, torque_bounds=TorqueBounds(jnp.where(jnp.isfinite(given.map), given.map, 0), given.most))
+    return replace(
+        problem,
+        torque_bounds=TorqueBounds(jnp.where(jnp.isfinite(given.torque_map), given.torque_map, 0), given.torque_max),
+    )
 
 
 def torques_of_forces(torque_map: Array, forces: Array, moments: Array | None) -> Array:

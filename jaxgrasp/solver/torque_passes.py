@@ -55,12 +55,12 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     bounds = problem.torque_bounds
     if bounds is None:
         return result
-    nothing = jnp.zeros((problem.size, bounds.most.shape[-1]), result.forces.dtype)
+    nothing = jnp.zeros((problem.size, bounds.torque_max.shape[-1]), result.forces.dtype)
     # A first look at all; what it suspects is looked at closely where it is gathered.
-    torque = torque_limits.torques_of_forces(bounds.map, result.forces, result.moments)
-    broken = jnp.sum(~(jnp.abs(torque) <= bounds.most), 1)
+    torque = torque_limits.torques_of_forces(bounds.torque_map, result.forces, result.moments)
+    broken = jnp.sum(~(jnp.abs(torque) <= bounds.torque_max), 1)
     within = broken == 0
-    strange = ~jnp.all(jnp.isfinite(torque) & (bounds.most >= 0), 1)
+    strange = ~jnp.all(jnp.isfinite(torque) & (bounds.torque_max >= 0), 1)
     # Forces that are allowed but not the optimum are no better a start than none.
     no_start = (result.verdict == Verdict.FEASIBLE) & ~within
     verdict = jnp.where(no_start, Verdict.NOT_CONVERGED, result.verdict)
@@ -106,10 +106,10 @@ def _excess(problem: ProblemBatch, result: PassResult) -> Array:
     """
     bounds = problem.torque_bounds
     assert bounds is not None
-    torque = torque_limits.torques_of_forces(bounds.map, result.forces, result.moments)
+    torque = torque_limits.torques_of_forces(bounds.torque_map, result.forces, result.moments)
     # Forces are known to what rounds the largest of them.
-    size = jnp.sum(jnp.abs(bounds.map), (1, 2)) * jnp.max(jnp.abs(result.forces), (1, 2))[:, None]
-    beyond = jnp.abs(torque) - bounds.most - ROUNDING * tolerances(torque.dtype).gradient * size
+    size = jnp.sum(jnp.abs(bounds.torque_map), (1, 2)) * jnp.max(jnp.abs(result.forces), (1, 2))[:, None]
+    beyond = jnp.abs(torque) - bounds.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
 

@@ -197,7 +197,9 @@ def test_quality_that_was_not_found_has_no_derivative():
     assert weighed.value == -np.inf
     assert np.isnan(jax.grad(lambda g: min_weight_at(g, weighed))(slick).points).all()
     held = ferrari_canny(TRIPOD)
-    undecided = held._replace(press=0 * held.press, lean=0 * held.lean, direction=0 * held.direction)
+    undecided = held._replace(
+        normal_force=0 * held.normal_force, tangential=0 * held.tangential, direction=0 * held.direction
+    )
     for found, known in ((held, True), (undecided, False), (ferrari_canny(slick), True)):
         gradient = jax.grad(lambda g, found=found: ferrari_canny_at(g, found))(TRIPOD).points
         assert np.isfinite(gradient).all() if known else np.isnan(gradient).all()

@@ -167,7 +167,7 @@ def test_few_points_leave_the_bounds_apart_but_true():
 def test_grasps_that_are_not_closed_have_none():
     for grasp in (known.two_fingers(None), known.on_axes(0.0), known.star([0, 50, 100], 0.3)):
         found = ferrari_canny(grasp)
-        assert found.lower == found.upper == 0 and not found.press.any()
+        assert found.lower == found.upper == 0 and not found.normal_force.any()
         np.testing.assert_allclose(np.linalg.norm(found.direction), 1)
         assert known.height(grasp, found.direction[None], "l1")[0] < 1e-12
     for sides in (3, 4):

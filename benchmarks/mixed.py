@@ -35,6 +35,9 @@ class Plan(NamedTuple):
 
     sizes: tuple[int, ...] = (3, 5, 10, 20)
     batch: int = 4000
+    """Of the sweep."""
+    batches: tuple[int, ...] = (1_000, 100_000)
+    """Of the families."""
     judged: int = 200
     """Problems that Clarabel gets."""
     repeats: int = 9
@@ -55,12 +58,14 @@ def families(plan: Plan) -> list[dict]:
     """Each family beside the ordinary batch and Clarabel, and whether verdicts agree."""
     rows = []
     for n in plan.sizes:
-        ordinary = _call(problems("ordinary", n, plan.batch, seed=5))
-        rows += [_beside(sampled(n, plan.batch, lift), n, ordinary, plan) for lift in (False, True)]
+        for batch in plan.batches:
+            ordinary = _call(problems("ordinary", n, batch, seed=5))
+            rows += [_beside(sampled(n, batch, lift), ordinary, plan) for lift in (False, True)]
     return rows
 
 
-def _beside(problem: Problems, n: int, ordinary, plan: Plan) -> dict:
+def _beside(problem: Problems, ordinary, plan: Plan) -> dict:
+    batch, n = problem.points.shape[:2]
     few = _rows(problem, np.arange(plan.judged))
     clarabel = {
         name: rival.prepare(few, few.weights("squeeze"))
@@ -77,12 +82,13 @@ def _beside(problem: Problems, n: int, ordinary, plan: Plan) -> dict:
     solved, infeasible = verdict <= Verdict.OPTIMAL, verdict == Verdict.INFEASIBLE
     return {
         "n": n,
+        "batch": batch,
         "load": problem.kind,
         "infeasible": float(np.mean(found.verdict == Verdict.INFEASIBLE)),
         "undecided": int(np.sum(found.verdict == Verdict.NOT_CONVERGED)),
         "differ": int(np.sum((theirs.solved & infeasible) | (theirs.infeasible & solved))),
         "microseconds": {
-            name: 1e6 * seconds / (plan.batch if name in ("ours", "ordinary") else plan.judged)
+            name: 1e6 * seconds / (batch if name in ("ours", "ordinary") else plan.judged)
             for name, seconds in took.items()
         },
     }
@@ -116,7 +122,7 @@ def sweep(plan: Plan) -> list[dict]:
 
 
 SECTIONS = {"families": families, "sweep": sweep}
-QUICK = Plan(sizes=(3,), batch=200, judged=20, repeats=2, shares=(0.0, 1.0))
+QUICK = Plan(sizes=(3,), batch=200, batches=(100,), judged=20, repeats=2, shares=(0.0, 1.0))
 
 
 def main() -> None:

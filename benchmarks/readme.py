@@ -43,6 +43,7 @@ def by_size() -> str:
     plain = {(r["method"], r["dtype"], r["n"], r["batch"]): r for r in result("closed_form")["timings"]}
     page = result("constrained_optimum")
     rows = [row for row in page["singles"] + page["batches"] if row["method"] == OURS]
+    # Of several batches the largest, which is last.
     lifts = {row["n"]: row for row in result("mixed")["families"] if row["load"] == "lift"}
     lines = []
     for n in sorted({row["n"] for row in rows}):

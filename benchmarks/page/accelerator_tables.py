@@ -33,11 +33,11 @@ def page(report: dict) -> str:
     parts = [
         "# On a GPU",
         f"Made by `python -m benchmarks.accelerator` on {report['device']['kind']}, {facts['system']}, Python "
-        f"{facts['python']}, jax {facts['versions']['jax']}; compiled anew, first calls left out.",
+        f"{facts['python']}, jax {facts['versions']['jax']}; first calls left out.",
+        *_remark(report, "programs"),
     ]
     if "speed" in report:
-        remarks = [remark for remark in [report.get("remarks", {}).get("speed")] if remark]
-        parts += ["## By the number of contacts", SPEED, *remarks, _by_question(report["speed"])]
+        parts += ["## By the number of contacts", SPEED, *_remark(report, "speed"), _by_question(report["speed"])]
     if "batches" in report:
         head = ["batch", "float32, ms", "float64, ms", "float32, M/s", "float64, M/s"]
         parts += ["## By the size of the batch", BATCHES, table(head, _by_batch(report["batches"]))]
@@ -55,6 +55,11 @@ def page(report: dict) -> str:
     if "decisions" in report:
         parts += ["## Verdicts", DECISIONS, _decisions(report["decisions"])]
     return "\n\n".join(parts) + "\n"
+
+
+def _remark(report: dict, about: str) -> list[str]:
+    """What whoever measured has to say of a part of the report."""
+    return [text for text in [report.get("remarks", {}).get(about)] if text]
 
 
 def _millions(row: dict) -> str:

@@ -15,8 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks.laws import any_of, hold
+from benchmarks.laws import any_of, hold, verdict_counts
 from benchmarks.page import accelerator_tables
+from benchmarks.page.accelerator_tables import DTYPES
+from benchmarks.page.clock import interleaved
 from benchmarks.sampled_grasps import sampled
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp, Verdict
@@ -24,7 +26,6 @@ from jaxgrasp.testing import problems as P
 from jaxgrasp.testing.problem_data import Problems
 
 NAME = "accelerator"
-DTYPES = ("float32", "float64")
 DIFFERENT = 10_000
 """Problems of a batch that differ; a larger batch repeats them, so that making them takes no longer than solving."""
 
@@ -43,6 +44,8 @@ class Plan(NamedTuple):
     count: int = 1_000
     """Of each hard kind."""
     repeats: int = 7
+    budget: float = 10.0
+    """Seconds after which a call is not repeated."""
 
 
 def closed_form(*arrays: jax.Array) -> tuple[jax.Array, ...]:
@@ -96,20 +99,15 @@ def given(problem: Problems, batch: int, dtype: str) -> list[jax.Array]:
     return [jnp.asarray(np.resize(np.asarray(x, dtype), (batch, *x.shape[1:]))) for x in problem[1:6]]
 
 
-def _seconds(call: Callable[[], Any], repeats: int) -> float:
-    """The median of so many calls, after one that is not counted."""
-    spent = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(call())
-        spent.append(time.perf_counter() - start)
-    return float(np.median(spent[1:]))
+def _seconds(call: Callable[[], Any], plan: Plan) -> float:
+    """The median of some calls, after one that is not counted."""
+    return interleaved({call: lambda: jax.block_until_ready(call())}, plan.repeats, plan.budget)[call]
 
 
 def _row(question: Callable, problem: Problems, batch: int, dtype: str, plan: Plan) -> dict:
     n, arrays = problem.points.shape[1], given(problem, batch, dtype)
     program = compiled(question, n, batch, dtype)
-    took = _seconds(lambda: program(*arrays), plan.repeats)
+    took = _seconds(lambda: program(*arrays), plan)
     row = {
         "question": question.__name__,
         "load": problem.kind,
@@ -121,8 +119,7 @@ def _row(question: Callable, problem: Problems, batch: int, dtype: str, plan: Pl
     }
     if question is gradient:
         return row
-    verdict = np.asarray(program(*arrays)[1])
-    return row | {"verdicts": {v.name: int((verdict == v).sum()) for v in Verdict if (verdict == v).any()}}
+    return row | {"verdicts": verdict_counts(np.asarray(program(*arrays)[1]))}
 
 
 def _ordinary(n: int, batch: int) -> Problems:
@@ -168,7 +165,7 @@ def copies(plan: Plan) -> list[dict]:
     for dtype in DTYPES:
         program = compiled(constrained_optimum, 5, plan.batch, dtype)
         arrays = jax.device_get(given(_ordinary(5, plan.batch), plan.batch, dtype))
-        took = _seconds(lambda program=program, arrays=arrays: jax.device_get(program(*arrays)), plan.repeats)
+        took = _seconds(lambda program=program, arrays=arrays: jax.device_get(program(*arrays)), plan)
         rows.append({"dtype": dtype, "batch": plan.batch, "milliseconds": 1e3 * took, "per_second": plan.batch / took})
     return rows
 
@@ -214,16 +211,15 @@ def _decisions_of_size(n: int, plan: Plan) -> Iterator[dict]:
 
 def _judged(problem: Problems, weights: np.ndarray, here: Claims, there: Claims) -> dict:
     held = hold(problem, weights, here)
-    wrong = (
-        any_of(held.broken) | (held.hopeless & (problem.feasible is True)) | (held.solved & (problem.feasible is False))
-    )
-    solved, also = (answer.verdict <= Verdict.OPTIMAL for answer in (here, there))
-    hopeless = there.verdict == Verdict.INFEASIBLE
+    wrong = any_of(held.broken)
+    if problem.feasible is not None:
+        wrong = wrong | (held.hopeless if problem.feasible else held.solved)
+    solved, hopeless = there.verdict <= Verdict.OPTIMAL, there.verdict == Verdict.INFEASIBLE
     return {
         "wrong": int(wrong.sum()),
         "undecided": int((here.verdict == Verdict.NOT_CONVERGED).sum()),
         "undecided_by_processor": int((there.verdict == Verdict.NOT_CONVERGED).sum()),
-        "contradict": int(((solved & hopeless) | (held.hopeless & also)).sum()),
+        "contradict": int(((held.solved & hopeless) | (held.hopeless & solved)).sum()),
         "verdicts_differ": int((here.verdict != there.verdict).sum()),
     }
 

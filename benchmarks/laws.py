@@ -71,6 +71,11 @@ def hold(problem: Problems, weights: np.ndarray, solution: Any) -> Held:
     return Held(solved, hopeless, broken, granted, judged, need)
 
 
+def verdict_counts(verdict: np.ndarray) -> dict[str, int]:
+    """How many there are of each, by name."""
+    return {one.name: count for one in Verdict if (count := int((verdict == one).sum()))}
+
+
 def any_of(broken: dict[str, np.ndarray]) -> np.ndarray:
     return np.any(list(broken.values()), axis=0)
 

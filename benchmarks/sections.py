@@ -40,5 +40,7 @@ def run_sections(
     report |= {"machine": machine(), named: plan._asdict()}
     for section in options.sections:
         report[section] = sections[section](plan)
+        # What was remarked by hand of the section as it was.
+        report.get("remarks", {}).pop(section, None)
     path.write_text(json.dumps(report, indent=1) + "\n")
     (options.out / f"{name}.md").write_text(page(report))

@@ -1,9 +1,11 @@
 """The page of batches on a GPU in Markdown, from the report that the JSON holds too."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 from benchmarks.page.tables import by_size, table
 
+DTYPES = ("float32", "float64")
 SPEED = (
     "Ordinary problems, all of which can be solved, half of them with cones that bind. Millions of problems a second: "
     "jitted, data on the device, medians, forces and verdicts made. A batch repeats 10,000 different problems."
@@ -34,32 +36,14 @@ def page(report: dict) -> str:
         "# On a GPU",
         f"Made by `python -m benchmarks.accelerator` on {report['device']['kind']}, {facts['system']}, Python "
         f"{facts['python']}, jax {facts['versions']['jax']}; first calls left out.",
-        *_remark(report, "programs"),
     ]
-    if "speed" in report:
-        parts += ["## By the number of contacts", SPEED, *_remark(report, "speed"), _by_question(report["speed"])]
-    if "batches" in report:
-        head = ["batch", "float32, ms", "float64, ms", "float32, M/s", "float64, M/s"]
-        parts += ["## By the size of the batch", BATCHES, table(head, _by_batch(report["batches"]))]
-    if "mixed" in report:
-        head = ["n", "load", "infeasible", "undecided", "M/s"]
-        parts += ["## Sampled grasps", MIXED, table(head, map(_mixed, report["mixed"]))]
-    if "gradients" in report:
-        parts += ["## Gradients", GRADIENTS, _by_question(report["gradients"])]
-    if "copies" in report:
-        rows = [[row["dtype"], f"{row['milliseconds']:.0f}", _millions(row)] for row in report["copies"]]
-        parts += ["## Copies", COPIES, table(["precision", "ms", "M/s"], rows)]
-    if "first_calls" in report:
-        rows = [[f"`{row['question']}`", f"{row['seconds']:.0f}"] for row in report["first_calls"]]
-        parts += ["## First calls", FIRST_CALLS, table(["call", "seconds"], rows)]
-    if "decisions" in report:
-        parts += ["## Verdicts", DECISIONS, _decisions(report["decisions"])]
+    # What whoever measured has to say of a section.
+    remarks = {name: [text] for name, text in report.get("remarks", {}).items()}
+    parts += remarks.get("device", [])
+    for name, (title, about, write) in SECTIONS.items():
+        if name in report:
+            parts += [f"## {title}", about, *remarks.get(name, []), write(report[name])]
     return "\n\n".join(parts) + "\n"
-
-
-def _remark(report: dict, about: str) -> list[str]:
-    """What whoever measured has to say of a part of the report."""
-    return [text for text in [report.get("remarks", {}).get(about)] if text]
 
 
 def _millions(row: dict) -> str:
@@ -70,19 +54,30 @@ def _by_question(rows: Iterable[dict]) -> str:
     return by_size([row | {"asked": f"`{row['question']}`, {row['dtype']}"} for row in rows], "asked", _millions, "")
 
 
-def _by_batch(rows: list[dict]) -> Iterable[list[str]]:
+def _by_batch(rows: list[dict]) -> str:
+    lines = []
     for batch in dict.fromkeys(row["batch"] for row in rows):
-        single, double = ({row["dtype"]: row for row in rows if row["batch"] == batch}[name] for name in DTYPES)
-        took = [f"{row['milliseconds']:.3g}" for row in (single, double)]
-        yield [f"{batch:,}", *took, _millions(single), _millions(double)]
+        found = {row["dtype"]: row for row in rows if row["batch"] == batch}
+        took = [f"{found[dtype]['milliseconds']:.3g}" for dtype in DTYPES]
+        lines.append([f"{batch:,}", *took, *(_millions(found[dtype]) for dtype in DTYPES)])
+    return table(["batch", *(f"{dtype}, {unit}" for unit in ("ms", "M/s") for dtype in DTYPES)], lines)
 
 
-DTYPES = ("float32", "float64")
+def _mixed(rows: list[dict]) -> str:
+    lines = []
+    for row in rows:
+        share, undecided = (row["verdicts"].get(name, 0) for name in ("INFEASIBLE", "NOT_CONVERGED"))
+        lines.append([row["n"], row["load"], f"{share / row['batch']:.1%}", f"{undecided:,}", _millions(row)])
+    return table(["n", "load", "infeasible", "undecided", "M/s"], lines)
 
 
-def _mixed(row: dict) -> list[str]:
-    share, open_ = row["verdicts"].get("INFEASIBLE", 0) / row["batch"], row["verdicts"].get("NOT_CONVERGED", 0)
-    return [str(row["n"]), row["load"], f"{share:.1%}", f"{open_:,}", _millions(row)]
+def _copies(rows: list[dict]) -> str:
+    lines = [[row["dtype"], f"{row['milliseconds']:.0f}", _millions(row)] for row in rows]
+    return table(["precision", "ms", "M/s"], lines)
+
+
+def _first_calls(rows: list[dict]) -> str:
+    return table(["call", "seconds"], [[f"`{row['question']}`", f"{row['seconds']:.0f}"] for row in rows])
 
 
 def _decisions(rows: list[dict]) -> str:
@@ -91,3 +86,15 @@ def _decisions(rows: list[dict]) -> str:
     kinds = dict.fromkeys(row["kind"] for row in rows)
     lines = [[kind, *(sum(row[name] for row in rows if row["kind"] == kind) for name in counts)] for kind in kinds]
     return table(head, [*lines, ["all", *(sum(row[name] for row in rows) for name in counts)]])
+
+
+SECTIONS: dict[str, tuple[str, str, Callable[[Any], str]]] = {
+    "speed": ("By the number of contacts", SPEED, _by_question),
+    "batches": ("By the size of the batch", BATCHES, _by_batch),
+    "mixed": ("Sampled grasps", MIXED, _mixed),
+    "gradients": ("Gradients", GRADIENTS, _by_question),
+    "copies": ("Copies", COPIES, _copies),
+    "first_calls": ("First calls", FIRST_CALLS, _first_calls),
+    "decisions": ("Verdicts", DECISIONS, _decisions),
+}
+"""Of the report: its title, what is said of it, and what is shown."""

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxgrasp
-from benchmarks.laws import any_of, hold
+from benchmarks.laws import any_of, hold, verdict_counts
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing.problem_data import Problems
@@ -59,7 +59,7 @@ def _judged(problem: Problems, weights: np.ndarray, solution: Any) -> dict:
     solved, hopeless, judged = held.solved, held.hopeless, held.judged
     wrong = any_of(held.broken)
     return {
-        "verdicts": {v.name: int((verdict == v).sum()) for v in Verdict if (verdict == v).any()},
+        "verdicts": verdict_counts(verdict),
         "solved": int(solved.sum()),
         "infeasible": int(hopeless.sum()),
         "not_converged": int((verdict == Verdict.NOT_CONVERGED).sum()),

@@ -151,7 +151,7 @@ def _units(problem: ProblemBatch, direction: Array) -> tuple[Units, Array]:
 
 
 def _posed(problem: ProblemBatch, direction: Array, units: Units, size: Array) -> tuple[ConeProblem, Array]:
-    """The problem, whose presses are all bounded, and the direction of length 1."""
+    """The problem, whose normal forces are all bounded, and the direction of length 1."""
     conic = cone_problem(problem, units)
     most = (
         jnp.full_like(conic.friction, NORMAL_FORCE_CAP)
@@ -236,7 +236,7 @@ def _across(aim: Array) -> Array:
 
 
 def _bound(conic: ConeProblem, aim: Array, multipliers: Multipliers) -> Array:
-    """What theta no forces exceed whose presses are within their limits ``(B,)``."""
+    """What theta no forces exceed whose normal forces are within their limits ``(B,)``."""
     assert conic.normal_max is not None
     gained = jnp.maximum(contact_power(conic, multipliers).per_normal_force, 0) * jnp.where(
         conic.present, conic.normal_max, 0

@@ -63,7 +63,7 @@ def units_of(problem: ProblemBatch) -> Units:
     wrench = scaled_wrench(problem.wrench, shapes.about, shapes.length, jnp)
     size = jnp.sqrt(jnp.sum(wrench**2, -1))
     if problem.normal_min is not None:
-        size = size + jnp.sum(jnp.where(_there(problem), problem.normal_min, 0), -1)
+        size = size + jnp.sum(jnp.where(_present(problem), problem.normal_min, 0), -1)
     load = jnp.where(size > 0, size, 1)
     torque = jnp.ones_like(load)
     if problem.torque_bounds is not None:
@@ -75,7 +75,7 @@ def units_of(problem: ProblemBatch) -> Units:
 
 def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     shapes = discs(_grasp(problem), units.length, units.about)
-    load, there = units.force_unit[:, None], _there(problem)
+    load, there = units.force_unit[:, None], _present(problem)
     spans = shapes.spans if problem.torsion is not None else shapes.spans[..., :2]
     columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
     bounds, torque = problem.torque_bounds, units.torque[:, None]
@@ -98,14 +98,14 @@ def _grasp(problem: ProblemBatch) -> Grasp:
     )
 
 
-def _there(problem: ProblemBatch) -> Array:
+def _present(problem: ProblemBatch) -> Array:
     return jnp.ones(problem.friction.shape, bool) if problem.present is None else problem.present > 0.5
 
 
 def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     """Joint torques of each component of y ``(B, j, n, c)``."""
     assert problem.torque_bounds is not None
-    there = _there(problem)
+    there = _present(problem)
     given = jnp.where(there[..., None, None], problem.torque_bounds.torque_map, 0)
     # The normals, and the tangents that the spans are made along.
     normals = jnp.where(there[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=given.dtype)[2])
@@ -162,7 +162,7 @@ def absent(conic: ConeProblem, extra: int) -> Array:
     return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(conic.width + extra, dtype=conic.right.dtype)
 
 
-def press_rows(conic: ConeProblem, extra: int) -> Array:
+def normal_force_rows(conic: ConeProblem, extra: int) -> Array:
     """The normal force of each contact as rows ``(n, k)``."""
     n, c = conic.columns.shape[2:]
     return jnp.pad(jnp.eye(n * c, dtype=conic.right.dtype)[::c], [(0, 0), (0, extra)])

@@ -4,21 +4,21 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxgrasp.numerics.cone_program import Cones
-from jaxgrasp.problem.cone_problem import ConeProblem, press_rows
+from jaxgrasp.problem.cone_problem import ConeProblem, normal_force_rows
 
 Inequalities = dict[str, tuple[Array, Array]]
 """Rows ``(B, m, k)`` and ends ``(B, m)``; an infinite end is none."""
 
 
 def limits_of(conic: ConeProblem, extra: int) -> Inequalities:
-    """Bounds of presses and of torques."""
+    """Bounds of normal forces and of torques."""
     size, n = conic.right.shape[0], conic.columns.shape[2]
-    presses = jnp.broadcast_to(press_rows(conic, extra), (size, n, conic.width + extra))
+    rows = jnp.broadcast_to(normal_force_rows(conic, extra), (size, n, conic.width + extra))
     found: Inequalities = {}
     if conic.normal_min is not None:
-        found["normal_min"] = -presses, -conic.normal_min
+        found["normal_min"] = -rows, -conic.normal_min
     if conic.normal_max is not None:
-        found["normal_max"] = presses, conic.normal_max
+        found["normal_max"] = rows, conic.normal_max
     if conic.rows is not None and conic.torque_max is not None:
         torque = jnp.pad(conic.rows.reshape(size, -1, conic.width), [(0, 0), (0, 0), (0, extra)])
         found["up"] = torque, conic.torque_max

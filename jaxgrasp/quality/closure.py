@@ -175,11 +175,8 @@ def decide_all(bodies: WrenchSets) -> Decisions:
     for index in map(int, np.flatnonzero(~found.decided)):
         own, one = bodies.present[index], decide(bodies.alone(index))
         found.closed[index], found.decided[index], found.margin[index] = one.closed, one.decided, one.margin
-        found.twist[index], found.normal_force[index, own], found.tangential[index, own] = (
-            one.twist,
-            one.normal_force,
-            one.tangential,
-        )
+        found.twist[index] = one.twist
+        found.normal_force[index, own], found.tangential[index, own] = one.normal_force, one.tangential
     return found
 
 
@@ -198,10 +195,8 @@ def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
     normal_force = np.where(bodies.present, 1 + weights, 0)
     smooth = np.any(bodies.discs[:, :, 1:] != 0, (2, 3))
     total = normal_force.sum(1)
-    normal_force, tangentials = (
-        normal_force / total[:, None],
-        np.where(smooth[..., None], tangentials, 0) / total[:, None, None],
-    )
+    normal_force = normal_force / total[:, None]
+    tangentials = np.where(smooth[..., None], tangentials, 0) / total[:, None, None]
     missed = white.exerted(np.concatenate([normal_force[..., None], tangentials], -1))
     room = np.min(np.where(bodies.present, normal_force - np.linalg.norm(tangentials, axis=-1), np.inf), 1) / np.sqrt(2)
     radius = np.sqrt(sizes[well, 0]) * (room - np.linalg.norm(missed, axis=1)) - bodies.slack

@@ -396,7 +396,7 @@ def _better(
     exerted = weights @ points
     lower = float(exerted @ task)
     if lower > best.lower and np.linalg.norm(exerted - lower * task) <= BALANCED * lower:
-        leaning = np.zeros((count, 3))
-        np.add.at(leaning, owner, weights[:, None] * tangential)
-        best = best._replace(lower=lower, normal_force=np.bincount(owner, weights, count), tangential=leaning)
+        by_contact = np.zeros((count, 3))
+        np.add.at(by_contact, owner, weights[:, None] * tangential)
+        best = best._replace(lower=lower, normal_force=np.bincount(owner, weights, count), tangential=by_contact)
     return best

@@ -96,9 +96,8 @@ def _of_corners(bodies: WrenchSets, balls: Balls, near: Support) -> TouchingPoin
     weights = np.where(known[:, None], weights, 1 / 6)
     normal_force = np.maximum(np.matmul(weights[:, None], near.normal_force)[:, 0], 0)
     direction, height = np.where(lower[:, None], direction, balls.direction), np.where(lower, height, balls.upper)
-    return TouchingPoints(
-        height, direction, normal_force, _within(np.einsum("gp,gpnk->gnk", weights, near.tangential), normal_force)
-    )
+    tangential = _within(np.einsum("gp,gpnk->gnk", weights, near.tangential), normal_force)
+    return TouchingPoints(height, direction, normal_force, tangential)
 
 
 def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Support, size: np.ndarray) -> TouchingPoints:
@@ -110,10 +109,8 @@ def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Support, size: n
         rows = np.vstack([points.T, np.full((1, len(points)), size[index])])
         weights[index], _ = nnls(rows, np.append(upper[index] * direction[index], size[index]))
     weights /= np.maximum(weights.sum(1, keepdims=True), COUNTS)
-    normal_force, tangential = (
-        np.einsum("gp,gpn->gn", weights, near.normal_force),
-        np.einsum("gp,gpnk->gnk", weights, near.tangential),
-    )
+    normal_force = np.einsum("gp,gpn->gn", weights, near.normal_force)
+    tangential = np.einsum("gp,gpnk->gnk", weights, near.tangential)
     return TouchingPoints(upper, direction, normal_force, tangential)
 
 

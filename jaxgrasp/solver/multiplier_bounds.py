@@ -76,7 +76,7 @@ def _rates(multipliers: Multipliers) -> Array | None:
 
 
 def required_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
-    """Work that forces of the wrench do at the least, least presses taken off ``(B,)``."""
+    """Work that forces of the wrench do at the least, least normal forces taken off ``(B,)``."""
     work = jnp.sum(conic.right * multipliers.twist, -1)
     if conic.normal_min is not None:
         work = work + jnp.sum(multipliers.bounds["normal_min"] * conic.normal_min, -1)
@@ -84,7 +84,7 @@ def required_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
 
 
 def limit_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
-    """What upper bounds of presses and torques let them do at the most ``(B,)``."""
+    """What upper bounds of normal forces and torques let them do at the most ``(B,)``."""
     given = jnp.zeros_like(conic.right[:, 0])
     if conic.normal_max is not None:
         given = given + _worth(multipliers.bounds["normal_max"], conic.normal_max)

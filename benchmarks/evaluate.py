@@ -12,24 +12,36 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.machine import machine
+from benchmarks.sampled_grasps import sampled
+from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
 
 RUN = """
-import resource, sys
+import re, sys
+from pathlib import Path
 from jaxgrasp.cli.main import main
 code = main(["evaluate", sys.argv[1], "--out", sys.argv[2], "--no-report"])
-print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+# Of this process alone: what rusage tells begins with the peak of the process that started it.
+print("peak", re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
 sys.exit(code)
 """
 
 
-def write_grasps(path: Path, count: int, n: int) -> None:
-    drawn = problems("ordinary", n, count, seed=0)
+FAMILIES: dict[str, Callable[[int, int], Problems]] = {
+    "ordinary": lambda n, count: problems("ordinary", n, count, seed=0),
+    "sampled, any load": partial(sampled, lift=False),
+    "sampled, a lift": partial(sampled, lift=True),
+}
+
+
+def write_grasps(path: Path, drawn: Problems) -> None:
     columns = {name: getattr(drawn, name) for name in ("points", "normals", "friction", "squeeze", "wrench")}
     np.savez(path, version=1, **columns)
 
@@ -42,15 +54,16 @@ def run_once(file: Path, out: Path) -> dict:
     return {"seconds": working, "compiling": summary["times"]["compiling"], "peak_mib": peak, "summary": summary}
 
 
-def measure(count: int, n: int, repeats: int) -> dict:
+def measure(family: str, count: int, n: int, repeats: int) -> dict:
     with tempfile.TemporaryDirectory() as scratch:
         file = Path(scratch) / "grasps.npz"
-        write_grasps(file, count, n)
+        write_grasps(file, FAMILIES[family](n, count))
         runs = [run_once(file, Path(scratch) / "out") for _ in range(repeats + 1)]
     counted = runs[1:]
     seconds = statistics.median(run["seconds"] for run in counted)
     methods = counted[0]["summary"]["summary"]["methods"]
     return {
+        "family": family,
         "grasps": count,
         "contacts": n,
         "seconds": seconds,
@@ -67,14 +80,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--largest", type=int, default=1_000_000)
     arguments = parser.parse_args()
-    rows = [measure(count, 5, arguments.repeats) for count in (100_000, 1_000_000) if count <= arguments.largest]
+    asked = [("ordinary", 1_000_000), *((family, 100_000) for family in FAMILIES)]
+    rows = [measure(family, count, 5, arguments.repeats) for family, count in asked if count <= arguments.largest]
     arguments.out.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=1) + "\n")
-    print("| grasps of 5 contacts | seconds | grasps a second | peak memory |\n|---|---|---|---|")
-    for row in rows:
-        print(
-            f"| {row['grasps']:,} | {row['seconds']:.2f} | {row['grasps_per_second']:,.0f} "
-            f"| {row['peak_mib']:.0f} MiB |"
-        )
 
 
 if __name__ == "__main__":

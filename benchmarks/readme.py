@@ -95,9 +95,11 @@ def by_rival() -> str:
 
 def throughput() -> str:
     """What ``jaxgrasp evaluate`` does in a second."""
-    rows = result("evaluate")["rows"]
-    shown = [[f"{r['grasps']:,}", f"{r['grasps_per_second']:,.0f}", f"{r['peak_mib']:,.0f} MiB"] for r in rows]
-    return table(["grasps of five contacts", "grasps per second", "peak memory"], shown)
+    shown = [
+        [row["family"], f"{row['grasps']:,}", f"{row['grasps_per_second']:,.0f}", f"{row['peak_mib']:,.0f} MiB"]
+        for row in result("evaluate")["rows"]
+    ]
+    return table(["family", "grasps of five contacts", "grasps per second", "peak memory"], shown)
 
 
 def first_calls() -> str:

@@ -56,7 +56,7 @@ def least_friction(
 
     One search finds most factors, with a proof on either side; a bracketed Newton's method finds the rest, to the same
     tolerance, but its factor may be too large where it lies below 1e-4 or so and no forces are found though some exist.
-    A thousand grasps take about half a second of the processor once compiled (``python -m benchmarks.least_friction``).
+    A thousand grasps take 0.3 to 0.6 seconds of the processor once compiled (``python -m benchmarks.margins``).
 
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.

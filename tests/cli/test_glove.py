@@ -157,11 +157,15 @@ class Bench:
         return said
 
     def insist(self, order: str) -> None:
-        """Right after it begins, or on a busy machine, there may be no fresh law."""
+        """Right after it begins, or on a busy machine, there may be no fresh law; and where the glove let go since it was
+        armed, it has to be armed and felt anew before it gives all.
+        """
         for _ in range(40):
             said = self.answer(order)
             if "of the torque" in said:
                 return
+            if order == "full" and "arm, feel it, and then say full" in said:
+                self.answer("arm")
             time.sleep(0.5)
         raise AssertionError(said)
 

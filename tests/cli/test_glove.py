@@ -157,8 +157,8 @@ class Bench:
         return said
 
     def insist(self, order: str) -> None:
-        """Right after it begins, or on a busy machine, there may be no fresh law; and where the glove let go since it was
-        armed, it has to be armed and felt anew before it gives all.
+        """Right after it begins, or on a busy machine, there may be no fresh law; and a glove that let go since it was
+        armed has to be armed and felt anew before it gives all.
         """
         for _ in range(40):
             said = self.answer(order)

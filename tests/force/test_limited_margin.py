@@ -32,7 +32,7 @@ def aside(made: LimitedProblems, seed: int = 5) -> np.ndarray:
     return np.concatenate([force, radius * torque + np.cross(middle, force)], -1)
 
 
-def margin(made: LimitedProblems, direction, wrench=None, limits=None, grasp=None) -> np.ndarray:
+def margin(made: LimitedProblems, direction, wrench=None, limits=None, grasp=None, progress=None) -> np.ndarray:
     wrench = made.problem.wrench if wrench is None else wrench
     return np.asarray(
         jaxgrasp.wrench_margin(
@@ -41,6 +41,7 @@ def margin(made: LimitedProblems, direction, wrench=None, limits=None, grasp=Non
             direction,
             "uniform",
             limits=made.limits if limits is None else limits,
+            progress=progress,
         )
     )
 
@@ -66,9 +67,10 @@ def by_clarabel(made: LimitedProblems, direction: np.ndarray) -> np.ndarray:
     ],
 )
 def test_it_is_what_another_solver_finds(kind):
-    made = made_of(kind)
+    made, told = made_of(kind), []
     direction = aside(made)
-    theta, expected = margin(made, direction), by_clarabel(made, direction)
+    theta, expected = margin(made, direction, progress=told.append), by_clarabel(made, direction)
+    assert told == [COUNT]
     known = np.isfinite(expected) & np.isfinite(theta)
     assert known.mean() > 0.6
     np.testing.assert_allclose(theta[known], expected[known], rtol=1e-6, atol=1e-7)

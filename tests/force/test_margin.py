@@ -15,10 +15,10 @@ EVERYONE = np.ones((COUNT, N))
 INPUTS = ("points", "normals", "friction", "squeeze", "wrench", "direction")
 
 
-def margin(problem: P.Problems, direction, weights=None, present: np.ndarray = EVERYONE) -> np.ndarray:
+def margin(problem: P.Problems, direction, weights=None, present: np.ndarray = EVERYONE, progress=None) -> np.ndarray:
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze, present)
     weights = problem.squeeze if weights is None else weights
-    return np.asarray(jaxgrasp.wrench_margin(grasp, problem.wrench, direction, weights))
+    return np.asarray(jaxgrasp.wrench_margin(grasp, problem.wrench, direction, weights, progress=progress))
 
 
 def aside(problem: P.Problems, seed: int) -> np.ndarray:
@@ -193,7 +193,9 @@ def test_contacts_of_weight_zero_hold_their_squeezing_force():
 def test_bad_data_leave_their_neighbours_alone():
     problem = P.problems("ordinary", N, COUNT, seed=12)
     direction = aside(problem, seed=13)
-    theta = margin(problem, direction)
+    told: list[int] = []
+    theta = margin(problem, direction, progress=told.append)
+    assert told == [COUNT]
     arrays = {name: getattr(problem, name).copy() for name in ("points", "friction", "wrench")}
     arrays["points"][3, 1, 0], arrays["friction"][20, 2], arrays["wrench"][40, 4] = np.nan, -0.5, np.inf
     direction[50, 0] = np.nan

@@ -271,14 +271,15 @@ class LucidHost(GloveDevice):
     def _limits(self, output: GuardOutput, wanted: Any, slope: np.ndarray | None) -> tuple[int, int, int, int, int]:
         if output.state != GuardState.ARMED or self.said is None:
             return (0, 0, 0, 0, 0)
-        # The guard has seen that these are finite numbers; what it lets out is never more.
+        # The guard has seen that these are finite numbers. What it lets out is more where it has not yet come down.
         torques = np.maximum(np.asarray(wanted, float), 0)
-        let = np.divide(output.torques, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
+        kept = np.clip(output.torques, 0, torques)
+        let = np.divide(kept, torques, out=np.zeros(len(FINGERS)), where=torques > 0)
         steep = np.zeros(len(FINGERS)) if slope is None else np.diagonal(slope)
         # Where torque begins within reach; a finger that is deeper is stopped no farther back.
         near = torques < DEEPEST * steep
         deep = np.divide(torques, steep, out=np.where(steep > 0, DEEPEST, 0.0), where=near)
-        return stops_at(self.said.curls, deep / self._spans, np.minimum(let, 1), self._give)
+        return stops_at(self.said.curls, deep / self._spans, let, self._give)
 
     def _answer(self, line: Line) -> None:
         if not (self._owed or (self._holds and not any(self.limits))):

@@ -23,7 +23,7 @@ from benchmarks.sampled_grasps import sampled
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
 
-RUN = """
+RUN = r"""
 import re, sys
 from pathlib import Path
 from jaxgrasp.cli.main import main

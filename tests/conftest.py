@@ -14,14 +14,10 @@ from jax.experimental.compilation_cache import compilation_cache
 # Most of the suite's time is compiling. Unless XLA_FLAGS are given, it is done in a quarter of the time, for slower
 # code: verdicts do not hang on it, as `python -m benchmarks.compile` counts. The long tests, which ask for more digits
 # of more problems, are optimised at level 1. A flag that XLA does not know ends the process, and others than these
-# versions may not know those after the first.
-_LEVEL = os.environ.get("JAXGRASP_TEST_OPTIMIZATION", "0")
-_FAST = f"--xla_backend_optimization_level={_LEVEL}"
+# versions may not know the second.
+_FAST = f"--xla_backend_optimization_level={os.environ.get('JAXGRASP_TEST_OPTIMIZATION', '0')}"
 if jax.__version_info__ < (0, 11):
     _FAST += " --xla_cpu_use_fusion_emitters=false"
-    if _LEVEL == "0":
-        # What is compiled so is a quarter faster to compile still.
-        _FAST += " --xla_cpu_opt_preset=CPU_OPT_PRESET_FAST_COMPILE"
 os.environ.setdefault("XLA_FLAGS", _FAST)
 jax.config.update("jax_enable_x64", True)
 # The cache is keyed by the code itself, so it cannot go stale.

@@ -27,8 +27,16 @@ _KEEPS = {
     # The small programs too: there are thousands of them, many of them in several files.
     "jax_persistent_cache_min_compile_time_secs": 0.0,
 }
-for _name, _value in _KEEPS.items():
-    jax.config.update(_name, _value)
+
+
+def _keep_compiled_code() -> None:
+    for name, value in _KEEPS.items():
+        if getattr(jax.config, name) != value:
+            jax.config.update(name, value)
+            compilation_cache.reset_cache()
+
+
+_keep_compiled_code()
 
 
 @pytest.fixture
@@ -48,10 +56,7 @@ def unchecked(monkeypatch) -> None:
 def keep_compiled_code():
     """The command line, run inside this process, keeps other code elsewhere from then on."""
     yield
-    for name, value in _KEEPS.items():
-        if getattr(jax.config, name) != value:
-            jax.config.update(name, value)
-            compilation_cache.reset_cache()
+    _keep_compiled_code()
 
 
 @pytest.fixture(autouse=True, scope="module")

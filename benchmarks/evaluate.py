@@ -13,13 +13,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import sampled_grasps
 from benchmarks.machine import machine
-from benchmarks.sampled_grasps import sampled
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems
 
@@ -36,8 +35,8 @@ sys.exit(code)
 
 FAMILIES: dict[str, Callable[[int, int], Problems]] = {
     "ordinary": lambda n, count: problems("ordinary", n, count, seed=0),
-    "sampled, any load": partial(sampled, lift=False),
-    "sampled, a lift": partial(sampled, lift=True),
+    "sampled, any load": sampled_grasps.FAMILIES["any"],
+    "sampled, a lift": sampled_grasps.FAMILIES["lift"],
 }
 
 

@@ -19,7 +19,7 @@ import jaxgrasp
 from benchmarks.page import mixed_tables
 from benchmarks.page.clock import interleaved
 from benchmarks.rivals.by_clarabel import RIVALS
-from benchmarks.sampled_grasps import sampled
+from benchmarks.sampled_grasps import FAMILIES, sampled
 from benchmarks.sections import run_sections
 from jaxgrasp import Grasp, Solution, Verdict
 from jaxgrasp.testing.problem_data import Problems
@@ -60,7 +60,7 @@ def families(plan: Plan) -> list[dict]:
     for n in plan.sizes:
         for batch in plan.batches:
             ordinary = _call(problems("ordinary", n, batch, seed=5))
-            rows += [_beside(sampled(n, batch, lift), ordinary, plan) for lift in (False, True)]
+            rows += [_beside(made(n, batch), ordinary, plan) for made in FAMILIES.values()]
     return rows
 
 

@@ -14,12 +14,21 @@ HEAD = [
     "Clarabel anew",
     "updated",
 ]
+LOADS = {
+    "any": "contacts at random on a unit sphere, any wrench of about 1 N and 0.3 N m;",
+    "lift": "the same, a lift of 3 N by contacts on the upper half alone;",
+    "carton": "contacts anywhere on the six faces of a box of 6 by 8 by 20 cm, whose weight of 3 N points anywhere;",
+    "bottle": "a thumb opposite to fingers on a cylinder, lifted and tipped while its content runs to the neck;",
+    "limit": "half one per cent inside and half one per cent beyond the largest load that the grasp can bear;",
+    "shipped": "the simulated grips that come with the package, all of n contacts.",
+}
+"""What each family is of."""
 ABOUT = (
-    "Contacts at random on a unit sphere that press inward, friction 0.2 to 0.6, squeeze 0.5 to 5 N. Loads: any "
-    "wrench of about 1 N and 0.3 N m, or a lift of 3 N by contacts on the upper half alone. Microseconds a problem, "
-    "jitted, medians in turns; then how many times the cost of an ordinary batch, all of which can be solved, and "
-    "how many times longer Clarabel takes for the same problems, its loop in Python included: set up anew, and "
-    "updated in place. Verdicts differ where Clarabel solves what we call infeasible, or the other way round."
+    "Families of grasps and loads. Of the first four, contacts press inward, with a friction of 0.2 to 0.6 and a "
+    "squeeze of 0.5 to 5 N; the last two are of few problems, repeated. Microseconds a problem, jitted, medians in "
+    "turns; then how many times the cost of an ordinary batch, all of which can be solved, and how many times longer "
+    "Clarabel takes for the same problems, its loop in Python included: set up anew, and updated in place. Verdicts "
+    "differ where Clarabel solves what we call infeasible, or the other way round."
 )
 
 
@@ -30,7 +39,7 @@ def page(report: dict) -> str:
         f"{made_by('mixed', report['machine'], ('jax', 'clarabel'))}; float64.",
     ]
     if "families" in report:
-        parts += ["## Sampled grasps", ABOUT, table(HEAD, map(_family, report["families"]))]
+        parts += ["## Families", ABOUT, _loads(), table(HEAD, map(_family, report["families"]))]
     if "sweep" in report:
         parts += [
             "## By the share that is infeasible",
@@ -39,6 +48,10 @@ def page(report: dict) -> str:
             by_size([row | {"infeasible": f"{row['share']:.0%}"} for row in report["sweep"]], "infeasible", _share),
         ]
     return "\n\n".join(parts) + "\n"
+
+
+def _loads() -> str:
+    return "\n".join(f"- {name}: {about}" for name, about in LOADS.items())
 
 
 def _family(row: dict) -> list[str]:

@@ -1,4 +1,4 @@
-"""The least share of friction by one search: known answers, and bounds that prove them."""
+"""The least factor of friction by one search: known answers, and bounds that prove them."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ FRICTION, TORSION, LIFT = 0.5, 0.02, 2.0
 
 @pytest.mark.slow
 def test_a_pinch_by_soft_fingers_shares_its_friction_between_lift_and_turning():
-    """Each finger presses with half the total p, lifts t and turns m: |(t / (share mu), m / gamma)| = p."""
+    """Each finger presses with half the total p, lifts t and turns m: |(t / (factor mu), m / gamma)| = p."""
     count = 40
     rng = np.random.default_rng(3)
     total, turning = rng.uniform(3, 30, count), rng.uniform(0, 0.9, count)
@@ -37,5 +37,5 @@ def test_a_pinch_by_soft_fingers_shares_its_friction_between_lift_and_turning():
     proven = np.asarray(found.proven)
     # Those that are not are looked for otherwise, by whoever asks.
     assert proven.mean() > 0.8 and found.spent[proven].all()
-    np.testing.assert_allclose(found.share[proven], known[proven], rtol=1e-9)
+    np.testing.assert_allclose(found.factor[proven], known[proven], rtol=1e-9)
     assert (np.asarray(found.lower) <= known * (1 + 1e-9)).all()

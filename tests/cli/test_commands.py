@@ -74,11 +74,11 @@ def test_validate_lists_every_fault(grasps, capsys):
         (["grasps.npz", "--squeeze", "2", "2"], "squeeze[1] is 2.0, for the second time"),
     ],
 )
-def test_errors_are_one_line(grasps, arguments, message):
-    answer = run("evaluate", *arguments)
-    assert answer.returncode == 1 and answer.stdout == ""
-    assert answer.stderr.startswith("jaxgrasp: ") and answer.stderr.count("\n") == 1
-    assert message in answer.stderr
+def test_errors_are_one_line(grasps, capsys, arguments, message):
+    assert main(["evaluate", *arguments]) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("jaxgrasp: ") and said.err.count("\n") == 1
+    assert message in said.err
 
 
 def test_evaluate_writes_results_summary_and_report(grasps):

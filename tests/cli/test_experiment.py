@@ -70,6 +70,7 @@ def test_paper(capsys):
     assert said.splitlines()[-1].startswith("7 reproduced; 2 impossible; 6 reproduced, by another estimator")
 
 
+@pytest.mark.slow
 def test_plan(folder, capsys):
     assert main(["experiment", "plan", "--write", "paper.toml"]) == 0
     said = capsys.readouterr().out

@@ -121,7 +121,7 @@ def test_torsion_must_be_a_length(folder, capsys):
 
 def test_the_table_is_written_when_small_or_asked_for(folder, capsys, monkeypatch):
     jaxgrasp.save_grasps("jaws.npz", *pinches())
-    common = ["evaluate", "jaws.npz", "--methods", "A-optimum", "--no-report", "--overwrite"]
+    common = ["evaluate", "jaws.npz", "--methods", "A", "--no-report", "--overwrite"]
     monkeypatch.setattr("jaxgrasp.cli.evaluate.SMALL_TABLE", 2)
     assert main([*common]) == 0
     assert "no table of 3 rows" in capsys.readouterr().out and not (folder / "jaxgrasp-results/results.csv").exists()

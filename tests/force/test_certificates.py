@@ -76,6 +76,7 @@ def test_one_force_is_proven_exactly():
     np.testing.assert_allclose(least(problem, direction), np.linalg.norm(force[:, 0], axis=-1), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_squeezing_forces_that_exert_the_wrench_but_for_rounding_prove_nothing():
     problem = P.problems("ordinary", 5, COUNT, seed=7)
     wrench = P.exact_wrench(problem.points, problem.squeeze[..., None] * problem.normals)

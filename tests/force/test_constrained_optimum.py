@@ -179,6 +179,7 @@ def test_nobody_there(padded):
     assert (np.sum(nobody.certificate * wide.wrench, -1) > 0).all()
 
 
+@pytest.mark.slow
 def test_known_answers_of_a_pair(padded):
     """Two antipodal contacts lift until friction ends; torque about their line is out of reach."""
     _, wide, present, _ = padded

@@ -129,6 +129,7 @@ def test_the_optimum_moves_as_the_dual_does(ordinary, solution):
         np.testing.assert_allclose((ends[1] - ends[0]) / (2 * step) / scale, expected / scale, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_second_and_third_derivatives(ordinary):
     """The Hessian is symmetric, nowhere positive, and the gradient's slope; the third derivative is the Hessian's."""
     grasp, wrench, twist = grasp_of(ordinary), ordinary.wrench, multipliers(ordinary, 7)

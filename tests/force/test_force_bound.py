@@ -66,6 +66,7 @@ def test_it_is_the_certificates(both):
         assert np.all(found.force_bound[infeasible] >= LEAST[found.forces.dtype.name] * load[infeasible])
 
 
+@pytest.mark.slow
 def test_what_the_hand_could_exert_leaves_open_what_is_not_excluded(both):
     grasp, wrench, single, double = both
     could = 2e4

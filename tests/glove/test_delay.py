@@ -7,10 +7,11 @@ from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.host import LinkState
 from jaxgrasp.glove.protocol.peer_clock import PeerClock, RoundTrip
 from tests.glove.virtual import World
+from tests.turns import later
 
 IN_TIME = 0.055
 """Torque after any fault [s]."""
-WAYS = ["both", *(pytest.param(way, marks=pytest.mark.slow) for way in ("outward", "inward"))]
+WAYS = ["both", *later("outward", "inward")]
 
 
 def growing(since: float, rate: float, most: float):
@@ -28,7 +29,7 @@ def delayed(way: str, rate: float, most: float, **options) -> World:
 
 @pytest.mark.repeats
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize(("rate", "most"), [(0.1, 0.3), (0.165, 0.495), (0.005, 0.14), (1.0, 0.5)])
+@pytest.mark.parametrize(("rate", "most"), [(0.1, 0.3), *later((0.165, 0.495), (0.005, 0.14)), (1.0, 0.5)])
 def test_a_growing_delay_is_seen_and_ends_torque(way, rate, most):
     world = delayed(way, rate, most)
     since = world.now
@@ -42,7 +43,7 @@ def test_a_growing_delay_is_seen_and_ends_torque(way, rate, most):
 
 @pytest.mark.repeats
 @pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("waits", [0.0, 0.004, 0.008, 0.012, 0.02, 0.1, 0.4])
+@pytest.mark.parametrize("waits", [0.0, *later(0.004, 0.008, 0.012), 0.02, *later(0.1), 0.4])
 def test_a_host_that_dies_leaves_no_torque_whatever_the_delay(way, waits):
     world = delayed(way, 0.1, waits)
     world.run(waits / 0.1)
@@ -63,16 +64,11 @@ def test_it_is_not_armed_over_a_line_that_is_late(waits):
     assert not any(counts.any() for _, counts in world.history)
 
 
-RATES = [
-    ("inward", 0.05),
-    ("both", 0.02),
-    pytest.param("inward", 0.005, marks=pytest.mark.slow),
-    pytest.param("outward", 0.05, marks=pytest.mark.slow),
-]
+RATES = [("both", 0.02), *later(("inward", 0.05), ("inward", 0.005), ("outward", 0.05))]
 
 
 @pytest.mark.repeats
-@pytest.mark.parametrize("drift", [-0.005, *(pytest.param(drift, marks=pytest.mark.slow) for drift in (0.0, 0.005))])
+@pytest.mark.parametrize("drift", [-0.005, *later(0.0, 0.005)])
 @pytest.mark.parametrize(("way", "rate"), RATES)
 def test_the_age_of_angles_is_right_while_they_are_used(way, rate, drift):
     """Against the true time of each frame, which only the world knows."""

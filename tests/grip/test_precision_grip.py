@@ -65,6 +65,7 @@ def test_the_stated_range_is_reached_to_its_corners(fingers, name):
         assert_held_by_its_tips(human_hand(length, side=side), SHAPES[name](radius), fingers, 1e-3)
 
 
+@pytest.mark.slow
 def test_what_is_out_of_reach_is_named(unchecked):
     hand = human_hand()
     with pytest.raises(ValueError, match="precision grip of 3 fingers on this Cylinder was found: .*does not come"):

@@ -98,6 +98,7 @@ def test_where_hand_and_object_are_and_how_hard_they_press_does_not_matter(real)
         assert grip_type(HAND, moved, seen).tolist() == kinds
 
 
+@pytest.mark.slow
 def test_a_left_hand_makes_the_same_grips(real):
     posture, contacts, kinds = real
     flip = np.array([1.0, -1.0, 1.0])

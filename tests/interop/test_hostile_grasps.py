@@ -26,6 +26,7 @@ from tests.interop.test_dexonomy import balanced as dexonomy_file
 from tests.interop.test_graspit import ORDER, world
 from tests.interop.test_gripper_files import FORMATS, grasps
 from tests.interop.two_fingers import JOINTS, model, pickled
+from tests.turns import later
 
 ARRAYS = (
     *(np.zeros(0), np.zeros((0, 3)), np.zeros((3, 3)), np.array("text"), np.array([None, 1], object)),
@@ -56,7 +57,7 @@ def as_plain(name: str, hand: Any) -> tuple[Any, Callable[[str], Any]]:
     return kinds[name]
 
 
-@pytest.mark.parametrize("name", ["dexgraspnet", "dexgraspbench", "dexonomy", "bodex"])
+@pytest.mark.parametrize("name", ["dexgraspnet", "dexgraspbench", *later("dexonomy", "bodex")])
 def test_pickled_files(folder, hand, name):
     good, read = as_plain(name, hand)
 

@@ -20,6 +20,7 @@ ALL_FOUR = ("index", "middle", "ring", "little")
 FINGERS = pytest.mark.parametrize("fingers", [("index", "middle"), pytest.param(ALL_FOUR, marks=pytest.mark.slow)])
 
 
+@pytest.mark.slow
 @FINGERS
 def test_a_weight_is_felt_by_the_work_that_lifts_it(fingers):
     """Torques = weight x d height / d angle, over the whole travel: virtual work, without any forces."""

@@ -68,7 +68,7 @@ def forget_compiled_code():
     jax.clear_caches()
 
 
-PARTS = 6
+PARTS = 10
 """The long tests take turns, by the day of the commit: each time one law in so many, and of a law that is marked
 ``repeats``, which goes through many sizes or kinds, one case in so many. All of them run with ``JAXGRASP_TEST_ALL=1``,
 and those that are named one by one; what is marked ``always`` runs each time."""

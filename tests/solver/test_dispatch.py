@@ -9,6 +9,7 @@ import jaxgrasp
 from jaxgrasp import Grasp, Verdict
 from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, dispatch, pieces
 from jaxgrasp.testing import problems as P
+from tests.turns import later
 
 N = 3
 MANY = P.problems("ordinary", N, 1000, seed=5)
@@ -159,8 +160,9 @@ def test_constants_may_be_asked_inside_another_program():
     np.testing.assert_allclose(by_scale, jaxgrasp.closed_form(grasp, wrench).objective.sum(), rtol=1e-12)
 
 
-def test_no_problem_at_all_has_no_answers():
-    assert jaxgrasp.constrained_optimum(*asked(0)).forces.shape == (0, N, 3)
+@pytest.mark.parametrize("solve", [jaxgrasp.closed_form, *later(jaxgrasp.constrained_optimum)])
+def test_no_problem_at_all_has_no_answers(solve):
+    assert solve(*asked(0)).forces.shape == (0, N, 3)
 
 
 def test_precision_is_that_of_the_data():

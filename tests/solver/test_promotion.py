@@ -6,6 +6,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp.testing import problems as P
+from tests.turns import later
 
 
 def by_squeeze(question):
@@ -30,8 +31,11 @@ QUESTIONS = {
     "certificate": lambda g, w: jaxgrasp.verify_certificate(g, w, w),
 }
 
+QUICK = ("closed form", "optimum", "certificate")
 
-@pytest.mark.parametrize("question", QUESTIONS)
+
+@pytest.mark.repeats
+@pytest.mark.parametrize("question", [*QUICK, *later(*(name for name in QUESTIONS if name not in QUICK))])
 def test_nothing_is_promoted(question):
     some = P.problems("ordinary", 4, 20, seed=3)
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)

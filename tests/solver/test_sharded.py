@@ -14,6 +14,7 @@ from jax.sharding import PartitionSpec
 
 import jaxgrasp
 from jaxgrasp.testing import problems as P
+from tests.turns import later
 
 SCRIPT = Path(__file__).with_name("sharded.py")
 ROOT = SCRIPT.parents[2]
@@ -29,7 +30,7 @@ LONG = [
     ("count", "questions"),
     [(24, ("closed form",)), *(pytest.param(*case, marks=[pytest.mark.slow, pytest.mark.repeats]) for case in LONG)],
 )
-@pytest.mark.parametrize("kind", ["Auto", "Explicit", "Manual"])
+@pytest.mark.parametrize("kind", ["Auto", "Explicit", *later("Manual")])
 def test_answers_of_a_mesh_are_those_of_one_device(kind, count, questions):
     environment = {
         **os.environ,
@@ -81,8 +82,11 @@ QUESTIONS = {
     ),
 }
 
+QUICK = ("optimum", "gradient")
 
-@pytest.mark.parametrize("question", QUESTIONS)
+
+@pytest.mark.repeats
+@pytest.mark.parametrize("question", [*QUICK, *later(*(name for name in QUESTIONS if name not in QUICK))])
 def test_a_loop_says_along_which_axes_it_varies(question):
     """``shard_map`` checks that, on one device as on many."""
     some = P.problems("ordinary", 3, 6, seed=7)

@@ -161,6 +161,7 @@ def test_neighbours_of_bad_data_are_untouched(flat, rows):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(got))
 
 
+@pytest.mark.slow
 def test_a_single_bad_problem_does_not_raise(flat, rows):
     method, _ = flat
     got = solve(method, *(x[17] for x in rows))

@@ -47,6 +47,7 @@ from jaxgrasp.solver.proximal import (
     ProximalState,
     initial_state,
     proximal_search,
+    weakest,
 )
 from jaxgrasp.solver.refinement import refined
 from jaxgrasp.solver.result import Certificate, PassResult, ScaledResult, no_certificate, to_result
@@ -57,6 +58,8 @@ STEPS = (5, 6, 8, 22)
 LONG_PASS_STEPS = 300
 """Evaluations at each level of the last pass. Where torque rests on next to no friction, each step gets past one kink
 of a cone and there are hundreds; almost no other problem comes so far."""
+LONG_PASS_WEAKEST = 1e-22
+"""Strength at which its levels end: a friction mu bends the dual by mu^2 only, and less than that is to be held."""
 CAREFUL_CHECKS = (3, 8, UNLIMITED_CHECKS)
 """Checks of the careful pass, after each of which the unfinished are gathered again and go on where they stopped."""
 FIRST_CAREFUL_PASS = len(STEPS)
@@ -96,7 +99,7 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
         result = result._replace(multiplier=jnp.where(given[:, None], problem.start, result.multiplier))
 
     def improve(index: Array, result: PassResult) -> PassResult:
-        settings = _settings(index)
+        settings = _settings(index, bare.points.dtype)
         # Loads that rounding hides are balanced already; all that is left to ask is whether allowed forces exist.
         open_ = settings.careful & (~is_optimum(result.verdict) | ~settings.with_squeeze)
         chosen = result.undecided & (open_ | (result.verdict == Verdict.OUTSIDE_CONES))
@@ -111,12 +114,13 @@ def finish_optimum(problem: ProblemBatch, closed: PassResult) -> PassResult:
     return torque_passes.within_torques(problem, _feasible_where_load_is_hidden(result))
 
 
-def _settings(index: Array) -> PassSettings:
+def _settings(index: Array, dtype: jnp.dtype) -> PassSettings:
     """The settings of a pass, by its place in the order of all."""
     levels = len(CAREFUL_CHECKS) * (STEPS_PER_LEVEL,)
     steps = jnp.asarray((*STEPS, *levels, STEPS_PER_LEVEL, LONG_PASS_STEPS), jnp.int32)[index]
     checks = jnp.asarray((*len(STEPS) * (1,), *CAREFUL_CHECKS, UNLIMITED_CHECKS, UNLIMITED_CHECKS), jnp.int32)[index]
     return PassSettings(
+        weakest=jnp.where(index == LONG_PASS, LONG_PASS_WEAKEST, weakest(dtype)).astype(dtype),
         careful=index >= FIRST_CAREFUL_PASS,
         steps=steps,
         # The first steps lead nowhere yet: what they leave open is seldom infeasible, and a proof costs a step.

@@ -83,6 +83,8 @@ class PassSettings(NamedTuple):
     """From the beginning, whatever the last pass found; else where it stopped."""
     checks: Array
     """How often to check which problems are at the end of a level, before the unfinished are gathered anew."""
+    weakest: Array
+    """Strength of the proximal term below which there are no more levels."""
 
 
 @runtime_checkable
@@ -117,14 +119,15 @@ class ConeOnlyProblem(NamedTuple):
         return find_certificate(self.problem, check.residual, displacement)
 
 
-def careful_settings() -> PassSettings:
+def careful_settings(dtype: jnp.dtype) -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
     yes = jnp.asarray(True)
-    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED_CHECKS))
+    last = jnp.asarray(weakest(dtype))
+    return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED_CHECKS), last)
 
 
 def weakest(dtype: jnp.dtype) -> float:
-    """The least strength of a proximal term that makes a difference."""
+    """The least strength of a proximal term that makes a difference, unless friction is next to nothing."""
     return 4 * float(jnp.finfo(dtype).eps)
 
 
@@ -198,7 +201,7 @@ def _end_levels(proximal_problem: ProximalProblem, settings: PassSettings, level
     verdict = jnp.where(optimal, Verdict.OPTIMAL, jnp.where(infeasible, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED))
     decided = search.decided | optimal | infeasible
     strength = jnp.where(ended, search.strength / 10, search.strength)
-    unfinished = level.unfinished & ~(ended & (strength < weakest(strength.dtype)))
+    unfinished = level.unfinished & ~(ended & (strength < settings.weakest))
     found = ProximalState(
         point=jnp.where(ended, newton.point, search.point),
         forces=contact_vec.where(ended, check.forces, search.forces),

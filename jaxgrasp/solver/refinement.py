@@ -33,6 +33,8 @@ REFINING_STEPS = 4
 """Newton steps: the digits double with each, and the first starts from about half of them."""
 CORRECTIONS = 3
 """Steps of the forces themselves, along their cones, after that."""
+LEAST_DAMPING = 1e-20
+"""Damping of the steps of what has not converged, in which friction of next to nothing may bend the dual by no more."""
 ENOUGH = 0.25
 """Part of the largest residual of a sound answer at which none is refined."""
 
@@ -62,6 +64,7 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
     data, tol = problem.data, tolerances(state.relative_residual.dtype)
     enough = ENOUGH * tol.balance
     rounding = jnp.asarray(16 * jnp.finfo(state.relative_residual.dtype).eps, state.relative_residual.dtype)
+    damping = jnp.where(state.verdict == Verdict.OPTIMAL, rounding, LEAST_DAMPING)
     wanting = (state.verdict == Verdict.OPTIMAL) & (state.relative_residual > enough)
     wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED) & (state.strength == 0))
 
@@ -85,7 +88,7 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
         )
         jacobian = jax.tree.map(partial(jnp.where, by_target), friction_cone.derivative(data.cone, split), at.jacobian)
         curvature = dual.negative_hessian(problem, jacobian)
-        more = dual.solve(ldl.factor(damped(curvature, problem.metric, rounding)), left)
+        more = dual.solve(ldl.factor(damped(curvature, problem.metric, damping)), left)
         moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
         newton = i < REFINING_STEPS

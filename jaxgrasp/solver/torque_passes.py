@@ -208,7 +208,7 @@ def _careful_tile(batch: ProblemBatch, prior: PassResult) -> PassResult:
     point = jnp.zeros((6 + len(constraints.bound), batch.size), constraints.bound.dtype)
     undecided = jnp.zeros((1, batch.size), bool)
     start = initial_state(point, squeezing_forces(problem.data), undecided + Verdict.NOT_CONVERGED, undecided)
-    state = proximal_search(_TorqueLimitedProblem(problem, constraints), start, careful_settings())
+    state = proximal_search(_TorqueLimitedProblem(problem, constraints), start, careful_settings(point.dtype))
     joints = JointResult(
         velocities=torque_limits.velocities_by_joints(constraints, state.point[6:]),
         multiplier=constraints.scale * state.point[6:],

@@ -148,7 +148,7 @@ def test_what_is_claimed_of_guided_objects_holds(kind, k):
 
 @pytest.mark.slow
 @pytest.mark.repeats
-@pytest.mark.parametrize(("n", "open_"), [(3, 1e-3), (5, 0.04), (8, 0.015), (12, 1e-3)])
+@pytest.mark.parametrize(("n", "open_"), [(3, 1e-3), (5, 0.015), (8, 8e-3), (12, 1e-3)])
 def test_torques_that_rest_on_next_to_no_friction_are_decided(n, open_):
     """Normals through the middle of a sphere, friction from 1e-8 to 1e-3: most answers are thousands of loads large."""
     rng = np.random.default_rng(6)

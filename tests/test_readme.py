@@ -55,10 +55,11 @@ QUICK_PAGES = ("answers",)
 
 
 def _with_marks(page: Path):
-    marks = () if page.stem in QUICK_PAGES else (pytest.mark.slow, pytest.mark.always)
+    marks = () if page.stem in QUICK_PAGES else pytest.mark.slow
     return pytest.param(page, marks=marks, id=page.stem)
 
 
+@pytest.mark.repeats
 @pytest.mark.parametrize("page", [_with_marks(page) for page in DOCS if blocks(page, "python")])
 def test_the_examples_run(page, ten_lines, capsys):
     run(page, dict(ten_lines))

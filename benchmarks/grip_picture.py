@@ -4,7 +4,6 @@ python -m benchmarks.grip_picture --out benchmarks/results/grip.png
 """
 
 import argparse
-from importlib.resources import files
 from pathlib import Path
 
 import jax
@@ -12,6 +11,7 @@ import matplotlib
 import numpy as np
 
 import jaxgrasp
+from jaxgrasp.cli.data import data_path
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    sets = jaxgrasp.load_grasps(str(files("jaxgrasp") / "data" / "simulated_grips.npz"))
+    sets = jaxgrasp.load_grasps(data_path(None))
     evaluation = jaxgrasp.evaluate(sets, methods=tuple(METHODS))
     index = choose(evaluation)
     own = slice(sets.offsets[index], sets.offsets[index + 1])

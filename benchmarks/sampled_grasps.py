@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 
 import numpy as np
 from numpy.random import Generator
 
 import jaxgrasp
+from jaxgrasp.cli.data import data_path
 from jaxgrasp.testing.problem_data import Problems
 from jaxgrasp.testing.problems import problems, unit
 
@@ -24,8 +24,7 @@ DRAWN = 500
 def sampled(n: int, batch: int, lift: bool) -> Problems:
     """Contacts at random on a unit sphere, pressing inward; any wrench, or a lift by the upper half alone."""
     rng = np.random.default_rng([n, lift])
-    points = rng.normal(size=(batch, n, 3))
-    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    points = unit(rng.normal(size=(batch, n, 3)))
     wrench = rng.normal(size=(batch, 6)) * np.repeat([1.0, 0.3], 3)
     if lift:
         points[..., 2] = np.abs(points[..., 2])
@@ -73,7 +72,7 @@ def limit(n: int, batch: int) -> Problems:
 
 def shipped(n: int, batch: int) -> Problems:
     """The grips that come with the package, of hands simulated with other physics: all of n contacts, repeated."""
-    grips = jaxgrasp.load_grasps(str(files("jaxgrasp") / "data" / "simulated_grips.npz"))
+    grips = jaxgrasp.load_grasps(data_path(None))
     chosen = np.resize(np.flatnonzero(np.diff(grips.offsets) == n), batch)
     contacts = grips.offsets[chosen, None] + np.arange(n)
     given = (column[contacts] for column in (grips.points, grips.normals, grips.friction, grips.squeeze))

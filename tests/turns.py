@@ -1,11 +1,16 @@
 """Cases of a law that take turns with the long tests."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import pytest
 
 
-def later(*cases: Any) -> Iterable[Any]:
+def later(*cases: Any) -> list[Any]:
     """These cases of a parametrized test among the long ones; of several arguments, each case is a tuple."""
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
+
+
+def in_turns(cases: Iterable[Any], quick: Collection[Any]) -> list[Any]:
+    """All cases in their order: those that are ``quick`` with every run, the others ``later``."""
+    return [case if case in quick else later(case)[0] for case in cases]

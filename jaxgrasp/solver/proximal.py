@@ -122,7 +122,7 @@ class ConeOnlyProblem(NamedTuple):
 def careful_settings(dtype: jnp.dtype) -> PassSettings:
     """The settings of the careful pass, which does all that can be done."""
     yes = jnp.asarray(True)
-    last = jnp.asarray(weakest(dtype))
+    last = jnp.asarray(weakest(dtype), dtype)
     return PassSettings(yes, jnp.int32(STEPS_PER_LEVEL), yes, yes, yes, jnp.int32(UNLIMITED_CHECKS), last)
 
 

@@ -9,6 +9,7 @@ import jaxgrasp
 from jaxgrasp import Grasp, Limits, Verdict
 from jaxgrasp.quality import ferrari_canny, ferrari_canny_at, min_weight, min_weight_at
 from jaxgrasp.sensitivity import friction_reserve
+from tests.turns import in_turns
 
 PINCH = Grasp(
     points=jnp.array([[1.0, 0, 0], [-1, 0, 0]]),
@@ -80,9 +81,7 @@ QUICK = ("optimum",)
 
 
 @pytest.mark.repeats
-@pytest.mark.parametrize(
-    "name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in VALUES if n != "objective"]
-)
+@pytest.mark.parametrize("name", in_turns([name for name in VALUES if name != "objective"], QUICK))
 def test_what_does_not_exist_has_no_derivative(name):
     assert jaxgrasp.constrained_optimum(PINCH, WRENCHES).verdict[1] == Verdict.INFEASIBLE
     for tangent, pulled, alone in zip(*derivatives(VALUES[name]), strict=True):

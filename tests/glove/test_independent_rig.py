@@ -9,10 +9,11 @@ from jaxgrasp.glove.host import LinkState
 from tests.glove import independent_device as page
 from tests.glove.independent_rig import FAULTS, IN_TIME, WAYS, Rig, one_fault
 from tests.glove.test_frames import vectors
+from tests.turns import in_turns
 
 QUICK = ("the host dies", "the encoders fall silent")
-NAMES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in FAULTS]
-BY_WAY = [pytest.param(way, marks=() if way == "both" else pytest.mark.slow) for way in WAYS]
+NAMES = in_turns(FAULTS, QUICK)
+BY_WAY = in_turns(WAYS, ["both"])
 
 
 @pytest.mark.parametrize("way", BY_WAY)

@@ -13,13 +13,12 @@ import jaxgrasp
 from jaxgrasp import OBJECTIVES, BestForces, Grasp, Limits, Verdict, best_forces, friction_margin
 from jaxgrasp.testing import limited_reference
 from jaxgrasp.testing.limited_problems import LimitedProblems, limited_problems
-from tests.turns import later
+from tests.turns import in_turns
 
 COUNT, N, JOINTS = 24, 4, 5
 KINDS = ("ordinary", "low_friction", "zero_friction", "some_zero_squeeze", "coincident_some", "far_frame", "combined")
 QUICK = ("ordinary", "combined")
-LATER = tuple(kind for kind in KINDS if kind not in QUICK)
-each_kind = pytest.mark.parametrize("kind", [*QUICK, *later(*LATER)])
+each_kind = pytest.mark.parametrize("kind", in_turns(KINDS, QUICK))
 
 
 def made_of(kind: str, *, limited: bool, seed: int = 2) -> LimitedProblems:
@@ -239,7 +238,7 @@ def test_values_are_those_of_an_independent_oracle(objective, kind, limited):
 
 @pytest.mark.repeats
 @pytest.mark.parametrize("limited", [False, True])
-@pytest.mark.parametrize("kind", [*QUICK, *later(*(kind for kind in LATER if kind != "zero_friction"))])
+@pytest.mark.parametrize("kind", in_turns([kind for kind in KINDS if kind != "zero_friction"], QUICK))
 def test_an_independent_oracle_finds_forces_of_the_margin_and_none_beyond_its_bound(kind, limited):
     made = made_of(kind, limited=limited)
     if limited:

@@ -15,7 +15,7 @@ from jaxgrasp.psychophysics.analysis.goodness import goodness
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, log_likelihood
 from jaxgrasp.psychophysics.analysis.threshold import threshold
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, hit_probability
-from tests.turns import later
+from tests.turns import in_turns, later
 
 LEVELS = np.array(DIFFERENCES)
 TABLE = [Counts(LEVELS, np.round(100 * np.array(row)).astype(int), np.full(4, 100)) for row in HIT_RATIOS]
@@ -57,14 +57,10 @@ def test_profile_interval_ends_where_the_test_rejects(counts):
 
 
 @pytest.mark.repeats
-@pytest.mark.parametrize(
-    "shape",
-    [PsychometricShape.LOGISTIC, *later(*(one for one in PsychometricShape if one != PsychometricShape.LOGISTIC))],
-)
+@pytest.mark.parametrize("shape", in_turns(PsychometricShape, quick=[PsychometricShape.LOGISTIC]))
 @pytest.mark.parametrize("lapse", [(0.0, 0.0), pytest.param((0.0, 0.05), marks=pytest.mark.slow)])
 def test_grid_finds_what_the_search_finds(shape, lapse):
     """Estimates of many sets of answers come from the grid alone."""
-    shape = PsychometricShape(shape)
     model, trials = Model(shape, lapse=lapse), np.full(4, 100)
     chances = hit_probability(shape, LEVELS, 0.17, 1.0 if shape is PsychometricShape.WEIBULL else 0.15)
     hits = np.random.default_rng(0).binomial(100, chances, (30, 4))

@@ -6,7 +6,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp.testing import problems as P
-from tests.turns import later
+from tests.turns import in_turns
 
 
 def by_squeeze(question):
@@ -35,7 +35,7 @@ QUICK = ("closed form", "optimum", "certificate")
 
 
 @pytest.mark.repeats
-@pytest.mark.parametrize("question", [*QUICK, *later(*(name for name in QUESTIONS if name not in QUICK))])
+@pytest.mark.parametrize("question", in_turns(QUESTIONS, QUICK))
 def test_nothing_is_promoted(question):
     some = P.problems("ordinary", 4, 20, seed=3)
     grasp = jaxgrasp.Grasp(some.points, some.normals, some.friction, some.squeeze)

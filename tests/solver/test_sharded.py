@@ -14,7 +14,7 @@ from jax.sharding import PartitionSpec
 
 import jaxgrasp
 from jaxgrasp.testing import problems as P
-from tests.turns import later
+from tests.turns import in_turns, later
 
 SCRIPT = Path(__file__).with_name("sharded.py")
 ROOT = SCRIPT.parents[2]
@@ -86,7 +86,7 @@ QUICK = ("optimum", "gradient")
 
 
 @pytest.mark.repeats
-@pytest.mark.parametrize("question", [*QUICK, *later(*(name for name in QUESTIONS if name not in QUICK))])
+@pytest.mark.parametrize("question", in_turns(QUESTIONS, QUICK))
 def test_a_loop_says_along_which_axes_it_varies(question):
     """``shard_map`` checks that, on one device as on many."""
     some = P.problems("ordinary", 3, 6, seed=7)

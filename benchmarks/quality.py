@@ -39,6 +39,8 @@ class Plan(NamedTuple):
     points: tuple[int, ...] = (25, 50, 100, 200, 400)
     decided: int = 200
     batch: int = 200
+    many: int = 2000
+    """Grasps in one call of measures that take some microseconds."""
     hulls: int = 8
     """Grasps of each size by Qhull, one after the other."""
 
@@ -99,28 +101,34 @@ def batches(plan: Plan) -> list[dict]:
     """CPU time of a grasp in one call for many, and that of Qhull on their pyramids."""
     rows = []
     for n in plan.sizes:
-        grasp = round_about(n, plan.batch)
-        frame = {"length": np.ones(plan.batch), "about": np.zeros((plan.batch, 3))}
-        task = np.random.default_rng(1).normal(size=(plan.batch, 6))
-        ball = partial(jaxgrasp.quality.ferrari_canny, grasp, **frame)
-        calls: dict[str, Callable] = {
-            "force_closure": partial(jaxgrasp.quality.force_closure, grasp, **frame),
+        few, many = round_about(n, plan.batch), round_about(n, plan.many)
+        task = np.random.default_rng(1).normal(size=(plan.many, 6))
+        ball = partial(jaxgrasp.quality.ferrari_canny, few, **unit_frame(plan.batch))
+        balls: dict[str, Callable] = {
             "ferrari_canny, l1, 1e-2": partial(ball, "l1", tol=1e-2),
             "ferrari_canny, l1, 1e-3": partial(ball, "l1"),
             "ferrari_canny, l1, 8 sides": partial(ball, "l1", sides=8),
             "ferrari_canny, linf, 1e-2": partial(ball, "linf", tol=1e-2),
-            "largest_wrench, l1": partial(jaxgrasp.quality.largest_wrench, grasp, task, "l1"),
-            "largest_wrench, linf": partial(jaxgrasp.quality.largest_wrench, grasp, task),
-            "min_weight, 4 sides": partial(jaxgrasp.quality.min_weight, grasp),
-            "singular_values": partial(jaxgrasp.quality.singular_values, grasp, **frame),
         }
-        for name, call in calls.items():
-            call()
-            start = time.process_time()
-            jax.block_until_ready(call())
-            rows.append({"n": n, "measure": name, "seconds": (time.process_time() - start) / plan.batch})
-        rows.append({"n": n, "measure": "Qhull, 8 sides", "seconds": by_qhull(grasp, plan.hulls)})
+        others: dict[str, Callable] = {
+            "largest_wrench, l1": partial(jaxgrasp.quality.largest_wrench, many, task, "l1"),
+            "largest_wrench, linf": partial(jaxgrasp.quality.largest_wrench, many, task),
+            "min_weight, 4 sides": partial(jaxgrasp.quality.min_weight, many),
+            "singular_values": partial(jaxgrasp.quality.singular_values, many, **unit_frame(plan.many)),
+        }
+        closure = {"force_closure": partial(jaxgrasp.quality.force_closure, many, **unit_frame(plan.many))}
+        for calls, count in ((closure, plan.many), (balls, plan.batch), (others, plan.many)):
+            for name, call in calls.items():
+                call()
+                start = time.process_time()
+                jax.block_until_ready(call())
+                rows.append({"n": n, "measure": name, "seconds": (time.process_time() - start) / count})
+        rows.append({"n": n, "measure": "Qhull, 8 sides", "seconds": by_qhull(few, plan.hulls)})
     return rows
+
+
+def unit_frame(count: int) -> dict[str, np.ndarray]:
+    return {"length": np.ones(count), "about": np.zeros((count, 3))}
 
 
 def by_qhull(grasp: Grasp, count: int) -> float:
@@ -183,7 +191,7 @@ def decisions(plan: Plan) -> list[dict]:
 def main() -> None:
     jax.config.update("jax_enable_x64", True)
     sections = {"batches": batches, "times": times, "gaps": gaps, "pyramids": pyramids, "decisions": decisions}
-    plans = Plan(), Plan(sizes=(3, 5), grasps=2, points=(25, 50), decided=10, batch=10, hulls=2)
+    plans = Plan(), Plan(sizes=(3, 5), grasps=2, points=(25, 50), decided=10, batch=10, many=10, hulls=2)
     run_sections(__doc__, NAME, sections, plans, quality_tables.page)
 
 

@@ -10,9 +10,9 @@ def page(report: dict) -> str:
     if "batches" in report:
         parts += [
             "## Many grasps in one call",
-            f"Milliseconds of CPU for a grasp of {report['plan']['batch']}, whose contacts lie anywhere on a ball, "
-            "closed or not, after compiling; balls to the relative distance of their bounds that stands there. Beside "
-            "them Qhull (scipy), one hull after the other: the median.",
+            f"Milliseconds of CPU for a grasp of {report['plan']['many']:,}, for balls of {report['plan']['batch']}, "
+            "whose contacts lie anywhere on a ball, closed or not, after compiling; balls to the relative distance of "
+            "their bounds that stands there. Beside them Qhull (scipy), one hull after the other: the median.",
             by_size(report["batches"], "measure", lambda row: _ms(row["seconds"])),
         ]
     if "times" in report:

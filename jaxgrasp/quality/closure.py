@@ -12,9 +12,10 @@ from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import About, Length, WrenchDiscs
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced
-from jaxgrasp.quality.in_turn import in_turn
+from jaxgrasp.quality.in_turn import MANY_TOGETHER, in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import count_of, range_of
+from jaxgrasp.quality.wrench_columns import WrenchColumns
 from jaxgrasp.quality.wrench_sets import WrenchSet, WrenchSets
 from jaxgrasp.validation.checked import checked
 
@@ -29,8 +30,8 @@ MAKE_BELIEVE = 1e8
 """Weights, relative to what they make up, that rounding alone may be behind."""
 PRICE = 1e-9
 """Length that a unit of weight costs where it may be."""
-PIVOTS = 40
-"""Steps of the simplex method, which needs about ten; what is not decided then is near its limit."""
+PIVOTS = 80
+"""Steps of the simplex method, which needs about ten, and some thirty near the limit of what is closed."""
 EVEN = 1e-4
 """Least singular value of a discs' matrix, relative to the largest, with which plain arithmetic decides."""
 CAUTIOUS = 1 - 1e-6
@@ -38,6 +39,8 @@ CAUTIOUS = 1 - 1e-6
 AHEAD = 1e-3
 """By how much wrenches have to work against a unit twist that is looked for: so the search ends within all bounds, not
 against one of them, which it would come ever closer to."""
+LESS = 0.1
+"""What is left of that where it is too much to ask."""
 UNMOVED = 1e-13
 """Power along a unit twist that is none in coordinates where the discs' matrix is a rotation."""
 IDLE = 1e-6
@@ -114,7 +117,8 @@ def force_closure(
         return _traced(grasp, length, about)
     given = read_grasps(grasp, length, about)
     bodies = given.bodies()
-    found = Decisions(*in_turn(len(bodies.present), lambda own: decide_all(bodies.take(own)), progress))
+    parts = in_turn(len(bodies.present), lambda own: decide_all(bodies.take(own)), progress, MANY_TOGETHER)
+    found = Decisions(*parts)
     batch, contacts = given.batch, given.present.shape
     normal_force, tangential = found.normal_force.reshape(contacts), found.tangential.reshape((*contacts, 3))
     forces, moments = forces_of(given.shapes, normal_force, tangential, np)
@@ -127,7 +131,7 @@ def _traced(grasp: Grasp, length: Length, about: About) -> ForceClosure:
     count = grasp.friction.shape[-1]
     trailing = ((), (), (), (6,), (count,), (count, 3))
     shapes, (closed, decided, margin, twist, normal_force, tangential) = call_on_host(
-        decide_all, trailing, grasp, length, about
+        decide_all, trailing, grasp, length, about, together=MANY_TOGETHER
     )
     shapes = jax.lax.stop_gradient(shapes)
     forces, moments = forces_of(shapes, normal_force, tangential, jnp)
@@ -183,64 +187,68 @@ def decide_all(bodies: WrenchSets) -> Decisions:
 def _decide_easy(bodies: WrenchSets, found: Decisions) -> None:
     """Write down all that is proven by one run of the simplex method, in coordinates where the discs' matrix is a
     rotation: a balance of one newton at every contact and whatever else, or a twist."""
-    generators = bodies.discs.reshape(len(bodies.discs), 4 * bodies.present.shape[1], 6)
-    sizes, axes = np.linalg.eigh(np.swapaxes(generators, 1, 2) @ generators)
+    every = WrenchColumns.of(bodies)
+    sizes, axes = every.principal_axes()
     well = np.flatnonzero(sizes[:, 0] > EVEN**2 * sizes[:, 5])
     if not len(well):
         return
-    bodies = bodies.take(well)
-    whitening = axes[well] / np.sqrt(sizes[well])[:, None]
-    white = replace(bodies, discs=bodies.discs @ whitening[:, None])
-    weights, tangentials, twists = weights_or_twist(white, -white.discs[:, :, 0].sum(1))
-    normal_force = np.where(bodies.present, 1 + weights, 0)
-    smooth = np.any(bodies.discs[:, :, 1:] != 0, (2, 3))
-    total = normal_force.sum(1)
-    normal_force = normal_force / total[:, None]
-    tangentials = np.where(smooth[..., None], tangentials, 0) / total[:, None, None]
-    missed = white.exerted(np.concatenate([normal_force[..., None], tangentials], -1))
-    room = np.min(np.where(bodies.present, normal_force - np.linalg.norm(tangentials, axis=-1), np.inf), 1) / np.sqrt(2)
-    radius = np.sqrt(sizes[well, 0]) * (room - np.linalg.norm(missed, axis=1)) - bodies.slack
-    margin = CAUTIOUS * radius / (1 + np.sqrt(bodies.present.sum(1)) * room)
-    plain = np.matmul(whitening, twists[..., None])[..., 0]
-    plain /= np.maximum(np.linalg.norm(plain, axis=1), np.finfo(float).tiny)[:, None]
-    powers = np.where(bodies.present, bodies.supports(plain)[0], -np.inf).max(1)
-    balanced = ~twists.any(1) & (radius > 0)
-    opened = twists.any(1) & (powers <= bodies.slack)
+    if len(well) < len(sizes):
+        bodies, every, sizes, axes = bodies.take(well), every.take(well), sizes[well], axes[well]
+    whitening = np.ascontiguousarray(np.moveaxis(axes / np.sqrt(sizes)[:, None], 0, -1))
+    white, present = every.along(whitening), bodies.present.T
+    weights, tangentials, twists = weights_or_twist(white, -white.discs[:, 0].sum(0))
+    normal_force = np.where(present, 1 + weights, 0)
+    total, smooth = normal_force.sum(0), np.any(every.discs[:, 1:] != 0, (1, 2))
+    normal_force, tangentials = normal_force / total, np.where(smooth[:, None], tangentials, 0) / total
+    missed = white.exerted(normal_force, tangentials)
+    inside = normal_force - np.sqrt(np.einsum("nkl,nkl->nl", tangentials, tangentials))
+    room = np.min(np.where(present, inside, np.inf), 0) / np.sqrt(2)
+    radius = np.sqrt(sizes[:, 0]) * (room - np.linalg.norm(missed, axis=0)) - bodies.slack
+    margin = CAUTIOUS * radius / (1 + np.sqrt(present.sum(0)) * room)
+    plain = np.einsum("jml,ml->jl", whitening, twists)
+    plain /= np.maximum(np.linalg.norm(plain, axis=0), np.finfo(float).tiny)
+    powers = np.where(present, every.supports(plain)[0], -np.inf).max(0)
+    turns: np.ndarray = np.any(twists != 0, 0)
+    balanced, opened = ~turns & (radius > 0), turns & (powers <= bodies.slack)
     found.closed[well], found.decided[well] = balanced, balanced | opened
     found.margin[well] = np.where(balanced, margin, np.where(opened, np.minimum(powers, 0), 0))
-    found.twist[well[opened]] = plain[opened]
-    found.normal_force[well[balanced]], found.tangential[well[balanced]] = normal_force[balanced], tangentials[balanced]
+    found.twist[well[opened]] = plain.T[opened]
+    found.normal_force[well[balanced]] = normal_force.T[balanced]
+    found.tangential[well[balanced]] = np.moveaxis(tangentials, -1, 0)[balanced]
 
 
-def weights_or_twist(white: WrenchSets, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weights ``(G, n)`` and tangential forces ``(G, n, 3)`` of wrenches that make up those to the ``right`` (G, 6);
-    else twists ``(G, 6)`` that work along these and along which no contact does, as far as the search has come."""
-    grasps, count = white.present.shape
-    bases = SimplexBases(right, 1.0)
-    tangentials, twists = np.zeros((grasps, 6, 3)), np.zeros((grasps, 6))
-    size = np.linalg.norm(right, axis=1)
-    left = np.flatnonzero(bases.artificial() > BALANCED * size)
-    some = white.take(left)
+def weights_or_twist(white: WrenchColumns, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights ``(n, L)`` and tangential forces ``(n, 3, L)`` of wrenches that make up those to the ``right`` (6, L);
+    else twists ``(6, L)`` that work along these and along which no contact does, as far as the search has come."""
+    found, twists = SimplexBases.artificial(right, 1.0), np.zeros(right.shape)
+    tangentials = np.zeros((6, 3, right.shape[1]))
+    nothing = BALANCED * np.linalg.norm(right, axis=0)
+    left = np.flatnonzero(found.left_over() > nothing)
+    bases, wrenches, own = found.take(left), white.take(left), tangentials[..., left]
+    ahead = np.full(len(left), AHEAD)
     for _ in range(PIVOTS):
-        directions = bases.multipliers()[left]
-        values, tangential = some.supports(directions)
-        best = np.argmax(values, 1)
-        every = np.arange(len(left))
-        works = values[every, best] > UNMOVED * np.linalg.norm(directions, axis=1)
-        twists[left[~works]] = directions[~works]
-        forces = np.zeros((len(left), count, 4))
-        forces[every, best, 0], forces[every, best, 1:] = 1, tangential[every, best]
-        columns = some.exerted(forces)
-        moving = left[works]
-        place = bases.enter(moving, columns[works], np.full(len(moving), -AHEAD), best[works])
-        tangentials[moving[place >= 0], place[place >= 0]] = tangential[every, best][works][place >= 0]
-        keep = works.copy()
-        keep[works] = (place >= 0) & (bases.artificial()[moving] > BALANCED * size[moving])
-        if not keep.any():
-            break
-        left = left[keep]
-        some = some.take(np.flatnonzero(keep))
-    return *bases.by_contact(np.arange(grasps), tangentials, count), twists
+        every, directions = np.arange(len(left)), bases.multipliers()
+        values, across = wrenches.supports(directions)
+        best = np.argmax(values, 0)
+        works = values[best, every] > UNMOVED * np.linalg.norm(directions, axis=0)
+        twists[:, left[~works]] = directions[:, ~works]
+        tangential = across[best, :, every].T
+        place = bases.enter(wrenches.of_contact(best, tangential), -ahead, best)
+        moved = place >= 0
+        own[place[moved], :, every[moved]] = tangential.T[moved]
+        # Wrenches that balance each other gain without end by what they are to be ahead.
+        ahead = np.where(moved, ahead, LESS * ahead)
+        bases.costs[:] = np.where(moved | (bases.columns < 0), bases.costs, -ahead)
+        going = works & (bases.left_over() > nothing[left])
+        if not going.all():
+            kept, gone = np.flatnonzero(going), np.flatnonzero(~going)
+            found.put(left[gone], bases.take(gone))
+            tangentials[..., left[gone]] = own[..., gone]
+            if not len(kept):
+                break
+            left, bases, wrenches, own = left[kept], bases.take(kept), wrenches.take(kept), own[..., kept]
+            ahead = ahead[kept]
+    return *found.by_contact(tangentials, len(white.discs)), twists
 
 
 def decide(body: WrenchSet) -> Decision:

@@ -16,7 +16,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, measured_discs
 from jaxgrasp.quality.grasp_input import ROUNDING
-from jaxgrasp.quality.in_turn import in_turn
+from jaxgrasp.quality.in_turn import TOGETHER, in_turn
 from jaxgrasp.quality.wrench_sets import WrenchSets
 
 
@@ -34,6 +34,7 @@ def call_on_host(
     ellipsoid: Ellipsoid = None,
     *,
     each: tuple[Array, ...] = (),
+    together: int = TOGETHER,
 ) -> tuple[WrenchDiscs, Any]:
     """The discs of traced grasps, and what is said of them: a tuple of JAX arrays, which stand where results have
     those of NumPy.
@@ -46,6 +47,7 @@ def call_on_host(
         about: likewise.
         ellipsoid: likewise.
         each: further arrays with the grasps' axes ``(..., k)``.
+        together: grasps that are looked at side by side.
     """
     check_arguments(grasp, {}, {"length": (length, ()), "about": (about, (3,)), "ellipsoid": (ellipsoid, (6, 6))})
     shapes, growth = measured_discs(grasp, length, about, ellipsoid)
@@ -60,7 +62,9 @@ def call_on_host(
         rounding = (ROUNDING * precision * np.asarray(spread, np.float64)).reshape(-1)
         bodies = WrenchSets.of_discs(np.asarray(centres), np.asarray(spans), np.asarray(present), rounding)
         rows = [np.asarray(array, np.float64).reshape(-1, np.shape(array)[-1]) for array in each]
-        found = in_turn(len(rounding), lambda own: question(bodies.take(own), *(array[own] for array in rows)))
+        found = in_turn(
+            len(rounding), lambda own: question(bodies.take(own), *(array[own] for array in rows)), together=together
+        )
         return tuple(np.asarray(array, dtype).reshape((*axes, *shape)) for array, shape in zip(found, trailing))
 
     wanted = tuple(jax.ShapeDtypeStruct((*batch, *shape), dtype) for shape in trailing)

@@ -7,16 +7,22 @@ import numpy as np
 from jaxgrasp.model.progress import Progress
 
 TOGETHER = 256
-"""Grasps that are looked at before the next: enough that the price of each operation does not count."""
+"""Grasps that are looked at before the next: enough that the price of each operation does not count, where one takes
+some milliseconds, and few enough that word comes often."""
+MANY_TOGETHER = 1024
+"""The same where a grasp takes some microseconds."""
 
 
 def in_turn(
-    count: int, question: Callable[[np.ndarray], tuple[np.ndarray, ...]], progress: Progress | None = None
+    count: int,
+    question: Callable[[np.ndarray], tuple[np.ndarray, ...]],
+    progress: Progress | None = None,
+    together: int = TOGETHER,
 ) -> tuple[np.ndarray, ...]:
     """Answers ``(count, ...)`` to a question about grasps of some numbers ``(g,)``, which gives arrays ``(g, ...)``."""
     found = []
-    for start in range(0, max(count, 1), TOGETHER):
-        own = np.arange(start, min(count, start + TOGETHER))
+    for start in range(0, max(count, 1), together):
+        own = np.arange(start, min(count, start + together))
         found.append(question(own))
         if progress is not None:
             progress(len(own))

@@ -19,6 +19,7 @@ from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
 from jaxgrasp.quality.in_turn import in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
+from jaxgrasp.quality.wrench_columns import WrenchColumns
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSet, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
@@ -249,7 +250,7 @@ def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
 def _by_twist(bodies: WrenchSets, tasks: np.ndarray, which: np.ndarray, found: _AlongAll) -> None:
     """Tasks that are out of reach altogether: a twist that works along them, and along which no contact does."""
     some = bodies.take(which)
-    *_, twist = weights_or_twist(some.alone_edges(), tasks[which])
+    twist = weights_or_twist(WrenchColumns.of(some.alone_edges()), tasks[which].T)[-1].T
     power = np.sum(twist * tasks[which], 1)
     twist = twist / np.where(power > 0, power, 1)[:, None]
     height = some.reach(twist).height + some.slack * np.linalg.norm(twist, axis=1)
@@ -271,63 +272,66 @@ def _by_simplex(bodies: WrenchSets, tasks: np.ndarray, tol: float, found: _Along
     grasps, count = bodies.present.shape
     bounds = 1 if bodies.bound == "l1" else count
     owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
-    right = np.concatenate([np.zeros((grasps, 6)), np.ones((grasps, bounds))], 1)
-    bases = SimplexBases(right, 0.0)
-    bases.columns[:, 6:] = count + np.arange(bounds)
-    tangentials, slack = np.zeros((*right.shape, 3)), bodies.slack
-    every = np.arange(grasps)
+    right = np.concatenate([np.zeros((6, grasps)), np.ones((bounds, grasps))])
+    bases = SimplexBases.artificial(right, 0.0)
+    bases.columns[6:] = count + np.arange(bounds)[:, None]
+    tangentials, slack = np.zeros((len(right), 3, grasps)), bodies.slack
     multiple = np.full(grasps, count + bounds)
-    bases.enter(every, np.concatenate([-tasks, np.zeros((grasps, bounds))], 1), -np.ones(grasps), multiple)
-    left, some = every, bodies
+    bases.enter(np.concatenate([-tasks.T, np.zeros((bounds, grasps))]), -np.ones(grasps), multiple)
+    left, absent, wrenches, along = np.arange(grasps), ~bodies.present.T, WrenchColumns.of(bodies), tasks.T
     for _ in range(PIVOTS):
-        paid = bases.multipliers()[left]
-        power = np.sum(paid[:, :6] * tasks[left], 1)
-        twist = paid[:, :6] / np.where(power > 0, power, 1)[:, None]
-        height = some.reach(twist).height + slack[left] * np.linalg.norm(twist, axis=1)
-        upper = np.where(power > 0, height, np.inf)
-        exerted = _exerted(some, bases, tangentials, left, tasks[left])
-        found.better(left, _AlongAll(exerted[0], upper, twist, *exerted[1:]))
-        values, tangential = some.supports(paid[:, :6])
-        worth = np.concatenate([np.where(some.present, values + paid[:, 6 + owner], -np.inf), paid[:, 6:]], 1)
-        best = np.argmax(worth, 1)
-        own = np.arange(len(left))
+        own, paid = np.arange(len(left)), bases.multipliers()
+        values, tangential = wrenches.supports(paid[:6])
+        power = np.sum(paid[:6] * along, 0)
+        height = np.maximum(values, 0)
+        height = height.max(0, initial=0) if bounds == 1 else height.sum(0)
+        height += slack[left] * np.linalg.norm(paid[:6], axis=0)
+        works = power > 0
+        twist, upper = (np.where(works, array / np.where(works, power, 1), np.inf) for array in (paid[:6], height))
+        exerted = _exerted(wrenches, bodies.bound, bases, tangentials, along)
+        found.better(left, _AlongAll(exerted[0], upper, twist.T, *exerted[1:]))
+        worth = np.concatenate([np.where(absent, -np.inf, values + paid[6 + owner]), paid[6:]])
+        best = np.argmax(worth, 0)
         close = found.lower[left] >= (1 - tol) * found.upper[left]
-        close |= (found.upper[left] <= slack[left]) | (worth[own, best] <= WORTHLESS)
-        columns, contact = _columns(some, best, tangential, owner, bounds)
-        going = np.flatnonzero(~close)
-        place = bases.enter(left[going], columns[going], np.zeros(len(going)), best[going])
-        tangentials[left[going], place] = np.where((best < count)[going, None], tangential[going, contact[going]], 0)
-        going = going[place >= 0]
+        close |= (found.upper[left] <= slack[left]) | (worth[best, own] <= WORTHLESS)
+        columns, contact = _columns(wrenches, best, tangential, owner, bounds)
+        place = bases.enter(columns, np.zeros(len(left)), best)
+        going = np.flatnonzero(~close & (place >= 0))
         if not len(going):
             break
-        left, some = left[going], some.take(going)
+        entered = np.where(best < count, tangential[contact, :, own].T, 0)
+        tangentials[place[going], :, going] = entered[:, going].T
+        if len(going) < len(left):
+            left, absent, wrenches, along = left[going], absent[:, going], wrenches.take(going), along[:, going]
+            bases, tangentials = bases.take(going), tangentials[..., going]
 
 
 def _columns(
-    bodies: WrenchSets, best: np.ndarray, tangential: np.ndarray, owner: np.ndarray, bounds: int
+    wrenches: WrenchColumns, best: np.ndarray, tangential: np.ndarray, owner: np.ndarray, bounds: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """For each grasp the column of a contact's wrench, or of a bound's slack; and the contact."""
-    count, own = bodies.present.shape[1], np.arange(len(best))
+    count = len(owner)
     is_slack = best >= count
     contact = np.where(is_slack, 0, best)
-    discs = bodies.discs[own, contact]
-    wrench = discs[:, 0] + np.einsum("gk,gkj->gj", tangential[own, contact], discs[:, 1:])
+    wrench = wrenches.of_contact(contact, tangential[contact, :, np.arange(len(best))].T)
     row = np.where(is_slack, best - count, owner[contact])
-    counted = (np.arange(bounds) == row[:, None]).astype(float)
-    return np.concatenate([np.where(is_slack[:, None], 0, wrench), counted], 1), contact
+    counted = (np.arange(bounds)[:, None] == row).astype(float)
+    return np.concatenate([np.where(is_slack, 0, wrench), counted]), contact
 
 
 def _exerted(
-    bodies: WrenchSets, bases: SimplexBases, tangentials: np.ndarray, which: np.ndarray, tasks: np.ndarray
+    wrenches: WrenchColumns, bound: Bound, bases: SimplexBases, tangentials: np.ndarray, tasks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The multiples that the basic wrenches exert, by arithmetic of their own, with normal and tangential forces."""
-    normal_force, tangential = bases.by_contact(which, tangentials, bodies.present.shape[1])
-    used = np.maximum(normal_force.sum(1) if bodies.bound == "l1" else normal_force.max(1, initial=0), 1)
-    normal_force, tangential = normal_force / used[:, None], tangential / used[:, None, None]
-    wrench = bodies.exerted(np.concatenate([normal_force[..., None], tangential], -1))
-    multiple = np.sum(wrench * tasks, 1)
-    missed = np.linalg.norm(wrench - multiple[:, None] * tasks, axis=1)
-    return np.where(missed <= BALANCED * multiple, multiple, 0), normal_force, tangential
+    """The multiples of tasks ``(6, L)`` that the basic wrenches exert, by arithmetic of their own, with normal and
+    tangential forces."""
+    normal_force, tangential = bases.by_contact(tangentials, len(wrenches.discs))
+    used = np.maximum(normal_force.sum(0) if bound == "l1" else normal_force.max(0, initial=0), 1)
+    normal_force, tangential = normal_force / used, tangential / used
+    wrench = wrenches.exerted(normal_force, tangential)
+    multiple = np.sum(wrench * tasks, 0)
+    missed = np.linalg.norm(wrench - multiple * tasks, axis=0)
+    multiple = np.where(missed <= BALANCED * multiple, multiple, 0)
+    return multiple, normal_force.T, np.moveaxis(tangential, -1, 0)
 
 
 def _along(body: WrenchSet, task: np.ndarray, tol: float) -> _Along:

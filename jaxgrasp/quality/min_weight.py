@@ -15,7 +15,7 @@ from jaxgrasp.model.progress import Progress
 from jaxgrasp.problem.wrench_discs import WrenchDiscs, differentiable_where, discs
 from jaxgrasp.quality.grasp_input import read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
-from jaxgrasp.quality.in_turn import in_turn
+from jaxgrasp.quality.in_turn import MANY_TOGETHER, in_turn
 from jaxgrasp.quality.simplex_steps import SimplexBases
 from jaxgrasp.quality.summary_line import range_of
 from jaxgrasp.quality.wrench_sets import WrenchSets, check_sides, pyramid
@@ -80,7 +80,7 @@ def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None
     corners = pyramid(sides, given.soft)
     bodies = given.bodies()
     value, weights, twists = in_turn(
-        len(bodies.present), lambda own: solve_min_weight(bodies.take(own), corners), progress
+        len(bodies.present), lambda own: solve_min_weight(bodies.take(own), corners), progress, MANY_TOGETHER
     )
     batch, contacts = given.batch, given.present.shape
     weights = weights.reshape((*contacts, len(corners)))
@@ -90,7 +90,9 @@ def min_weight(grasp: Grasp, *, sides: int = 4, progress: Progress | None = None
 def _traced(grasp: Grasp, sides: int) -> MinWeight:
     corners = pyramid(sides, grasp.torsion is not None)
     trailing = ((), (grasp.friction.shape[-1], len(corners)), (6,))
-    shapes, answers = call_on_host(partial(solve_min_weight, corners=corners), trailing, grasp, None, None)
+    shapes, answers = call_on_host(
+        partial(solve_min_weight, corners=corners), trailing, grasp, None, None, together=MANY_TOGETHER
+    )
     value, weights, twist = answers
     found: Any = MinWeight(value, weights, twist, corners)
     return found._replace(value=moved(found.value, jnp.where(jnp.isfinite(found.value), _value_at(shapes, found), 0)))
@@ -152,46 +154,49 @@ def _by_simplex(
     total = own.sum(1)
     shares = np.concatenate([edges.sum(1) / total[:, None], np.ones((programs, 1))], 1)
     columns = np.concatenate([edges, np.ones((programs, count, 1))], 2)
-    columns = np.concatenate([columns, shares[:, None], -shares[:, None]], 1)
-    there = np.concatenate([own, np.ones((programs, 2), bool)], 1)
-    bases = SimplexBases(np.broadcast_to(np.eye(7)[6], (programs, 7)), 1.0)
-    costs = np.zeros((programs, count + 2))
+    columns = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, shares[:, None], -shares[:, None]], 1), 0, -1))
+    there = np.concatenate([own, np.ones((programs, 2), bool)], 1).T
+    bases = SimplexBases.artificial(np.tile(np.eye(7)[6][:, None], programs), 1.0)
+    costs = np.zeros((count + 2, programs))
     ended = _to_optimum(bases, columns, there, costs)
-    none = ended & (bases.artificial() > BALANCED)
-    costs[:, count:] = -1, 1
+    none = ended & (bases.left_over() > BALANCED)
+    costs[count:] = np.array([[-1], [1]])
     names = np.maximum(bases.columns, 0)
-    bases.costs[:] = np.where(bases.columns < 0, 0, np.take_along_axis(costs, names, 1))
-    ended &= none | _to_optimum(bases, columns, there & ~none[:, None], costs)
+    bases.costs[:] = np.where(bases.columns < 0, 0, np.take_along_axis(costs, names, 0))
+    ended &= none | _to_optimum(bases, columns, there & ~none, costs)
     amounts = np.zeros(there.shape)
-    real = bases.columns >= 0
-    which, place = np.nonzero(real)
-    amounts[which, bases.columns[which, place]] = bases.amounts[which, place]
-    value = amounts[:, count] - amounts[:, count + 1]
-    weights = np.where(own, amounts[:, :count] + (value / total)[:, None], 0)
+    place, which = np.nonzero(bases.columns >= 0)
+    amounts[bases.columns[place, which], which] = bases.amounts[place, which]
+    value = amounts[count] - amounts[count + 1]
+    weights = np.where(own, amounts[:count].T + (value / total)[:, None], 0)
     missed = np.abs(np.matmul(weights[:, None], edges)[:, 0]).max(1) + np.abs(weights.sum(1) - 1)
     fine = ended & ~none & (missed <= BALANCED * (1 + np.abs(value)))
     found[0][places[fine]], found[1][places[fine]] = value[fine], weights[fine]
-    found[2][places[fine]] = bases.multipliers()[fine, :6]
+    found[2][places[fine]] = bases.multipliers()[:6, fine].T
     return fine | none
 
 
 def _to_optimum(bases: SimplexBases, columns: np.ndarray, there: np.ndarray, costs: np.ndarray) -> np.ndarray:
-    """Pivot until no column is worth taking in; which programs got so far."""
-    left = np.arange(len(columns))
+    """Pivot until no column of ``(k, 7, L)`` is worth taking in; which programs got so far."""
+    programs = columns.shape[-1]
+    left, ended = np.arange(programs), np.zeros(programs, bool)
+    some = bases
     for _ in range(PIVOTS):
-        worth = np.matmul(columns[left], bases.multipliers()[left][..., None])[..., 0] - costs[left]
-        worth = np.where(there[left], worth, -np.inf)
-        best = np.argmax(worth, 1)
-        every = np.arange(len(left))
-        improving = worth[every, best] > OPTIMAL
-        left, best = left[improving], best[improving]
-        if not len(left):
+        worth = np.where(there, np.einsum("kjl,jl->kl", columns, some.multipliers()) - costs, -np.inf)
+        best, every = np.argmax(worth, 0), np.arange(len(left))
+        improving = worth[best, every] > OPTIMAL
+        if not improving.all():
+            kept, gone = np.flatnonzero(improving), np.flatnonzero(~improving)
+            ended[left[gone]] = True
+            bases.put(left[gone], some.take(gone))
+            if not len(kept):
+                break
+            left, best, every, some = left[kept], best[kept], every[: len(kept)], some.take(kept)
+            columns, there, costs = (np.take(array, kept, -1) for array in (columns, there, costs))
+        entering = np.take_along_axis(columns, best[None, None], 0)[0]
+        if (some.enter(entering, costs[best, every], best) < 0).any():
             break
-        place = bases.enter(left, columns[left, best], costs[left, best], best)
-        if (place < 0).any():
-            break
-    ended = np.ones(len(columns), bool)
-    ended[left] = False
+    bases.put(left, some)
     return ended
 
 

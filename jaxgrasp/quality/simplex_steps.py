@@ -1,70 +1,91 @@
 """Steps of the revised simplex method on many small programs side by side: minimise costs.x, columns x = right, x >= 0.
 
 A program's columns are its caller's affair, and may be as many as a cone has edges: this holds its basis alone, the
-inverse of its columns and how much there is of each.
+inverse of its columns and how much there is of each. Programs are the last axis, so that each operation runs along it.
 """
+
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 FLAT = 1e-11
 """Rate at which a basic column gives way under which it does not."""
+MOVES = 1e-7
+"""Rate from which on an artificial column that is used up goes, in whichever way it would move."""
 
 
+@dataclass(frozen=True)
 class SimplexBases:
-    """Bases of ``L`` programs with ``m`` rows; at first of artificial columns, which are unit vectors or less them."""
+    """Bases of ``L`` programs with ``m`` rows."""
 
-    def __init__(self, right: np.ndarray, cost: float):
-        """Programs of right sides ``(L, m)``, whose artificial columns have a cost."""
+    inverse: np.ndarray
+    """``(m, m, L)``."""
+    amounts: np.ndarray
+    """``(m, L)``: of the basic columns."""
+    costs: np.ndarray
+    """``(m, L)``."""
+    columns: np.ndarray
+    """``(m, L)``: whatever number the caller gives its columns, -1 for artificial ones."""
+
+    @staticmethod
+    def artificial(right: np.ndarray, cost: float) -> "SimplexBases":
+        """For right sides ``(m, L)`` at first: of artificial columns, which are unit vectors or less them."""
         signs = np.where(right < 0, -1.0, 1.0)
-        self.inverse = np.eye(right.shape[1]) * signs[:, None, :]
-        """``(L, m, m)``."""
-        self.amounts = np.abs(right)
-        """``(L, m)``: of the basic columns."""
-        self.costs = np.full(right.shape, cost)
-        """``(L, m)``."""
-        self.columns = np.full(right.shape, -1)
-        """``(L, m)``: whatever number the caller gives its columns, -1 for artificial ones."""
+        inverse = np.eye(len(right))[..., None] * signs
+        return SimplexBases(inverse, np.abs(right), np.full(right.shape, cost), np.full(right.shape, -1))
+
+    def take(self, which: np.ndarray) -> "SimplexBases":
+        """Some of them."""
+        return SimplexBases(*(np.take(getattr(self, field.name), which, -1) for field in fields(self)))
+
+    def put(self, which: np.ndarray, others: "SimplexBases") -> None:
+        """Others in place of some of them."""
+        for field in fields(self):
+            getattr(self, field.name)[..., which] = getattr(others, field.name)
 
     def multipliers(self) -> np.ndarray:
-        """``(L, m)``: a column is worth taking in where its product with these exceeds its cost."""
-        return np.matmul(self.costs[:, None], self.inverse)[:, 0]
+        """``(m, L)``: a column is worth taking in where its product with these exceeds its cost."""
+        return np.einsum("il,ijl->jl", self.costs, self.inverse)
 
-    def by_contact(self, which: np.ndarray, tangentials: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """What the columns of some programs ``(l,)`` come to for each contact: normal forces ``(l, n)`` and tangential
-        ones ``(l, n, 3)``, where columns below ``count`` are wrenches of the contact of that number, of the
-        ``tangentials`` (L, m, 3)."""
-        own = self.amounts[which][..., None] * (self.columns[which][..., None] == np.arange(count))
-        return own.sum(1), np.einsum("gkn,gkj->gnj", own, tangentials[which])
+    def by_contact(self, tangentials: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """What the columns come to for each contact: normal forces ``(n, L)`` and tangential ones ``(n, 3, L)``, where
+        columns below ``count`` are wrenches of the contact of that number, of the ``tangentials`` (m, 3, L)."""
+        own = self.amounts * (self.columns == np.arange(count)[:, None, None])
+        return own.sum(1), np.einsum("nml,mkl->nkl", own, tangentials)
 
-    def artificial(self) -> np.ndarray:
+    def left_over(self) -> np.ndarray:
         """``(L,)``: how much of artificial columns there is."""
-        return np.sum(np.where(self.columns < 0, self.amounts, 0), 1)
+        return np.sum(np.where(self.columns < 0, self.amounts, 0), 0)
 
-    def enter(self, which: np.ndarray, columns: np.ndarray, costs: np.ndarray, names: np.ndarray) -> np.ndarray:
-        """Bring a column ``(l, m)`` into the bases of some programs ``(l,)``.
+    def enter(self, columns: np.ndarray, costs: np.ndarray, names: np.ndarray) -> np.ndarray:
+        """Bring a column each ``(m, L)`` into the bases.
 
         Returns:
-            ``(l,)``: the place in the basis that it took, -1 where nothing gives way to it.
+            ``(L,)``: the place in the basis that it took, -1 where nothing gives way to it.
         """
-        rates = np.matmul(self.inverse[which], columns[..., None])[..., 0]
-        # What is artificial and used up goes first, in whichever way it would move.
-        spent = (self.columns[which] < 0) & (self.amounts[which] <= FLAT) & (np.abs(rates) > 1e-7)
-        gives = (rates > FLAT) | spent
-        ratios = np.where(gives, self.amounts[which] / np.where(gives, rates, 1), np.inf)
-        ratios = np.where(spent, -1, ratios)
-        every = np.arange(len(which))
-        # Of those that give way at once the largest rate loses the fewest digits.
-        tied = ratios <= ratios.min(1, keepdims=True) + FLAT
-        place = np.argmax(np.where(tied, np.abs(rates), -1), 1)
-        fine = np.isfinite(ratios[every, place])
-        every, place, which = every[fine], place[fine], which[fine]
-        row = self.inverse[which, place] / rates[every, place][:, None]
-        step = self.amounts[which, place] / rates[every, place]
-        self.inverse[which] -= rates[every][..., None] * row[:, None]
-        self.inverse[which, place] = row
-        self.amounts[which] = np.maximum(self.amounts[which] - rates[every] * step[:, None], 0)
-        self.amounts[which, place] = step
-        self.costs[which, place], self.columns[which, place] = costs[every], names[every]
+        every = np.arange(len(costs))
+        rates = np.einsum("ijl,jl->il", self.inverse, columns)
+        place, fine = self._leaving(rates, every)
+        pivots = np.where(fine, rates[place, every], 1)
+        rates = np.where(fine, rates, 0)
+        row, step = self.inverse[place, :, every].T / pivots, self.amounts[place, every] / pivots
+        np.subtract(self.inverse, rates[:, None] * row, out=self.inverse)
+        np.maximum(self.amounts - rates * step, 0, out=self.amounts)
+        place, every = place[fine], every[fine]
+        self.inverse[place, :, every] = row[:, fine].T
+        self.amounts[place, every] = step[fine]
+        self.costs[place, every], self.columns[place, every] = costs[fine], names[fine]
         taken = np.full(len(fine), -1)
         taken[fine] = place
         return taken
+
+    def _leaving(self, rates: np.ndarray, every: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places ``(L,)`` of the columns that give way first, and where there is one."""
+        sizes = np.abs(rates)
+        spent = (self.columns < 0) & (self.amounts <= FLAT) & (sizes > MOVES)
+        gives = (rates > FLAT) | spent
+        ratios = np.where(spent, -1, np.where(gives, self.amounts / np.where(gives, rates, 1), np.inf))
+        # Of those that give way at once the largest rate loses the fewest digits.
+        tied = ratios <= ratios.min(0) + FLAT
+        place = np.argmax(np.where(tied, sizes, -1), 0)
+        return place, np.isfinite(ratios[place, every])

@@ -87,6 +87,8 @@ def dispatch(
         if progress is not None:
             raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
+    if weights is None:
+        name, given = "given", given._replace(weights=_weights(grasp, name))
     try:
         size = _size(given, trailing_shapes)
         if size in SIZES and (progress is None or size <= LEAST_WHOLE):
@@ -180,6 +182,13 @@ def _is_local_cpu_data(given: Inputs) -> bool:
         if isinstance(leaf, jax.core.Tracer) or (isinstance(leaf, Array) and leaf.devices() != here):
             return False
     return True
+
+
+def _weights(grasp: Grasp, sharing: str) -> AnyArray:
+    """The weights that the name of a sharing stands for: as arrays, every sharing is one piece of compiled code."""
+    if sharing == "squeeze":
+        return grasp.squeeze
+    return np.ones(np.shape(grasp.points)[:-1], jnp.result_type(grasp.squeeze))
 
 
 def _size(given: Inputs, trailing_shapes: tuple) -> int | None:

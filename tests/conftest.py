@@ -1,5 +1,6 @@
 """Tests run in 64-bit mode, keep compiled code between runs, and check array shapes at every call."""
 
+import math
 import os
 import subprocess
 from collections import defaultdict
@@ -59,13 +60,28 @@ def keep_compiled_code():
     _keep_compiled_code()
 
 
+MOST_MAPS, MOST_MEMORY = 30_000, 3 << 30
+"""Memory maps of a process and bytes of its memory with which it forgets its compiled functions: each holds some of
+both, and 65,530 maps are the most that Linux allows."""
+
+
 @pytest.fixture(autouse=True, scope="module")
 def forget_compiled_code():
-    """Every compiled function holds memory maps, and a process may have only some 65,000 of them. Keeping them for as
-    long as there is room takes twice the memory and saves a twentieth of the time.
-    """
+    """Modules share what is traced and compiled already, as long as there is room."""
     yield
-    jax.clear_caches()
+    maps, memory = _held()
+    if maps > MOST_MAPS or memory > MOST_MEMORY:
+        jax.clear_caches()
+
+
+def _held() -> tuple[float, float]:
+    """How many memory maps and bytes of memory this process has; without end where that is not known."""
+    try:
+        maps = Path("/proc/self/maps").read_bytes().count(b"\n")
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return math.inf, math.inf
+    return maps, pages * os.sysconf("SC_PAGESIZE")
 
 
 PARTS = 10

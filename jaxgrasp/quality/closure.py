@@ -226,7 +226,7 @@ def weights_or_twist(white: WrenchColumns, right: np.ndarray) -> tuple[np.ndarra
     left = np.flatnonzero(found.left_over() > nothing)
     bases, wrenches, own = found.take(left), white.take(left), tangentials[..., left]
     ahead = np.full(len(left), AHEAD)
-    for _ in range(PIVOTS):
+    for _ in range(PIVOTS if len(left) else 0):
         every, directions = np.arange(len(left)), bases.multipliers()
         values, across = wrenches.supports(directions)
         best = np.argmax(values, 0)

@@ -8,7 +8,7 @@ import jaxgrasp
 from jaxgrasp import Grasp, Solution, Verdict
 from jaxgrasp.testing import problems as P
 
-COUNT = 256
+COUNT = 96
 LEAST = {"float64": 4.6e5, "float32": 20.0}
 """In units of the load."""
 
@@ -87,7 +87,7 @@ def test_advice_says_how_far_a_proof_reaches(both):
     assert f"up to {found.force_bound[one]:.3g} N in all" in found[one].advice
     assert found[one].advice in str(found[one])
     assert found[held].advice == Verdict.OPTIMAL.advice
-    with pytest.raises(ValueError, match=r"this is a batch \(256,\)"):
+    with pytest.raises(ValueError, match=r"this is a batch \(96,\)"):
         _ = found.advice
 
 

@@ -275,11 +275,11 @@ def test_mapped_calls_are_the_batch():
 
 
 def test_bad_twists_are_named(unchecked):
-    problem = P.problems("ordinary", N, 2, seed=17)
+    problem = P.problems("ordinary", N, COUNT, seed=17)
     for bad in (np.zeros(6), np.zeros((6, 7)), np.zeros((3, 1))):
         with pytest.raises(ValueError, match=r"free has shape .*expected \(\.\.\., 6, k\), a column for each"):
             jaxgrasp.closed_form(grasp_of(problem), problem.wrench, free=bad)
-    unknown = np.broadcast_to(UP, (2, 6, 1)).copy()
+    unknown = np.broadcast_to(UP, (COUNT, 6, 1)).copy()
     unknown[1, 0] = np.nan
     found = jaxgrasp.constrained_optimum(grasp_of(problem), problem.wrench, free=unknown)
     assert int(found.verdict[1]) == Verdict.INVALID_DATA and int(found.verdict[0]) <= Verdict.INFEASIBLE

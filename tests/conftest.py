@@ -1,6 +1,5 @@
 """Tests run in 64-bit mode, keep compiled code between runs, and check array shapes at every call."""
 
-import math
 import os
 import subprocess
 from collections import defaultdict
@@ -60,25 +59,13 @@ def keep_compiled_code():
     _keep_compiled_code()
 
 
-MOST_MAPS = 12_000
-"""Memory maps of a process with which it forgets its compiled functions, each of which holds some: it has 3 GB then.
-Linux allows 65,530."""
-
-
 @pytest.fixture(autouse=True, scope="module")
 def forget_compiled_code():
-    """Modules share what is traced and compiled already, as long as there is room."""
+    """Every compiled function holds memory maps, and a process may have only some 65,000 of them. Keeping them for as
+    long as there is room takes twice the memory and saves a twentieth of the time.
+    """
     yield
-    if _memory_maps() > MOST_MAPS:
-        jax.clear_caches()
-
-
-def _memory_maps() -> float:
-    """How many memory maps this process has; without end where that is not known."""
-    try:
-        return Path("/proc/self/maps").read_bytes().count(b"\n")
-    except OSError:
-        return math.inf
+    jax.clear_caches()
 
 
 PARTS = 10

@@ -244,6 +244,8 @@ def _along_all(bodies: WrenchSets, tasks: np.ndarray, tol: float) -> _AlongAll:
         wide[0][0, own], wide[1][0, own] = one.normal_force, one.tangential
         bounds = np.array([one.lower]), np.array([one.upper])
         found.better(np.array([index]), _AlongAll(*bounds, one.twist[None], *wide))
+    # Forces miss their wrench by rounding, which a long twist makes large: the upper bound allows for it.
+    np.minimum(found.lower, found.upper, out=found.lower)
     return found
 
 

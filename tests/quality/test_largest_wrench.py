@@ -206,3 +206,13 @@ def test_bad_tasks_are_named():
         largest_wrench(known.ordinary(3, 2), np.array([[1.0, 0, 0, 0, 0, 0], [np.inf, 0, 0, 0, 0, 0]]))
     with pytest.raises(ValueError, match=r"task has shape \(5,\): expected \(..., 6\)"):
         largest_wrench(grasp, np.ones(5))
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_the_bounds_are_in_order_however_badly_the_grasp_is_conditioned(bound):
+    """Near a line, far from the frame's origin: there a wrench that is missed by rounding alone is worth much."""
+    problem = P.problems("combined", 3, 1500, seed=7)
+    arrays = (problem.points, problem.normals, problem.friction, problem.squeeze, problem.wrench)
+    *fields, task = (array[20:40] for array in arrays)
+    found = largest_wrench(Grasp(*fields), task, bound)
+    assert (found.lower <= found.upper).all() and (found.lower > 0).any()

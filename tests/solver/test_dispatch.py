@@ -46,6 +46,16 @@ def test_thirty_sizes_need_few_programs(compilations):
     assert len([name for name in compilations if "assemble" not in name]) <= 2 * len(within)
 
 
+@pytest.mark.parametrize("count", [7, 10])
+def test_every_sharing_is_one_program(compilations, count):
+    grasp, wrench = asked(count)
+    named = [jaxgrasp.closed_form(grasp, wrench, sharing).forces for sharing in ("squeeze", "uniform")]
+    first = len([name for name in compilations if "assemble" not in name])
+    given = [jaxgrasp.closed_form(grasp, wrench, np.array(k)).forces for k in (grasp.squeeze, np.ones((count, N)))]
+    assert len([name for name in compilations if "assemble" not in name]) == first <= 1
+    np.testing.assert_array_equal(given, named)
+
+
 def test_a_size_that_comes_again_needs_one_program_more(compilations):
     for _ in range(3):
         jaxgrasp.closed_form(*asked(701))

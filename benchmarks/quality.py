@@ -104,25 +104,23 @@ def batches(plan: Plan) -> list[dict]:
         few, many = round_about(n, plan.batch), round_about(n, plan.many)
         task = np.random.default_rng(1).normal(size=(plan.many, 6))
         ball = partial(jaxgrasp.quality.ferrari_canny, few, **unit_frame(plan.batch))
-        balls: dict[str, Callable] = {
-            "ferrari_canny, l1, 1e-2": partial(ball, "l1", tol=1e-2),
-            "ferrari_canny, l1, 1e-3": partial(ball, "l1"),
-            "ferrari_canny, l1, 8 sides": partial(ball, "l1", sides=8),
-            "ferrari_canny, linf, 1e-2": partial(ball, "linf", tol=1e-2),
+        frame = unit_frame(plan.many)
+        calls: dict[str, tuple[int, Callable]] = {
+            "force_closure": (plan.many, partial(jaxgrasp.quality.force_closure, many, **frame)),
+            "ferrari_canny, l1, 1e-2": (plan.batch, partial(ball, "l1", tol=1e-2)),
+            "ferrari_canny, l1, 1e-3": (plan.batch, partial(ball, "l1")),
+            "ferrari_canny, l1, 8 sides": (plan.batch, partial(ball, "l1", sides=8)),
+            "ferrari_canny, linf, 1e-2": (plan.batch, partial(ball, "linf", tol=1e-2)),
+            "largest_wrench, l1": (plan.many, partial(jaxgrasp.quality.largest_wrench, many, task, "l1")),
+            "largest_wrench, linf": (plan.many, partial(jaxgrasp.quality.largest_wrench, many, task)),
+            "min_weight, 4 sides": (plan.many, partial(jaxgrasp.quality.min_weight, many)),
+            "singular_values": (plan.many, partial(jaxgrasp.quality.singular_values, many, **frame)),
         }
-        others: dict[str, Callable] = {
-            "largest_wrench, l1": partial(jaxgrasp.quality.largest_wrench, many, task, "l1"),
-            "largest_wrench, linf": partial(jaxgrasp.quality.largest_wrench, many, task),
-            "min_weight, 4 sides": partial(jaxgrasp.quality.min_weight, many),
-            "singular_values": partial(jaxgrasp.quality.singular_values, many, **unit_frame(plan.many)),
-        }
-        closure = {"force_closure": partial(jaxgrasp.quality.force_closure, many, **unit_frame(plan.many))}
-        for calls, count in ((closure, plan.many), (balls, plan.batch), (others, plan.many)):
-            for name, call in calls.items():
-                call()
-                start = time.process_time()
-                jax.block_until_ready(call())
-                rows.append({"n": n, "measure": name, "seconds": (time.process_time() - start) / count})
+        for name, (count, call) in calls.items():
+            call()
+            start = time.process_time()
+            jax.block_until_ready(call())
+            rows.append({"n": n, "measure": name, "seconds": (time.process_time() - start) / count})
         rows.append({"n": n, "measure": "Qhull, 8 sides", "seconds": by_qhull(few, plan.hulls)})
     return rows
 

@@ -29,6 +29,13 @@ def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
     raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
 
 
+def named_weights(grasp: Grasp, sharing: str, numpy: Any) -> AnyArray:
+    """The weights that ``"squeeze"`` or ``"uniform"`` stands for."""
+    if sharing == "squeeze":
+        return grasp.squeeze
+    return numpy.ones(np.shape(grasp.points)[:-1], jnp.result_type(grasp.squeeze))
+
+
 class FlatInput(NamedTuple):
     """Arrays with their leading axes broadcast and flattened into one."""
 
@@ -60,7 +67,7 @@ def flatten(
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
     if sharing != "given":
-        weights = squeeze if sharing == "squeeze" else numpy.ones(np.shape(points)[:-1])
+        weights = named_weights(grasp, sharing, numpy)
     contacts = {"friction": friction, "squeeze": squeeze, "present": grasp.present, "sharing": weights}
     contacts["torsion"] = grasp.torsion
     given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]

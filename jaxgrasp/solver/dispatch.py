@@ -25,7 +25,7 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.progress import Progress
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, read_sharing
+from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, named_weights, read_sharing
 from jaxgrasp.solver.over_devices import local_mesh, over_devices
 
 SIZES = (1, 10, 100, 1000, 3000, 10000)
@@ -88,7 +88,8 @@ def dispatch(
             raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
         return _on_mesh(given, partial(_within, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
     if weights is None:
-        name, given = "given", given._replace(weights=_weights(grasp, name))
+        # As arrays, so that every sharing is one piece of compiled code.
+        name, given = "given", given._replace(weights=named_weights(grasp, name, np))
     try:
         size = _size(given, trailing_shapes)
         if size in SIZES and (progress is None or size <= LEAST_WHOLE):
@@ -182,13 +183,6 @@ def _is_local_cpu_data(given: Inputs) -> bool:
         if isinstance(leaf, jax.core.Tracer) or (isinstance(leaf, Array) and leaf.devices() != here):
             return False
     return True
-
-
-def _weights(grasp: Grasp, sharing: str) -> AnyArray:
-    """The weights that the name of a sharing stands for: as arrays, every sharing is one piece of compiled code."""
-    if sharing == "squeeze":
-        return grasp.squeeze
-    return np.ones(np.shape(grasp.points)[:-1], jnp.result_type(grasp.squeeze))
 
 
 def _size(given: Inputs, trailing_shapes: tuple) -> int | None:

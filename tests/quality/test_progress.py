@@ -10,26 +10,21 @@ from tests.quality import known
 REST = 44
 TASK = np.eye(6)[0]
 MEASURES = {
-    "closure": lambda grasp, **more: force_closure(grasp, **more).margin,
-    "ball": lambda grasp, **more: ferrari_canny(grasp, tol=0.1, **more).upper,
-    "wrench": lambda grasp, **more: largest_wrench(grasp, TASK, "l1", **more).upper,
-    "weight": lambda grasp, **more: min_weight(grasp, **more).value,
+    "closure": (MANY_TOGETHER, lambda grasp, **more: force_closure(grasp, **more).margin),
+    "ball": (TOGETHER, lambda grasp, **more: ferrari_canny(grasp, tol=0.1, **more).upper),
+    "wrench": (TOGETHER, lambda grasp, **more: largest_wrench(grasp, TASK, "l1", **more).upper),
+    "weight": (MANY_TOGETHER, lambda grasp, **more: min_weight(grasp, **more).value),
 }
-
-
 FIELDS = ("points", "normals", "friction", "squeeze")
 
 
-@pytest.mark.parametrize(
-    ("name", "together"),
-    [("closure", MANY_TOGETHER), ("ball", TOGETHER), ("wrench", TOGETHER), ("weight", MANY_TOGETHER)],
-)
-def test_every_grasp_is_told_of_once_and_a_part_is_as_the_whole(name, together):
+@pytest.mark.parametrize(("together", "measure"), MEASURES.values(), ids=MEASURES)
+def test_every_grasp_is_told_of_once_and_a_part_is_as_the_whole(together, measure):
     told: list[int] = []
     many = known.ordinary(3, together + REST)
-    found = MEASURES[name](many, progress=told.append)
+    found = measure(many, progress=told.append)
     assert told == [together, REST]
-    last = MEASURES[name](known.changed(many, **{f: getattr(many, f)[together:] for f in FIELDS}))
+    last = measure(known.changed(many, **{f: getattr(many, f)[together:] for f in FIELDS}))
     # A batch of another size is read with other last digits.
     np.testing.assert_allclose(found[together:], last, rtol=1e-9, atol=1e-13)
 

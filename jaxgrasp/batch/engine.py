@@ -17,6 +17,7 @@ from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import compile_options
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
+from jaxgrasp.problem.flatten import named_weights
 from jaxgrasp.solver import passes
 
 ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate", "force_bound")
@@ -162,7 +163,6 @@ def _program(function: Callable, mesh: Mesh) -> _Program:
 
 def _problem(sharing: str, block: Block) -> ProblemBatch:
     grasp = jax.tree.map(jnp.asarray, block.grasp)
-    weights = grasp.squeeze if sharing == "squeeze" else jnp.ones_like(grasp.squeeze)
     limits = jax.tree.map(jnp.asarray, block.limits or Limits())
     return ProblemBatch(
         points=grasp.points,
@@ -170,7 +170,7 @@ def _problem(sharing: str, block: Block) -> ProblemBatch:
         friction=grasp.friction,
         squeeze=grasp.squeeze,
         present=grasp.present,
-        weights=weights,
+        weights=jnp.asarray(named_weights(grasp, sharing, jnp)),
         wrench=jnp.asarray(block.wrench),
         torsion=grasp.torsion,
         normal_min=limits.normal_min,

@@ -14,7 +14,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.solution import Solution, Verdict
-from jaxgrasp.problem.flatten import Sharing, read_sharing, refuse_soft_fingers
+from jaxgrasp.problem.flatten import Sharing, named_weights, read_sharing, refuse_soft_fingers
 from jaxgrasp.solver import by_optimistix, transforms
 from jaxgrasp.solver.dispatch import dispatch
 
@@ -194,7 +194,7 @@ def split_forces(grasp: Grasp, wrench: Float[AnyArray, "*#batch 6"], sharing: Sh
     squeeze = jnp.asarray(grasp.squeeze)
     name, weights = read_sharing(sharing)
     if weights is None:
-        weights = squeeze if name == "squeeze" else jnp.ones_like(squeeze)
+        weights = named_weights(grasp, name, jnp)
     relaxed = eqx.tree_at(lambda g: g.squeeze, grasp, jnp.zeros_like(squeeze))
     wrench = jnp.asarray(wrench)
     return ForceSplit(

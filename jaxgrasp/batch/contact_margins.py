@@ -16,7 +16,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.force.slip import friction_margin, spin_force
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.numerics import vec3
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 
 TILE = 1 << 14
 """Contacts at a time."""
@@ -47,7 +47,7 @@ def margins(sets: ContactSets, forces: np.ndarray, moments: np.ndarray | None) -
 
 @cache
 def _program() -> Any:
-    return jax.jit(_of_contacts, compiler_options=compile_options())
+    return jit_here(_of_contacts)
 
 
 def _of_contacts(given: tuple[Array | None, ...]) -> tuple[Array, Array]:

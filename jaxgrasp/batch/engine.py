@@ -15,7 +15,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxgrasp.batch.blocks import Block
 from jaxgrasp.model.compared_methods import ComparedMethod
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.problem.flatten import named_weights
 from jaxgrasp.solver import passes
@@ -140,7 +140,7 @@ class _Program:
         if mesh.size > 1:
             # The blocks never talk to each other, so there is nothing for the checker to check.
             function = jax.shard_map(function, mesh=mesh, in_specs=rows, out_specs=rows, check_vma=False)
-        self._jitted = jax.jit(function)
+        self._jitted = jit_here(function)
         self._compiled: dict[tuple, Callable] = {}
         self._compiling = Lock()
 
@@ -152,7 +152,7 @@ class _Program:
             if key in self._compiled:
                 return self._compiled[key], 0.0
             start = time.perf_counter()
-            self._compiled[key] = self._jitted.lower(*arguments).compile(compile_options())
+            self._compiled[key] = self._jitted.lower(*arguments).compile()
             return self._compiled[key], time.perf_counter() - start
 
 

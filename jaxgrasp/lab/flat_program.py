@@ -9,7 +9,7 @@ from typing import Any
 import jax
 
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 
 Leaves = tuple[AnyArray, ...]
 
@@ -26,7 +26,7 @@ class FlatProgram:
             self._structures = tuple(structure for _, structure in parts)
             return tuple(tuple(leaves) for leaves, _ in parts)
 
-        self._program = jax.jit(flat, compiler_options=compile_options())
+        self._program = jit_here(flat)
 
     def __call__(self, *args: Any) -> tuple[Leaves, ...]:
         """The leaves of each tree."""

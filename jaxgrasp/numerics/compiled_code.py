@@ -1,9 +1,12 @@
 """Compiled code: where it is kept between processes, and how it is made."""
 
 import os
-from functools import cache
+from collections.abc import Callable
+from contextvars import ContextVar
+from functools import cache, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -13,6 +16,7 @@ LEAST_SECONDS = 0.1
 FUSED_BY_LOOPS = {"xla_cpu_use_fusion_emitters": False}
 NOT_OPTIMIZED = {"xla_backend_optimization_level": 0}
 """Options of XLA."""
+_traces_for_processor: ContextVar[bool] = ContextVar("traces_for_processor", default=False)
 
 
 def use_cache(folder: str | os.PathLike | None = None) -> Path:
@@ -78,3 +82,32 @@ def compile_quickly_options() -> dict[str, str | bool | int] | None:
     if jax.default_backend() != "cpu":
         return None
     return (compile_options() or {}) | NOT_OPTIMIZED
+
+
+def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:
+    """``jax.jit`` of a program that runs where JAX computes by default, with ``compile_options()``.
+
+    Where that is the processor, what differs between platforms is traced for it alone, in half the time. A user's
+    own program may yet be lowered for another.
+    """
+    return jax.jit(traced_for_here(function), compiler_options=compile_options(), **options)
+
+
+def traced_for_here(function: Callable) -> Callable[..., Any]:
+    """The function, which may be traced for the platform alone where JAX computes by default."""
+
+    # Always another function than the one given, whose trace JAX would keep for programs of all platforms.
+    @wraps(function)
+    def traced(*args: Any, **kwargs: Any) -> Any:
+        token = _traces_for_processor.set(jax.default_backend() == "cpu")
+        try:
+            return function(*args, **kwargs)
+        finally:
+            _traces_for_processor.reset(token)
+
+    return traced
+
+
+def traces_for_processor() -> bool:
+    """Whether what is traced now is for the processor alone."""
+    return _traces_for_processor.get()

@@ -13,7 +13,7 @@ it, all stay plain functions, of the same answers but for rounding. When ``tests
 """
 
 from collections.abc import Callable, Iterator
-from functools import cache, wraps
+from functools import cache, reduce, wraps
 from typing import Any, ParamSpec, TypeVar
 
 import jax
@@ -132,9 +132,16 @@ def _is_spread(axes: Any) -> bool:
 
 
 def _touch(arrays: tuple[Array, ...]) -> Array:
-    """A number that depends on every argument: XLA aborts where a kernel's computation leaves one unused."""
-    firsts = (lax.squeeze(lax.slice(x, (0,) * x.ndim, (1,) * x.ndim), range(x.ndim)) for x in arrays)
-    return sum((first.astype(jnp.float32) for first in firsts), jnp.float32(0))
+    """A number that depends on every argument: XLA aborts where a kernel's computation leaves one unused.
+
+    Those of one rank are added first: of a chain of reshaped terms XLA moves one reshape in each pass over the program,
+    and gives up after 50 passes.
+    """
+    sums: dict[int, Array] = {}
+    for array in arrays:
+        first = lax.convert_element_type(lax.slice(array, (0,) * array.ndim, (1,) * array.ndim), jnp.float32)
+        sums[array.ndim] = lax.add(sums[array.ndim], first) if array.ndim in sums else first
+    return reduce(lax.add, (lax.squeeze(first, range(first.ndim)) for first in sums.values()))
 
 
 def _fits(jaxpr: ClosedJaxpr) -> bool:
@@ -152,9 +159,10 @@ def _equations(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
     """Its equations, and those of the functions that they call."""
     for equation in jaxpr.eqns:
         yield equation
-        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda x: isinstance(x, CALLED)):
-            if isinstance(inner, CALLED):
-                yield from _equations(inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner)
+        for given in equation.params.values():
+            for inner in given if isinstance(given, tuple) else (given,):
+                if isinstance(inner, CALLED):
+                    yield from _equations(inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner)
 
 
 def _is_array(leaf: Any) -> bool:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jax.typing import ArrayLike
 
+from jaxgrasp.numerics.compiled_code import traces_for_processor
 from jaxgrasp.numerics.shard_map_loop import varying_like
 
 Tree = TypeVar("Tree")
@@ -82,9 +83,12 @@ def width(size: int, tile: int, trips: int) -> int:
 
 
 def _by_platform(compute: Callable[[int], Out], size: int, tile: int, trips: int) -> Out:
-    """What is computed by tiles of so many problems on the processor, decided where the program is lowered."""
+    """What is computed by tiles of so many problems on the processor, decided where the program is lowered.
+
+    Both ways are traced, unless it is known to be for the processor.
+    """
     wide = width(size, tile, trips)
-    if wide == tile:
+    if wide == tile or traces_for_processor():
         return compute(tile)
     return lax.platform_dependent(default=partial(compute, wide), **{NARROW: partial(compute, tile)})
 

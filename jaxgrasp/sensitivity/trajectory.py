@@ -15,7 +15,7 @@ from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries as faults_in
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.task import Task
-from jaxgrasp.numerics.compiled_code import compile_quickly_options
+from jaxgrasp.numerics.compiled_code import compile_quickly_options, traced_for_here
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
 from jaxgrasp.sensitivity.naming import (
     Entry,
@@ -163,7 +163,7 @@ def _columns(matrix: SensitivityMatrix, entries: Sequence[Entry]) -> np.ndarray:
 def _program(forward: bool, once: bool) -> Callable[..., tuple[Array, Array]]:
     """Curves and their derivatives, at some values of the wanted parameters."""
     options: dict[str, Any] = {"compiler_options": compile_quickly_options()} if once else {}
-    return eqx.filter_jit(_forward if forward else _reverse, **options)
+    return eqx.filter_jit(traced_for_here(_forward if forward else _reverse), **options)
 
 
 def _curves(task: Task, output: OutputOf, times: Array, parameters: Any, axis: int | None = None) -> Array:

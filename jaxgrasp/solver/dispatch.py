@@ -23,7 +23,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.progress import Progress
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, named_weights, read_sharing
 from jaxgrasp.solver.over_devices import local_mesh, over_devices
@@ -132,7 +132,7 @@ _within = jax.jit(_traced, static_argnames=STATIC)
 @cache
 def _unpadded_program() -> Callable[..., Any]:
     """The program for sizes that need no padding, called outside any other: the least work before and after."""
-    return jax.jit(_traced, static_argnames=STATIC, compiler_options=compile_options())
+    return jit_here(_traced, static_argnames=STATIC)
 
 
 def _on_mesh(given: Inputs, within: Callable[[Inputs], Any]) -> Any:
@@ -328,10 +328,10 @@ def _program(solve: Solve, sharing: str, trailing_shapes: tuple) -> Callable:
         flat = _flat(given, sharing, trailing_shapes, jnp)
         return solve(replace(flat.problem, count=count), **flat.per_problem)
 
-    return jax.jit(run, compiler_options=compile_options())
+    return jit_here(run)
 
 
 @cache
 def _flat_program(solve: Solve) -> Callable:
     """The program for pieces of what NumPy has brought into one leading axis."""
-    return jax.jit(_of_flat(solve), compiler_options=compile_options())
+    return jit_here(_of_flat(solve))

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 
 AXIS = "problem"
 
@@ -66,4 +66,4 @@ def _program(solve: Callable[..., Any], mesh: Mesh, structure: Any, spread: tupl
 
     # Nothing is said between the devices, so there is nothing for the checker to check.
     shared = jax.shard_map(run, mesh=mesh, in_specs=([*map(_spec, spread)],), out_specs=_spec(True), check_vma=False)
-    return jax.jit(shared, compiler_options=compile_options())
+    return jit_here(shared)

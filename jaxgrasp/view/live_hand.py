@@ -4,7 +4,7 @@ Everything that changes is an argument of two programs, which are compiled once 
 stand, and one that lets time go on.
 """
 
-from functools import cache, partial
+from functools import cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -23,7 +23,7 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.report.surfaces import pose_matrix
 from jaxgrasp.view.live_scene import Controls, LiveScene, counted, scene_with
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
@@ -104,8 +104,7 @@ class _Programs(NamedTuple):
 @cache
 def _programs() -> _Programs:
     """Both, compiled in less time than otherwise: a person waits for them."""
-    compiled = partial(jax.jit, static_argnames="law", compiler_options=compile_options())
-    return _Programs(compiled(_look), compiled(_step))
+    return _Programs(jit_here(_look, static_argnames="law"), jit_here(_step, static_argnames="law"))
 
 
 def _look(

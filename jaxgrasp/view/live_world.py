@@ -14,7 +14,7 @@ from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import HandFrames, Pose, Posture
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.report.surfaces import pose_matrix, shape_surface
 from jaxgrasp.view.live_scene import Controls, LiveScene, counted, scene_with
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
@@ -143,11 +143,7 @@ class _Programs(NamedTuple):
 @cache
 def _programs() -> _Programs:
     """What the hand touches, and what it exerts there; compiled in less time than otherwise: a person waits."""
-    options = compile_options()
-    return _Programs(
-        jax.jit(_touch, compiler_options=options),
-        jax.jit(_share, static_argnames="law", compiler_options=options),
-    )
+    return _Programs(jit_here(_touch), jit_here(_share, static_argnames="law"))
 
 
 def _touch(world: World, posture: Posture, placed: Pose) -> tuple[HandFrames, ThingTouches]:

@@ -22,7 +22,7 @@ from jaxgrasp.grip.motion import mobility
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.numerics.centring import tangents
-from jaxgrasp.numerics.compiled_code import compile_options
+from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.numerics.cone_program import ConeProgram, Cones, solve
 from jaxgrasp.world.contact_list import ContactList
 from jaxgrasp.world.many_bodies import Masses, World
@@ -170,7 +170,7 @@ def compile_programs(things: int, most: int, is_soft: bool) -> None:
 
 @cache
 def _program() -> Any:
-    return jax.jit(_solved, compiler_options=compile_options())
+    return jit_here(_solved)
 
 
 def _solved(rows: jax.Array, offset: jax.Array, giving: jax.Array) -> tuple[jax.Array, jax.Array]:

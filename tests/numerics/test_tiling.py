@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.numerics import tiling
+from jaxgrasp.numerics.compiled_code import traced_for_here
 from jaxgrasp.numerics.tiling import over_chosen, over_tiles
 
 
@@ -49,3 +50,24 @@ def test_the_chosen_are_replaced_and_no_others(size, share):
     new = improve(each, before)
     for name in before:
         np.testing.assert_array_equal(after[name], np.where(chosen, new[name], before[name]))
+
+
+@pytest.mark.skipif(jax.default_backend() != tiling.NARROW, reason="other platforms have one way of tiling")
+def test_what_is_for_this_processor_is_traced_once():
+    each, traced = jnp.zeros((20, 2)), []
+
+    def twice(tile):
+        traced.append(len(tile))
+        return 2 * tile
+
+    def all_of(each):
+        return over_tiles(twice, each, 20, 8)
+
+    def tiles_traced(function):
+        traced.clear()
+        jax.jit(function).trace(each)
+        return set(traced)
+
+    assert tiles_traced(traced_for_here(all_of)) == {8}
+    # Even of the same function: a user's own program may be lowered for another platform.
+    assert tiles_traced(all_of) == {8, 20}

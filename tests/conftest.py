@@ -11,11 +11,13 @@ import jaxtyping
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
+from tests.light_checks import check_lightly
+
+check_lightly()
 # Most of the suite's time is compiling. Unless XLA_FLAGS are given, it is done in a quarter of the time, for slower
-# code: verdicts do not hang on it, as `python -m benchmarks.compile` counts. The long tests, which ask for more digits
-# of more problems, are optimised at level 1. A flag that XLA does not know ends the process, and others than these
-# versions may not know the second.
-_FAST = f"--xla_backend_optimization_level={os.environ.get('JAXGRASP_TEST_OPTIMIZATION', '0')}"
+# code: verdicts do not hang on it, as `python -m benchmarks.compile` counts. A flag that XLA does not know ends the
+# process, and others than these versions may not know the second.
+_FAST = "--xla_backend_optimization_level=0"
 if jax.__version_info__ < (0, 11):
     _FAST += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", _FAST)

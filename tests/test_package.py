@@ -10,8 +10,10 @@ import jax
 import jax.numpy as jnp
 import jaxtyping
 import pytest
+from beartype.roar import BeartypeCallHintViolation
 
 import jaxgrasp
+from jaxgrasp.numerics import tiling
 
 
 def in_a_new_process(code: str) -> None:
@@ -77,6 +79,13 @@ def test_array_shapes_are_checked_while_the_tests_run():
         jaxgrasp.Grasp(jnp.zeros((3, 3)), jnp.zeros((3, 3)), jnp.zeros(4), jnp.zeros(3))
     with pytest.raises(jaxtyping.TypeCheckError):
         jaxgrasp.grasp_matrix(jnp.zeros((3, 2)))
+
+
+def test_types_are_checked_while_the_tests_run_where_no_shape_is_said_too(monkeypatch):
+    with pytest.raises(BeartypeCallHintViolation):
+        tiling.width("1000", 8, 2)
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+    assert tiling.width(1000.0, 8, 2) == 1000
 
 
 def test_lost_precision_is_said():

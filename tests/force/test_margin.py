@@ -327,6 +327,7 @@ def test_wrong_arguments_are_named(unchecked):
 
 
 @pytest.mark.slow
+@pytest.mark.optimized
 def test_batches_names_and_transformations():
     problem = P.problems("ordinary", N, COUNT, seed=23)
     direction = aside(problem, seed=24)

@@ -278,6 +278,7 @@ def test_wrong_arguments_are_named(unchecked):
 
 
 @pytest.mark.slow
+@pytest.mark.optimized
 def test_batches_names_and_transformations():
     problem = asking("ordinary", seed=10)
     grasp = Grasp(problem.points, problem.normals, problem.friction, problem.squeeze)

@@ -17,6 +17,7 @@ TIMES = np.linspace(0.013, 3.987, 31)
 BY = ["contributions", "friction", "depths", "radius", "mass", "speed"]
 LABELS = dict.fromkeys(("contributions", "friction", "depths", "slip_angle"), FINGERS)
 OUTPUTS = {method: Output("slip_angle", method) for method in ("A", "B", "A-optimum", "B-optimum")}
+STEPS = (1e-3, 2e-4, 2e-5)
 SIXTH_ORDER = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 INDEX = FINGERS.index("index")
 
@@ -64,7 +65,8 @@ def test_derivatives_are_limits_of_differences(method):
 
     nominal = np.asarray(curves(found.matrix.values))
     np.testing.assert_allclose(found.matrix.nominal, nominal, atol=1e-12)
-    errors = [np.abs(differences(curves, found.matrix.values, h) - found.matrix.derivatives) for h in (1e-3, 2e-4)]
+    # Long steps meet kinks. Over short ones counts that an optimum whose search ends a step sooner is 1e-12 off.
+    errors = [np.abs(differences(curves, found.matrix.values, h) - found.matrix.derivatives) for h in STEPS]
     error = np.min(errors, 0) / (1 + np.abs(found.matrix.derivatives))
     assert error[np.isfinite(nominal)].max() < 1e-8
     # A finger that carries nothing has no angle.

@@ -298,6 +298,7 @@ def test_a_batch_of_nothing_else(compiled, ordinary, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.optimized
 def test_loads_that_rounding_hides_keep_their_slope(ordinary):
     """Forces of the optimum, called FEASIBLE, move with the wrench; those found without squeezing do not say how."""
     optimum = Compiled("optimum")

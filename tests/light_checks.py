@@ -1,0 +1,61 @@
+"""Type checks of functions, made when first called, and without what array shapes need where there are none.
+
+jaxtyping's import hook, which pytest installs, binds the arguments of every call and remembers the sizes of axes. That
+takes twenty times as long as the checks themselves, of which there are millions: more than half of the time of the
+glove's tests.
+"""
+
+import inspect
+from collections.abc import Callable, Iterator
+from functools import cache, wraps
+from typing import Any, get_args
+
+import jaxtyping
+from beartype import beartype
+
+with_shapes = jaxtyping.jaxtyped
+
+
+def check_lightly() -> None:
+    """From now on, functions that are imported have their shapes checked where they say any."""
+    jaxtyping.jaxtyped = _checked
+
+
+def _checked(*, typechecker: Callable) -> Callable:
+    """Takes the place of ``jaxtyping.jaxtyped``, as which the import hook calls it."""
+
+    def decorate(given: Any) -> Any:
+        return (
+            _with_checks(given, typechecker)
+            if inspect.isfunction(given)
+            else with_shapes(given, typechecker=typechecker)
+        )
+
+    return decorate
+
+
+def _with_checks(function: Callable, typechecker: Callable) -> Callable:
+    @cache
+    def checked() -> Callable:
+        return with_shapes(function, typechecker=typechecker) if _may_say_shapes(function) else beartype(function)
+
+    @wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        return (function if jaxtyping.config.jaxtyping_disable else checked())(*args, **kwargs)
+
+    return call
+
+
+def _may_say_shapes(function: Callable) -> bool:
+    """Whether an annotation does, or is a text, which only jaxtyping resolves as it should be."""
+    return any(
+        isinstance(part, str) or (inspect.isclass(part) and issubclass(part, jaxtyping.AbstractArray))
+        for annotation in function.__annotations__.values()
+        for part in _parts(annotation)
+    )
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    yield annotation
+    for part in (*get_args(annotation), *(annotation if isinstance(annotation, list) else ())):
+        yield from _parts(part)

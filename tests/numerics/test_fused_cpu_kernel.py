@@ -53,6 +53,17 @@ def test_it_gives_the_same_numbers(count, mirrored, dtype):
         np.testing.assert_allclose(given[name], asked[name], rtol=100 * float(jnp.finfo(dtype).eps), atol=1e-12)
 
 
+@known
+def test_reshapes_do_not_grow_with_the_number_of_arguments():
+    """In a chain of reshaped terms XLA moves one reshape a pass, of up to 50 passes over the whole program."""
+
+    def reshapes(count: int) -> int:
+        spread = fused_cpu_kernel(lambda arrays: [2 * array for array in arrays])
+        return jax.jit(spread).lower([POINTS, POINTS[0]] * count).as_text().count("stablehlo.reshape")
+
+    assert reshapes(20) == reshapes(1) > 0
+
+
 @pytest.mark.parametrize("rows", [4, 400])
 def test_what_a_program_holds_as_constants_is_read_too(rows):
     """XLA computes with constants beforehand, and aborts where a kernel then leaves an argument unused."""

@@ -11,7 +11,6 @@ from functools import cache, wraps
 from typing import Any, get_args
 
 import jaxtyping
-from beartype import beartype
 
 with_shapes = jaxtyping.jaxtyped
 
@@ -25,19 +24,16 @@ def _checked(*, typechecker: Callable) -> Callable:
     """Takes the place of ``jaxtyping.jaxtyped``, as which the import hook calls it."""
 
     def decorate(given: Any) -> Any:
-        return (
-            _with_checks(given, typechecker)
-            if inspect.isfunction(given)
-            else with_shapes(given, typechecker=typechecker)
-        )
+        how = _with_checks if inspect.isfunction(given) else with_shapes
+        return how(given, typechecker=typechecker)
 
     return decorate
 
 
-def _with_checks(function: Callable, typechecker: Callable) -> Callable:
+def _with_checks(function: Callable, *, typechecker: Callable) -> Callable:
     @cache
     def checked() -> Callable:
-        return with_shapes(function, typechecker=typechecker) if _may_say_shapes(function) else beartype(function)
+        return with_shapes(function, typechecker=typechecker) if _may_say_shapes(function) else typechecker(function)
 
     @wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:

@@ -69,7 +69,7 @@ def is_known_xla() -> bool:
     return _is_known_version() and jax.default_backend() == "cpu"
 
 
-def compile_options() -> dict[str, str | bool] | None:
+def _compile_options() -> dict[str, str | bool] | None:
     """Options with which XLA compiles programs for the processor in two thirds of the time, to the same speed.
 
     Known of some versions alone; another may not know the option, and would refuse it.
@@ -81,16 +81,16 @@ def compile_quickly_options() -> dict[str, str | bool | int] | None:
     """Options for programs that run once or a few times: compiled in half the time, to code several times as slow."""
     if jax.default_backend() != "cpu":
         return None
-    return (compile_options() or {}) | NOT_OPTIMIZED
+    return (_compile_options() or {}) | NOT_OPTIMIZED
 
 
 def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:
-    """``jax.jit`` of a program that runs where JAX computes by default, with ``compile_options()``.
+    """``jax.jit`` of a program that runs where JAX computes by default, compiled in less time to the same speed.
 
     Where that is the processor, what differs between platforms is traced for it alone, in half the time. A user's
     own program may yet be lowered for another.
     """
-    return jax.jit(traced_for_here(function), compiler_options=compile_options(), **options)
+    return jax.jit(traced_for_here(function), compiler_options=_compile_options(), **options)
 
 
 def traced_for_here(function: Callable) -> Callable[..., Any]:

@@ -1,7 +1,5 @@
 """Objects that a guide holds: only the wrench's work along its free twists is balanced."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -267,14 +265,18 @@ def test_forward_reverse_and_differences_agree(method):
 def test_mapped_calls_are_the_batch():
     problem = P.problems("ordinary", N, COUNT, seed=15)
     grasp, free = grasp_of(problem), twists(problem, 2, seed=16)
-    batch = jaxgrasp.constrained_optimum(grasp, problem.wrench, free=free)
-    mapped = jax.vmap(lambda g, w, f: jaxgrasp.constrained_optimum(g, w, free=f))(grasp, problem.wrench, free)
-    same_but_for_rounding = partial(np.testing.assert_allclose, rtol=1e-12, atol=1e-13 * np.abs(batch.forces).max())
-    same_but_for_rounding(mapped.forces, batch.forces)
     one = jax.tree.map(lambda x: x[0], grasp)
-    shared = jax.vmap(lambda w: jaxgrasp.constrained_optimum(one, w, free=UP))(problem.wrench)
-    again = jaxgrasp.constrained_optimum(one, problem.wrench, free=UP)
-    same_but_for_rounding(shared.forces, again.forces)
+
+    def of_all(grasp, wrench, free):
+        return jaxgrasp.constrained_optimum(grasp, wrench, free=free).forces
+
+    given, shared = (grasp, problem.wrench, free), (one, problem.wrench, UP)
+    for whole, axes in ((given, (0, 0, 0)), (shared, (None, 0, None))):
+        mapped = jax.jit(jax.vmap(of_all, axes))(*whole)
+        np.testing.assert_array_equal(mapped, jax.jit(of_all)(*whole))
+        # A plain call is another program, which rounds otherwise.
+        plain = of_all(*whole)
+        np.testing.assert_allclose(mapped, plain, rtol=1e-12, atol=1e-13 * np.abs(plain).max())
 
 
 def test_bad_twists_are_named(unchecked):

@@ -38,9 +38,9 @@ HERE = Path(__file__).parent
 BEFORE = "be510ef"
 OPTIONS = {
     "as users compile": "",
-    "fusion emitters off": "--xla_cpu_use_fusion_emitters=false",
+    "as plain calls compile": "--xla_backend_optimization_level=2 --xla_cpu_prefer_vector_width=512",
     "LLVM at level 0": "--xla_backend_optimization_level=0",
-    "level 1, emitters off": "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false",
+    "LLVM at level 1": "--xla_backend_optimization_level=1",
 }
 
 

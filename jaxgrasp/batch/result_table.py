@@ -27,6 +27,7 @@ import numpy as np
 from jaxgrasp.batch.arrow import arrow_library, parquet_writer
 from jaxgrasp.batch.price import price_of_friction
 from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.files.csv_rows import safe_cell
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict, is_balanced, is_optimum
@@ -116,9 +117,9 @@ def _write_csv(stream: IO[bytes], shards: Iterable[Shard]) -> None:
 
 
 def _cells(values: np.ndarray) -> Iterator[Any]:
-    """Numbers with digits enough to read them back, and nothing where there is none."""
+    """Yield numbers with digits enough to read them back, nothing where there is none, and text that is only text."""
     for value in values.tolist():
-        yield "" if isinstance(value, float) and value != value else value
+        yield "" if isinstance(value, float) and value != value else safe_cell(value)
 
 
 def write_parquet_rows(

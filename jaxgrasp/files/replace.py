@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import secrets
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -9,10 +10,14 @@ from typing import IO
 
 
 def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write beside ``path`` and rename, so that a reader never meets half a file; what is written may be read again."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    """Write beside ``path`` and rename, so that a reader never meets half a file; what is written may be read again.
+
+    The partial file has a random name, so that threads, processes and machines that write to one path at a time each
+    write a file of their own; the last one to finish stays.
+    """
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
     try:
-        with open(beside, "w+b") as stream:
+        with open(beside, "x+b") as stream:
             write(stream)
             stream.flush()
             os.fsync(stream.fileno())

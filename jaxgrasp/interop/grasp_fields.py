@@ -1,5 +1,6 @@
 """Grasps in arrays by their names: our own ``.npz`` files of poses, and whatever else holds the same."""
 
+import tokenize
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,7 +27,7 @@ def read_npz_poses(path: Path) -> GraspPoses:
     try:
         with np.load(path, allow_pickle=False) as file:
             fields = {name: file[name] for name in NAMES if name in file.files}
-    except (ValueError, OSError, zipfile.BadZipFile) as error:
+    except (ValueError, OSError, zipfile.BadZipFile, SyntaxError, tokenize.TokenError) as error:
         raise ValueError(f"{path}: it cannot be read as .npz: {error}") from None
     return poses_of_fields(path, fields, NAMES)
 

@@ -4,22 +4,37 @@ A file in YAML has ``format: isaac_grasp``, ``grasps`` by name, and of each gras
 ``{w, xyz}``, a unit quaternion, of the gripper's frame in the object's. Which frames these are is up to whoever wrote
 the file (``object_frame`` and ``gripper_frame``, or ``..._link``, name them for people). ``cspace_position`` has joints
 [rad, m] by their names, closed on the object, ``pregrasp_cspace_position`` open. Files of planners may lack both.
-Normals and forces there are none.
+There are no normals and no forces. ``object_file`` names the mesh and ``object_scale`` its unit [m], as in the files of
+GraspDataGen, whose ``confidence`` is 0 for grasps that failed in simulation. Fields of other names are not used, and a
+warning names them.
 
 Of grippers with two jaws the joints are not used: the jaws close by themselves. Of the Robotiq grippers in the example
 files of Isaac Sim, which the file's side grasps of a can show, the 2F-85 looks along its z axis and closes along x.
 
-Source: Isaac Sim's documentation of the Grasp Editor, and Isaac ROS's of the Isaac Grasp File (format version 1.0).
+Source: Isaac Sim's documentation of the Grasp Editor, and Isaac ROS's of the Isaac Grasp File (format version 1.0);
+GraspDataGen's writer of such files.
 """
 
-from collections.abc import Sequence
+import re
+import warnings
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.file_records import by_name, field, frame, numbers, read_each, read_text, rotation
+from jaxgrasp.files.printable import message_line, shortened
+from jaxgrasp.interop.file_records import (
+    by_name,
+    field,
+    frame,
+    number,
+    numbers,
+    positive,
+    read_each,
+    read_text,
+    rotation,
+)
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
 from jaxgrasp.validation.optional_library import optional_library
@@ -28,16 +43,25 @@ MISSING = "isaac_grasp files need PyYAML: pip install 'jaxgrasp[mesh]'"
 
 DEEPEST = 20
 """Levels of a file; this format has five."""
+FILE_FIELDS = {
+    *("format", "format_version", "object_frame", "object_frame_link", "gripper_frame", "gripper_frame_link"),
+    *("object_file", "object_scale", "grasps"),
+}
+GRASP_FIELDS = {"confidence", "position", "orientation", "cspace_position", "pregrasp_cspace_position"}
+"""Fields that are read, or that only name a frame for people; ``pregrasp_cspace_position`` is the open hand."""
+YAML_FLOAT = re.compile(r"^[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)[eE][-+]?[0-9]+$")
+"""Numbers with an exponent (YAML 1.2.2, 10.3.2). PyYAML follows YAML 1.1, where 1e-05, without a point, is text."""
 
 
 class _Grasp(NamedTuple):
     transform: np.ndarray
     angles: np.ndarray | None
+    confidence: float | None
 
 
 @checked
 def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, keep_going: bool = False) -> GraspPoses:
-    """The grasps of a file.
+    """Read the grasps of a file.
 
     Args:
         path: a ``.yaml`` file.
@@ -45,7 +69,11 @@ def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, k
         keep_going: leave bad grasps out and say what is wrong with them, instead of stopping at the first.
 
     Returns:
-        Poses in the object's frame.
+        Poses in the object's frame, with the mesh, its unit, and which grasps succeeded, where the file says so. A
+        grasp without ``confidence`` among others that have one counts as successful.
+
+    Warns:
+        UserWarning: naming the fields that are not used.
 
     Raises:
         ImportError: without PyYAML.
@@ -59,20 +87,55 @@ def read_isaac_grasp(path: str | Path, joints: Sequence[str] | None = None, *, k
     grasps = whole.get("grasps")
     if not isinstance(grasps, dict) or not grasps:
         raise ValueError(f"{path} has no grasps: expected them by their names")
+    mesh, scale = _mesh(path, whole)
     each = ((str(name), record) for name, record in grasps.items())
     found, left_out = read_each(path, each, lambda record: _grasp(record, joints), keep_going, "grasp")
+    _warn_unused(path, whole, grasps.values())
+    confidences = [one.confidence for _, one in found]
+    has_confidence = any(one is not None for one in confidences)
     return GraspPoses(
         Path(path),
         tuple(name for name, _ in found),
         np.stack([one.transform for _, one in found]),
         None if joints is None else np.stack([one.angles for _, one in found if one.angles is not None]),
+        scales=None if scale is None else np.full(len(found), scale),
+        mesh=mesh,
+        succeeded=np.array([one is None or one > 0 for one in confidences]) if has_confidence else None,
         left_out=left_out,
     )
+
+
+def _mesh(path: str | Path, whole: dict) -> tuple[str | None, float | None]:
+    """Return the mesh's path and its unit [m], None where the file has none."""
+    mesh, scale = whole.get("object_file"), whole.get("object_scale")
+    try:
+        if mesh is not None and not isinstance(mesh, str):
+            raise ValueError(f"object_file is {shortened(mesh)}: expected the path of a mesh")
+        if isinstance(scale, list):
+            sides = numbers("object_scale", scale, (3,))
+            if np.ptp(sides) > 0:
+                raise ValueError(f"object_scale is {shortened(scale)}: expected one scale for all three axes")
+            scale = sides[0]
+        return mesh, None if scale is None else positive("object_scale", scale)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _warn_unused(path: str | Path, whole: dict, records: Iterable[Any]) -> None:
+    """Warn of the fields of a file, and of its grasps, that nothing here reads."""
+    unused = {str(name) for name in whole} - FILE_FIELDS
+    for record in records:
+        unused |= {str(name) for name in record} - GRASP_FIELDS if isinstance(record, dict) else set()
+    if unused:
+        warnings.warn(message_line(f"{path}: fields that are not used: {', '.join(sorted(unused))}"), stacklevel=4)
 
 
 def _yaml(path: str | Path) -> Any:
     yaml = optional_library("yaml", missing=MISSING)
     text = read_text(path)
+
+    Loader: Any = type("Loader", (yaml.SafeLoader,), {})
+    Loader.add_implicit_resolver("tag:yaml.org,2002:float", YAML_FLOAT, list("-+0123456789."))
     try:
         depth = 0
         for event in yaml.parse(text, yaml.SafeLoader):
@@ -82,7 +145,7 @@ def _yaml(path: str | Path) -> Any:
             # What refers to itself, or to the same a billion times, is small as a text alone.
             if isinstance(event, yaml.AliasEvent):
                 raise ValueError("it refers to parts of itself")
-        return yaml.safe_load(text)
+        return yaml.load(text, Loader)
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{path} is no YAML of ours: {' '.join(str(error).split())}") from None
 
@@ -92,9 +155,10 @@ def _grasp(record: Any, joints: Sequence[str] | None) -> _Grasp:
     imaginary = numbers("orientation.xyz", field(orientation, "xyz"), (3,))
     real = numbers("orientation.w", field(orientation, "w"), ())
     place = frame(numbers("position", field(record, "position"), (3,)), rotation("orientation", [real, *imaginary]))
+    confidence = None if record.get("confidence") is None else number("confidence", record["confidence"])
     if joints is None:
-        return _Grasp(place, None)
+        return _Grasp(place, None, confidence)
     given = field(record, "cspace_position")
     if not isinstance(given, dict):
         raise ValueError(f"cspace_position is {shortened(given)}: expected joints by their names")
-    return _Grasp(place, by_name(given, joints, "cspace_position"))
+    return _Grasp(place, by_name(given, joints, "cspace_position"), confidence)

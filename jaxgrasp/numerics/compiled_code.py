@@ -1,6 +1,7 @@
 """Compiled code: where it is kept between processes, and how it is made."""
 
 import os
+import warnings
 from collections.abc import Callable
 from contextvars import ContextVar
 from functools import cache, wraps
@@ -13,9 +14,17 @@ from jax.experimental.compilation_cache import compilation_cache
 
 LEAST_SECONDS = 0.1
 """Programs that compile faster than this are not worth a file."""
-FUSED_BY_LOOPS = {"xla_cpu_use_fusion_emitters": False}
-NOT_OPTIMIZED = {"xla_backend_optimization_level": 0}
-"""Options of XLA."""
+MEASURED_SINCE, UNMEASURED_FROM = (0, 10), (0, 13)
+"""Versions of JAX that are measured and tested: from the first, up to but without the second (see CONTRIBUTING.md)."""
+LOOPS_MERGED_FROM = (0, 12)
+"""The first version whose XLA makes one kernel of a whole loop, however large its arrays and the code in it are."""
+COMPILED_FOR_FIRST_CALL = {"xla_backend_optimization_level": 2, "xla_cpu_prefer_vector_width": 512}
+"""Options of programs that answer plain calls. Level 2 compiles the optimum in two thirds of the time of level 3, to
+code that takes a fifth longer; vectors of 512 bits, where the processor has them, win most of that back."""
+COMPILED_ONCE = {"xla_backend_optimization_level": 0}
+"""Options of programs that run once or a few times."""
+WARNS = "JAXGRASP_JAX_WARNING"
+"""Environment variable that, set to 0, turns off the warning about an unmeasured version of JAX."""
 _traces_for_processor: ContextVar[bool] = ContextVar("traces_for_processor", default=False)
 
 
@@ -55,42 +64,57 @@ def compile_all_quickly() -> None:
     plugins, which bring other processors than these, nothing is changed.
     """
     if "XLA_FLAGS" not in os.environ and not entry_points(group="jax_plugins"):
-        options = (FUSED_BY_LOOPS if _is_known_version() else {}) | NOT_OPTIMIZED
-        os.environ["XLA_FLAGS"] = " ".join(f"--{name}={str(value).lower()}" for name, value in options.items())
-
-
-def _is_known_version() -> bool:
-    return (0, 10) <= jax.__version_info__ < (0, 11)
+        os.environ["XLA_FLAGS"] = " ".join(f"--{name}={value}" for name, value in COMPILED_ONCE.items())
 
 
 @cache
 def is_known_xla() -> bool:
-    """Whether programs are compiled for the processor, by a version whose ways of doing so are known here."""
-    return _is_known_version() and jax.default_backend() == "cpu"
+    """Return whether programs are compiled for the processor, by a version of JAX that was measured here.
 
-
-def _compile_options() -> dict[str, str | bool] | None:
-    """Options with which XLA compiles programs for the processor in two thirds of the time, to the same speed.
-
-    Known of some versions alone; another may not know the option, and would refuse it.
+    Warns once, at the first use, where the version is newer than those: programs then compile without what makes it
+    faster, to the same answers but for rounding.
     """
-    return {**FUSED_BY_LOOPS} if is_known_xla() else None
+    if jax.default_backend() != "cpu":
+        return False
+    if jax.__version_info__ >= UNMEASURED_FROM and os.environ.get(WARNS) != "0":
+        newest = ".".join(map(str, (UNMEASURED_FROM[0], UNMEASURED_FROM[1] - 1)))
+        warnings.warn(
+            f"JAX {jax.__version__} is newer than {newest}, the newest that jaxgrasp is tested with: first calls may "
+            f"compile up to twice as long (answers are the same); {WARNS}=0 turns this warning off",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return MEASURED_SINCE <= jax.__version_info__ < UNMEASURED_FROM
+
+
+@cache
+def merges_loops() -> bool:
+    """Return whether XLA makes one kernel of a whole loop, so that what is in it need not be marked as one."""
+    return is_known_xla() and jax.__version_info__ >= LOOPS_MERGED_FROM
+
+
+def _compile_options(options: dict[str, int]) -> dict[str, str | bool | int] | None:
+    """Return those of XLA's ``options`` that the user has not set in ``XLA_FLAGS``; None off the processor."""
+    if jax.default_backend() != "cpu":
+        return None
+    flags = os.environ.get("XLA_FLAGS", "")
+    return {name: value for name, value in options.items() if name not in flags}
 
 
 def compile_quickly_options() -> dict[str, str | bool | int] | None:
-    """Options for programs that run once or a few times: compiled in half the time, to code several times as slow."""
-    if jax.default_backend() != "cpu":
-        return None
-    return (_compile_options() or {}) | NOT_OPTIMIZED
+    """Return options for programs that run once or a few times: compiled in half the time, to code several times as
+    slow.
+    """
+    return _compile_options(COMPILED_ONCE)
 
 
 def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:
-    """``jax.jit`` of a program that runs where JAX computes by default, compiled in less time to the same speed.
+    """Compile a program that runs where JAX computes by default, as ``jax.jit`` does, in two thirds of the time.
 
     Where that is the processor, what differs between platforms is traced for it alone, in half the time. A user's
     own program may yet be lowered for another.
     """
-    return jax.jit(traced_for_here(function), compiler_options=_compile_options(), **options)
+    return jax.jit(traced_for_here(function), compiler_options=_compile_options(COMPILED_FOR_FIRST_CALL), **options)
 
 
 def traced_for_here(function: Callable) -> Callable[..., Any]:

@@ -7,12 +7,17 @@ compiled as one kernel instead, by an emitter that is faster too.
 How large? Compiling grows faster than the code in one kernel, so a step of an algorithm is about right, with up to
 some hundred operations. What spans a whole batch is better left alone: a kernel runs on one thread.
 
-The attributes are XLA's own affair, and another version may read them otherwise: where ``is_known_xla`` does not know
-it, all stay plain functions, of the same answers but for rounding. When ``tests/numerics/test_fused_cpu_kernel.py`` and
-``tests/solver/test_kernels.py`` pass with a new version, that one line is to be widened.
+From JAX 0.12 on XLA makes one kernel of every loop by itself, with all the code in it. That is the faster code for a
+loop over tiles of the closed form, whose steps are therefore not marked (``unmarked``). The whole optimum is so much
+code in one function that it compiles for twice as long; such a loop is kept in several (``keep_separate``).
+
+The attributes are XLA's own, and another version may read them otherwise: where ``is_known_xla`` does not know it, all
+stay plain functions, of the same answers but for rounding.
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache, reduce, wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -23,9 +28,9 @@ from jax import Array, lax
 from jax.custom_batching import custom_vmap
 from jax.extend.core import ClosedJaxpr, Jaxpr, JaxprEqn, Primitive
 from jax.extend.mlir import ir
-from jax.interpreters import mlir
+from jax.interpreters import batching, mlir
 
-from jaxgrasp.numerics.compiled_code import is_known_xla
+from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
 
 Given = ParamSpec("Given")
 Out = TypeVar("Out")
@@ -44,10 +49,11 @@ CALLED = (ClosedJaxpr, Jaxpr)
 
 
 def fused_cpu_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
-    """``function``, compiled as one kernel.
+    """Return ``function``, compiled as one kernel.
 
-    It stays as it is where XLA is not known to do so, where it is differentiated or mapped, and where it holds what
-    such a kernel cannot. Its arguments are trees of arrays and of what can be hashed; it closes over no array.
+    It stays as it is where XLA is not known to do so, where it is traced inside ``unmarked``, where it is
+    differentiated or mapped, and where it holds what such a kernel cannot. Its arguments
+    are trees of arrays and of what can be hashed; it closes over no array.
     """
 
     @wraps(function)
@@ -57,7 +63,7 @@ def fused_cpu_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
         # With its type, since 1, 1.0 and True are equal.
         fixed = tuple(None if _is_array(leaf) else (type(leaf), leaf) for leaf in leaves)
         # Each array is read, and of one without elements nothing can be.
-        if not (is_known_xla() and arrays and all(array.size for array in arrays)):
+        if not (is_known_xla() and not _unmarked.get() and arrays and all(array.size for array in arrays)):
             return function(*args, **kwargs)
         return _kernel(function, tree, fixed)(*arrays)
 
@@ -120,6 +126,46 @@ def _lower_mark(context: mlir.LoweringRuleContext, touched: Any) -> Any:
 
 # Not cacheable: in a lowering that is kept, the operand would be an argument, and no call.
 mlir.register_lowering(_mark, _lower_mark, cacheable=False)
+
+
+_unmarked: ContextVar[bool] = ContextVar("unmarked", default=False)
+
+
+@contextmanager
+def unmarked() -> Iterator[None]:
+    """Trace what follows without marks, where XLA makes one kernel of the loop around it anyway."""
+    token = _unmarked.set(_unmarked.get() or merges_loops())
+    try:
+        yield
+    finally:
+        _unmarked.reset(token)
+
+
+def keep_separate(index: Array) -> Array:
+    """Return a loop's ``index`` ``()`` as it is, in a way that keeps XLA from making one kernel of the whole loop.
+
+    Called in the loop's body. XLA leaves a loop that holds a sort in several kernels, so two numbers are sorted, once a
+    turn: some 0.3 us. Where XLA does not merge loops, and on other platforms, nothing is done.
+    """
+    return _separate.bind(index) if merges_loops() else index
+
+
+_separate = Primitive("keep_separate")
+_separate.def_impl(lambda index: index)
+_separate.def_abstract_eval(lambda index: index)
+batching.primitive_batchers[_separate] = lambda indices, axes: (_separate.bind(*indices), axes[0])
+
+
+def _lower_separate(context: mlir.LoweringRuleContext, index: Any) -> Any:
+    module = context.module_context
+    if tuple(module.platforms) != ("cpu",) or _is_spread(module.axis_context):
+        return [index]
+    # Numbers that differ and are not in order, since a sort that changes nothing is left out.
+    smaller = mlir.lower_fun(lambda i: lax.sort(jnp.stack([i + 1, i]))[0], multiple_results=False)
+    return smaller(context, index)
+
+
+mlir.register_lowering(_separate, _lower_separate, cacheable=False)
 
 
 def _is_spread(axes: Any) -> bool:

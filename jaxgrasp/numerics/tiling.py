@@ -9,6 +9,7 @@ tile as it is. Nothing here rests on ``lax.cond`` under ``vmap``, which would co
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from typing import TypeVar
 
@@ -18,6 +19,7 @@ from jax import Array, lax
 from jax.typing import ArrayLike
 
 from jaxgrasp.numerics.compiled_code import traces_for_processor
+from jaxgrasp.numerics.fused_cpu_kernel import keep_separate, unmarked
 from jaxgrasp.numerics.shard_map_loop import varying_like
 
 Tree = TypeVar("Tree")
@@ -48,21 +50,29 @@ def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, 
 
 
 def over_tiles(
-    function: Callable[[Tree], Out], arguments: Tree, size: int, tile: int, count: Array | None = None
+    function: Callable[[Tree], Out],
+    arguments: Tree,
+    size: int,
+    tile: int,
+    count: Array | None = None,
+    *,
+    is_short: bool = False,
 ) -> Out:
     """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time, or more off the processor.
 
     Where a ``count`` is given, no tile is computed that lies behind the first so many problems: zeros stand there.
 
     The last tile overlaps the one before it instead of being padded: its problems are computed twice,
-    to the same bits.
+    to the same bits. ``is_short`` says that ``function`` is so little code that all of it may become one kernel.
     """
     if size == 0:
         return _nothing(function, arguments)
-    return _by_platform(partial(_over_tiles, function, arguments, size, count), size, tile, TRIPS)
+    return _by_platform(partial(_over_tiles, function, arguments, size, count, is_short), size, tile, TRIPS)
 
 
-def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, tile: int) -> Out:
+def _over_tiles(
+    function: Callable[[Tree], Out], arguments: Tree, size: int, count: Array | None, is_short: bool, tile: int
+) -> Out:
     if size <= tile:
         return function(arguments)
     shapes = jax.eval_shape(lambda start: function(_slice(arguments, start, size, tile)), jnp.int32(0))
@@ -70,8 +80,11 @@ def _over_tiles(function: Callable[[Tree], Out], arguments: Tree, size: int, cou
     results = varying_like(results, arguments)
 
     def body(i, results):
+        i = i if is_short else keep_separate(i)
         start = jnp.minimum(i * tile, size - tile)
-        return _write(results, function(_slice(arguments, start, size, tile)), start)
+        with unmarked() if is_short else nullcontext():
+            answer = function(_slice(arguments, start, size, tile))
+        return _write(results, answer, start)
 
     tiles = -(-(size if count is None else jnp.minimum(count, size)) // tile)
     return lax.fori_loop(0, tiles, body, results)
@@ -134,7 +147,7 @@ def _replace(
     order = _searched(last, padded) if tile == narrow else _in_order(chosen, last, padded)
 
     def body(state):
-        i, gathered = state
+        i, gathered = keep_separate(state[0]), state[1]
         problems = lax.dynamic_slice_in_dim(order, i * tile, tile)
         answer = function(_take(arguments, problems, size), _take(results, problems, size))
         return i + 1, _write(gathered, answer, i * tile)

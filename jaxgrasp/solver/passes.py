@@ -71,7 +71,8 @@ FEASIBILITY_PASS, LONG_PASS = FIRST_CAREFUL_PASS + len(CAREFUL_CHECKS), FIRST_CA
 def solve_closed(problem: ProblemBatch) -> PassResult:
     """The closed form of a flat batch; ``undecided`` where the optimum takes its careful pass at once."""
     tile = _closed_width(problem) if problem.free is None else CAREFUL_TILE
-    return over_tiles(_closed_tile, torque_passes.without_torques(problem), problem.size, tile, problem.count)
+    bare = torque_passes.without_torques(problem)
+    return over_tiles(_closed_tile, bare, problem.size, tile, problem.count, is_short=True)
 
 
 def solve_optimum(problem: ProblemBatch) -> PassResult:

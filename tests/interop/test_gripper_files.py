@@ -219,3 +219,36 @@ def test_a_robotiq_closes_along_x_on_a_can(folder):
         assert main([*command, "--closes-along", axis, "--out", f"{axis}.npz"]) == 0
         sizes[axis] = load_grasps(f"{axis}.npz").sizes.tolist()
     assert sizes["x"] == [8] * 15 and len(sizes["y"]) < 15
+
+
+def test_isaac_grasp_has_mesh_unit_and_success(folder):
+    """As GraspDataGen writes them; a grasp whose confidence is 0 failed in simulation."""
+    pytest.importorskip("yaml")
+    isaac(folder / "some.yaml", grasps(), confidence=0.0)
+    text = (folder / "some.yaml").read_text()
+    (folder / "some.yaml").write_text(
+        text.replace("grasps:", "object_file: meshes/box.stl\nobject_scale: 0.5\ngrasps:")
+    )
+    found = read_isaac_grasp("some.yaml")
+    assert found.mesh == "meshes/box.stl" and found.scales.tolist() == [0.5] * 3
+    assert found.succeeded.tolist() == [True, False, True]
+    for scale, said in (("0", "positive"), ("[1, 1, 2]", "one scale for all three axes"), ("wide", "finite number")):
+        (folder / "bad.yaml").write_text(text.replace("grasps:", f"object_scale: {scale}\ngrasps:"))
+        with pytest.raises(ValueError, match=f"bad.yaml: object_scale .*{said}"):
+            read_isaac_grasp("bad.yaml")
+
+
+@pytest.mark.parametrize("number", ["1e-05", "-2E3", "+.5e-7", "1.e2"])
+def test_numbers_of_yaml_1_2_are_read(number, folder):
+    pytest.importorskip("yaml")
+    isaac(folder / "some.yaml", grasps()[:1])
+    text = (folder / "some.yaml").read_text()
+    (folder / "some.yaml").write_text(text.replace("-0.103", number))
+    assert read_isaac_grasp("some.yaml").transforms[0, 2, 3] == float(number)
+
+
+def test_fields_of_isaac_grasp_that_are_not_used_are_named(folder):
+    pytest.importorskip("yaml")
+    isaac(folder / "some.yaml", grasps(), suction=3)
+    with pytest.warns(UserWarning, match=r"some.yaml: fields that are not used: suction$"):
+        read_isaac_grasp("some.yaml")

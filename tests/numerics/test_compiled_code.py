@@ -6,7 +6,10 @@ import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import jax
 import pytest
+
+from jaxgrasp.numerics import compiled_code
 
 PROGRAM = """
 import jax, jaxgrasp
@@ -89,3 +92,35 @@ def test_a_process_compiles_quickly_unless_the_user_says_how(said):
     options, value = done.stdout.splitlines()
     assert options == said or (said is None and "--xla_backend_optimization_level=0" in options.split())
     assert abs(float(value) - 1.8414709848) < 1e-6
+
+
+@pytest.fixture
+def newer_jax(monkeypatch):
+    """A version of JAX newer than any that is tested."""
+    monkeypatch.setattr(jax, "__version_info__", compiled_code.UNMEASURED_FROM)
+    monkeypatch.delenv(compiled_code.WARNS, raising=False)
+    compiled_code.is_known_xla.cache_clear()
+    yield
+    compiled_code.is_known_xla.cache_clear()
+
+
+@pytest.mark.skipif(jax.default_backend() != "cpu", reason="said on a processor alone")
+def test_an_untested_version_of_jax_is_said_once(newer_jax):
+    with pytest.warns(RuntimeWarning, match=f"newer than .*{compiled_code.WARNS}=0") as said:
+        assert not compiled_code.is_known_xla()
+        assert not compiled_code.is_known_xla()
+    assert len(said) == 1
+
+
+def test_the_warning_of_an_untested_version_can_be_turned_off(newer_jax, monkeypatch):
+    monkeypatch.setenv(compiled_code.WARNS, "0")
+    assert not compiled_code.is_known_xla()  # a warning would be an error here
+
+
+def test_options_that_the_user_gives_in_xla_flags_stay(monkeypatch):
+    """An option of a program would override what the user says for the whole process."""
+    name = next(iter(compiled_code.COMPILED_ONCE))
+    monkeypatch.setenv("XLA_FLAGS", f"--{name}=3")
+    assert name not in (compiled_code.compile_quickly_options() or {})
+    monkeypatch.setenv("XLA_FLAGS", "")
+    assert jax.default_backend() != "cpu" or compiled_code.compile_quickly_options() == compiled_code.COMPILED_ONCE

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.numerics.compiled_code import is_known_xla
-from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel
+from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
+from jaxgrasp.numerics.fused_cpu_kernel import LARGEST_REDUCTION, fused_cpu_kernel, keep_separate, unmarked
 
 known = pytest.mark.skipif(not is_known_xla(), reason="a version or a device on which there are no such kernels")
 
@@ -127,3 +127,34 @@ def test_one_may_call_another():
     outer = fused_cpu_kernel(lambda x: kernel(kernel(x, TERMS, 1)["end"], TERMS, 2)["end"])
     asked = walk(walk(POINTS, TERMS, 1)["end"], TERMS, 2)["end"]
     np.testing.assert_allclose(jax.jit(outer)(POINTS), asked, rtol=1e-12)
+
+
+def count_up(separate):
+    """Three steps of something, in a loop whose body may be kept from becoming part of a larger kernel."""
+
+    def step(i, x):
+        i = keep_separate(i) if separate else i
+        return jnp.sin(x) * i
+
+    return jax.jit(lambda x: jax.lax.fori_loop(0, 3, step, x))
+
+
+def test_a_loop_kept_separate_gives_the_same_numbers():
+    np.testing.assert_array_equal(count_up(True)(POINTS), count_up(False)(POINTS))
+    many = jnp.stack([POINTS, -POINTS])
+    np.testing.assert_array_equal(jax.vmap(count_up(True))(many), jax.vmap(count_up(False))(many))
+
+
+@pytest.mark.skipif(not merges_loops(), reason="this version of XLA makes no kernels of whole loops")
+def test_a_loop_kept_separate_is_not_one_kernel():
+    text = {kept: count_up(kept).lower(POINTS).compile().as_text() for kept in (True, False)}
+    assert "xla_cpu_small_call" in text[False] and "xla_cpu_small_call" not in text[True]
+
+
+@known
+def test_nothing_is_marked_where_xla_makes_one_kernel_of_the_loop_around():
+    def traced(x):
+        with unmarked():
+            return kernel(x, TERMS, 3)
+
+    assert small_calls(traced, POINTS) == (0 if merges_loops() else 1)

@@ -108,10 +108,10 @@ def page(report: dict) -> str:
         "# Versions of JAX",
         "",
         f"Made by `python -m benchmarks.jax_version`, once with each version. {any_machine['processor']}, one thread. "
-        f"Batches of {PROBLEMS:,} ordinary problems in float64. *First* is CPU seconds of tracing, compiling and running "
-        "once, nothing cached; *time* is microseconds a problem. *Jitted* is `jax.jit(call)` in a user's program, which "
-        "gets the compiler's default options; *unmarked* is the same without single kernels; *plain call* is the call "
-        "outside of any program.",
+        f"Batches of {PROBLEMS:,} ordinary problems in float64. *First* is CPU seconds of tracing, compiling and "
+        "running once, nothing cached; *time* is microseconds a problem. *Jitted* is `jax.jit(call)` in a user's "
+        "program, which gets the compiler's default options; *unmarked* is the same without single kernels; *plain "
+        "call* is the call outside of any program.",
         "",
         "| call | n | JAX | jitted: first | time | unmarked: first | time | plain call: first | time |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",

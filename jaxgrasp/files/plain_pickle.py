@@ -8,6 +8,7 @@ whose states it could set: arrays are plain records until it has ended, and are 
 import math
 import pickle
 import re
+import tokenize
 from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -201,6 +202,9 @@ def load_plain(path: str | Path) -> Any:
 def _check_header(stream: IO[bytes]) -> None:
     version = np.lib.format.read_magic(stream)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    _, _, kind = read(stream)
+    try:
+        _, _, kind = read(stream)
+    except (SyntaxError, tokenize.TokenError) as error:  # NumPy reads a header by Python's own tokenizer
+        raise ValueError(f"its header cannot be read ({error})") from None
     if kind.kind != "O":
         raise ValueError(f"it holds {kind}: expected pickled objects")

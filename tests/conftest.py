@@ -15,8 +15,11 @@ from tests.light_checks import check_lightly
 
 check_lightly()
 # Most of the suite's time is compiling. Unless XLA_FLAGS are given, it is done in a quarter of the time, for slower
-# code: verdicts do not hang on it, as `python -m benchmarks.compile` counts.
+# code: verdicts do not hang on it, as `python -m benchmarks.compile` counts. A flag that XLA does not know ends the
+# process, and others than these versions may not know the second.
 _FAST = "--xla_backend_optimization_level=0"
+if jax.__version_info__ < (0, 11):
+    _FAST += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", _FAST)
 jax.config.update("jax_enable_x64", True)
 # The cache is keyed by the code itself, so it cannot go stale.

@@ -20,6 +20,7 @@ import numpy as np
 from jaxgrasp.batch.columnar import LABELS, LONGEST_LABEL
 from jaxgrasp.batch.contact_sets import OPTIONAL_NUMBERS, ContactSets
 from jaxgrasp.batch.file_error import GraspFileError
+from jaxgrasp.files.csv_rows import formula_as_text, text_of_formula
 from jaxgrasp.files.file_numbers import decimal_number
 from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
@@ -126,13 +127,20 @@ def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
             seen[_label(path, line, "grasp", last)] = None
             starts.append(len(lines))
             for name, (place, values) in labels.items():
-                values.append(_label(path, line, name, row[place]))
+                values.append(text_of_formula(_label(path, line, name, row[place])))
         for place in places:
             numbers.append(_number(path, line, header[place], row[place]))
         lines.append(line)
     columns = [header[place] for place in places]
     shaped = np.frombuffer(numbers).reshape(len(lines), len(columns)) if lines else np.zeros((0, len(columns)))
-    return _Table(columns, shaped, lines, starts, list(seen), {name: values for name, (_, values) in labels.items()})
+    return _Table(
+        columns,
+        shaped,
+        lines,
+        starts,
+        [text_of_formula(cell) for cell in seen],
+        {name: values for name, (_, values) in labels.items()},
+    )
 
 
 def _label(path: Path, line: int, name: str, text: str) -> str:
@@ -171,7 +179,7 @@ def _rows(sets: ContactSets, first: int) -> Iterator[list]:
     numbers = np.column_stack([sets.points, sets.normals, *single, sets.wrench[owner, 0]]).astype(float)
     labels = [values.tolist() for values in sets.labels.values()]
     for grasp, line in zip(owner.tolist(), numbers.tolist(), strict=True):
-        yield [first + grasp, *line, *(values[grasp] for values in labels)]
+        yield [first + grasp, *line, *(formula_as_text(values[grasp]) for values in labels)]
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:

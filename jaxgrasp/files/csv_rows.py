@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,21 +10,30 @@ from typing import Any
 from jaxgrasp.files.printable import printable
 from jaxgrasp.files.replace import replace_file
 
-FORMULA_STARTS = ("=", "+", "-", "@")
-"""Characters with which a spreadsheet takes a cell for a formula."""
+_FORMULA = re.compile(r"'*[=+\-@]")
+"""The start of a cell that a spreadsheet takes for a formula, and of one that was kept from being one."""
 
 
 def safe_cell(value: Any) -> Any:
     """Return the value of a cell; text from anybody's file as neither a formula nor control characters.
 
-    Control characters are escaped as Python writes them. Text that a spreadsheet would compute gets an apostrophe in
-    front, which it takes for "this is text"; text that reads as a number stays.
+    Control characters are escaped as Python writes them, formulas as `formula_as_text` does.
+    """
+    return formula_as_text(printable(value)) if isinstance(value, str) else value
+
+
+def formula_as_text(text: str) -> str:
+    """Return text with an apostrophe in front where a spreadsheet would compute it; numbers stay.
+
+    A spreadsheet takes the apostrophe for "this is text". `text_of_formula` gives the text back, whatever it is.
     Source: OWASP, "CSV Injection".
     """
-    if not isinstance(value, str):
-        return value
-    text = printable(value)
-    return f"'{text}" if text.startswith(FORMULA_STARTS) and not _is_number(text) else text
+    return f"'{text}" if _FORMULA.match(text) and not _is_number(text) else text
+
+
+def text_of_formula(cell: str) -> str:
+    """Return the text that `formula_as_text` made this cell of."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def _is_number(text: str) -> bool:

@@ -1,5 +1,6 @@
 """Every kind of file gives back the sets that were written, and refuses what is not one of them, in one line."""
 
+import csv
 import re
 import sys
 from dataclasses import replace
@@ -105,6 +106,16 @@ def test_grasps_of_a_csv_file_keep_their_names(folder):
     text = (folder / "grasps.csv").read_text().replace("\n0,", "\nleft,").replace("\n1,", "\nright,")
     (folder / "grasps.csv").write_text("# by hand\n" + text)
     assert read_csv("grasps.csv").labels["name"].tolist() == ["left", "right"]
+
+
+@pytest.mark.parametrize("name", ["=1+1", "'=1+1", "''@x", "-2+3", "-1.5", "'cup'", "a\nb", "+"])
+def test_names_in_a_csv_file_are_no_formulas_and_read_back(folder, name):
+    sets = make_sets([2, 3])
+    write_csv("grasps.csv", replace(sets, labels={"name": np.array([name, "other"])}))
+    with open("grasps.csv", newline="", encoding="utf-8") as stream:
+        cell = next(csv.DictReader(stream))["name"]
+    assert cell == "-1.5" or not cell.startswith(("=", "+", "-", "@"))
+    assert read_csv("grasps.csv").labels["name"].tolist() == [name, "other"]
 
 
 def hdf5(path, **changed):

@@ -9,6 +9,7 @@ import pytest
 import jaxgrasp
 from jaxgrasp.batch.result_table import table_columns, write_table
 from jaxgrasp.batch.shards import arrays_of
+from jaxgrasp.files.csv_rows import text_of_formula
 from jaxgrasp.model.solution import Verdict
 from tests.batch.conftest import make_sets
 
@@ -60,7 +61,7 @@ def test_csv_reads_back_to_the_last_digit(found, tmp_path):
             read = np.array([float(cell or "nan") for cell in read])
             np.testing.assert_array_equal(read, values)
         else:
-            assert read == values.astype(str).tolist()
+            assert [text_of_formula(cell) for cell in read] == values.astype(str).tolist()
 
 
 def test_parquet_holds_the_forces_of_each_row(found, tmp_path):

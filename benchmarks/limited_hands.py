@@ -143,7 +143,7 @@ def _beside_plain(n: int, name: str, hand: _Hand, way: _Way, plan: Plan) -> dict
         "ratio": took["this"] / took["plain"],
         "binding": None if binds is None else float((binds != 0).sum(1)[solved].mean()),
         "verdicts": np.bincount(found.verdict, minlength=len(Verdict)).tolist(),
-        "careful": int((found.route == Route.CAREFUL).sum()),
+        "careful": int((found.route == Route.ROBUST).sum()),
     }
 
 

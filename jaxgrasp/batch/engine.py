@@ -18,7 +18,7 @@ from jaxgrasp.model.limits import Limits
 from jaxgrasp.numerics.compiled_code import jit_here
 from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.problem.flatten import named_weights
-from jaxgrasp.solver import passes
+from jaxgrasp.solver import phases
 
 ANSWERED = ("forces", "moments", "verdict", "residual", "objective", "steps", "route", "certificate", "force_bound")
 OF_LIMITS = ("normal_multiplier", "torque_multiplier", "certificate_rates")
@@ -105,12 +105,12 @@ class Engine:
     def _one_sharing(self, sharing: str, block: Block) -> dict[str, dict[str, np.ndarray]]:
         wanted = [method for method in self.methods if method.sharing == sharing]
         problem = _problem(sharing, block)
-        closed, spent = self._timed(passes.solve_closed, problem)
+        closed, spent = self._timed(phases.solve_closed, problem)
         results = {}
         for method in wanted:
             answer, own = closed, 0.0
             if method.constrained:
-                answer, own = self._timed(passes.finish_optimum, problem, closed)
+                answer, own = self._timed(phases.finish_optimum, problem, closed)
             with self._counting:
                 self.times.solving[method.name] += spent + own
             found = {name: getattr(answer, name) for name in (*ANSWERED, *(OF_LIMITS if method.constrained else ()))}

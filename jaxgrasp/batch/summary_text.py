@@ -31,7 +31,7 @@ WHAT_A_AND_B_ARE = (
     "which their optima heed."
 )
 SHOWN = 3
-_SOLVER_ROUTES = (Route.CLOSED_FORM, Route.FAST, Route.CAREFUL)
+_SOLVER_ROUTES = (Route.CLOSED_FORM, Route.NEWTON, Route.ROBUST)
 
 
 def summary_text(summary: Summary, times: Times, seconds: float) -> str:

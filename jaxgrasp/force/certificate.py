@@ -108,7 +108,9 @@ def _needed(data: ContactData, direction: Array, moved: ContactVec | None = None
     velocity = ContactVec(vec3.add(linear, vec3.cross(angular, vec3.sub(data.points, centre))), spin)
     if moved is not None:
         velocity = contact_vec.sub(velocity, moved)
-    endless, bounded = friction_cone.largest_work(friction_cone.work_per_normal_force(velocity, data.cone), data.cone)
+    endless, bounded = friction_cone.support_function(
+        friction_cone.work_per_normal_force(velocity, data.cone), data.cone
+    )
     fixed = jnp.where(adjustable, bounded, data.squeeze * vec3.dot(velocity.linear, data.normals))
     work = vec3.dot(data.force, linear) + vec3.dot(torque, angular) - jnp.sum(fixed, 0, keepdims=True) - spent
     whole = friction_cone.Cone(data.normals, data.friction)

@@ -179,7 +179,7 @@ def _limit_of_tile(given: tuple[ProblemBatch, Array]) -> LimitedMargin:
     theta = jnp.sum(aim * beyond, -1)
     small = rounding**LOST_EXPONENT
     left = jnp.sqrt(jnp.sum((beyond - theta[:, None] * aim) ** 2, -1))
-    reached = jnp.maximum(left, best.missed) <= small * (1 + jnp.abs(theta))
+    reached = jnp.maximum(left, best.residual) <= small * (1 + jnp.abs(theta))
     close = jnp.abs(_bound(conic, aim, multipliers) - theta) <= small * (1 + jnp.abs(theta))
     out = best.gap <= TRUSTED * cost * left
     margin = jnp.where(close, units.force_unit / size * theta, jnp.nan)
@@ -225,8 +225,8 @@ def _program(conic: ConeProblem, aim: Array, axes: Array, inequalities: Inequali
     every = jnp.broadcast_to(jnp.eye(7, dtype=aim.dtype), (batch, 7, 7))
     balance = jnp.concatenate([turned, every[:, 1:]], -1)
     right = jnp.einsum("bij,bj->bi", kept, conic.right, precision=lax.Precision.HIGHEST)
-    missed = Cones(jnp.pad(-every, [(0, 0), (0, 0), (conic.width, 0)])[:, None], jnp.zeros_like(every[:, None, 0]))
-    cones = (friction_cones(conic, EXTRA), missed, as_cones(inequalities))
+    residual = Cones(jnp.pad(-every, [(0, 0), (0, 0), (conic.width, 0)])[:, None], jnp.zeros_like(every[:, None, 0]))
+    cones = (friction_cones(conic, EXTRA), residual, as_cones(inequalities))
     return ConeProgram(absent(conic, EXTRA), linear, balance, right, cones)
 
 

@@ -19,7 +19,7 @@ from jax import Array
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.model.solution import Route, Solution
 from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.centring import tangents
 from jaxgrasp.numerics.no_derivative import refusing
@@ -32,9 +32,8 @@ from jaxgrasp.problem.coordinates import ScaledAxes
 from jaxgrasp.problem.flatten import Sharing, refuse_soft_fingers
 from jaxgrasp.problem.scaled_problem import ScaledProblem, in_principal_axes
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.by_optimistix import to_result_within
 from jaxgrasp.solver.dispatch import dispatch
-from jaxgrasp.solver.result import PassResult, ScaledResult, no_certificate
+from jaxgrasp.solver.result import Findings, PhaseResult, ScaledSolution, no_certificate, to_result
 from jaxgrasp.solver.transforms import as_solution
 from jaxgrasp.validation.checked import checked
 
@@ -145,7 +144,7 @@ def _solver(settings: PyramidSettings) -> Callable[[ProblemBatch], Solution]:
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
-def _answers(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
+def _answers(problem: ProblemBatch, settings: PyramidSettings) -> PhaseResult:
     return over_tiles(partial(_tile, settings=settings), problem, problem.size, TILE, problem.count)
 
 
@@ -153,7 +152,7 @@ def _answers(problem: ProblemBatch, settings: PyramidSettings) -> PassResult:
 _answers.defjvp(refusing("pyramid_optimum has no derivatives: differentiate constrained_optimum instead"))
 
 
-def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:
+def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PhaseResult:
     problem = in_principal_axes(batch)
     data, axes, size = problem.data, problem.scaling.axes, problem.size
     assert axes is not None
@@ -171,15 +170,15 @@ def _tile(batch: ProblemBatch, settings: PyramidSettings) -> PassResult:
     forces = contact_vec.add(squeezing_forces(data), ContactVec(moved))
     # The solver leaves forces beyond a facet by its tolerance: put those beyond the cone back on it.
     sides = friction_cone.decompose(forces, data.cone)
-    result = ScaledResult(
+    result = ScaledSolution(
         forces=friction_cone.project(forces, data.cone, sides),
         multiplier=twist.T,
-        verdict=jnp.where(solved, Verdict.OPTIMAL, Verdict.NOT_CONVERGED)[None],
+        findings=Findings(infeasible=jnp.zeros((1, size), bool), optimal=solved[None], closed_form=False),
         steps=found.steps[None],
         certificate=no_certificate(jnp.zeros((6, size), data.squeeze.dtype)),
         undecided=jnp.zeros((1, size), bool),
     )
-    return to_result_within(problem, result, BALANCE * settings.tol)
+    return to_result(problem, result, Route.GIVEN, balance=BALANCE * settings.tol)
 
 
 def _finite(array: Array, dtype: jnp.dtype) -> Array:

@@ -23,10 +23,10 @@ def check_arguments(grasp: Any, required: dict[str, tuple[Any, Tail]], optional:
         ValueError: for wrong last axes.
     """
     check_kind(grasp)
-    given = required | {name: one for name, one in optional.items() if one[0] is not None}
-    for name, (array, tail) in given.items():
+    fields = required | {name: field for name, field in optional.items() if field[0] is not None}
+    for name, (array, tail) in fields.items():
         check_numbers(name, array, tail)
-    _warn_of_lost_precision(grasp, *(array for array, _ in given.values()))
+    _warn_of_lost_precision(grasp, *(array for array, _ in fields.values()))
 
 
 def check_kind(grasp: Any) -> None:
@@ -51,8 +51,8 @@ def check_sign(name: str, values: Any) -> None:
 
 def _warn_of_lost_precision(*arguments: Any) -> None:
     """Say so where float64 data will be computed in float32; two calls below the function that the user calls."""
-    given = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in jax.tree.leaves(arguments))
-    if given and not jax.config.read("jax_enable_x64"):
+    has_float64 = any(isinstance(a, np.ndarray) and a.dtype == np.float64 for a in jax.tree.leaves(arguments))
+    if has_float64 and not jax.config.read("jax_enable_x64"):
         warnings.warn(
             "float64 data are computed in float32, since JAX's 64-bit mode is off: "
             "call jax.config.update('jax_enable_x64', True) first, or pass float32 arrays",

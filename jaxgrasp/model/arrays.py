@@ -48,7 +48,7 @@ __all__ = ["AnyArray", "Bool", "Float", "Int", "Lists", "from_lists"]
 
 
 def from_lists(name: str, value: Any) -> Any:
-    """A list or tuple of numbers as an array; anything else as it is, since transformations put their own there."""
+    """Return a list or tuple of numbers as an array; anything else unchanged, since JAX puts its own objects there."""
     if not isinstance(value, list | tuple):
         return value
     try:

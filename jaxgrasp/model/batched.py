@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-Own = TypeVar("Own", bound="Batched")
+BatchedT = TypeVar("BatchedT", bound="Batched")
 
 
 class Batched(eqx.Module):
@@ -36,11 +36,11 @@ class Batched(eqx.Module):
         return self.batch_shape
 
     def __bool__(self) -> bool:
-        """True, of an empty batch too: a record is not a list."""
+        """Return True, for an empty batch too: a record is not a list."""
         return True
 
-    def __getitem__(self: Own, index: Any) -> Own:
-        """Some of the batch, by what NumPy takes as an index: it counts along the leading axes alone.
+    def __getitem__(self: BatchedT, index: Any) -> BatchedT:
+        """Select from the batch by a NumPy index, which counts along the leading axes alone.
 
         Raises:
             IndexError: for an index beyond the batch, or of more axes than it has. One that is traced cannot be looked
@@ -48,21 +48,21 @@ class Batched(eqx.Module):
             TypeError: where there are no leading axes.
         """
         batch = self._batch()
-        own = checked_index(index, batch)
+        checked = checked_index(index, batch)
         taken = {}
         for name, shape in self._shapes():
             array = getattr(self, name)
             wide = batch + shape[len(shape) - self.last_axes[name] :]
-            taken[name] = (array if shape == wide else np.broadcast_to(array, wide))[own]
+            taken[name] = (array if shape == wide else np.broadcast_to(array, wide))[checked]
         names = list(taken)
         return eqx.tree_at(lambda record: [getattr(record, name) for name in names], self, list(taken.values()))
 
-    def __iter__(self: Own) -> Iterator[Own]:
+    def __iter__(self: BatchedT) -> Iterator[BatchedT]:
         return (self[index] for index in range(len(self)))
 
 
 def checked_index(index: Any, batch: tuple[int, ...]) -> tuple:
-    """An index of the leading axes as a tuple of one that leaves the last axes alone."""
+    """Return an index of the leading axes as a tuple that leaves the last axes alone."""
     parts = tuple(map(_part, index if isinstance(index, tuple) else (index,)))
     if not any(isinstance(part, jax.core.Tracer) for part in parts):
         concrete = tuple(np.asarray(part) if isinstance(part, jax.Array) else part for part in parts)
@@ -78,7 +78,7 @@ def checked_index(index: Any, batch: tuple[int, ...]) -> tuple:
 
 
 def _part(part: Any) -> Any:
-    """One axis's index; lists as arrays, an empty one of numbers."""
+    """Return one axis's index; a list becomes an array, an empty one of integers."""
     if part is None or isinstance(part, bool):
         raise IndexError(f"index has a new axis ({part}): expected a part of the batch")
     if not isinstance(part, list):
@@ -87,7 +87,7 @@ def _part(part: Any) -> Any:
 
 
 def _axes(part: Any) -> int:
-    """How many axes an index takes; a mask has its own."""
+    """Count the axes that an index takes; a mask takes as many as it has."""
     if part is Ellipsis:
         return 0
     return part.ndim if getattr(part, "dtype", None) == np.dtype(bool) else 1

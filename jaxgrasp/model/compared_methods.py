@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ComparedMethod:
-    """One way to distribute forces."""
+    """A method of distributing forces."""
 
     name: str
     title: str
@@ -29,7 +29,7 @@ METHODS = {
 
 
 def methods_named(names: tuple[str, ...]) -> tuple[ComparedMethod, ...]:
-    """The methods of these names, each once, in the order of the table above."""
+    """Return the methods of these names, each once, in the order of the table above."""
     for name in names:
         if name not in METHODS:
             raise ValueError(f"method {name!r} is unknown: expected some of {', '.join(METHODS)}")

@@ -14,7 +14,7 @@ UNIT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class Fault:
-    """One bad entry: the field, where in it, what stands there, and what should."""
+    """A bad entry: its field, index and value, and the value that was expected."""
 
     field: str
     index: tuple[int, ...]
@@ -57,7 +57,7 @@ def check_grasp(grasp: Grasp) -> Grasp:
     for fault in (*shape_faults(grasp), *dtype_faults(grasp)):
         raise GraspError(fault)
     fields = {name: np.asarray(getattr(grasp, name)) for name in ("points", "normals", "friction", "squeeze")}
-    fields |= {name: np.asarray(given) for name in OPTIONAL if (given := getattr(grasp, name)) is not None}
+    fields |= {name: np.asarray(array) for name in OPTIONAL if (array := getattr(grasp, name)) is not None}
     for fault in value_faults(**fields):
         raise GraspError(fault)
     return grasp
@@ -69,8 +69,8 @@ def shape_faults(grasp: Grasp) -> Iterator[Fault]:
     if len(shape) < 2 or shape[-1] != 3:
         yield Fault("points", (), f"an array of shape {shape}", "a shape (..., n, 3)")
         return
-    wanted = {"normals": shape, "friction": shape[:-1], "squeeze": shape[:-1]} | dict.fromkeys(OPTIONAL, shape[:-1])
-    for name, expected in wanted.items():
+    shapes = {"normals": shape, "friction": shape[:-1], "squeeze": shape[:-1]} | dict.fromkeys(OPTIONAL, shape[:-1])
+    for name, expected in shapes.items():
         array = getattr(grasp, name)
         if not (name in OPTIONAL and array is None) and np.shape(array) != expected:
             yield Fault(name, (), f"an array of shape {np.shape(array)}", f"the shape {expected} that points imply")
@@ -127,7 +127,7 @@ def value_faults(
 def entries(
     field: str, values: np.ndarray, bad: np.ndarray | np.bool_, expected: str, length: np.ndarray | None = None
 ) -> Iterator[Fault]:
-    """The entries of a field that are bad, in order; a field may be a single number."""
+    """Return the bad entries of a field, in order; a field may be a single number."""
     for index in np.argwhere(bad):
         place = tuple(int(i) for i in index)
         value = values[place]

@@ -85,7 +85,7 @@ class Hand(eqx.Module):
 
 
 class Pose(eqx.Module):
-    """Where a body's frame stands in the world."""
+    """Pose of a body's frame in the world."""
 
     origin: Float[AnyArray, "*batch 3"]
     """[m]"""
@@ -94,7 +94,7 @@ class Pose(eqx.Module):
 
 
 class Posture(eqx.Module):
-    """Where the wrist stands, and every joint's angle."""
+    """Pose of the wrist, and every joint's angle."""
 
     wrist: Pose
     angles: Float[AnyArray, "*batch J"]
@@ -102,7 +102,7 @@ class Posture(eqx.Module):
 
 
 class HandFrames(eqx.Module):
-    """Where the parts of a posed hand stand in the world."""
+    """Frames of the parts of a posed hand in the world."""
 
     joints: Pose
     """Frames of the joints ``(..., J)``, turned or moved by their angles."""

@@ -15,7 +15,7 @@ from jaxgrasp.model.squeeze import squeezing
 
 
 class HeldObject(eqx.Module):
-    """What a hand holds, and leads along a path."""
+    """An object that a hand holds and leads along a path."""
 
     mass: eqx.AbstractVar[AnyArray | float]
     """[kg]"""
@@ -24,7 +24,7 @@ class HeldObject(eqx.Module):
 
     @abstractmethod
     def grasp(self) -> Grasp:
-        """The contacts in the object's frame."""
+        """Return the contacts in the object's frame."""
 
     @abstractmethod
     def moments(self) -> Float[AnyArray, "3 3"]:
@@ -57,7 +57,7 @@ class Held(HeldObject):
     """About the centre of mass [kg.m^2]."""
 
     def grasp(self) -> Grasp:
-        """The contacts, their squeezing forces by eq. 6."""
+        """Return the contacts, their squeezing forces by eq. 6."""
         return _grasp(self, jnp.asarray(self.points), jnp.asarray(self.normals))
 
     def moments(self) -> Float[AnyArray, "3 3"]:
@@ -93,7 +93,7 @@ class HeldCylinder(HeldObject):
     """[m]"""
 
     def grasp(self) -> Grasp:
-        """The contacts, their squeezing forces by eq. 6."""
+        """Return the contacts, their squeezing forces by eq. 6."""
         azimuths, heights = jnp.asarray(self.azimuths), jnp.asarray(self.heights)
         outward = jnp.stack([jnp.cos(azimuths), jnp.sin(azimuths), jnp.zeros_like(azimuths)], -1)
         return _grasp(self, self.radius * outward + heights[:, None] * jnp.array([0.0, 0.0, 1.0]), -outward)
@@ -108,7 +108,7 @@ class HeldCylinder(HeldObject):
 def _grasp(held: Held | HeldCylinder, points: AnyArray, normals: AnyArray) -> Grasp:
     if not jnp.issubdtype(points.dtype, jnp.floating):
         points = points.astype(float)
-    each = points.shape[:-1]
+    shape = points.shape[:-1]
     squeeze = squeezing(held.contributions, held.stiffness, held.depths)
-    friction = jnp.broadcast_to(jnp.asarray(held.friction, points.dtype), each)
-    return Grasp(points, normals, friction, jnp.broadcast_to(squeeze.astype(points.dtype), each))
+    friction = jnp.broadcast_to(jnp.asarray(held.friction, points.dtype), shape)
+    return Grasp(points, normals, friction, jnp.broadcast_to(squeeze.astype(points.dtype), shape))

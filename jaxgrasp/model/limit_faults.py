@@ -25,11 +25,11 @@ def check_limits(limits: Limits, grasp: Grasp) -> Limits:
     check_instance("grasp", grasp, Grasp)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((limits, grasp))):
         raise TypeError("check_limits needs concrete arrays: call it outside jit, vmap and grad")
-    given = {name: getattr(limits, name) for name in BOUNDS}
-    arrays = {name: np.asarray(array) for name, array in given.items() if array is not None}
+    arrays = {name: getattr(limits, name) for name in BOUNDS}
+    arrays = {name: np.asarray(array) for name, array in arrays.items() if array is not None}
     _check_shapes(arrays, np.shape(grasp.points))
-    there = np.ones(np.shape(grasp.friction), bool) if grasp.present is None else np.asarray(grasp.present) == 1
-    for fault in limit_faults(arrays, there):
+    present = np.ones(np.shape(grasp.friction), bool) if grasp.present is None else np.asarray(grasp.present) == 1
+    for fault in limit_faults(arrays, present):
         raise GraspError(fault)
     return limits
 
@@ -43,23 +43,23 @@ def _check_shapes(arrays: dict[str, np.ndarray], points: tuple[int, ...]) -> Non
         return
     for name in TORQUES:
         if name not in arrays:
-            other = TORQUES[1 - TORQUES.index(name)]
-            raise GraspError(Fault(name, (), "None", f"an array, beside {other}"))
+            counterpart = TORQUES[1 - TORQUES.index(name)]
+            raise GraspError(Fault(name, (), "None", f"an array, beside {counterpart}"))
     shape, batch = arrays["torque_map"].shape, points[:-1]
     if len(shape) != len(batch) + 2 or shape[:-2] != batch or shape[-2] not in (3, 4) or shape[-1] == 0:
         expected = f"a shape ({', '.join(map(str, batch))}, 3 or 4, joints)"
         raise GraspError(Fault("torque_map", (), f"an array of shape {shape}", expected))
-    wanted = (*batch[:-1], shape[-1])
-    if arrays["torque_max"].shape != wanted:
-        found = f"an array of shape {arrays['torque_max'].shape}"
-        raise GraspError(Fault("torque_max", (), found, f"the shape {wanted} that torque_map implies"))
+    bounds_shape = (*batch[:-1], shape[-1])
+    if arrays["torque_max"].shape != bounds_shape:
+        description = f"an array of shape {arrays['torque_max'].shape}"
+        raise GraspError(Fault("torque_max", (), description, f"the shape {bounds_shape} that torque_map implies"))
 
 
-def limit_faults(arrays: Mapping[str, np.ndarray], there: np.ndarray) -> Iterator[Fault]:
+def limit_faults(arrays: Mapping[str, np.ndarray], present: np.ndarray) -> Iterator[Fault]:
     """Every entry of some of the fields of Limits that breaks a rule; shapes must fit already."""
     finite = "a finite number, zero or more"
     for name, array in arrays.items():
-        looked_at = {"torque_max": True, "torque_map": there[..., None, None]}.get(name, there)
+        looked_at = {"torque_max": True, "torque_map": present[..., None, None]}.get(name, present)
         endless = name.endswith("_max")
         with np.errstate(invalid="ignore"):
             good = np.isfinite(array) if name == "torque_map" else (array >= 0) & (endless | np.isfinite(array))
@@ -67,7 +67,7 @@ def limit_faults(arrays: Mapping[str, np.ndarray], there: np.ndarray) -> Iterato
         yield from entries(name, array, looked_at & ~good, expected)
     if all(name in arrays for name in NORMALS):
         low, high = (arrays[name] for name in NORMALS)
-        for index in np.argwhere(there & (high < low)):
+        for index in np.argwhere(present & (high < low)):
             place = tuple(int(i) for i in index)
             expected = f"no less than normal_min there, {low[place].item()!r}"
             yield Fault("normal_max", place, repr(high[place].item()), expected)

@@ -28,11 +28,11 @@ class Turn(eqx.Module):
     """How long it goes one way before it goes the other [s]; ``None`` for ever on."""
 
     def __call__(self, time: Float[AnyArray, ""] | float) -> Pose:
-        """The pose at a time [s]."""
+        """Return the pose at a time [s]."""
         along: ArrayLike = time
         if self.reversal is not None:
-            way = jnp.mod(time, 2 * self.reversal)
-            along = jnp.minimum(way, 2 * self.reversal - way)
+            phase_time = jnp.mod(time, 2 * self.reversal)
+            along = jnp.minimum(phase_time, 2 * self.reversal - phase_time)
         return Pose(jnp.zeros(3), rotation_about(self.axis, self.speed * along))
 
 
@@ -47,9 +47,9 @@ class Lift(eqx.Module):
     """[s]"""
 
     def __call__(self, time: Float[AnyArray, ""] | float) -> Pose:
-        """The pose at a time [s]."""
-        way = self.height * smooth_step(jnp.asarray(time) / self.duration)
-        return Pose(way * unit(self.direction), jnp.eye(3))
+        """Return the pose at a time [s]."""
+        height = self.height * smooth_step(jnp.asarray(time) / self.duration)
+        return Pose(height * unit(self.direction), jnp.eye(3))
 
 
 class Shake(eqx.Module):
@@ -63,12 +63,12 @@ class Shake(eqx.Module):
     """[Hz]"""
 
     def __call__(self, time: Float[AnyArray, ""] | float) -> Pose:
-        """The pose at a time [s]."""
-        way = self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time))
-        return Pose(way * unit(self.direction), jnp.eye(3))
+        """Return the pose at a time [s]."""
+        displacement = self.amplitude * jnp.sin(2 * jnp.pi * self.frequency * jnp.asarray(time))
+        return Pose(displacement * unit(self.direction), jnp.eye(3))
 
 
-def smooth_step(way: Array) -> Array:
+def smooth_step(progress: Array) -> Array:
     """From 0 to 1 without a jump in speed or acceleration."""
-    s = jnp.clip(way, 0, 1)
+    s = jnp.clip(progress, 0, 1)
     return s**3 * (10 - 15 * s + 6 * s**2)

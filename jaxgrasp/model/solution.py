@@ -73,33 +73,33 @@ class Verdict(IntEnum):
 
     @property
     def solved(self) -> bool:
-        """Whether the forces are the optimum: they balance the wrench inside every friction cone."""
+        """True where the forces are the optimum: they balance the wrench inside every friction cone."""
         return self in (Verdict.CLOSED_FORM_OPTIMAL, Verdict.OPTIMAL)
 
 
 def is_optimum(verdict: Any) -> Any:
-    """Which codes, in an array of either kind or alone, say that the forces are the optimum."""
+    """Return whether a verdict, or each of an array, says that the forces are the optimum."""
     return verdict <= Verdict.OPTIMAL
 
 
 def is_held(verdict: Any) -> Any:
-    """Which codes say that the forces balance the wrench inside every cone, the best that do or not."""
+    """Return whether verdicts say that the forces balance the wrench inside every cone, optimal or not."""
     return is_optimum(verdict) | (verdict == Verdict.FEASIBLE)
 
 
 def is_balanced(verdict: Any) -> Any:
-    """Which codes say that the forces balance the wrench, inside the cones or not."""
+    """Return whether verdicts say that the forces balance the wrench, inside the cones or not."""
     return is_held(verdict) | (verdict == Verdict.OUTSIDE_CONES)
 
 
 class Route(IntEnum):
-    """Which pass answered a problem, and so what the answer cost. The codes are stable in files."""
+    """The phase that answered a problem, and so the cost of the answer. The codes are stable in files."""
 
     CLOSED_FORM = 0
-    """The first pass: a closed form, which for an optimum means that the solve was skipped."""
-    FAST = 1
+    """A closed form; for an optimum, the solve was skipped."""
+    NEWTON = 1
     """Newton's method on the dual, with gathered problems."""
-    CAREFUL = 2
+    ROBUST = 2
     """Principal axes, whitened coordinates, and for an optimum a proximal term."""
     GIVEN = 3
     """A solver that the user gave."""
@@ -198,12 +198,12 @@ class Solution(Batched):
                 f"{int(self.steps)} Newton steps, by the pass {route.name}"
             )
         verdicts, counts = np.unique(np.asarray(self.verdict), return_counts=True)
-        found = ", ".join(f"{count:,} {Verdict(int(code)).name}" for code, count in zip(verdicts, counts))
+        counts_text = ", ".join(f"{count:,} {Verdict(int(code)).name}" for code, count in zip(verdicts, counts))
         sizes = self._sizes() if counts.sum() else "nothing solved"
-        return f"Solution of {int(counts.sum()):,} problems of {contacts}\n  {found or 'no problems'}\n  {sizes}"
+        return f"Solution of {int(counts.sum()):,} problems of {contacts}\n  {counts_text or 'no problems'}\n  {sizes}"
 
     def _sizes(self) -> str:
-        """The largest force and residual of what balances its wrench."""
+        """Return the largest force and residual of the problems that balance their wrench."""
         answered = is_balanced(np.asarray(self.verdict))
         if not answered.any():
             return "no forces"
@@ -212,7 +212,7 @@ class Solution(Batched):
 
 
 def _is_known(array: object) -> bool:
-    """Whether numbers can be read from it here and now: no tracer, no shape alone, nothing deleted or elsewhere."""
+    """Return whether an array's numbers can be read: it is not traced, not a shape alone, not deleted, and local."""
     if isinstance(array, jax.core.Tracer):
         return False
     if isinstance(array, Array):

@@ -29,7 +29,7 @@ def squeezing(
 
 @dataclass(frozen=True)
 class Contributions:
-    """How much each phalanx contributes to a grip (the c of eq. 6)."""
+    """Contribution of each phalanx to a grip (the c of eq. 6)."""
 
     grip: str
     fingers: tuple[str, ...]
@@ -39,10 +39,10 @@ class Contributions:
     source: str
 
     def of(self, finger: str, phalanx: str) -> float:
-        """The contribution of one phalanx; raises KeyError for a name that the table lacks."""
-        for name, known in ((finger, self.fingers), (phalanx, self.phalanges)):
-            if name not in known:
-                raise KeyError(f"{name!r} is not in this table: expected one of {', '.join(known)}")
+        """Return the contribution of one phalanx; raises KeyError for a name that the table lacks."""
+        for name, table in ((finger, self.fingers), (phalanx, self.phalanges)):
+            if name not in table:
+                raise KeyError(f"{name!r} is not in this table: expected one of {', '.join(table)}")
         return float(self.values[self.phalanges.index(phalanx), self.fingers.index(finger)])
 
     @property

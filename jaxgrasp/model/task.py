@@ -33,9 +33,10 @@ class Task(eqx.Module):
     may move. Let it be one function for all calls, not made anew for each: it is compiled once."""
 
     def __call__(self, time: Float[AnyArray, ""] | float) -> tuple[Grasp, Float[Array, "6"]]:
-        """The grasp and the wrench at a time [s]."""
-        now = jnp.asarray(time)
-        return self.at(self.parameters, now if jnp.issubdtype(now.dtype, jnp.floating) else now.astype(float))
+        """Return the grasp and the wrench at a time [s]."""
+        instant = jnp.asarray(time)
+        is_float = jnp.issubdtype(instant.dtype, jnp.floating)
+        return self.at(self.parameters, instant if is_float else instant.astype(float))
 
 
 class Carried(eqx.Module):
@@ -49,7 +50,7 @@ class Carried(eqx.Module):
 
 @checked
 def carrying(held: HeldObject, path: Callable[[Array], Pose], gravity: Float[AnyArray, "3"] | None = None) -> Task:
-    """The task of leading an object along a path: its weight and its inertia must be balanced.
+    """Return the task of leading an object along a path, which balances its weight and its inertia.
 
     Args:
         held: the object and its contacts: [`jaxgrasp.grip.Held`][], [`jaxgrasp.grip.HeldCylinder`][], or your own.
@@ -64,7 +65,7 @@ def carrying(held: HeldObject, path: Callable[[Array], Pose], gravity: Float[Any
 
 
 def carried_at(carried: Carried, time: Array) -> tuple[Grasp, Array]:
-    """The grasp, and the wrench that moves the object as its path asks against its weight, in the object's frame."""
+    """Return the grasp, and the wrench that moves the object along its path, in the object's frame."""
     held = carried.held
     placed, rate, change = _two_derivatives(carried.path, time)
     turned, center = placed.rotation.T, jnp.asarray(held.center_of_mass)
@@ -78,13 +79,13 @@ def carried_at(carried: Carried, time: Array) -> tuple[Grasp, Array]:
 
 
 def _two_derivatives(path: Callable[[Array], Pose], time: Array) -> tuple[Pose, Pose, Pose]:
-    """A pose with its first and second derivatives by the time."""
-    one = jnp.ones_like(time)
-    (placed, rate), (_, change) = jax.jvp(lambda t: jax.jvp(path, (t,), (one,)), (time,), (one,))
+    """Return a pose with its first and second derivatives by the time."""
+    unit = jnp.ones_like(time)
+    (placed, rate), (_, change) = jax.jvp(lambda t: jax.jvp(path, (t,), (unit,)), (time,), (unit,))
     return placed, rate, change
 
 
 def _axial(matrix: AnyArray) -> Array:
-    """The vector whose cross matrix is the antisymmetric part."""
+    """Return the vector whose cross matrix is the antisymmetric part."""
     m = matrix - matrix.T
     return jnp.stack([m[2, 1], m[0, 2], m[1, 0]]) / 2

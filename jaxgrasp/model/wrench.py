@@ -9,7 +9,7 @@ from jaxgrasp.validation.values import check_numbers
 
 
 def grasp_matrix(points: Float[AnyArray, "*batch n 3"]) -> Float[Array, "*batch 6 3*n"]:
-    """The grasp matrix G of eq. 1: G f is the wrench about the origin of contact forces f.
+    """Return the grasp matrix G of eq. 1: G f is the wrench about the origin of contact forces f.
 
     Args:
         points: contact points [m].
@@ -33,7 +33,7 @@ def weight_wrench(
     center_of_mass: Float[AnyArray, "*#batch 3"],
     gravity: Float[AnyArray, "*#batch 3"],
 ) -> Float[Array, "*batch 6"]:
-    """The wrench that contacts must exert to hold a weight.
+    """Return the wrench that contacts must exert to hold a weight.
 
     Args:
         mass: of the object [kg].

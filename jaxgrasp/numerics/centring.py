@@ -21,13 +21,13 @@ class Centred(NamedTuple):
     """Root of the mean square of the arms ``(...)``; 0 where that is only rounding of the middle."""
 
 
-def centred(points: Any, there: Any, middle: Any = None, numpy: Module = jnp) -> Centred:
-    """The points that are ``there`` about their mean, or about a given ``middle``."""
-    count = numpy.maximum(numpy.sum(there, -1), 1)
-    points = numpy.where(there[..., None], points, 0)
+def centred(points: Any, present: Any, middle: Any = None, numpy: Module = jnp) -> Centred:
+    """Return the present points about their mean, or about a given ``middle``."""
+    count = numpy.maximum(numpy.sum(present, -1), 1)
+    points = numpy.where(present[..., None], points, 0)
     if middle is None:
         middle = numpy.sum(points, -2) / count[..., None]
-    arms = numpy.where(there[..., None], points - middle[..., None, :], 0)
+    arms = numpy.where(present[..., None], points - middle[..., None, :], 0)
     square = numpy.sum(arms**2, (-1, -2)) / count
     blur = BLUR * numpy.finfo(square.dtype).eps * numpy.sqrt(numpy.sum(middle**2, -1))
     # Points that coincide but for the rounding of their mean have no radius of their own.

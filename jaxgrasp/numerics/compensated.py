@@ -13,7 +13,7 @@ from jaxgrasp.numerics.vec3 import Vec3
 
 def minus_cross(t: Vec3, a: Vec3, b: Vec3) -> Vec3:
     """t - a x b, where the difference may be far smaller than its terms."""
-    start, left, right = (jnp.stack(jnp.broadcast_arrays(*each)) for each in (t, a, b))
+    start, left, right = (jnp.stack(jnp.broadcast_arrays(*component)) for component in (t, a, b))
     p, p_error = _product(_after(left, 1), _after(right, 2))
     m, m_error = _product(_after(left, 2), _after(right, 1))
     first, first_error = _sum(start, -p)
@@ -22,7 +22,7 @@ def minus_cross(t: Vec3, a: Vec3, b: Vec3) -> Vec3:
 
 
 def _after(array: Array, places: int) -> Array:
-    """The component so many places after each."""
+    """Return the component ``places`` after each."""
     return jnp.concatenate([array[places:], array[:places]])
 
 
@@ -35,12 +35,12 @@ def _sum(a: Array, b: Array) -> tuple[Array, Array]:
 def _product(a: Array, b: Array) -> tuple[Array, Array]:
     (a_high, a_low), (b_high, b_low) = _halves(a), _halves(b)
     product = lax.optimization_barrier(a * b)
-    rest = a_high * b_high - product
-    return product, ((rest + a_high * b_low) + a_low * b_high) + a_low * b_low
+    error = a_high * b_high - product
+    return product, ((error + a_high * b_low) + a_low * b_high) + a_low * b_low
 
 
 def _halves(a: Array) -> tuple[Array, Array]:
-    """The leading half of the digits, and the others: products of halves are exact."""
+    """Split each number into halves of its digits, whose products are exact (Dekker 1971)."""
     digits, bits = jnp.finfo(a.dtype).nmant + 1, jnp.finfo(a.dtype).bits
     integer = jnp.dtype(f"int{bits}")
     low_digits = jnp.array(-(1 << ((digits + 1) // 2)), integer)

@@ -118,7 +118,7 @@ def jit_here(function: Callable, **options: Any) -> jax.stages.Wrapped:
 
 
 def traced_for_here(function: Callable) -> Callable[..., Any]:
-    """The function, which may be traced for the platform alone where JAX computes by default."""
+    """Return the function, which may be traced for JAX's default platform alone."""
 
     # Always another function than the one given, whose trace JAX would keep for programs of all platforms.
     @wraps(function)
@@ -133,5 +133,5 @@ def traced_for_here(function: Callable) -> Callable[..., Any]:
 
 
 def traces_for_processor() -> bool:
-    """Whether what is traced now is for the processor alone."""
+    """Return whether the program being traced is for the processor alone."""
     return _traces_for_processor.get()

@@ -58,7 +58,7 @@ class ConeProgram(NamedTuple):
 
 
 class ConeOptimum(NamedTuple):
-    """Where each program stands, strictly inside its cones."""
+    """State of each program, strictly inside its cones."""
 
     point: Array
     """x ``(B, k)``."""
@@ -72,7 +72,7 @@ class ConeOptimum(NamedTuple):
     """``(B,)``: sum of s.z."""
     error: Array
     """``(B,)``: largest entry of what these equations leave, and those of the program."""
-    missed: Array
+    residual: Array
     """``(B,)``: likewise of the program's alone."""
     steps: Array
     solved: Array
@@ -112,22 +112,22 @@ class _Move(NamedTuple):
 
 
 def solve(program: ConeProgram) -> ConeOptimum:
-    """The optimum of each program; where it is not ``solved``, the best that was met."""
+    """Solve each program; where it is not ``solved``, return the best iterate."""
     size = program.right.shape[:1]
-    start = _judged(program, _start(program), jnp.zeros(size, jnp.int32))
+    start = _with_residual(program, _start(program), jnp.zeros(size, jnp.int32))
 
     def unfinished(carry):
         count, _, _, over = carry
         return (count < STEPS) & ~jnp.all(over)
 
     def advance(carry):
-        count, here, best, over = carry
-        moved, length = _advance(program, here)
-        there = _judged(program, moved, here.steps + 1)
-        sound = jnp.isfinite(there.gap + there.error) & _inside(there)
-        best = merged(~over & sound & (_merit(there) < _merit(best)), there, best)
-        here = merged(~over & sound, there, here)
-        return count + 1, here, best, over | ~sound | there.solved | (length < SHORTEST)
+        count, current, best, over = carry
+        moved, length = _advance(program, current)
+        candidate = _with_residual(program, moved, current.steps + 1)
+        sound = jnp.isfinite(candidate.gap + candidate.error) & _inside(candidate)
+        best = merged(~over & sound & (_merit(candidate) < _merit(best)), candidate, best)
+        current = merged(~over & sound, candidate, current)
+        return count + 1, current, best, over | ~sound | candidate.solved | (length < SHORTEST)
 
     start = varying_like(start, program)
     carry = (jnp.int32(0), start, start, start.solved)
@@ -138,46 +138,46 @@ def _merit(at: ConeOptimum) -> Array:
     return jnp.maximum(at.gap, at.error)
 
 
-def _judged(program: ConeProgram, at: ConeOptimum, steps: Array) -> ConeOptimum:
+def _with_residual(program: ConeProgram, at: ConeOptimum, steps: Array) -> ConeOptimum:
     """With gap and errors of where it stands."""
-    dual, equal, *cones = _rest(program, at)
-    missed = jnp.zeros_like(dual[:, 0])
+    dual, equal, *cones = _residuals(program, at)
+    residual = jnp.zeros_like(dual[:, 0])
     for left in (equal, *cones):
-        missed = jnp.maximum(missed, jnp.max(jnp.abs(left), tuple(range(1, left.ndim)), initial=0))
-    error = jnp.maximum(missed, jnp.max(jnp.abs(dual), -1))
+        residual = jnp.maximum(residual, jnp.max(jnp.abs(left), tuple(range(1, left.ndim)), initial=0))
+    error = jnp.maximum(residual, jnp.max(jnp.abs(dual), -1))
     gap = jnp.zeros_like(error)
     for s, z in zip(at.slack, at.duals, strict=True):
         gap = gap + jnp.sum(s * z, (1, 2))
     worth = jnp.abs(_dot(program.linear, at.point)) + _dot(at.point, _times(program.quadratic, at.point)) / 2
     for kind, z in zip(program.cones, at.duals, strict=True):
-        worth = worth + jnp.sum(_given(kind, z) * z, (1, 2)) / 2
+        worth = worth + jnp.sum(_injected(kind, z) * z, (1, 2)) / 2
     close = float(jnp.finfo(gap.dtype).eps) ** GAP_EXPONENT
     solved = (gap <= close * worth) & (error <= close)
-    return at._replace(gap=gap, error=error, missed=missed, steps=steps, solved=solved)
+    return at._replace(gap=gap, error=error, residual=residual, steps=steps, solved=solved)
 
 
-def _rest(program: ConeProgram, at: ConeOptimum) -> list[Array]:
-    """What is left of stationarity, of the equations, and of each kind of cones."""
+def _residuals(program: ConeProgram, at: ConeOptimum) -> list[Array]:
+    """Return the residuals of stationarity, of the equations, and of each kind of cones."""
     dual = _times(program.quadratic, at.point) + program.linear + _pulled(program.equations, at.equality)
     for cones, z in zip(program.cones, at.duals, strict=True):
         dual = dual + _back(cones, z)
     beyond = [
-        s + _seen(cones, at.point) - _given(cones, z) - cones.offset
+        s + _scaled_by(cones, at.point) - _injected(cones, z) - cones.offset
         for cones, s, z in zip(program.cones, at.slack, at.duals, strict=True)
     ]
     return [dual, _times(program.equations, at.point) - program.right, *beyond]
 
 
 def _start(program: ConeProgram) -> ConeOptimum:
-    """The least-squares solutions with unit scaling, moved into the cones."""
-    ones = [_identity(cones.offset) for cones in program.cones]
-    scalings = [_Scaling(one, one[..., :1], one) for one in ones]
+    """Return the least-squares solutions with unit scaling, moved into the cones."""
+    identities = [_identity(cones.offset) for cones in program.cones]
+    scalings = [_Scaling(identity, identity[..., :1], identity) for identity in identities]
     zero = jnp.zeros_like(program.right[:, 0])
     system = _system(program, scalings)
     offsets = [cones.offset for cones in program.cones]
-    point, equality, found = system.solve(-program.linear, program.right, offsets)
-    slack = [_into(-z, one) for z, one in zip(found, ones, strict=True)]
-    duals = [_into(z, one) for z, one in zip(found, ones, strict=True)]
+    point, equality, cone_parts = system.solve(-program.linear, program.right, offsets)
+    slack = [_into(-z, identity) for z, identity in zip(cone_parts, identities, strict=True)]
+    duals = [_into(z, identity) for z, identity in zip(cone_parts, identities, strict=True)]
     return ConeOptimum(
         point,
         equality,
@@ -191,26 +191,26 @@ def _start(program: ConeProgram) -> ConeOptimum:
     )
 
 
-def _into(given: Array, one: Array) -> Array:
-    """A vector moved along the cone's axis into its inside."""
-    short = jnp.max(_length(given[..., 1:]) - given[..., :1], (1, 2), keepdims=True)
-    return jnp.where(short < 0, given, given + (1 + jnp.maximum(short, 0)) * one)
+def _into(vector: Array, identity: Array) -> Array:
+    """Move a vector along the cone's axis into its interior."""
+    short = jnp.max(_length(vector[..., 1:]) - vector[..., :1], (1, 2), keepdims=True)
+    return jnp.where(short < 0, vector, vector + (1 + jnp.maximum(short, 0)) * identity)
 
 
 def _advance(program: ConeProgram, at: ConeOptimum) -> tuple[ConeOptimum, Array]:
     """Predictor and corrector; the length of the step."""
     scalings = [_scaling(s, z) for s, z in zip(at.slack, at.duals, strict=True)]
     system = _system(program, scalings)
-    dual, equal, *cones = _rest(program, at)
+    dual, equal, *cones = _residuals(program, at)
     degree = sum(s.shape[1] for s in at.slack)
     mean = at.gap / degree
 
     def move(aim: list[Array]) -> _Move:
         """Towards lambda o lambda = -aim, in the scaled cones."""
-        wanted = [_divide(s.middle, a) for s, a in zip(scalings, aim, strict=True)]
-        right = [_scaled(s, u) - left for s, u, left in zip(scalings, wanted, cones, strict=True)]
+        targets = [_divide(s.middle, a) for s, a in zip(scalings, aim, strict=True)]
+        right = [_scaled(s, u) - left for s, u, left in zip(scalings, targets, cones, strict=True)]
         point, equality, duals = system.solve(-dual, -equal, right)
-        slack = [-u - z for u, z in zip(wanted, duals, strict=True)]
+        slack = [-u - z for u, z in zip(targets, duals, strict=True)]
         return _Move(point, equality, slack, duals)
 
     squares = [_product(s.middle, s.middle) for s in scalings]
@@ -225,12 +225,13 @@ def _advance(program: ConeProgram, at: ConeOptimum) -> tuple[ConeOptimum, Array]
     # Not by their scaled moves, whose rounding the equations would see.
     duals = [_unscaled(w, dz) for w, dz in zip(scalings, step.duals, strict=True)]
     slack = [
-        _given(c, dz) - left - _seen(c, step.point) for left, c, dz in zip(cones, program.cones, duals, strict=True)
+        _injected(c, dz) - left - _scaled_by(c, step.point)
+        for left, c, dz in zip(cones, program.cones, duals, strict=True)
     ]
-    whole = at._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
+    full_step = at._replace(point=step.point, equality=step.equality, slack=tuple(slack), duals=tuple(duals))
     for _ in range(HALVED):
-        length = jnp.where(_inside(_moved(at, whole, length)), length, length / 2)
-    return _moved(at, whole, length), length
+        length = jnp.where(_inside(_moved(at, full_step, length)), length, length / 2)
+    return _moved(at, full_step, length), length
 
 
 def _moved(at: ConeOptimum, step: ConeOptimum, length: Array) -> ConeOptimum:
@@ -242,7 +243,7 @@ def _moved(at: ConeOptimum, step: ConeOptimum, length: Array) -> ConeOptimum:
 
 
 def _inside(at: ConeOptimum) -> Array:
-    """Whether all slack and duals are inside their cones ``(B,)``."""
+    """Return whether all slack and duals are inside their cones ``(B,)``."""
     inside = jnp.ones_like(at.gap, bool)
     for part in (*at.slack, *at.duals):
         inside = inside & jnp.all(part[..., :1] > _length(part[..., 1:]), (1, 2))
@@ -250,7 +251,7 @@ def _inside(at: ConeOptimum) -> Array:
 
 
 def _reach(scalings: list[_Scaling], move: _Move) -> Array:
-    """How many times the move fits before a cone's surface."""
+    """Return the largest step along the move that stays inside the cones."""
     least = jnp.zeros_like(move.point[:, 0])
     for scaling, *moves in zip(scalings, move.slack, move.duals, strict=True):
         for moved in moves:
@@ -288,7 +289,7 @@ class _System(NamedTuple):
 
         def duals(point: Array) -> list[Array]:
             return [
-                _softened(soft, _seen(rows, point) - part)
+                _softened(soft, _scaled_by(rows, point) - part)
                 for rows, part, soft in zip(self.rows, held, self.softness, strict=True)
             ]
 
@@ -314,12 +315,12 @@ def _system(program: ConeProgram, scalings: list[_Scaling]) -> _System:
         for s, c in zip(scalings, program.cones, strict=True)
     ]
     softness = [_softness(s, c.giving) for s, c in zip(scalings, program.cones, strict=True)]
-    whole = program.quadratic
+    matrix = program.quadratic
     for part, soft in zip(rows, softness, strict=True):
         stiff = jnp.moveaxis(_softened(_wider(soft), jnp.moveaxis(part.rows, 3, 1), root=True), 1, 3)
         flat = stiff.reshape(stiff.shape[0], -1, stiff.shape[-1])
-        whole = whole + jnp.einsum("bik,bil->bkl", flat, flat, precision=lax.Precision.HIGHEST)
-    factor = jnp.linalg.cholesky(_raised(whole))
+        matrix = matrix + jnp.einsum("bik,bil->bkl", flat, flat, precision=lax.Precision.HIGHEST)
+    factor = jnp.linalg.cholesky(_raised(matrix))
     across = lax.linalg.triangular_solve(factor, jnp.swapaxes(program.equations, 1, 2), left_side=True, lower=True)
     small = jnp.einsum("bke,bkf->bef", across, across, precision=lax.Precision.HIGHEST)
     across = lax.linalg.triangular_solve(factor, across, left_side=True, lower=True, transpose_a=True)
@@ -329,8 +330,8 @@ def _system(program: ConeProgram, scalings: list[_Scaling]) -> _System:
 def _raised(matrix: Array) -> Array:
     """With what rounding may have taken from its diagonal, so that it has a factor; solving again takes it back."""
     size = matrix.shape[-1]
-    each = jnp.einsum("bii->bi", matrix)
-    floor = 4 * size * jnp.finfo(matrix.dtype).eps * each + jnp.finfo(matrix.dtype).tiny
+    diagonal = jnp.einsum("bii->bi", matrix)
+    floor = 4 * size * jnp.finfo(matrix.dtype).eps * diagonal + jnp.finfo(matrix.dtype).tiny
     return matrix + floor[..., None] * jnp.eye(size, dtype=matrix.dtype)
 
 
@@ -357,8 +358,8 @@ def _scaled(scaling: _Scaling, x: Array) -> Array:
     """W x."""
     first, others = scaling.unit[..., :1], scaling.unit[..., 1:]
     along = _dot(others, x[..., 1:])[..., None]
-    rest = x[..., 1:] + others * (x[..., :1] + along / (1 + first))
-    return scaling.size * jnp.concatenate([first * x[..., :1] + along, rest], -1)
+    tail = x[..., 1:] + others * (x[..., :1] + along / (1 + first))
+    return scaling.size * jnp.concatenate([first * x[..., :1] + along, tail], -1)
 
 
 def _unscaled(scaling: _Scaling, x: Array) -> Array:
@@ -384,8 +385,8 @@ def _softened(soft: _Softness | None, x: Array, root: bool = False) -> Array:
     return x - share * _dot(soft.along, x)[..., None] * soft.along
 
 
-def _given(cones: Cones, z: Array) -> Array:
-    """R z."""
+def _injected(cones: Cones, z: Array) -> Array:
+    """Return R z."""
     if cones.giving is None:
         return jnp.zeros_like(z)
     return jnp.zeros_like(z).at[..., 0].set(cones.giving * z[..., 0])
@@ -434,7 +435,7 @@ def _pulled(matrix: Array, x: Array) -> Array:
     return jnp.einsum("bij,bi->bj", matrix, x, precision=lax.Precision.HIGHEST)
 
 
-def _seen(cones: Cones, x: Array) -> Array:
+def _scaled_by(cones: Cones, x: Array) -> Array:
     """G x."""
     return jnp.einsum("bmdk,bk->bmd", cones.rows, x, precision=lax.Precision.HIGHEST)
 

@@ -32,7 +32,7 @@ from jax.interpreters import batching, mlir
 
 from jaxgrasp.numerics.compiled_code import is_known_xla, merges_loops
 
-Given = ParamSpec("Given")
+Params = ParamSpec("Params")
 Out = TypeVar("Out")
 
 ATTRIBUTES = {"inlineable": "false", "xla_cpu_small_call": "true"}
@@ -48,7 +48,7 @@ LARGEST_REDUCTION = 4095
 CALLED = (ClosedJaxpr, Jaxpr)
 
 
-def fused_cpu_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
+def fused_cpu_kernel(function: Callable[Params, Out]) -> Callable[Params, Out]:
     """Return ``function``, compiled as one kernel.
 
     It stays as it is where XLA is not known to do so, where it is traced inside ``unmarked``, where it is
@@ -57,7 +57,7 @@ def fused_cpu_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
     """
 
     @wraps(function)
-    def call(*args: Given.args, **kwargs: Given.kwargs) -> Out:
+    def call(*args: Params.args, **kwargs: Params.kwargs) -> Out:
         leaves, tree = jax.tree.flatten((args, kwargs))
         arrays = tuple(leaf for leaf in leaves if _is_array(leaf))
         # With its type, since 1, 1.0 and True are equal.
@@ -72,11 +72,11 @@ def fused_cpu_kernel(function: Callable[Given, Out]) -> Callable[Given, Out]:
 
 @cache
 def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
-    """The function of the arrays alone, in a tree whose other leaves are ``fixed``."""
+    """Return the function of the arrays alone, in a tree whose other leaves are ``fixed``."""
 
     def plain(*arrays: Array) -> Any:
-        own = iter(arrays)
-        args, kwargs = jax.tree.unflatten(tree, [next(own) if leaf is None else leaf[1] for leaf in fixed])
+        remaining = iter(arrays)
+        args, kwargs = jax.tree.unflatten(tree, [next(remaining) if leaf is None else leaf[1] for leaf in fixed])
         return function(*args, **kwargs)
 
     def touching(*arrays: Array) -> tuple[Any, Array]:
@@ -169,8 +169,10 @@ mlir.register_lowering(_separate, _lower_separate, cacheable=False)
 
 
 def _is_spread(axes: Any) -> bool:
-    """Whether XLA may spread the program over several devices: it would put sums over all of them into a kernel, which
-    cannot hold them. In a ``shard_map`` over all axes each device runs the same program by itself."""
+    """Return whether XLA may spread the program over several devices.
+
+    It would put sums over all devices into a kernel, which cannot hold them. In a ``shard_map`` over all axes each
+    device runs the same program by itself."""
     manual = getattr(axes, "manual_axes", None)
     if manual is not None:
         return set(manual) != set(axes.mesh.axis_names)
@@ -178,10 +180,10 @@ def _is_spread(axes: Any) -> bool:
 
 
 def _touch(arrays: tuple[Array, ...]) -> Array:
-    """A number that depends on every argument: XLA aborts where a kernel's computation leaves one unused.
+    """Return a number that depends on every argument: XLA aborts where a kernel leaves an argument unused.
 
-    Those of one rank are added first: of a chain of reshaped terms XLA moves one reshape in each pass over the program,
-    and gives up after 50 passes.
+    Arrays of one rank are added first: of a chain of reshaped terms XLA moves one reshape in each pass over the
+    program, and gives up after 50 passes.
     """
     sums: dict[int, Array] = {}
     for array in arrays:
@@ -191,7 +193,7 @@ def _touch(arrays: tuple[Array, ...]) -> Array:
 
 
 def _fits(jaxpr: ClosedJaxpr) -> bool:
-    """Whether all of it can stand in one kernel."""
+    """Return whether all equations can stand in one kernel."""
     return not any(_is_foreign(equation) for equation in _equations(jaxpr.jaxpr))
 
 
@@ -202,11 +204,11 @@ def _is_foreign(equation: JaxprEqn) -> bool:
 
 
 def _equations(jaxpr: Jaxpr) -> Iterator[JaxprEqn]:
-    """Its equations, and those of the functions that they call."""
+    """Yield the equations of a jaxpr, and those of the functions that they call."""
     for equation in jaxpr.eqns:
         yield equation
-        for given in equation.params.values():
-            for inner in given if isinstance(given, tuple) else (given,):
+        for parameter in equation.params.values():
+            for inner in parameter if isinstance(parameter, tuple) else (parameter,):
                 if isinstance(inner, CALLED):
                     yield from _equations(inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner)
 

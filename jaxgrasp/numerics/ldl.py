@@ -17,7 +17,7 @@ Lower = Sequence[Sequence[Array]]
 
 
 def factor(a: Lower) -> tuple[list[list[Array]], list[Array]]:
-    """Unit lower triangle L (without its ones) and diagonal D with a = L D L^T; no pivoting.
+    """Factor a = L D L^T, L a unit lower triangle (returned without its ones) and D diagonal; no pivoting.
 
     Exact scaling of rows and columns by powers of two changes no relative error, so matrices that are
     ill-conditioned only by the scales of their rows are factored as well as any.
@@ -48,7 +48,7 @@ def solve(factors: tuple[list[list[Array]], list[Array]], right: Sequence[Array]
 
 
 def multiply(a: Lower, x: Sequence[Array]) -> list[Array]:
-    """a x."""
+    """Return a x."""
     entry = lambda i, j: a[max(i, j)][min(i, j)]  # noqa: E731
     return [sum(entry(i, j) * x[j] for j in range(len(x))) for i in range(len(x))]
 
@@ -57,7 +57,7 @@ SWEEPS = 5
 """Sweeps of Jacobi's rotations that reach machine precision from any start; the last ones converge quadratically."""
 
 
-def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec3, Vec3, Vec3]:
+def principal_axes(a: Lower, rotates: bool | Array = True) -> tuple[Vec3, Vec3, Vec3]:
     """Orthonormal eigenvectors of 3x3 matrices, by Jacobi's rotations; in no order.
 
     The coordinate axes as they are, at no cost, where the scalar ``wanted`` is false. Unlike what else stands here this
@@ -78,7 +78,7 @@ def principal_axes(a: Lower, wanted: bool | Array = True) -> tuple[Vec3, Vec3, V
         halfway = mix(cosine, sine, matrix)
         return mix(cosine, sine, halfway.swapaxes(0, 1)), mix(cosine, sine, axes)
 
-    _, axes = lax.fori_loop(0, jnp.where(wanted, 3 * SWEEPS, 0), turn, (entries, identity))
+    _, axes = lax.fori_loop(0, jnp.where(rotates, 3 * SWEEPS, 0), turn, (entries, identity))
     return Vec3(*axes[0]), Vec3(*axes[1]), Vec3(*axes[2])
 
 

@@ -17,7 +17,7 @@ FIRST_DAMPING, GROWTH, DECAY = 1e-2, 4.0, 1 / 3
 
 
 class LeastSquaresResult(NamedTuple):
-    """Where the sum of squares is least, as far as it was found."""
+    """Minimiser of a sum of squares, and whether the search converged."""
 
     point: Array
     residuals: Array

@@ -22,42 +22,42 @@ def _nan_where_all_move(source: Array, *moves: Array) -> Array:
     """
     if not moves:
         return jnp.zeros_like(source)
-    asked = moves[0] != 0
+    all_move = moves[0] != 0
     for move in moves[1:]:
-        asked = asked & (move != 0)
-    return jnp.where(asked, jnp.asarray(jnp.nan, source.dtype), jnp.zeros_like(source))
+        all_move = all_move & (move != 0)
+    return jnp.where(all_move, jnp.asarray(jnp.nan, source.dtype), jnp.zeros_like(source))
 
 
 def _tangent(primals, tangents):
     source, *moves = primals
     moved, *moves_moved = tangents
-    out = [_asked.bind(source, *moves, moved)] if not isinstance(moved, ad.Zero) else []
+    out = [_moved_primitive.bind(source, *moves, moved)] if not isinstance(moved, ad.Zero) else []
     for at, move in enumerate(moves_moved):
         if not isinstance(move, ad.Zero):
-            out.append(_asked.bind(source, *moves[:at], move, *moves[at + 1 :]))
-    return _asked.bind(*primals), sum(out[1:], out[0])
+            out.append(_moved_primitive.bind(source, *moves[:at], move, *moves[at + 1 :]))
+    return _moved_primitive.bind(*primals), sum(out[1:], out[0])
 
 
 def _transposed(pulled, source, *moves):
     out = [None] * (1 + len(moves))
     if not isinstance(pulled, ad.Zero):
         (at,) = [at for at, move in enumerate(moves) if ad.is_undefined_primal(move)]
-        out[1 + at] = _asked.bind(source, *moves[:at], pulled, *moves[at + 1 :])
+        out[1 + at] = _moved_primitive.bind(source, *moves[:at], pulled, *moves[at + 1 :])
     return out
 
 
 def _mapped(arrays, axes):
     ahead = [x[None] if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(arrays, axes, strict=True)]
-    return _asked.bind(*jnp.broadcast_arrays(*ahead)), 0
+    return _moved_primitive.bind(*jnp.broadcast_arrays(*ahead)), 0
 
 
-_asked = Primitive("no_derivative")
-_asked.def_impl(jax.jit(_nan_where_all_move))
-_asked.def_abstract_eval(lambda source, *moves: source)
-mlir.register_lowering(_asked, mlir.lower_fun(_nan_where_all_move, multiple_results=False))
-batching.primitive_batchers[_asked] = _mapped
-ad.primitive_jvps[_asked] = _tangent
-ad.primitive_transposes[_asked] = _transposed
+_moved_primitive = Primitive("no_derivative")
+_moved_primitive.def_impl(jax.jit(_nan_where_all_move))
+_moved_primitive.def_abstract_eval(lambda source, *moves: source)
+mlir.register_lowering(_moved_primitive, mlir.lower_fun(_nan_where_all_move, multiple_results=False))
+batching.primitive_batchers[_moved_primitive] = _mapped
+ad.primitive_jvps[_moved_primitive] = _tangent
+ad.primitive_transposes[_moved_primitive] = _transposed
 
 
 def nan_tangents_where(undefined: Array, tangents: Any, sources: Any, moved: Any) -> Any:
@@ -72,8 +72,8 @@ def nan_tangents_where(undefined: Array, tangents: Any, sources: Any, moved: Any
         return sum(sums, jnp.zeros(undefined.shape, leaves[0].dtype))
 
     # Zero, but what a tangent's own derivative by a source goes through.
-    source = per_problem([_asked.bind(leaf) for leaf in _floats(sources)])
-    asked = per_problem([_asked.bind(jnp.zeros_like(leaf), leaf) for leaf in _floats(moved)])
+    source = per_problem([_moved_primitive.bind(leaf) for leaf in _floats(sources)])
+    is_moved = per_problem([_moved_primitive.bind(jnp.zeros_like(leaf), leaf) for leaf in _floats(moved)])
 
     def without(tangent: Any) -> Any:
         if tangent.dtype == jax.dtypes.float0:
@@ -83,14 +83,14 @@ def nan_tangents_where(undefined: Array, tangents: Any, sources: Any, moved: Any
             return jnp.broadcast_to(array.reshape(*array.shape, *[1] * (tangent.ndim - array.ndim)), tangent.shape)
 
         # Asked by each of its elements, so that pulls that cancel each other are seen.
-        own = _asked.bind(*(spread(array.astype(tangent.dtype)) for array in (source, asked)))
-        return tangent + jnp.where(spread(undefined), own, 0)
+        nan_tangent = _moved_primitive.bind(*(spread(array.astype(tangent.dtype)) for array in (source, is_moved)))
+        return tangent + jnp.where(spread(undefined), nan_tangent, 0)
 
     return jax.tree.map(without, tangents)
 
 
 def refusing(message: str) -> Callable[..., NoReturn]:
-    """A derivative's rule that says why there is none."""
+    """Return a derivative rule that raises ``message``."""
 
     def refuse(*_: Any) -> NoReturn:
         raise NotImplementedError(message)
@@ -104,7 +104,7 @@ def _floats(tree: Any) -> list[Array]:
 
 @jax.custom_jvp
 def nondifferentiable_where(undefined: Array, value: Array, sources: Any) -> Array:
-    """The value, without a derivative by its ``sources`` where it is ``undefined``; axes as above."""
+    """Return the value, with a NaN derivative by its ``sources`` where it is ``undefined``; axes as above."""
     return value
 
 

@@ -36,33 +36,35 @@ def minimise_nonnegative(matrix: Array, linear: Array) -> Array:
     b = scaled / unit
     least = jnp.finfo(matrix.dtype).eps / 64
 
-    def better(now: _Iterate) -> _Iterate:
-        x, s = now.x, now.slope
-        rest = q @ x + b - s
+    def better(iterate: _Iterate) -> _Iterate:
+        x, s = iterate.x, iterate.slope
+        residual = q @ x + b - s
         system = q + jnp.diag(s / x)
 
         def direction(product: Array) -> tuple[Array, Array]:
-            dx = jnp.linalg.solve(system, -rest + product / x)
-            return dx, q @ dx + rest
+            dx = jnp.linalg.solve(system, -residual + product / x)
+            return dx, q @ dx + residual
 
         ahead, steeper = direction(-x * s)
         step = jnp.minimum(_room(x, ahead), _room(s, steeper))
         foreseen = jnp.mean((x + step * ahead) * (s + step * steeper))
-        centred = now.size * (foreseen / now.size) ** 3
+        centred = iterate.size * (foreseen / iterate.size) ** 3
         dx, ds = direction(centred - x * s - ahead * steeper)
         step = SHORT_OF * jnp.minimum(_room(x, dx), _room(s, ds))
-        there = _Iterate(x + step * dx, s + step * ds, jnp.mean((x + step * dx) * (s + step * ds)), now.steps + 1)
+        size = jnp.mean((x + step * dx) * (s + step * ds))
+        candidate = _Iterate(x + step * dx, s + step * ds, size, iterate.steps + 1)
         # At the end of its digits a step leads nowhere.
-        sound = jnp.all(there.x > 0) & jnp.all(there.slope > 0) & jnp.isfinite(there.size)
-        return jax.tree.map(lambda new, old: jnp.where(sound, new, old), there, now._replace(steps=jnp.int32(STEPS)))
+        sound = jnp.all(candidate.x > 0) & jnp.all(candidate.slope > 0) & jnp.isfinite(candidate.size)
+        ended = iterate._replace(steps=jnp.int32(STEPS))
+        return jax.tree.map(lambda new, old: jnp.where(sound, new, old), candidate, ended)
 
-    one = jnp.ones_like(b)
-    start = _Iterate(one, one, jnp.asarray(1.0, b.dtype), jnp.int32(0))
-    found = lax.while_loop(lambda now: (now.size > least) & (now.steps < STEPS), better, start)
+    ones = jnp.ones_like(b)
+    start = _Iterate(ones, ones, jnp.asarray(1.0, b.dtype), jnp.int32(0))
+    final = lax.while_loop(lambda iterate: (iterate.size > least) & (iterate.steps < STEPS), better, start)
     # Of x and its slope one is zero.
-    return jnp.where(used & (found.x > found.slope), found.x * scale * unit, 0)
+    return jnp.where(used & (final.x > final.slope), final.x * scale * unit, 0)
 
 
 def _room(x: Array, step: Array) -> Array:
-    """How much of a step keeps every number positive, at most 1."""
+    """Return the largest part of a step, at most 1, that keeps every number positive."""
     return jnp.minimum(1, jnp.min(jnp.where(step < 0, -x / jnp.where(step < 0, step, -1), jnp.inf)))

@@ -25,7 +25,7 @@ class Factors(NamedTuple):
 
 
 def factor(a: Array, least: float) -> Factors:
-    """The elimination of ``a``, ``(k, k, B)``, whose pivots up to ``least`` count as zeros."""
+    """Factor ``a``, ``(k, k, B)``, with diagonal pivoting; pivots up to ``least`` count as zeros."""
 
     def eliminate(carry, _):
         left, free = carry
@@ -46,10 +46,10 @@ def factor(a: Array, least: float) -> Factors:
 def solve(factors: Factors, right: Array) -> Array:
     """x with a x = right, ``(k, B)``, where some x fits; else one that fits a part of it; zeros beyond the rank."""
 
-    def forward(rest, step):
+    def forward(remainder, step):
         chosen, column, inverse = step
-        part = jnp.sum(chosen * rest, 0)
-        return rest - column * part[None], part * inverse
+        part = jnp.sum(chosen * remainder, 0)
+        return remainder - column * part[None], part * inverse
 
     def backward(x, step):
         (chosen, column, _), part = step

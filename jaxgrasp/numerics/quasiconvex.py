@@ -56,12 +56,12 @@ class QuasiconvexProgram(NamedTuple):
     """Columns of the others."""
     right: Array
     """b over -d ``(e + r, B)``."""
-    there: Array
+    present: Array
     """1 for cones that count, 0 for others, whose columns are zero ``(n, B)``."""
 
 
 class InteriorPoint(NamedTuple):
-    """Where each program stands, strictly inside of its cones; vectors begin with what the parameter multiplies."""
+    """State of each program, strictly inside its cones; vectors begin with the part that the parameter multiplies."""
 
     parameter: Array
     entries: Vector
@@ -84,7 +84,7 @@ class InteriorPoint(NamedTuple):
     """Between the parameter and what the multipliers prove."""
     owed: Array
     """By how much the parameter would have to grow, to first order, for equations to be met."""
-    missed: Array
+    residual: Array
     """The largest that is missed of equations, and of what multipliers ask of each other."""
     steps: Array
     done: Array
@@ -95,7 +95,7 @@ Finished = Callable[[QuasiconvexProgram, InteriorPoint], Array]
 
 
 def minimise(program: QuasiconvexProgram, start: InteriorPoint, finished: Finished) -> InteriorPoint:
-    """The least parameters, as far as rounding lets them be found; those that are ``done`` stay where they are."""
+    """Find the least parameters, as far as rounding lets them be found; programs that are ``done`` stay as they are."""
 
     def unfinished(state: InteriorPoint) -> Array:
         return ~jnp.all(state.done | (state.steps >= STEPS))
@@ -112,7 +112,7 @@ class _Scaling(NamedTuple):
 
 
 class _Aim(NamedTuple):
-    """What products of slack and multipliers are to change by."""
+    """Target changes of the products of slack and multipliers."""
 
     cones: Vector
     """Slack, scaled by the inverse of W, and duals, scaled by W, are to add up to this."""
@@ -134,7 +134,7 @@ class _Move(NamedTuple):
 
 @fused_cpu_kernel
 def _advance(program: QuasiconvexProgram, state: InteriorPoint, finished: Finished) -> InteriorPoint:
-    """A predictor and a corrector, which share their equations."""
+    """Take a predictor and a corrector step, which share their equations (Mehrotra 1992)."""
     system = _system(program, state)
     middle = system.middle
     total, count = _complementarity(program, state)
@@ -152,19 +152,19 @@ def _advance(program: QuasiconvexProgram, state: InteriorPoint, finished: Finish
 
 
 class _Equations(NamedTuple):
-    """What the cones and the inequalities give way to multipliers of the rows."""
+    """Return the change of the cones' and inequalities' slack by multipliers of the rows."""
 
     wide: list[Rows]
     softness: Array
     factors: Any
 
     def solve(self, right: list[Array]) -> list[Array]:
-        """The multipliers that give way so; what rounding leaves of them is solved for again."""
-        found = ldl.solve(self.factors, right)
+        """Solve for the multipliers, with one step of iterative refinement."""
+        multipliers = ldl.solve(self.factors, right)
         for _ in range(REFINED):
-            left = [r - b for r, b in zip(right, self._times(found), strict=True)]
-            found = [x + y for x, y in zip(found, ldl.solve(self.factors, left), strict=True)]
-        return found
+            left = [r - b for r, b in zip(right, self._times(multipliers), strict=True)]
+            multipliers = [x + y for x, y in zip(multipliers, ldl.solve(self.factors, left), strict=True)]
+        return multipliers
 
     def _times(self, x: list[Array]) -> list[Array]:
         pushed = _pushed(self.wide, [_along(column, x) for column in self.wide])
@@ -186,11 +186,11 @@ class _System(NamedTuple):
     """The equations' derivative by the parameter."""
     answer: list[Array]
     """What solves the equations for that."""
-    asked: Vector
+    by_objective: Vector
     """Duals as the other multipliers have them."""
     off: Vector
-    """What the parameter and x make, to first order, more than the slack."""
-    rest: list[Array]
+    """Return the first-order product of parameter and x, less the slack."""
+    residuals: list[Array]
     """What equations leave, once that is made up for; and what it is for inequalities."""
 
 
@@ -205,27 +205,27 @@ def _system(program: QuasiconvexProgram, state: InteriorPoint) -> _System:
     off = _off(program, state)
     bent = _pushed(columns, off)
     first = len(state.twist)
-    rest = [r + b for r, b in zip(_rest(program, state)[:first], bent, strict=False)] + bent[first:]
-    answer, asked = equations.solve(by_parameter), _asked(program, state)
+    residuals = [r + b for r, b in zip(_residuals(program, state)[:first], bent, strict=False)] + bent[first:]
+    answer, by_objective = equations.solve(by_parameter), _objective_slope(program, state)
     middle = _apply(scaling, state.duals)
-    return _System(scaling, middle, wide, equations, by_parameter, answer, asked, off, rest)
+    return _System(scaling, middle, wide, equations, by_parameter, answer, by_objective, off, residuals)
 
 
 def _solve(program: QuasiconvexProgram, system: _System, state: InteriorPoint, aim: _Aim) -> _Move:
-    """The step that aims so."""
-    unlike = _apply(system.scaling, [a - d for a, d in zip(system.asked, state.duals, strict=True)])
-    wanted = [a - u for a, u in zip(aim.cones, unlike, strict=True)]
-    used = sum(x * a for x, a in zip(state.reference, system.asked, strict=False))
-    needed = 1 - vec3.totals(program.there * used)[0]
+    """Solve for the step of these target changes."""
+    unlike = _apply(system.scaling, [a - d for a, d in zip(system.by_objective, state.duals, strict=True)])
+    targets = [a - u for a, u in zip(aim.cones, unlike, strict=True)]
+    used = sum(x * a for x, a in zip(state.reference, system.by_objective, strict=False))
+    needed = 1 - vec3.totals(program.present * used)[0]
     first = len(state.twist)
     behind = aim.spare / state.prices - _left(program, state)
-    right = [r - p for r, p in zip(system.rest, _pushed(system.wide, wanted), strict=True)]
+    right = [r - p for r, p in zip(system.residuals, _pushed(system.wide, targets), strict=True)]
     right = right[:first] + [r + behind[i : i + 1] for i, r in enumerate(right[first:])]
     plain = system.equations.solve(right)
     pivot = _inner(system.by_parameter, system.answer)
     parameter = (_inner(system.by_parameter, plain) - needed) / pivot
     twist = [p - parameter * a for p, a in zip(plain, system.answer, strict=True)]
-    slack = [w + _along(column, twist) for w, column in zip(wanted, system.wide, strict=True)]
+    slack = [w + _along(column, twist) for w, column in zip(targets, system.wide, strict=True)]
     duals = [a - s for a, s in zip(aim.cones, slack, strict=True)]
     prices = jnp.concatenate(twist[first:])
     return _Move(parameter, twist, slack, duals, (aim.spare - state.spare * prices) / state.prices, prices)
@@ -235,11 +235,11 @@ def _moved(
     program: QuasiconvexProgram, system: _System, state: InteriorPoint, step: _Move, finished: Finished
 ) -> InteriorPoint:
     """After as much of a step as the cones allow."""
-    there = program.there > 0
-    slack = [jnp.where(there, d, 0) for d in _apply(system.scaling, step.slack)]
-    duals = [jnp.where(there, d, 0) for d in _unapply(system.scaling, step.duals)]
+    present = program.present > 0
+    slack = [jnp.where(present, d, 0) for d in _apply(system.scaling, step.slack)]
+    duals = [jnp.where(present, d, 0) for d in _unapply(system.scaling, step.duals)]
     grown = [
-        jnp.where(there, (d - o - r * step.parameter) / state.base, 0)
+        jnp.where(present, (d - o - r * step.parameter) / state.base, 0)
         for d, o, r in zip(slack, system.off, state.reference, strict=False)
     ]
     entries = grown + slack[len(grown) :]
@@ -253,7 +253,7 @@ def _moved(
 
     good = length >= GOOD
     parameter, moved = after(state.parameter, step.parameter), after(state.entries, entries)
-    found = state._replace(
+    candidate = state._replace(
         parameter=parameter,
         entries=moved,
         slack=after(state.slack, slack),
@@ -264,46 +264,46 @@ def _moved(
         base=jnp.where(good, parameter, state.base),
         reference=[jnp.where(good, x, r) for x, r in zip(moved, state.reference, strict=False)],
     )
-    found = _judged(program, found)
-    sound = _inside(program, found) & jnp.isfinite(found.missed + found.gap) & ~state.done
-    found = jax.tree.map(lambda new, old: jnp.where(sound, new, old), found, state)
-    done = state.done | ~sound | (length < SHORTEST) | finished(program, found)
-    return found._replace(done=done, steps=state.steps + jnp.where(state.done, 0, 1))
+    candidate = _with_residual(program, candidate)
+    sound = _inside(program, candidate) & jnp.isfinite(candidate.residual + candidate.gap) & ~state.done
+    candidate = jax.tree.map(lambda new, old: jnp.where(sound, new, old), candidate, state)
+    done = state.done | ~sound | (length < SHORTEST) | finished(program, candidate)
+    return candidate._replace(done=done, steps=state.steps + jnp.where(state.done, 0, 1))
 
 
-def _judged(program: QuasiconvexProgram, state: InteriorPoint) -> InteriorPoint:
+def _with_residual(program: QuasiconvexProgram, state: InteriorPoint) -> InteriorPoint:
     """With its gap, and what missing the equations is worth."""
-    rest, left = _rest(program, state)[: len(state.twist)], _left(program, state)
-    owed = _inner(rest, [state.twist[i : i + 1] for i in range(len(rest))])
-    unlike = [a - d for a, d in zip(_asked(program, state), state.duals, strict=True)]
+    residuals, left = _residuals(program, state)[: len(state.twist)], _left(program, state)
+    owed = _inner(residuals, [state.twist[i : i + 1] for i in range(len(residuals))])
+    unlike = [a - d for a, d in zip(_objective_slope(program, state), state.duals, strict=True)]
     pairs = [*zip(state.slack, unlike, strict=True), *zip(_off(program, state), state.duals, strict=True)]
-    (worth,) = vec3.totals(program.there * sum(p * q for p, q in pairs))
-    missed = reduce(jnp.maximum, map(jnp.abs, rest)) + jnp.abs(worth) + jnp.max(jnp.abs(left), 0, keepdims=True)
+    (worth,) = vec3.totals(program.present * sum(p * q for p, q in pairs))
+    residual = reduce(jnp.maximum, map(jnp.abs, residuals)) + jnp.abs(worth) + jnp.max(jnp.abs(left), 0, keepdims=True)
     return state._replace(
         gap=_complementarity(program, state)[0],
         owed=owed - jnp.sum(left * state.prices, 0, keepdims=True),
-        missed=missed,
+        residual=residual,
     )
 
 
 def _complementarity(program: QuasiconvexProgram, state: InteriorPoint) -> tuple[Array, Array]:
     """Sum of the products of slack and multipliers, and of how many."""
-    own = sum(p * q for p, q in zip(state.slack, state.duals, strict=True))
-    total, count = vec3.totals(program.there * own, program.there)
+    by_cones = sum(p * q for p, q in zip(state.slack, state.duals, strict=True))
+    total, count = vec3.totals(program.present * by_cones, program.present)
     return total + jnp.sum(state.spare * state.prices, 0, keepdims=True), count + len(state.spare)
 
 
 def _inside(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
-    inside = program.there == 0
+    inside = program.present == 0
     cones = (vector[0] > _length(vector[1:]) for vector in (state.slack, state.duals))
     inside = vec3.every(inside | reduce(jnp.logical_and, cones))
     return inside & jnp.all((state.spare > 0) & (state.prices > 0), 0, keepdims=True) & (state.parameter > 0)
 
 
 def _room(program: QuasiconvexProgram, state: InteriorPoint, pairs: list[tuple[Vector, Vector]], move: _Move) -> Array:
-    """How many times a move fits before a cone's surface, at most once ``(1, B)``."""
+    """Return the largest part of a move, at most 1, that stays inside the cones ``(1, B)``."""
     crossing = reduce(jnp.maximum, (_crossing(inside, moved) for inside, moved in pairs))
-    least = jnp.max(jnp.where(program.there > 0, crossing, 0), 0, keepdims=True)
+    least = jnp.max(jnp.where(program.present > 0, crossing, 0), 0, keepdims=True)
     single = jnp.maximum(-move.spare / state.spare, -move.prices / state.prices)
     return 1 / jnp.maximum(jnp.maximum(least, jnp.max(single, 0, keepdims=True)), 1)
 
@@ -318,30 +318,30 @@ def _crossing(inside: Vector, moved: Vector) -> Array:
 
 
 def _off(program: QuasiconvexProgram, state: InteriorPoint) -> Vector:
-    """What the parameter and x make, to first order, more than the slack."""
+    """Return the first-order product of parameter and x, less the slack."""
     further = state.parameter - state.base
     made = [state.base * x + further * r for x, r in zip(state.entries, state.reference, strict=False)]
     made += state.entries[len(made) :]
-    return [jnp.where(program.there > 0, m - q, 0) for m, q in zip(made, state.slack, strict=True)]
+    return [jnp.where(program.present > 0, m - q, 0) for m, q in zip(made, state.slack, strict=True)]
 
 
-def _asked(program: QuasiconvexProgram, state: InteriorPoint) -> Vector:
+def _objective_slope(program: QuasiconvexProgram, state: InteriorPoint) -> Vector:
     """Duals as multipliers have them; those of cones that do not count stand where they are."""
     rows = [multipliers[i : i + 1] for multipliers in (state.twist, state.prices) for i in range(len(multipliers))]
-    asked = [-_along(column, rows) / state.base for column in program.grown]
-    asked += [-_along(column, rows) for column in program.plain]
-    return [jnp.where(program.there > 0, a, d) for a, d in zip(asked, state.duals, strict=True)]
+    by_objective = [-_along(column, rows) / state.base for column in program.grown]
+    by_objective += [-_along(column, rows) for column in program.plain]
+    return [jnp.where(program.present > 0, a, d) for a, d in zip(by_objective, state.duals, strict=True)]
 
 
-def _rest(program: QuasiconvexProgram, state: InteriorPoint) -> list[Array]:
-    """What is left of b, and of -d."""
+def _residuals(program: QuasiconvexProgram, state: InteriorPoint) -> list[Array]:
+    """Return the residuals of b and of -d."""
     pushed = _pushed(program.grown + program.plain, state.entries)
     return [program.right[i : i + 1] - p for i, p in enumerate(pushed)]
 
 
 def _left(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
-    """By how much what is spare misses what inequalities leave."""
-    return -jnp.concatenate(_rest(program, state)[len(state.twist) :]) - state.spare
+    """Return the residual of the inequalities' slack."""
+    return -jnp.concatenate(_residuals(program, state)[len(state.twist) :]) - state.spare
 
 
 def _along(column: Rows, multipliers: list[Array]) -> Array:
@@ -349,13 +349,13 @@ def _along(column: Rows, multipliers: list[Array]) -> Array:
 
 
 def _pushed(columns: list[Rows], vector: Vector) -> list[Array]:
-    """Sums over cones of columns times a vector, in each row."""
+    """Sum over cones the columns times a vector, in each row."""
     terms = zip(*([r * x for r in column] for column, x in zip(columns, vector, strict=True)), strict=True)
     return vec3.totals(*(reduce(jnp.add, row) for row in terms))
 
 
 def _matrix(wide: list[Rows], softness: Array) -> list[list[Array]]:
-    """What the cones and the inequalities give way to multipliers of the rows."""
+    """Return the change of the cones' and inequalities' slack by multipliers of the rows."""
     rows = [
         vec3.totals(*(reduce(jnp.add, (column[i] * column[j] for column in wide)) for j in range(i + 1)))
         for i in range(len(wide[0]))
@@ -371,9 +371,9 @@ def _matrix(wide: list[Rows], softness: Array) -> list[list[Array]]:
 
 def _scaling(slack: Vector, duals: Vector) -> _Scaling:
     roots = _root(slack), _root(duals)
-    plain, other = ([x / root for x in vector] for vector, root in zip((slack, duals), roots, strict=True))
-    cosine = jnp.sqrt((1 + sum(p * q for p, q in zip(plain, other, strict=True))) / 2)
-    unit = [(p + q) / (2 * cosine) for p, q in zip(plain, _mirrored(other), strict=True)]
+    plain, scaled_duals = ([x / root for x in vector] for vector, root in zip((slack, duals), roots, strict=True))
+    cosine = jnp.sqrt((1 + sum(p * q for p, q in zip(plain, scaled_duals, strict=True))) / 2)
+    unit = [(p + q) / (2 * cosine) for p, q in zip(plain, _mirrored(scaled_duals), strict=True)]
     return _Scaling(unit, jnp.sqrt(roots[0] / roots[1]))
 
 
@@ -381,12 +381,12 @@ def _apply(scaling: _Scaling, x: Vector) -> Vector:
     """W x."""
     first, *others = scaling.unit
     along = sum(u * y for u, y in zip(others, x[1:], strict=True))
-    rest = [scaling.size * (y + u * (x[0] + along / (1 + first))) for u, y in zip(others, x[1:], strict=True)]
-    return [scaling.size * (first * x[0] + along), *rest]
+    tail = [scaling.size * (y + u * (x[0] + along / (1 + first))) for u, y in zip(others, x[1:], strict=True)]
+    return [scaling.size * (first * x[0] + along), *tail]
 
 
 def _unapply(scaling: _Scaling, x: Vector) -> Vector:
-    """The inverse of W times x."""
+    """Return W^-1 x."""
     return _apply(_Scaling(_mirrored(scaling.unit), 1 / scaling.size), x)
 
 
@@ -410,8 +410,8 @@ def _mirrored(x: Vector) -> Vector:
 
 def _product(x: Vector, y: Vector) -> Vector:
     """Jordan's."""
-    rest = (x[0] * q + y[0] * p for p, q in zip(x[1:], y[1:], strict=True))
-    return [_inner(x, y), *rest]
+    tail = (x[0] * q + y[0] * p for p, q in zip(x[1:], y[1:], strict=True))
+    return [_inner(x, y), *tail]
 
 
 def _divide(x: Vector, y: Vector) -> Vector:

@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 
 
 def rotation_by(vector: Array) -> Array:
-    """The rotation about a vector by its length [rad]."""
+    """Return the rotation about a vector by its length [rad]."""
     x, y, z = vector
     cross = cross_matrix(vector)
     angle2 = x * x + y * y + z * z
@@ -20,25 +20,25 @@ def rotation_by(vector: Array) -> Array:
 
 
 def rotation_about(axis: ArrayLike, angle: ArrayLike) -> Array:
-    """The rotation about an axis of any length; of any number of derivatives by the angle, at zero too."""
+    """Return the rotation about an axis of any length; smooth in the angle, at zero too."""
     cross = cross_matrix(unit(axis))
     return jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * cross @ cross
 
 
 def cross_matrix(vector: Array) -> Array:
-    """Times another vector it is their cross product."""
+    """Return the matrix whose product with another vector is the cross product."""
     x, y, z = vector
     return jnp.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def unit(vector: ArrayLike) -> Array:
-    """A vector's direction; it must not be zero."""
+    """Return a vector's direction; the vector must not be zero."""
     vector = jnp.asarray(vector)
     return vector / jnp.linalg.norm(vector)
 
 
 def is_rotation(matrices: np.ndarray, rounding: float) -> np.ndarray | np.bool_:
-    """Which of the matrices ``(..., 3, 3)`` are rotations, but for that much in the products of their columns."""
+    """Return a mask of the matrices ``(..., 3, 3)`` that are rotations, up to ``rounding`` in products of columns."""
     with np.errstate(over="ignore", invalid="ignore"):
         square = np.abs(matrices @ matrices.swapaxes(-1, -2) - np.eye(3)).max((-1, -2))
         return (square <= rounding) & (np.linalg.det(matrices) > 0)

@@ -9,9 +9,9 @@ Tree = TypeVar("Tree")
 
 
 def varying_like(tree: Tree, *data: Any) -> Tree:
-    """The tree, whose arrays vary along every axis of a mesh along which anything of the data varies.
+    """Return the tree with its arrays varying along every axis of a mesh along which any of the data varies.
 
-    A loop's carry that begins as a constant needs that where data enter it later. Elsewhere it changes nothing.
+    A loop's carry that begins as a constant needs it where data enter later. Elsewhere it changes nothing.
     """
     axes = frozenset().union(*(_axes(leaf) for leaf in jax.tree.leaves(data)))
     if not axes:

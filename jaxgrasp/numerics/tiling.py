@@ -39,13 +39,13 @@ GATHERED_TRIPS = 32
 
 
 def spread(batch: tuple[int, ...], array: Array, tail: tuple[int, ...] = ()) -> Array:
-    """An array broadcast to a batch's leading axes, and these flattened into one."""
+    """Broadcast an array to a batch's leading axes, and flatten these into one."""
     return jnp.broadcast_to(array, (*batch, *tail)).reshape(math.prod(batch), *tail)
 
 
-def shared_or_spread(batch: tuple[int, ...], given: ArrayLike, tail: tuple[int, ...] = ()) -> Array:
-    """As ``spread``, but with a leading axis of size 1 where there is but one entry, which the batch then shares."""
-    array = jnp.asarray(given)
+def shared_or_spread(batch: tuple[int, ...], array: ArrayLike, tail: tuple[int, ...] = ()) -> Array:
+    """Spread an array, but keep a leading axis of size 1 where there is one entry, which the batch then shares."""
+    array = jnp.asarray(array)
     return array.reshape(1, *tail) if array.size == math.prod(tail) else spread(batch, array, tail)
 
 
@@ -58,9 +58,9 @@ def over_tiles(
     *,
     is_short: bool = False,
 ) -> Out:
-    """``function`` of a batch of ``size`` problems, computed ``tile`` problems at a time, or more off the processor.
+    """Compute ``function`` of ``size`` problems, ``tile`` problems at a time, or more off the processor.
 
-    Where a ``count`` is given, no tile is computed that lies behind the first so many problems: zeros stand there.
+    With a ``count``, tiles behind the first ``count`` problems are not computed, and stay zero.
 
     The last tile overlaps the one before it instead of being padded: its problems are computed twice,
     to the same bits. ``is_short`` says that ``function`` is so little code that all of it may become one kernel.
@@ -96,7 +96,7 @@ def width(size: int, tile: int, trips: int) -> int:
 
 
 def _by_platform(compute: Callable[[int], Out], size: int, tile: int, trips: int) -> Out:
-    """What is computed by tiles of so many problems on the processor, decided where the program is lowered.
+    """Choose the tile by the platform, where the program is lowered: ``tile`` problems on the processor.
 
     Both ways are traced, unless it is known to be for the processor.
     """
@@ -160,26 +160,26 @@ def _replace(
 
 
 def _searched(last: Array, padded: int) -> Array:
-    """The chosen problems one after the other, by how many are chosen up to each; on a processor a search is cheap."""
+    """Return the chosen problems' indices in order, by searching their running count; cheap on a processor."""
     order = jnp.searchsorted(last, jnp.arange(1, padded + 1, dtype=jnp.int32))
     return jnp.minimum(order, last.shape[0] - 1).astype(jnp.int32)
 
 
 def _in_order(chosen: Array, last: Array, padded: int) -> Array:
-    """The same off the processor, where a search takes steps one after the other: each writes itself into its place."""
-    every = jnp.arange(chosen.shape[0], dtype=jnp.int32)
-    place = jnp.where(chosen, last - 1, padded + every)
-    return jnp.zeros(padded, jnp.int32).at[place].set(every, mode="drop", unique_indices=True)
+    """Return the chosen problems' indices off the processor, where a search is slow: each writes itself into place."""
+    indices = jnp.arange(chosen.shape[0], dtype=jnp.int32)
+    place = jnp.where(chosen, last - 1, padded + indices)
+    return jnp.zeros(padded, jnp.int32).at[place].set(indices, mode="drop", unique_indices=True)
 
 
 def _nothing(function: Callable[[Tree], Out], arguments: Tree) -> Out:
-    """The results of a batch without problems."""
-    one = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]) if x.ndim else (), x.dtype), arguments)
-    return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, one))
+    """Return the results of a batch without problems."""
+    single = jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape[1:]) if x.ndim else (), x.dtype), arguments)
+    return jax.tree.map(lambda s: jnp.zeros((0, *s.shape[1:]), s.dtype), jax.eval_shape(function, single))
 
 
 def merged(which: Array, new: Tree, old: Tree) -> Tree:
-    """The new leaves of those problems that ``which`` ``(B,)`` names, and the old ones of all others."""
+    """Take the new leaves of the problems where ``which`` ``(B,)`` is true, and the old leaves of the others."""
     return jax.tree.map(lambda p, q: jnp.where(beside(which, q), p, q), new, old)
 
 
@@ -192,7 +192,7 @@ def _take(tree: Tree, problems: Array, size: int) -> Tree:
 
 
 def _is_long(array: Array, size: int) -> bool:
-    """Whether an array has something for each problem, rather than one thing that all share."""
+    """Return whether an array has an entry for each problem, rather than one that all share."""
     return array.ndim > 0 and array.shape[0] == size
 
 
@@ -200,6 +200,6 @@ def _write(results: Out, part: Out, start: Array) -> Out:
     return jax.tree.map(lambda r, p: lax.dynamic_update_slice_in_dim(r, p, start, 0), results, part)
 
 
-def beside(each: Array, array: Array) -> Array:
-    """What each problem has one of, ``(*B,)``, with the axes to broadcast against an array ``(*B, ...)``."""
-    return each.reshape(each.shape + (1,) * (array.ndim - each.ndim))
+def beside(per_problem: Array, array: Array) -> Array:
+    """Reshape an array ``(*B,)`` to broadcast against an array ``(*B, ...)``."""
+    return per_problem.reshape(per_problem.shape + (1,) * (array.ndim - per_problem.ndim))

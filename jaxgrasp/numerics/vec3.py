@@ -29,7 +29,7 @@ class Vec3(NamedTuple):
 
 
 def from_axis(array: Array, axis: int) -> Vec3:
-    """The components of ``array`` along ``axis``, which has length 3."""
+    """Return the components of ``array`` along ``axis``, which has length 3."""
     return Vec3(*(jnp.take(array, i, axis) for i in range(3)))
 
 
@@ -59,10 +59,10 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
 
 
 def totals(*terms: Array) -> list[Array]:
-    """Sums over contacts, the first axis, which stays with length 1.
+    """Sum over contacts, the first axis, which stays with length 1.
 
-    For a few problems one reduction over a stack, since each reduction costs a call three allocations; for many
-    separate ones, since the stack would be written to memory first.
+    Few problems take one reduction over a stack, since each reduction costs three allocations; many take separate
+    reductions, since the stack would be written to memory first.
     """
     if max(term.shape[-1] for term in terms) > FEW:
         return [reduce(jnp.add, _by_blocks(jnp.sum, term, 0)) for term in terms]
@@ -70,13 +70,13 @@ def totals(*terms: Array) -> list[Array]:
 
 
 def stacked_totals(*terms: Array) -> list[Array]:
-    """Sums over contacts by one reduction: for terms that share so much work that none should compute it alone."""
+    """Sum over contacts by one reduction, for terms that share so much work that none should compute it alone."""
     sums = reduce(jnp.add, _by_blocks(jnp.sum, jnp.stack(jnp.broadcast_arrays(*terms)), 1))
     return [sums[i] for i in range(len(terms))]
 
 
 def every(condition: Array) -> Array:
-    """Whether a condition holds at every contact; the first axis stays with length 1."""
+    """Return whether a condition holds at every contact; the first axis stays with length 1."""
     return reduce(jnp.logical_and, _by_blocks(jnp.all, condition, 0))
 
 
@@ -100,7 +100,7 @@ def rotate(rows: tuple[Vec3, Vec3, Vec3], a: Vec3) -> Vec3:
 
 
 def rotate_back(rows: tuple[Vec3, Vec3, Vec3], a: Vec3) -> Vec3:
-    """The vector whose components along three orthonormal axes are ``a``."""
+    """Return the vector whose components along three orthonormal axes are ``a``."""
     return add(add(scale(a.x, rows[0]), scale(a.y, rows[1])), scale(a.z, rows[2]))
 
 
@@ -115,7 +115,7 @@ def norm(a: Vec3) -> Array:
 
 
 def unit(a: Vec3) -> Vec3:
-    """The vector at length 1; x where it has none."""
+    """Return the vector at length 1; x for a vector of length 0."""
     length = norm(a)
     x, y, z = (safe_divide(c, length) for c in a)
     return Vec3(jnp.where(length > 0, x, 1), y, z)
@@ -128,6 +128,6 @@ def safe_sqrt(square: Array) -> Array:
 
 
 def safe_divide(a: Array, b: Array) -> Array:
-    """a / b, and 0 where b is 0, with finite derivatives there."""
+    """Return a / b, and 0 where b is 0, with finite derivatives there."""
     nonzero = b != 0
     return jnp.where(nonzero, a / jnp.where(nonzero, b, 1), 0)

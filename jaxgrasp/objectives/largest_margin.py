@@ -58,7 +58,7 @@ class _MarginEvaluation(NamedTuple):
     """Derivative of that multiple by the angle."""
     y: Array
     multipliers: Multipliers
-    missed: Array
+    residual: Array
 
 
 def search(conic: ConeProblem) -> SearchResult:
@@ -79,7 +79,7 @@ def search(conic: ConeProblem) -> SearchResult:
     unit = jnp.where(falls, 1 / jnp.where(falls, slope, -1), 0)
     multipliers = jax.tree.map(lambda x: x * beside(unit, x), state.beyond)
     y = jnp.concatenate([y[..., :1], y[..., 1:] * _shares(conic, state.low)[..., None]], -1)
-    return SearchResult(y, state.proven, multipliers, shares, kept.missed)
+    return SearchResult(y, state.proven, multipliers, shares, kept.residual)
 
 
 def value(conic: ConeProblem, y: Array) -> Array:
@@ -166,7 +166,7 @@ def _look(whole: ConeProblem, margin: Array) -> _MarginEvaluation:
         # A contact that is gone cannot press as it must.
         lacking = jnp.any(whole.present & ~conic.present & (conic.normal_min > 0), -1)
         times, most = jnp.where(lacking, 0, times), jnp.where(lacking, 0, most)
-    return _MarginEvaluation(times, most, _slope(whole, conic, multipliers, y), y, multipliers, best.missed)
+    return _MarginEvaluation(times, most, _slope(whole, conic, multipliers, y), y, multipliers, best.residual)
 
 
 def _slope(whole: ConeProblem, conic: ConeProblem, multipliers: Multipliers, y: Array) -> Array:
@@ -256,7 +256,7 @@ def _step(state: _State, seen: _MarginEvaluation) -> _State:
     """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out."""
     apart = _apart(state.here)
     eps = float(jnp.finfo(state.here.dtype).eps)
-    holds = (seen.times >= 1 - eps**WHOLE_WRENCH_EXPONENT) & (seen.missed <= eps**SOUND_EXPONENT)
+    holds = (seen.times >= 1 - eps**WHOLE_WRENCH_EXPONENT) & (seen.residual <= eps**SOUND_EXPONENT)
     best = holds & (state.here >= state.low)
     low = jnp.where(best, state.here, state.low)
     high = jnp.where(holds, state.high, jnp.minimum(state.here, state.high))

@@ -36,7 +36,7 @@ def search(conic: ConeProblem) -> SearchResult:
     y = jnp.where(conic.present[..., None], best.point[:, :-1].reshape(size, n, c), 0)
     multipliers = Multipliers(-best.equality, bounds)
     shares = best.duals[1][..., 0]
-    return SearchResult(y, _bound(conic, multipliers), multipliers, shares, best.missed)
+    return SearchResult(y, _bound(conic, multipliers), multipliers, shares, best.residual)
 
 
 def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:

@@ -36,7 +36,7 @@ def search(conic: ConeProblem) -> SearchResult:
     bounds = inequality_multipliers(inequalities, best.duals[-1]) if inequalities else {}
     y = jnp.where(conic.present[..., None], best.point.reshape(size, n, c), 0)
     multipliers = Multipliers(-best.equality, bounds, _torques(conic, y))
-    return SearchResult(y, _bound(conic, multipliers, y[..., 0]), multipliers, None, best.missed)
+    return SearchResult(y, _bound(conic, multipliers, y[..., 0]), multipliers, None, best.residual)
 
 
 def _torques(conic: ConeProblem, y: Array) -> Array:

@@ -27,7 +27,7 @@ else:
 
 
 class TorqueBounds(eqx.Module):
-    """What bounds the joint torques of a flat batch."""
+    """Bounds of the joint torques of a flat batch."""
 
     torque_map: Float[InBatch, "#B n c j"]
     """Torques for each unit of a contact's force, and moment where c = 4, in the user's axes [m, 1]."""
@@ -84,19 +84,19 @@ class ContactData(NamedTuple):
 
     @property
     def cone(self) -> Cone:
-        """What each contact may exert."""
+        """The friction cones, with bounds of the normal forces."""
         return Cone(self.normals, self.friction, self.normal_min, self.normal_max)
 
 
 def squeezing_forces(data: ContactData) -> ContactVec:
-    """The squeezing forces s a."""
+    """Return the squeezing forces s a."""
     return ContactVec(
         vec3.scale(data.squeeze, data.normals), None if data.spin_radius is None else 0 * data.spin_radius
     )
 
 
 def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
-    """The data batch-last, and which problems hold usable data.
+    """Return the data batch-last, and a mask of the problems whose data can be used.
 
     Absent contacts and unusable problems are replaced by contacts that carry nothing, so that no NaN enters
     the arithmetic, in values or in derivatives. Normals are brought to unit length.
@@ -119,28 +119,28 @@ def to_batch_last_unfused(problem: ProblemBatch) -> tuple[ContactData, Array]:
     if normal_max is not None:
         good = good & (normal_max >= (0 if normal_min is None else normal_min))
     good = good & (size <= largest)
-    there = None
+    is_present = None
     if problem.present is not None:
         present = problem.present.T
-        there = present > 0.5
-        good = (good | ~there) & ~jnp.isnan(present)
+        is_present = present > 0.5
+        good = (good | ~is_present) & ~jnp.isnan(present)
     all_good = vec3.every(good)
     valid = all_good & (sum(jnp.abs(wrench[i : i + 1]) for i in range(6)) <= largest)
     if problem.free is not None:
         valid = valid & (jnp.sum(jnp.abs(problem.free), (1, 2))[None] <= largest)
-    use = jnp.broadcast_to(all_good, good.shape) if there is None else there & all_good
+    use = jnp.broadcast_to(all_good, good.shape) if is_present is None else is_present & all_good
 
     def keep(array: Array) -> Array:
         return jnp.where(use, array, 0)
 
-    kept = Vec3(*map(keep, normals))
+    kept_normals = Vec3(*map(keep, normals))
     # From what was kept, so that no derivative meets what was not.
-    inverse = 1 / jnp.sqrt(jnp.where(use, vec3.dot(kept, kept), 1))
+    inverse = 1 / jnp.sqrt(jnp.where(use, vec3.dot(kept_normals, kept_normals), 1))
     normal_min = None if normal_min is None else keep(normal_min)
     normal_max = None if normal_max is None else jnp.where(use, normal_max, jnp.inf)
     data = ContactData(
         points=Vec3(*map(keep, points)),
-        normals=vec3.scale(inverse, kept),
+        normals=vec3.scale(inverse, kept_normals),
         friction=keep(friction),
         squeeze=_allowed(keep(squeeze), keep(weights), normal_min, normal_max),
         weights=keep(weights),
@@ -158,9 +158,9 @@ to_batch_last = fused_cpu_kernel(to_batch_last_unfused)
 
 
 def without_squeeze(data: ContactData, chosen: Array) -> ContactData:
-    """Where the scalar ``chosen`` says so: a weight of one and no squeeze for each contact that can move.
+    """Give each contact that can move a weight of one and no squeeze, where the scalar ``chosen`` is true.
 
-    What forces are allowed stays the same.
+    The allowed forces stay the same.
     """
     changed = chosen & (data.weights > 0)
     cost = data.normal_cost
@@ -172,7 +172,7 @@ def without_squeeze(data: ContactData, chosen: Array) -> ContactData:
 
 
 def _is_subnormal(array: Array) -> Array:
-    """Whether numbers are so small that processors may take them for zero, by their bits, as these may too.
+    """Return a mask of subnormal numbers, which a processor may take for zero; read from their bits for that reason.
 
     A weight of zero is a contact that cannot move, which is another problem than one of the smallest weight.
     """
@@ -182,7 +182,7 @@ def _is_subnormal(array: Array) -> Array:
 
 
 def _allowed(squeeze: Array, weights: Array, normal_min: Array | None, normal_max: Array | None) -> Array:
-    """The squeeze; of contacts that cannot move, which hold theirs, within the bounds of the normal force."""
+    """Bring the squeeze of contacts that cannot move, and so hold it, within the bounds of the normal force."""
     for bound, cut in ((normal_min, jnp.maximum), (normal_max, jnp.minimum)):
         if bound is not None:
             squeeze = jnp.where(weights > 0, squeeze, cut(squeeze, bound))

@@ -22,7 +22,7 @@ from jaxgrasp.problem.wrench_discs import WrenchDiscs, discs, scaled_wrench
 
 
 class Units(NamedTuple):
-    """What a problem is measured in: constants where derivatives are taken."""
+    """Units in which a problem is scaled: constants where derivatives are taken."""
 
     about: Array
     """``(B, 3)`` [m]."""
@@ -75,7 +75,7 @@ def units_of(problem: ProblemBatch) -> Units:
 
 def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     shapes = discs(_grasp(problem), units.length, units.about)
-    load, there = units.force_unit[:, None], _present(problem)
+    load, present = units.force_unit[:, None], _present(problem)
     spans = shapes.spans if problem.torsion is not None else shapes.spans[..., :2]
     columns = jnp.concatenate([shapes.centres[..., None], spans], -1).transpose(0, 2, 1, 3)
     bounds, torque = problem.torque_bounds, units.torque[:, None]
@@ -83,10 +83,10 @@ def cone_problem(problem: ProblemBatch, units: Units) -> ConeProblem:
     return ConeProblem(
         columns=columns,
         right=scaled_wrench(problem.wrench, shapes.about, shapes.length, jnp) / load,
-        friction=jnp.where(there, problem.friction, 0),
-        present=there,
-        normal_min=None if problem.normal_min is None else jnp.where(there, problem.normal_min / load, 0),
-        normal_max=None if problem.normal_max is None else jnp.where(there, problem.normal_max / load, jnp.inf),
+        friction=jnp.where(present, problem.friction, 0),
+        present=present,
+        normal_min=None if problem.normal_min is None else jnp.where(present, problem.normal_min / load, 0),
+        normal_max=None if problem.normal_max is None else jnp.where(present, problem.normal_max / load, jnp.inf),
         rows=rows,
         torque_max=None if bounds is None else bounds.torque_max / (load * torque),
     )
@@ -105,22 +105,22 @@ def _present(problem: ProblemBatch) -> Array:
 def _rows(problem: ProblemBatch, shapes: WrenchDiscs) -> Array:
     """Joint torques of each component of y ``(B, j, n, c)``."""
     assert problem.torque_bounds is not None
-    there = _present(problem)
-    given = jnp.where(there[..., None, None], problem.torque_bounds.torque_map, 0)
+    present = _present(problem)
+    torque_map = jnp.where(present[..., None, None], problem.torque_bounds.torque_map, 0)
     # The normals, and the tangents that the spans are made along.
-    normals = jnp.where(there[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=given.dtype)[2])
-    friction = jnp.where(there, problem.friction, 0)
+    normals = jnp.where(present[..., None], jnp.asarray(shapes.centres)[..., :3], jnp.eye(3, dtype=torque_map.dtype)[2])
+    friction = jnp.where(present, problem.friction, 0)
     parts = [normals, *(friction[..., None] * t for t in tangents(normals))]
-    rows = [jnp.einsum("bncj,bnc->bjn", given[:, :, :3], jnp.where(there[..., None], part, 0)) for part in parts]
+    rows = [jnp.einsum("bncj,bnc->bjn", torque_map[:, :, :3], jnp.where(present[..., None], part, 0)) for part in parts]
     if problem.torsion is not None:
-        turning = jnp.where(there & (problem.friction > 0), problem.torsion, 0)
-        spun = given[:, :, 3] if given.shape[2] == 4 else jnp.zeros_like(given[:, :, 0])
+        turning = jnp.where(present & (problem.friction > 0), problem.torsion, 0)
+        spun = torque_map[:, :, 3] if torque_map.shape[2] == 4 else jnp.zeros_like(torque_map[:, :, 0])
         rows.append(jnp.einsum("bnj,bn->bjn", spun, turning))
     return jnp.stack(rows, -1)
 
 
 def forces_of_y(conic: ConeProblem, units: Units, problem: ProblemBatch, y: Array) -> tuple[Array, Array | None]:
-    """Forces ``(B, n, 3)`` and, of soft fingers, moments, of y ``(B, n, c)``, in the user's units."""
+    """Return forces ``(B, n, 3)`` and, for soft fingers, moments of y ``(B, n, c)``, in the user's units."""
     y = jnp.where(conic.present[..., None], y, 0) * units.force_unit[:, None, None]
     # The first three rows of a column are a force.
     forces = jnp.einsum("bxnc,bnc->bnx", conic.columns[:, :3], y, precision=lax.Precision.HIGHEST)
@@ -141,9 +141,9 @@ def y_of_forces(conic: ConeProblem, units: Units, problem: ProblemBatch, forces:
 
 
 def residual_norm(conic: ConeProblem, y: Array) -> Array:
-    """How much of the wrench is left ``(B,)``."""
-    rest = conic.right - jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST)
-    return jnp.sqrt(jnp.sum(rest**2, -1))
+    """Return the norm of the wrench residual ``(B,)``."""
+    residual = conic.right - jnp.einsum("bxnc,bnc->bx", conic.columns, y, precision=lax.Precision.HIGHEST)
+    return jnp.sqrt(jnp.sum(residual**2, -1))
 
 
 def friction_cones(conic: ConeProblem, extra: int) -> Cones:
@@ -156,23 +156,23 @@ def friction_cones(conic: ConeProblem, extra: int) -> Cones:
 
 
 def absent(conic: ConeProblem, extra: int) -> Array:
-    """A quadratic term that keeps absent contacts at zero ``(B, k, k)``."""
+    """Return a quadratic term that keeps absent contacts at zero ``(B, k, k)``."""
     c = conic.columns.shape[3]
     idle = jnp.repeat((~conic.present).astype(conic.right.dtype), c, -1)
     return jnp.pad(idle, [(0, 0), (0, extra)])[..., None] * jnp.eye(conic.width + extra, dtype=conic.right.dtype)
 
 
 def normal_force_rows(conic: ConeProblem, extra: int) -> Array:
-    """The normal force of each contact as rows ``(n, k)``."""
+    """Return the rows ``(n, k)`` whose products with y are the normal forces."""
     n, c = conic.columns.shape[2:]
     return jnp.pad(jnp.eye(n * c, dtype=conic.right.dtype)[::c], [(0, 0), (0, extra)])
 
 
 def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
-    """The problems where ``which`` is true; of others nothing but a shape, so that they neither spoil nor delay any."""
+    """Keep the problems where ``which`` is true; the others become trivial: no steps, no NaN."""
     present = jnp.ones_like(problem.friction) if problem.present is None else problem.present
     wrench = jnp.where(which[:, None], problem.wrench, 0)
-    kept = eqx.tree_at(
+    replaced = eqx.tree_at(
         lambda p: (p.present, p.wrench),
         problem,
         (jnp.where(which[:, None], present, 0), wrench),
@@ -180,7 +180,7 @@ def only(problem: ProblemBatch, which: Array) -> ProblemBatch:
     )
     bounds = problem.torque_bounds
     if bounds is None:
-        return kept
+        return replaced
     return replace(
-        kept, torque_bounds=TorqueBounds(bounds.torque_map, jnp.where(which[:, None], bounds.torque_max, jnp.inf))
+        replaced, torque_bounds=TorqueBounds(bounds.torque_map, jnp.where(which[:, None], bounds.torque_max, jnp.inf))
     )

@@ -29,11 +29,11 @@ class ScaledAxes(NamedTuple):
         return linear, vec3.times(self.scales, angular)
 
     def from_twist(self, linear: Vec3, angular: Vec3) -> SpatialVec:
-        """The coordinates of a twist."""
+        """Return the coordinates of a twist."""
         return join(linear, Vec3(*(vec3.safe_divide(a, s) for a, s in zip(angular, self.scales, strict=True))))
 
     def wrench(self, force: Vec3, torque: Vec3) -> SpatialVec:
-        """The generalised force ``(6, B)`` of a wrench: its work for a unit of each coordinate."""
+        """Return the generalised force ``(6, B)`` of a wrench: its work for a unit of each coordinate."""
         return join(force, vec3.times(self.scales, torque))
 
     def wrenches(self, several: Array) -> Array:
@@ -41,7 +41,7 @@ class ScaledAxes(NamedTuple):
         return jnp.concatenate([several[:3], jnp.stack(self.scales) * several[3:]])
 
     def curvature(self, plain: list[list[Array]]) -> Lower:
-        """A symmetric 6x6 matrix over twists, transformed to one over the coordinates."""
+        """Transform a symmetric 6x6 matrix over twists to one over the coordinates."""
         s = self.scales
         rows = [
             [s[i] * h for h in row[:3]] + [s[i] * s[j] * h for j, h in enumerate(row[3:])]
@@ -50,11 +50,11 @@ class ScaledAxes(NamedTuple):
         return plain[:3] + rows
 
     def not_guided(self, wrench: SpatialVec) -> SpatialVec:
-        """The part of a wrench that no guide carries."""
+        """Return the part of a wrench that no guide carries."""
         return wrench
 
     def unreached(self, wrench: SpatialVec) -> SpatialVec:
-        """The part of it that no contact reaches."""
+        """Return the part of a wrench that no contact reaches."""
         force, torque = parts(wrench)
         zero = jnp.zeros_like(force.x)
         return join(Vec3(zero, zero, zero), Vec3(*(jnp.where(s > 0, 0, t) for s, t in zip(self.scales, torque))))
@@ -95,12 +95,12 @@ class GuidedMotion(NamedTuple):
         return self._padded([vec3.safe_divide(inner(c, twist), inner(c, c)) for c in self.columns])
 
     def wrench(self, force: Vec3, torque: Vec3) -> SpatialVec:
-        given = join(force, torque)
-        return self._padded([inner(column, given) for column in self.columns])
+        joined = join(force, torque)
+        return self._padded([inner(column, joined) for column in self.columns])
 
     def wrenches(self, several: Array) -> Array:
-        seen = jnp.stack([jnp.sum(column[:, None] * several, 0) for column in self.columns])
-        return jnp.concatenate([seen, jnp.zeros((6 - len(seen), *seen.shape[1:]), seen.dtype)])
+        components = jnp.stack([jnp.sum(column[:, None] * several, 0) for column in self.columns])
+        return jnp.concatenate([components, jnp.zeros((6 - len(components), *components.shape[1:]), components.dtype)])
 
     def curvature(self, plain: list[list[Array]]) -> Lower:
         bent = [
@@ -140,7 +140,7 @@ class GuidedMotion(NamedTuple):
         return sum(((inner(c, c) > 0).astype(jnp.int32) for c in self.columns), jnp.int32(0))
 
     def _padded(self, rows: list[Array]) -> SpatialVec:
-        """The rows, with zeros below to make them six."""
+        """Pad the rows with zeros below to six."""
         zero = jnp.zeros_like(rows[0])
         return jnp.concatenate(jnp.broadcast_arrays(*rows, *[zero] * (6 - len(rows))))
 
@@ -149,6 +149,6 @@ Coordinates = ScaledAxes | GuidedMotion
 
 
 def plain_axes(like: Array) -> ScaledAxes:
-    """The twist of a free object as it is."""
-    one = jnp.ones_like(like)
-    return ScaledAxes(Vec3(one, one, one))
+    """Return the coordinates of a free object, which are its twist."""
+    unit = jnp.ones_like(like)
+    return ScaledAxes(Vec3(unit, unit, unit))

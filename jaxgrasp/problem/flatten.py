@@ -1,4 +1,4 @@
-"""What users pass, as a flat batch in one precision: any leading axes, and errors that name the field."""
+"""Flattens users' arguments of any leading axes into one batch in one precision; errors name the field."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ Sharing = str | AnyArray
 
 
 def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
-    """The name of a sharing, and the weights of one that is given as such."""
+    """Return the name of a sharing, and its weights where they are an array."""
     if isinstance(sharing, str):
         if sharing in ("squeeze", "uniform"):
             return sharing, None
@@ -30,7 +30,7 @@ def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
 
 
 def named_weights(grasp: Grasp, sharing: str, numpy: Any) -> AnyArray:
-    """The weights that ``"squeeze"`` or ``"uniform"`` stands for."""
+    """Return the weights that ``"squeeze"`` or ``"uniform"`` stands for."""
     if sharing == "squeeze":
         return grasp.squeeze
     return numpy.ones(np.shape(grasp.points)[:-1], jnp.result_type(grasp.squeeze))
@@ -58,11 +58,12 @@ def flatten(
     per_problem: Mapping[str, tuple[Any, tuple[int, ...]]] = MappingProxyType({}),
     numpy: Any = jnp,
 ) -> FlatInput:
-    """Inputs of any leading axes as a flat batch in one precision.
+    """Flatten inputs of any leading axes into one batch in one precision.
 
-    ``free`` are the twists that a guide allows, ``limits`` what the hand can exert. Friction is divided by
-    ``safety``. ``per_problem`` are further arrays, of which each problem has its own, and their last axes; ``start``
-    becomes the problem's. The arrays are those of ``numpy``: JAX's, or NumPy's own where nothing is to be compiled.
+    ``free`` are the twists that a guide allows, ``limits`` bound the forces and torques of the hand. Friction is
+    divided by ``safety``. ``per_problem`` are further arrays with an entry for each problem, and their last axes;
+    ``start`` becomes a field of the problem. The arrays are those of ``numpy``: ``jax.numpy``, or NumPy where nothing
+    is to be compiled.
     """
     points, normals, friction, squeeze = grasp.points, grasp.normals, grasp.friction, grasp.squeeze
     n = _contacts(points)
@@ -70,28 +71,28 @@ def flatten(
         weights = named_weights(grasp, sharing, numpy)
     contacts = {"friction": friction, "squeeze": squeeze, "present": grasp.present, "sharing": weights}
     contacts["torsion"] = grasp.torsion
-    given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
-    given = {"points": (points, (n, 3)), "normals": (normals, (n, 3))}
-    given |= {name: (array, (n,)) for name, array in contacts.items()}
+    fields: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
+    fields = {"points": (points, (n, 3)), "normals": (normals, (n, 3))}
+    fields |= {name: (array, (n,)) for name, array in contacts.items()}
     if free is not None:
-        given["free"] = (free, (6, _directions(free)))
-    given |= _bounds(limits, n)
-    given |= {"wrench": (wrench, (6,)), **per_problem}
+        fields["free"] = (free, (6, _directions(free)))
+    fields |= _bounds(limits, n)
+    fields |= {"wrench": (wrench, (6,)), **per_problem}
     optional = [array for array in (free, grasp.torsion, *jax.tree.leaves(limits)) if array is not None]
     dtype = _precision(
         points, normals, friction, squeeze, wrench, *(array for array, _ in per_problem.values()), *optional
     )
-    arrays = {name: numpy.asarray(array, dtype) for name, (array, _) in given.items() if array is not None}
+    arrays = {name: numpy.asarray(array, dtype) for name, (array, _) in fields.items() if array is not None}
     if safety is not None:
         arrays["friction"] = _safer(arrays["friction"], arrays.get("present"), safety, numpy)
-    leading = {name: _leading_axes(name, array, given[name][1]) for name, array in arrays.items()}
+    leading = {name: _leading_axes(name, array, fields[name][1]) for name, array in arrays.items()}
     batch = _broadcast(leading)
     # A grasp that all wrenches share stays one grasp: its own work is then done once.
     loads = ("wrench", *per_problem)
     shared = all(int(np.prod(axes)) == 1 for name, axes in leading.items() if name not in loads)
     flat = {}
     for name, array in arrays.items():
-        tail = given[name][1]
+        tail = fields[name][1]
         if shared and name not in loads:
             flat[name] = array.reshape(1, *tail)
         else:
@@ -116,12 +117,12 @@ def flatten(
 
 
 def _safer(friction: AnyArray, present: AnyArray | None, safety: float | AnyArray, numpy: Any) -> AnyArray:
-    """Friction over safety, where there is a friction: dividing a NaN would spoil the derivative by safety."""
-    there = numpy.isfinite(friction)
+    """Divide finite friction by safety: dividing a NaN would make the derivative by safety NaN."""
+    is_usable = numpy.isfinite(friction)
     if present is not None:
-        there = there & (present > 0.5)
+        is_usable = is_usable & (present > 0.5)
     divisor = numpy.asarray(safety, friction.dtype)[..., None]
-    return numpy.where(there, numpy.where(there, friction, 0) / divisor, friction)
+    return numpy.where(is_usable, numpy.where(is_usable, friction, 0) / divisor, friction)
 
 
 def refuse_soft_fingers(grasp: Grasp) -> None:
@@ -138,23 +139,23 @@ def _contacts(points: AnyArray) -> int:
 
 
 def _bounds(limits: Limits | None, n: int) -> dict[str, tuple[AnyArray | None, tuple[int, ...]]]:
-    """The fields of limits and their last axes."""
+    """Return the fields of limits and their last axes."""
     if limits is None:
         return {}
     if not isinstance(limits, Limits):
         raise TypeError(f"limits is of type {type(limits).__name__}: expected jaxgrasp.Limits")
-    given: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
-    given = {"normal_min": (limits.normal_min, (n,)), "normal_max": (limits.normal_max, (n,))}
+    fields: dict[str, tuple[AnyArray | None, tuple[int, ...]]]
+    fields = {"normal_min": (limits.normal_min, (n,)), "normal_max": (limits.normal_max, (n,))}
     torque_map, torque_max = limits.torque_map, limits.torque_max
     if (torque_map is None) != (torque_max is None):
         lacking = "torque_map" if torque_map is None else "torque_max"
         raise ValueError(f"{lacking} is None: expected torque_map and torque_max, or neither")
     if torque_map is None:
-        return given
+        return fields
     shape = np.shape(torque_map)
     if len(shape) < 3 or shape[-3] != n or shape[-2] not in (3, 4) or shape[-1] == 0:
         raise ValueError(f"torque_map has shape {shape}: expected (..., {n}, 3 or 4, joints)")
-    return given | {"torque_map": (torque_map, shape[-3:]), "torque_max": (torque_max, shape[-1:])}
+    return fields | {"torque_map": (torque_map, shape[-3:]), "torque_max": (torque_max, shape[-1:])}
 
 
 def _directions(free: AnyArray) -> int:
@@ -165,14 +166,14 @@ def _directions(free: AnyArray) -> int:
 
 
 def _precision(*arrays: AnyArray) -> np.dtype:
-    """The finest floating-point precision among the arrays, single at least.
+    """Return the finest floating-point precision among the arrays, single at least.
 
-    That of integers and plain numbers does not count. Half precision holds too few digits to solve anything in.
+    Integers and plain numbers do not count. Half precision has too few digits for the solver.
     """
-    seen = (a if hasattr(a, "dtype") else jnp.asarray(a) for a in arrays)
+    typed = (a if hasattr(a, "dtype") else jnp.asarray(a) for a in arrays)
     floats = [
         jax.dtypes.canonicalize_dtype(a.dtype)
-        for a in seen
+        for a in typed
         if jnp.issubdtype(a.dtype, jnp.floating) and not getattr(a, "weak_type", False)
     ]
     finest = max(floats, key=lambda d: d.itemsize, default=jnp.asarray(0.0).dtype)
@@ -183,8 +184,8 @@ def _broadcast(leading: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
     try:
         return jnp.broadcast_shapes(*leading.values())
     except ValueError:
-        said = ", ".join(f"{name} {axes}" for name, axes in leading.items() if axes)
-        raise ValueError(f"leading axes do not broadcast against each other: {said}") from None
+        shapes = ", ".join(f"{name} {axes}" for name, axes in leading.items() if axes)
+        raise ValueError(f"leading axes do not broadcast against each other: {shapes}") from None
 
 
 def _leading_axes(name: str, array: AnyArray, tail: tuple[int, ...]) -> tuple[int, ...]:

@@ -28,7 +28,7 @@ class Cone(NamedTuple):
 
 
 class NormalBound(NamedTuple):
-    """Where a bound on the normal force is active, and the normal force of the projection there."""
+    """Mask of the active bounds on the normal force, and the normal force of the projection there."""
 
     active: Array
     normal_force: Array
@@ -72,13 +72,13 @@ def decompose(u: ContactVec, cone: Cone) -> ConeDecomposition:
 
 
 def _along_and_across(u: ContactVec, cone: Cone) -> tuple[Array, ContactVec]:
-    """The component along the normal, and what is left."""
+    """Split a force into its component along the normal and the rest."""
     along = vec3.dot(u.linear, cone.normal)
     return along, ContactVec(vec3.sub(u.linear, vec3.scale(along, cone.normal)), u.spin)
 
 
 def _edge_normal_force(cone: Cone, split: ConeDecomposition) -> Array:
-    """Normal component of the projection on the cone's edge."""
+    """Return the normal component of the projection on the cone's edge."""
     rise = split.along + cone.friction * split.size
     # Beside the polar cone the compiler may round this below zero, and the force would pull.
     return jnp.where(rise < 0, 0, rise) / (1 + cone.friction**2)
@@ -90,7 +90,7 @@ def _clip(normal_force: Array, cone: Cone) -> Array:
 
 
 def contains(u: ContactVec, cone: Cone) -> Array:
-    """Whether ``u`` is allowed, rounding aside."""
+    """Return a mask of the forces ``u`` that are allowed, rounding aside."""
     along, across = _along_and_across(u, cone)
     slack = 8 * jnp.finfo(along.dtype).eps
     limit = cone.friction * along + slack * (1 + cone.friction) * jnp.abs(along)
@@ -101,7 +101,7 @@ def contains(u: ContactVec, cone: Cone) -> Array:
 
 
 def project(u: ContactVec, cone: Cone, split: ConeDecomposition) -> ContactVec:
-    """The closest allowed force."""
+    """Return the closest allowed force."""
     zero = contact_vec.scale(jnp.zeros_like(split.along), u)
     on_edge = contact_vec.scale(_edge_normal_force(cone, split), edge_force(cone, split))
     on_cone = contact_vec.where(split.inside, u, contact_vec.where(split.polar, zero, on_edge))
@@ -115,16 +115,16 @@ def project(u: ContactVec, cone: Cone, split: ConeDecomposition) -> ContactVec:
 
 
 def edge_force(cone: Cone, split: ConeDecomposition) -> ContactVec:
-    """The force of unit normal component on the cone's edge that is closest."""
+    """Return the closest force of unit normal component on the cone's edge."""
     normal = contact_vec.along(jnp.ones_like(split.along), cone.normal, split.tangent)
     return contact_vec.add(normal, contact_vec.scale(cone.friction, split.tangent))
 
 
 def derivative(cone: Cone, split: ConeDecomposition) -> list[list[Array]]:
-    """The projection's derivative by ``u``, a symmetric matrix as its lower triangle: 3x3, of soft fingers 4x4.
+    """Return the projection's derivative by ``u``, a symmetric matrix as lower triangle: 3x3, for soft fingers 4x4.
 
-    On the cone's surface, at its apex and at its bounds, where the projection has kinks, one of the limits from its
-    sides: an element of the generalised Jacobian.
+    On the cone's surface, at its apex and at its bounds, where the projection has kinks, it is the limit from one side:
+    an element of the generalised Jacobian (Clarke).
     """
     on_edge = jnp.logical_not(split.inside | split.polar)
     # The curvature of the cone: moving u across it turns the edge that carries the projection.
@@ -146,7 +146,7 @@ def derivative(cone: Cone, split: ConeDecomposition) -> list[list[Array]]:
 
 
 def _disc_derivative(cone: Cone, split: ConeDecomposition, normal_force: Array) -> list[list[Array]]:
-    """The derivative of the projection on a disc across the cone: all that is tangential, or turns along its rim."""
+    """Return the derivative of the projection on a disc across the cone: tangential, or turning along its rim."""
     flat = split.size <= cone.friction * normal_force
     turning = jnp.where(flat, 0, vec3.safe_divide(cone.friction * normal_force, split.size))
     isotropic = jnp.where(flat, 1, turning)
@@ -161,7 +161,7 @@ def _disc_derivative(cone: Cone, split: ConeDecomposition, normal_force: Array) 
 
 
 def _as_long(normal: Vec3, like: tuple[Array, ...]) -> tuple[Array, ...]:
-    """The normal's components, and a zero beside the moment about it."""
+    """Return the normal's components, with a zero for the moment about it where forces have one."""
     return (*normal, *[jnp.zeros_like(c) for c in like[3:]])
 
 
@@ -171,11 +171,11 @@ def work_per_normal_force(direction: ContactVec, cone: Cone) -> Array:
     return along + cone.friction * contact_vec.norm(across)
 
 
-def largest_work(push: Array, cone: Cone) -> tuple[Array, Array]:
-    """The most work that each contact does along a direction, from its ``work_per_normal_force``.
+def support_function(push: Array, cone: Cone) -> tuple[Array, Array]:
+    """Return the largest work that each contact does along a direction, from its ``work_per_normal_force``.
 
-    The first result is the work for each unit of normal force, where nothing bounds that; the second all of the work,
-    where something does. Either is 0 where the other holds.
+    The first result is the work for each unit of normal force, where that is not bounded; the second the whole work,
+    where it is. Each is 0 where the other holds.
     """
     if cone.normal_min is None and cone.normal_max is None:
         return push, jnp.zeros_like(push)

@@ -20,7 +20,7 @@ from jaxgrasp.problem.tolerances import tolerances
 
 
 class Mixing(NamedTuple):
-    """How the coordinates come out of the free twists that the user gave: constants where derivatives are taken."""
+    """Matrix from the user's free twists to the coordinates: constant where derivatives are taken."""
 
     reached: Array
     """``(B, k, k)``: a column for each coordinate."""
@@ -29,9 +29,9 @@ class Mixing(NamedTuple):
 
 def directions_to_scaled(free: Array, scaling: Scaling) -> Array:
     """Free twists about the user's origin ``(B, 6, k)`` in a problem's axes and lengths."""
-    known, columns = jnp.where(jnp.isfinite(free), free, 0), []
+    finite, columns = jnp.where(jnp.isfinite(free), free, 0), []
     for j in range(free.shape[-1]):
-        linear, angular = twist_to_scaled(*parts(known[..., j].T), scaling)
+        linear, angular = twist_to_scaled(*parts(finite[..., j].T), scaling)
         columns.append(join(linear, vec3.scale(scaling.length, angular)))
     return jnp.stack(columns, -1).transpose(1, 0, 2)
 
@@ -44,10 +44,10 @@ def mixing(directions: Array, data: ContactData, scaling: Scaling) -> Mixing:
     """
     rank = tolerances(directions.dtype).rank
     basis, onto = _basis(directions, scaling)
-    _, seen, turned = _thin_svd(_root_metric(data, scaling, rank)[..., None] * basis)
-    reached = (seen > rank * rounding_growth(scaling)[0][:, None])[:, None]
+    _, singular_values, turned = _thin_svd(_root_metric(data, scaling, rank)[..., None] * basis)
+    reached = (singular_values > rank * rounding_growth(scaling)[0][:, None])[:, None]
     across = onto @ jnp.swapaxes(turned, 1, 2)
-    scale = 1 / jnp.where(reached, seen[:, None], 1)
+    scale = 1 / jnp.where(reached, singular_values[:, None], 1)
     return Mixing(jnp.where(reached, across * scale, 0), jnp.where(reached, 0, across))
 
 
@@ -68,7 +68,7 @@ def unwhitened_coordinates(problem: ProblemBatch, data: ContactData, scaling: Sc
 
 
 def restricted_metric(metric: Lower, coordinates: Coordinates) -> Lower:
-    """A metric of twists as one of the coordinates; the identity for those that are unused."""
+    """Return a metric of twists as one of the coordinates; the identity for coordinates that are unused."""
     if isinstance(coordinates, ScaledAxes):
         return metric
     rows = coordinates.curvature([list(row) for row in metric])
@@ -77,23 +77,23 @@ def restricted_metric(metric: Lower, coordinates: Coordinates) -> Lower:
 
 
 def guided_coordinates(directions: Array, mixed: Mixing) -> GuidedMotion:
-    """The coordinates along free twists, mixed so."""
+    """Return the coordinates along free twists, mixed by the matrix ``mixed``."""
     columns, lost = (_columns(jnp.sum(directions[..., None] * m[:, None], 2)) for m in mixed)
     return GuidedMotion(columns, lost)
 
 
 def identity_metric(like: Array) -> Metric:
     """G W G^T in coordinates that are scaled to make it the identity."""
-    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
-    matrix = [[one], [zero, one], [zero, zero, one]]
+    unit, zero = jnp.ones_like(like), jnp.zeros_like(like)
+    matrix = [[unit], [zero, unit], [zero, zero, unit]]
     return Metric(matrix, ldl.factor(matrix))
 
 
 def _basis(directions: Array, scaling: Scaling) -> tuple[Array, Array]:
-    """An orthonormal basis of the free twists ``(B, 6, k)``, and how it comes out of them ``(B, k, k)``.
+    """Return an orthonormal basis of the free twists ``(B, 6, k)``, and the matrix that makes it of them ``(B, k, k)``.
 
-    Twists that are given twice, or as sums of others, add columns of zeros; in a frame far away they are less exactly
-    what they were meant to be.
+    Twists that are repeated, or are sums of others, add columns of zeros; in a frame far away rounding makes such sums
+    less exact.
     """
     size = jnp.sqrt(jnp.sum(directions**2, 1, keepdims=True))
     size = jnp.where(size > 0, size, 1)
@@ -113,8 +113,8 @@ def _root_metric(data: ContactData, scaling: Scaling, rank: float) -> Array:
     matrix = inertia(data)
     cut = (rank * rounding_growth(scaling)) ** 2
     roots = [vec3.safe_sqrt(jnp.where(matrix[i][i] > cut, matrix[i][i], 0)) for i in range(3)]
-    one = jnp.ones_like(roots[0])
-    return jnp.concatenate([one, one, one, *roots]).T
+    unit = jnp.ones_like(roots[0])
+    return jnp.concatenate([unit, unit, unit, *roots]).T
 
 
 def _columns(array: Array) -> tuple[SpatialVec, ...]:

@@ -14,16 +14,16 @@ def limits_of(conic: ConeProblem, extra: int) -> Inequalities:
     """Bounds of normal forces and of torques."""
     size, n = conic.right.shape[0], conic.columns.shape[2]
     rows = jnp.broadcast_to(normal_force_rows(conic, extra), (size, n, conic.width + extra))
-    found: Inequalities = {}
+    inequalities: Inequalities = {}
     if conic.normal_min is not None:
-        found["normal_min"] = -rows, -conic.normal_min
+        inequalities["normal_min"] = -rows, -conic.normal_min
     if conic.normal_max is not None:
-        found["normal_max"] = rows, conic.normal_max
+        inequalities["normal_max"] = rows, conic.normal_max
     if conic.rows is not None and conic.torque_max is not None:
         torque = jnp.pad(conic.rows.reshape(size, -1, conic.width), [(0, 0), (0, 0), (0, extra)])
-        found["up"] = torque, conic.torque_max
-        found["down"] = -torque, conic.torque_max
-    return found
+        inequalities["up"] = torque, conic.torque_max
+        inequalities["down"] = -torque, conic.torque_max
+    return inequalities
 
 
 def as_cones(inequalities: Inequalities) -> Cones:
@@ -35,10 +35,10 @@ def as_cones(inequalities: Inequalities) -> Cones:
 
 
 def inequality_multipliers(inequalities: Inequalities, duals: Array) -> dict[str, Array]:
-    """The duals of ``as_cones``, ``(B, m, 1)``, by name ``(B, m)``; zero of those that are none."""
-    found, first = {}, 0
+    """Return the duals of ``as_cones``, ``(B, m, 1)``, by name ``(B, m)``; zero for infinite bounds."""
+    multipliers, first = {}, 0
     for name, (_, ends) in inequalities.items():
         last = first + ends.shape[1]
-        found[name] = jnp.where(jnp.isfinite(ends), duals[:, first:last, 0], 0)
+        multipliers[name] = jnp.where(jnp.isfinite(ends), duals[:, first:last, 0], 0)
         first = last
-    return found
+    return multipliers

@@ -23,14 +23,14 @@ class Metric(NamedTuple):
 
 
 def plain_metric(data: ContactData) -> tuple[Metric, ScaledAxes, Array]:
-    """The metric in the axes as they are, their scales of one, and which problems are too ill-conditioned for it."""
+    """Return the metric in the user's axes, scales of one, and a mask of problems too ill-conditioned for it."""
     matrix = inertia(data)
     factors, ill_conditioned = sound_factors(matrix)
     return Metric(matrix, factors), plain_axes(matrix[0][0]), ill_conditioned
 
 
 def sound_factors(matrix: ldl.Lower) -> tuple[tuple[list[list[Array]], list[Array]], Array]:
-    """The factors of a matrix, and the problems in which its pivots are too small; there, the identity's factors."""
+    """Factor a matrix; where its pivots are too small, return the identity's factors and a mask of those problems."""
     lower, diagonal = ldl.factor(matrix)
     pivot = tolerances(diagonal[0].dtype).pivot
     # `not >=` rather than `<`, so that a NaN out of a zero pivot counts as ill.
@@ -40,7 +40,7 @@ def sound_factors(matrix: ldl.Lower) -> tuple[tuple[list[list[Array]], list[Arra
 
 
 def metric_for(data: ContactData, scaling: Scaling, whiten: Array) -> tuple[Metric, ScaledAxes, Array]:
-    """By the scalar ``whiten`` either ``whitened_metric``, which suits every problem, or ``plain_metric``: one code."""
+    """Return ``whitened_metric``, which suits every problem, or ``plain_metric``, by the scalar ``whiten``."""
     matrix = inertia(data)
     scales = Vec3(*(jnp.where(whiten, s, 1) for s in whitening_scales(matrix, scaling)))
     metric = scaled_metric(matrix, scales)
@@ -49,7 +49,7 @@ def metric_for(data: ContactData, scaling: Scaling, whiten: Array) -> tuple[Metr
 
 
 def whitened_metric(data: ContactData, scaling: Scaling) -> tuple[Metric, ScaledAxes]:
-    """For problems in principal axes: coordinates that make the metric the identity but for rounding.
+    """Return the metric of problems in principal axes, in coordinates that make it the identity but for rounding.
 
     Axes along which the contacts have no spread get a scale of zero: no force can turn the object about them.
     """
@@ -59,13 +59,14 @@ def whitened_metric(data: ContactData, scaling: Scaling) -> tuple[Metric, Scaled
 
 
 def whitening_scales(matrix: ldl.Lower, scaling: Scaling | Placement) -> Vec3:
-    """Scales of the angular coordinates along principal axes; zero along those about which no contact can turn."""
+    """Return scales of the angular coordinates along principal axes; zero where no contact can turn the object."""
     diagonal = [matrix[i][i] for i in range(3)]
     cut = (tolerances(diagonal[0].dtype).rank * rounding_growth(scaling)) ** 2
     return Vec3(*(jnp.where(d > cut, 1 / jnp.sqrt(jnp.where(d > cut, d, 1)), 0) for d in diagonal))
 
 
 def scaled_metric(matrix: ldl.Lower, scales: Vec3) -> Metric:
+    """Return the metric of the inertia ``matrix`` in angular coordinates of these scales."""
     rows = [[scales[i] * scales[j] * matrix[i][j] for j in range(i + 1)] for i in range(3)]
     for i in range(3):
         rows[i][i] = jnp.where(scales[i] > 0, rows[i][i], 1)
@@ -73,6 +74,16 @@ def scaled_metric(matrix: ldl.Lower, scales: Vec3) -> Metric:
 
 
 def squared_norm(metric: Metric, gradient: SpatialVec) -> Array:
-    """Squared length of a wrench as the contacts see it: g.(G W G^T)^-1 g."""
+    """Return the squared norm of a wrench in the inverse metric, g.(G W G^T)^-1 g."""
     linear, angular = spatial.parts(gradient)
     return vec3.dot(linear, linear) + vec3.dot(angular, Vec3(*ldl.solve(metric.factors, angular)))
+
+
+def add_damping(curvature: ldl.Lower, metric: Metric, damping: Array) -> ldl.Lower:
+    """Return ``curvature + damping * metric``, lower triangles 6x6; the metric is the identity in the linear part."""
+    rows = [list(row) for row in curvature]
+    for i in range(3):
+        rows[i][i] = rows[i][i] + damping
+        for j in range(i + 1):
+            rows[3 + i][3 + j] = rows[3 + i][3 + j] + damping * metric.inertia[i][j]
+    return rows

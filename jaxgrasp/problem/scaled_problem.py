@@ -32,7 +32,7 @@ from jaxgrasp.problem.scaling import (
 
 
 class ScaledProblem(NamedTuple):
-    """One problem in each place of the last axis, in coordinates of order one."""
+    """Problems in coordinates of order one, along the last axis."""
 
     data: ContactData
     scaling: Scaling
@@ -71,58 +71,61 @@ def in_suitable_axes(problem: ProblemBatch) -> ScaledProblem:
     """Each problem along axes that suit it; where a guide holds the object, with care for all."""
     if problem.free is None:
         return _in_suitable_axes(*to_batch_last(problem))
-    careful = in_principal_axes(problem)
-    return careful._replace(ill_conditioned=jnp.ones_like(careful.scaling.force_unit, bool))
+    robust = in_principal_axes(problem)
+    return robust._replace(ill_conditioned=jnp.ones_like(robust.scaling.force_unit, bool))
 
 
-def in_principal_or_user_axes(problem: ProblemBatch, data: ContactData, valid: Array, careful: Array) -> ScaledProblem:
-    """As ``in_principal_axes`` where the scalar ``careful`` is true, else along the user's axes: one program for both.
+def in_principal_or_user_axes(problem: ProblemBatch, data: ContactData, valid: Array, robust: Array) -> ScaledProblem:
+    """Scale as ``in_principal_axes`` where the scalar ``robust`` is true, else along the user's axes: one program.
 
-    ``data`` are those of the batch, or others in their place.
+    ``data`` are those of the batch, or a changed copy of them.
     """
-    data, scaling = scale_in_principal_axes(data, careful)
-    metric, coordinates, ill_conditioned = _coordinates(problem, data, scaling, careful)
+    data, scaling = scale_in_principal_axes(data, robust)
+    metric, coordinates, ill_conditioned = _coordinates(problem, data, scaling, robust)
     return ScaledProblem(data, scaling, coordinates, metric, valid, ill_conditioned)
 
 
 @fused_cpu_kernel
 def _coordinates(
-    problem: ProblemBatch, data: ContactData, scaling: Scaling, careful: Array
+    problem: ProblemBatch, data: ContactData, scaling: Scaling, robust: Array
 ) -> tuple[Metric, Coordinates, Array]:
-    """Metric and coordinates, whitened if ``careful``; and which problems they do not suit."""
+    """Metric and coordinates, whitened if ``robust``; and which problems they do not suit."""
     if problem.free is None:
-        return metric_for(data, scaling, careful)
+        return metric_for(data, scaling, robust)
     metric, coordinates = whitened_coordinates(problem, data, scaling)
     return metric, coordinates, jnp.zeros_like(data.force.x, bool)
 
 
 @fused_cpu_kernel
 def _in_suitable_axes(data: ContactData, valid: Array) -> ScaledProblem:
-    """The axes as they are where they will do; principal axes, whitened, for the other problems.
+    """Scale along the user's axes where they are well-conditioned, else along whitened principal axes.
 
-    What only the others need stands in a loop that ends at once where there is none. Every problem's numbers are its
-    own, whatever others stand beside it.
+    The second kind's work stands in a loop that ends at once where there is no such problem. Each problem's numbers
+    are the same to the bit whatever problems stand beside it.
     """
     placed, where = place_contacts(data)
     matrix = inertia(placed)
-    one, zero = jnp.ones_like(matrix[0][0]), jnp.zeros_like(matrix[0][0])
-    own = (Vec3(one, zero, zero), Vec3(zero, one, zero), Vec3(zero, zero, one))
-    # Problems where no contact carries anything are not worth the care.
-    matrix = [[jnp.where(where.weight_sum > 0, m, o) for m, o in zip(*rows, strict=False)] for rows in zip(matrix, own)]
+    unit, zero = jnp.ones_like(matrix[0][0]), jnp.zeros_like(matrix[0][0])
+    user_axes = (Vec3(unit, zero, zero), Vec3(zero, unit, zero), Vec3(zero, zero, unit))
+    # Where no contact can carry a force, the identity: no principal axes are needed.
+    has_contacts = where.weight_sum > 0
+    pairs = zip(matrix, user_axes, strict=True)
+    matrix = [[jnp.where(has_contacts, m, o) for m, o in zip(*rows, strict=False)] for rows in pairs]
     _, ill_conditioned = sound_factors(matrix)
-    plain = placed._replace(torque=torque_about(where, data, carefully=False))
+    plain = placed._replace(torque=torque_about(where, data, compensates=False))
 
-    def with_care(_, state):
+    def with_principal_axes(_, state):
         plain, axes, matrix, scales = state
-        exact = torque_about(where, data, carefully=True)
-        found = ldl.principal_axes(matrix)
-        axes = tuple(vec3.where(ill_conditioned, *pair) for pair in zip(found, axes, strict=True))
+        exact = torque_about(where, data, compensates=True)
+        principal = ldl.principal_axes(matrix)
+        axes = tuple(vec3.where(ill_conditioned, *pair) for pair in zip(principal, axes, strict=True))
         turned = rotate(plain._replace(torque=vec3.where(ill_conditioned, exact, plain.torque)), axes)
         along = inertia(turned)
         scales = vec3.where(ill_conditioned, whitening_scales(along, where), scales)
         return turned, axes, jax.tree.map(partial(jnp.where, ill_conditioned), along, matrix), scales
 
-    given = varying_like((plain, own, matrix, Vec3(one, one, one)), placed)
-    ready, axes, matrix, scales = lax.fori_loop(0, jnp.any(ill_conditioned).astype(jnp.int32), with_care, given)
+    start = varying_like((plain, user_axes, matrix, Vec3(unit, unit, unit)), placed)
+    trips = jnp.any(ill_conditioned).astype(jnp.int32)
+    ready, axes, matrix, scales = lax.fori_loop(0, trips, with_principal_axes, start)
     ready, scaling = scale_by_load(where, ready, axes)
     return ScaledProblem(ready, scaling, ScaledAxes(scales), scaled_metric(matrix, scales), valid, ill_conditioned)

@@ -31,7 +31,7 @@ class Scaling(NamedTuple):
     force_unit: Array
     """Unit of force [N]: squeezing forces, the wrench's force and its torque over the length, added up."""
     sound: Array
-    """Whether lengths, loads and weights are numbers whose squares keep their digits."""
+    """Mask of problems whose lengths, loads and weights have squares within the range of the precision."""
     unweighted_radius: Array
     """Root mean square distance of the adjustable contacts, each counted alike, in units of the length; at least 1.
 
@@ -40,7 +40,7 @@ class Scaling(NamedTuple):
 
 
 class Placement(NamedTuple):
-    """Where the contacts are: all of a scaling but its load."""
+    """Centre, length and weights of the contacts: a scaling without its load."""
 
     first: Vec3
     correction: Vec3
@@ -51,10 +51,10 @@ class Placement(NamedTuple):
     mean_distance: Array
     """Mean distance of the contacts from the centre."""
     unweighted_radius: Array
-    """That of a Scaling."""
+    """As in ``Scaling``."""
     weight_sum: Array
     subnormal_count: Array
-    """How many contacts have a weight that is positive but subnormal beside the sum: arithmetic takes some for 0."""
+    """Number of contacts with a weight that is positive but subnormal beside the sum: arithmetic may take it for 0."""
 
     @property
     def centre(self) -> Vec3:
@@ -62,7 +62,7 @@ class Placement(NamedTuple):
 
 
 def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
-    """Points about the weighted centroid, lengths and weights of order one; forces and torque as they are."""
+    """Return points about the weighted centroid, with lengths and weights of order one; forces stay in newtons."""
     (weight_sum,) = vec3.totals(data.weights)
     k = data.weights / jnp.where(weight_sum > 0, weight_sum, 1)
     first = Vec3(*vec3.totals(*vec3.scale(k, data.points)))
@@ -98,13 +98,13 @@ def place_contacts(data: ContactData) -> tuple[ContactData, Placement]:
     )
 
 
-def torque_about(place: Placement, data: ContactData, carefully: bool) -> Vec3:
-    """The torque about the centre.
+def torque_about(place: Placement, data: ContactData, compensates: bool) -> Vec3:
+    """Move the torque to the centre.
 
-    Moving it from a frame far away leaves little of its digits: in single arithmetic, contacts 1e-7 off a line ten
-    metres away would have an objective wrong by 1e-7. ``carefully`` keeps them all.
+    From a frame far away the subtraction cancels most digits: in single precision, contacts 1e-7 off a line ten metres
+    away would have an objective wrong by 1e-7. ``compensates`` keeps them all by compensated products.
     """
-    if carefully:
+    if compensates:
         moved = compensated.minus_cross(data.torque, place.first, data.force)
     else:
         moved = vec3.sub(data.torque, vec3.cross(place.first, data.force))
@@ -114,7 +114,7 @@ def torque_about(place: Placement, data: ContactData, carefully: bool) -> Vec3:
 def scale_by_load(
     place: Placement, data: ContactData, axes: tuple[Vec3, Vec3, Vec3] | None = None
 ) -> tuple[ContactData, Scaling]:
-    """Placed problems with forces of order one too, and the whole scaling; they were turned into ``axes``."""
+    """Divide placed problems by their load; return them and the whole scaling, with the ``axes`` of the rotation."""
     (squeeze,) = vec3.totals(data.squeeze)
     load = squeeze + vec3.norm(data.force) + vec3.norm(data.torque) / place.length
     smallest = tolerances(load.dtype).smallest
@@ -127,7 +127,7 @@ def scale_by_load(
 
 
 def _divide_by_load(data: ContactData, scaling: Scaling) -> ContactData:
-    """Forces in units of the load, the torque in those of the length too."""
+    """Divide forces by the load's unit, and the torque by the length's too."""
     return data._replace(
         squeeze=data.squeeze / scaling.force_unit,
         force=vec3.scale(1 / scaling.force_unit, data.force),
@@ -137,14 +137,14 @@ def _divide_by_load(data: ContactData, scaling: Scaling) -> ContactData:
     )
 
 
-def normalise(data: ContactData, carefully: bool = False) -> tuple[ContactData, Scaling]:
-    """Coordinates of order one about the weighted centroid; ``carefully``, so that the torque keeps its digits."""
+def normalise(data: ContactData, compensates: bool = False) -> tuple[ContactData, Scaling]:
+    """Return coordinates of order one about the weighted centroid; ``compensates`` as in ``torque_about``."""
     placed, where = place_contacts(data)
-    return scale_by_load(where, placed._replace(torque=torque_about(where, data, carefully)))
+    return scale_by_load(where, placed._replace(torque=torque_about(where, data, compensates)))
 
 
 def with_scaling(data: ContactData, scaling: Scaling, points: Vec3, weights: Array, torque: Vec3) -> ContactData:
-    """The problems in the units of a scaling, with these points, weights and torque about its centre."""
+    """Return the problems in the units of a scaling, with these points, weights and torque about its centre."""
     spin_radius = None if data.spin_radius is None else data.spin_radius / scaling.length
     placed = data._replace(
         points=vec3.scale(1 / scaling.length, points), weights=weights, torque=torque, spin_radius=spin_radius
@@ -153,12 +153,12 @@ def with_scaling(data: ContactData, scaling: Scaling, points: Vec3, weights: Arr
 
 
 def rounding_growth(scaling: Scaling | Placement) -> Array:
-    """By how much the frame's distance multiplies the rounding of points: 1 where it is near."""
+    """Return the factor by which the frame's distance multiplies the rounding of points: 1 where it is near."""
     return 1 + jnp.sqrt(vec3.dot(scaling.centre, scaling.centre)) / scaling.length
 
 
 def inertia(data: ContactData) -> list[list[Array]]:
-    """Sum of k (|r|^2 I - r r^T), of soft fingers + k l^2 a a^T, over the contacts: the torque block of G W G^T."""
+    """Return the torque block of G W G^T: sum of k (|r|^2 I - r r^T), for soft fingers + k l^2 a a^T."""
     xx, yy, zz, xy, xz, yz = _moments(data.points, data.weights)
     matrix = [[yy + zz], [-xy, xx + zz], [-xz, -yz, xx + yy]]
     if data.spin_radius is None:
@@ -169,13 +169,13 @@ def inertia(data: ContactData) -> list[list[Array]]:
 
 
 def _moments(a: Vec3, weights: Array) -> list[Array]:
-    """Sums of weights a a^T."""
+    """Return the entries of the sum of weights a a^T: xx, yy, zz, xy, xz, yz."""
     b = vec3.scale(weights, a)
     return vec3.totals(b.x * a.x, b.y * a.y, b.z * a.z, b.x * a.y, b.x * a.z, b.y * a.z)
 
 
 def rotate(data: ContactData, axes: tuple[Vec3, Vec3, Vec3]) -> ContactData:
-    """The problems written along ``axes``."""
+    """Rotate the problems into ``axes``."""
     return data._replace(
         points=vec3.rotate(axes, data.points),
         normals=vec3.rotate(axes, data.normals),
@@ -186,25 +186,25 @@ def rotate(data: ContactData, axes: tuple[Vec3, Vec3, Vec3]) -> ContactData:
 
 @fused_cpu_kernel
 def scale_in_principal_axes(data: ContactData, turned: bool | Array = True) -> tuple[ContactData, Scaling]:
-    """Coordinates of order one, carefully, along the principal axes of inertia; along the user's if not ``turned``.
+    """Return coordinates of order one along the principal axes of inertia; along the user's axes if not ``turned``.
 
     Points that are tiny in one direction then keep their own digits, and the inertia matrix is
     ill-conditioned by its scales alone, which costs nothing. Forming it in other axes squares the
     condition number: at a relative spread of 1e-7 the forces would be wrong in the third digit.
     """
-    data, scaling = normalise(data, carefully=True)
+    data, scaling = normalise(data, compensates=True)
     axes = ldl.principal_axes(inertia(data), turned)
     return rotate(data, axes), scaling._replace(axes=axes)
 
 
 def forces_from_scaled(forces: Vec3, scaling: Scaling) -> Vec3:
-    """Forces in the user's axes and units."""
+    """Return forces in the user's axes and units."""
     turned = forces if scaling.axes is None else vec3.rotate_back(scaling.axes, forces)
     return vec3.scale(scaling.force_unit, turned)
 
 
 def moments_from_scaled(data: ContactData, spin: Array | None, scaling: Scaling) -> Array | None:
-    """Moments about the normals in the user's units; None where all contacts are hard."""
+    """Return moments about the normals in the user's units; None where all contacts are hard."""
     return (
         None
         if spin is None or data.spin_radius is None
@@ -213,7 +213,7 @@ def moments_from_scaled(data: ContactData, spin: Array | None, scaling: Scaling)
 
 
 def multiplier_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3, Vec3]:
-    """A multiplier about the user's origin, in the user's units."""
+    """Return a multiplier about the user's origin, in the user's units."""
     if scaling.axes is not None:
         linear, angular = vec3.rotate_back(scaling.axes, linear), vec3.rotate_back(scaling.axes, angular)
     unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
@@ -222,7 +222,7 @@ def multiplier_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tup
 
 
 def multiplier_to_scaled(multiplier: Array, scaling: Scaling) -> tuple[Vec3, Vec3]:
-    """The inverse of ``multiplier_from_scaled``, from ``(B, 6)``."""
+    """Invert ``multiplier_from_scaled``, from ``(B, 6)``."""
     columns = multiplier.T
     linear, angular = Vec3(*(columns[i : i + 1] for i in range(3))), Vec3(*(columns[i : i + 1] for i in range(3, 6)))
     linear, angular = twist_to_scaled(linear, angular, scaling)
@@ -231,7 +231,7 @@ def multiplier_to_scaled(multiplier: Array, scaling: Scaling) -> tuple[Vec3, Vec
 
 
 def twist_to_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3, Vec3]:
-    """A twist about the user's origin as one about the problem's centre, along its axes; in the user's units."""
+    """Move a twist about the user's origin to the problem's centre and axes; in the user's units."""
     linear = vec3.add(linear, vec3.cross(angular, scaling.centre))
     if scaling.axes is not None:
         linear, angular = vec3.rotate(scaling.axes, linear), vec3.rotate(scaling.axes, angular)
@@ -239,7 +239,7 @@ def twist_to_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3
 
 
 def certificate_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tuple[Vec3, Vec3]:
-    """A direction as a twist about the user's origin, of unit size in the problem's coordinates."""
+    """Return a direction as a twist about the user's origin, of unit size in the problem's coordinates."""
     if scaling.axes is not None:
         linear, angular = vec3.rotate_back(scaling.axes, linear), vec3.rotate_back(scaling.axes, angular)
     angular = vec3.scale(1 / scaling.length, angular)
@@ -247,7 +247,7 @@ def certificate_from_scaled(linear: Vec3, angular: Vec3, scaling: Scaling) -> tu
 
 
 def wrench_to_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
-    """A wrench about the user's origin in a problem's axes and lengths; in the user's forces."""
+    """Move a wrench about the user's origin to a problem's centre, axes and lengths; in the user's forces."""
     force, torque = spatial.parts(wrench)
     torque = vec3.scale(1 / scaling.length, vec3.sub(torque, vec3.cross(scaling.centre, force)))
     if scaling.axes is not None:
@@ -256,7 +256,7 @@ def wrench_to_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
 
 
 def wrench_from_scaled(wrench: SpatialVec, scaling: Scaling) -> SpatialVec:
-    """The inverse of ``wrench_to_scaled``."""
+    """Invert ``wrench_to_scaled``."""
     force, torque = spatial.parts(wrench)
     if scaling.axes is not None:
         force, torque = vec3.rotate_back(scaling.axes, force), vec3.rotate_back(scaling.axes, torque)

@@ -14,13 +14,13 @@ def join(linear: Vec3, angular: Vec3) -> SpatialVec:
 
 
 def parts(x: SpatialVec) -> tuple[Vec3, Vec3]:
-    """The linear and the angular components, each ``(1, B)``."""
+    """Split a vector into its linear and angular components, each ``(1, B)``."""
     rows = [x[i : i + 1] for i in range(6)]
     return Vec3(*rows[:3]), Vec3(*rows[3:])
 
 
 def inner(a: Array, b: Array) -> Array:
-    """The inner product of vectors of six rows or more."""
+    """Return the inner product of vectors of six rows or more."""
     return sum(a[i : i + 1] * b[i : i + 1] for i in range(1, len(a))) + a[:1] * b[:1]
 
 

@@ -40,7 +40,7 @@ class WrenchDiscs(eqx.Module):
 
 
 def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDiscs:
-    """The discs of a grasp, differentiable by all that makes them.
+    """Return the discs of a grasp, differentiable by every argument.
 
     Args:
         grasp: contacts ``(..., n)``.
@@ -48,14 +48,14 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDis
             contacts from ``about``, or 1 m where they all lie there.
         about: ``(..., 3)`` [m]; where not given the mean of the present contacts' points.
     """
-    there = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    is_present = jnp.ones(grasp.friction.shape, bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
     points = jnp.asarray(grasp.points)
-    normals = jnp.where(there[..., None], grasp.normals, jnp.eye(3, dtype=points.dtype)[2])
+    normals = jnp.where(is_present[..., None], grasp.normals, jnp.eye(3, dtype=points.dtype)[2])
     normals = normals / jnp.sqrt(jnp.sum(normals**2, -1, keepdims=True))
-    friction = jnp.where(there, grasp.friction, 0)
-    torsion = 0 if grasp.torsion is None else jnp.where(there & (friction > 0), grasp.torsion, 0)
-    given = None if about is None else jnp.broadcast_to(jnp.asarray(about, points.dtype), (*points.shape[:-2], 3))
-    middle, arms, radius = centred(points, there, given)
+    friction = jnp.where(is_present, grasp.friction, 0)
+    torsion = 0 if grasp.torsion is None else jnp.where(is_present & (friction > 0), grasp.torsion, 0)
+    centre = None if about is None else jnp.broadcast_to(jnp.asarray(about, points.dtype), (*points.shape[:-2], 3))
+    middle, arms, radius = centred(points, is_present, centre)
     unit = jnp.where(radius > 0, radius, 1) if length is None else jnp.asarray(length, points.dtype)
     unit = jnp.broadcast_to(unit, points.shape[:-2])
     arms = arms / unit[..., None, None]
@@ -67,7 +67,7 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDis
     moment = jnp.concatenate([jnp.zeros_like(normals), normals], -1) * (torsion / unit[..., None])[..., None]
     sliding = [friction[..., None] * wrench(tangent) for tangent in (first, second)]
     return WrenchDiscs(
-        centres=jnp.where(there[..., None], wrench(normals), 0),
+        centres=jnp.where(is_present[..., None], wrench(normals), 0),
         spans=jnp.stack([*sliding, moment], -1),
         about=middle,
         length=unit,
@@ -77,26 +77,26 @@ def discs(grasp: Grasp, length: Length = None, about: About = None) -> WrenchDis
 def measured_discs(
     grasp: Grasp, length: Length, about: About, ellipsoid: Ellipsoid
 ) -> tuple[WrenchDiscs, Float[Array, "..."]]:
-    """The discs in coordinates where an ellipsoid of wrenches is the ball of radius 1, if there is one.
+    """Return the discs in coordinates where an ellipsoid of wrenches, if given, is the ball of radius 1.
 
-    Args:
-        grasp: contacts ``(..., n)``.
-        length: as for ``discs``; without effect beside an ellipsoid.
-        about: likewise; the ellipsoid is about it too.
-        ellipsoid: its semi-axes [N, N.m] as columns ``(..., 6, 6)``.
+        Args:
+            grasp: contacts ``(..., n)``.
+            length: as for ``discs``; without effect beside an ellipsoid.
+            about: likewise; the ellipsoid is about it too.
+            ellipsoid: its semi-axes [N, N.m] as columns ``(..., 6, 6)``.
 
-    Returns:
-        The discs; and by how much rounding counts for more in these coordinates, relative to the largest disc.
+        Returns:
+    The discs; and the factor by which these coordinates enlarge rounding, relative to the largest disc.
     """
     if ellipsoid is None:
         shapes = discs(grasp, length, about)
         return shapes, jnp.ones_like(shapes.length)
     plain = discs(grasp, 1.0, about)
-    whole = jnp.concatenate([jnp.asarray(plain.centres)[..., None], plain.spans], -1)
-    axes = jnp.asarray(ellipsoid, whole.dtype)
+    columns = jnp.concatenate([jnp.asarray(plain.centres)[..., None], plain.spans], -1)
+    axes = jnp.asarray(ellipsoid, columns.dtype)
     inverse = jnp.broadcast_to(jnp.linalg.inv(axes), (*plain.length.shape, 6, 6))
-    turned = jnp.einsum("...ij,...njk->...nik", inverse, whole, precision=lax.Precision.HIGHEST)
-    before, after = (jnp.sqrt(jnp.max(jnp.sum(a**2, (-1, -2)), -1, initial=0)) for a in (whole, turned))
+    turned = jnp.einsum("...ij,...njk->...nik", inverse, columns, precision=lax.Precision.HIGHEST)
+    before, after = (jnp.sqrt(jnp.max(jnp.sum(a**2, (-1, -2)), -1, initial=0)) for a in (columns, turned))
     growth = jnp.sqrt(jnp.sum(inverse**2, (-1, -2))) * before / jnp.where(after > 0, after, 1)
     shapes = WrenchDiscs(turned[..., 0], turned[..., 1:], plain.about, plain.length)
     return shapes, jnp.maximum(growth, 1)
@@ -119,7 +119,7 @@ def work(shapes: WrenchDiscs, normal_force: AnyArray, tangential: AnyArray, dire
 
 
 def differentiable_where(defined: Array, value: Array, shapes: WrenchDiscs) -> Array:
-    """A value ``(...)`` of discs, which has a derivative by them only where it is ``defined``."""
+    """Return a value ``(...)`` of discs whose derivative by them is NaN where it is not ``defined``."""
     undefined = jnp.broadcast_to(~defined, value.shape)
     centres = jnp.broadcast_to(shapes.centres, value.shape + shapes.centres.shape[-2:])
     spans = jnp.broadcast_to(shapes.spans, value.shape + shapes.spans.shape[-3:])

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.model.solution import Route, Verdict
+from jaxgrasp.model.solution import Route
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.batch_last import ProblemBatch
@@ -22,8 +22,8 @@ from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, pseudo_inverse
 from jaxgrasp.solver.dual import PlainProblem
 from jaxgrasp.solver.infeasibility import find_certificate, out_of_range
-from jaxgrasp.solver.newton import has_converged, is_within
-from jaxgrasp.solver.result import Certificate, PassResult, ScaledResult, to_result
+from jaxgrasp.solver.optimality import has_converged, is_within
+from jaxgrasp.solver.result import Certificate, Findings, PhaseResult, ScaledSolution, to_result
 
 MAX_STEPS = 256
 TILE = 128
@@ -46,20 +46,12 @@ def check_solver(solver: Any) -> None:
         raise TypeError(f"solver {type(solver).__name__} holds arrays: expected settings in Python numbers") from None
 
 
-def solve_optimum(solver: Any, problem: ProblemBatch) -> PassResult:
-    """The constrained optimum of a flat batch by an optimistix solver."""
+def solve_optimum(solver: Any, problem: ProblemBatch) -> PhaseResult:
+    """Return the constrained optimum of a flat batch by an optimistix solver."""
     return over_tiles(partial(_tile, solver), problem, problem.size, TILE, problem.count)
 
 
-def to_result_within(problem: ScaledProblem, found: ScaledResult, tolerance: float) -> PassResult:
-    """``to_result``, but an optimum has to balance to ``tolerance`` only: its solver was not asked for more."""
-    result = to_result(problem, found, Route.GIVEN)
-    disowned = (found.verdict[0] == Verdict.OPTIMAL) & (result.verdict == Verdict.NOT_CONVERGED)
-    verdict = jnp.where(disowned & (result.residual <= tolerance), Verdict.OPTIMAL, result.verdict)
-    return result._replace(verdict=verdict.astype(jnp.int32))
-
-
-def _tile(solver: Any, batch: ProblemBatch) -> PassResult:
+def _tile(solver: Any, batch: ProblemBatch) -> PhaseResult:
     problem = in_principal_axes(batch)
     start = pseudo_inverse.closed_multiplier(problem)
     free = pseudo_inverse.forces_without_cones(problem, start)
@@ -70,42 +62,43 @@ def _tile(solver: Any, batch: ProblemBatch) -> PassResult:
     tolerance = float(max(solver.rtol, solver.atol))
     forces, optimal = _check_optimality(problem, point, tolerance)
     certificate = _find_certificate(problem, start, point)
-    verdict = jnp.where(certificate.force_bound > 0, Verdict.INFEASIBLE, Verdict.NOT_CONVERGED)
-    verdict = jnp.where(optimal, Verdict.OPTIMAL, verdict)
-    verdict = jnp.where(inside, Verdict.CLOSED_FORM_OPTIMAL, verdict)
-    found = ScaledResult(
+    infeasible = unreachable | (certificate.force_bound > 0) & ~optimal & ~inside
+    solution = ScaledSolution(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
-        verdict=jnp.where(unreachable, Verdict.INFEASIBLE, verdict),
+        findings=Findings(
+            infeasible=infeasible, optimal=(optimal | inside) & ~infeasible, closed_form=inside & ~infeasible
+        ),
         steps=jnp.where(inside, 0, steps),
         certificate=jax.tree.map(partial(jnp.where, unreachable), beyond, certificate),
         undecided=jnp.zeros_like(unreachable),
     )
-    return to_result_within(problem, found, tolerance)
+    # An optimum has to balance to the tolerance only: its solver was not asked for more.
+    return to_result(problem, solution, Route.GIVEN, balance=tolerance)
 
 
 def _search(solver: Any, problem: ScaledProblem, start: SpatialVec) -> tuple[SpatialVec, Array]:
-    """Where the solver ends in each problem, and after how many steps; the start where it runs off to infinity."""
+    """Return the solver's last point in each problem, or the start where it runs off to infinity, and its steps."""
     import optimistix as optx
 
-    def one(problem: PlainProblem, start: SpatialVec) -> tuple[SpatialVec, Array]:
-        found: optx.Solution
+    def solve_one(problem: PlainProblem, start: SpatialVec) -> tuple[SpatialVec, Array]:
+        result: optx.Solution
         if isinstance(solver, optx.AbstractMinimiser):
-            found = optx.minimise(_negative_dual, solver, start, problem, max_steps=MAX_STEPS, throw=False)
+            result = optx.minimise(_negative_dual, solver, start, problem, max_steps=MAX_STEPS, throw=False)
         else:
-            found = optx.root_find(_gradient, solver, start, problem, max_steps=MAX_STEPS, throw=False)
-        return found.value, found.stats["num_steps"][None]
+            result = optx.root_find(_gradient, solver, start, problem, max_steps=MAX_STEPS, throw=False)
+        return result.value, result.stats["num_steps"][None]
 
     size = start.shape[-1]
-    each = PlainProblem(problem.data, problem.coordinates)
-    each = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), each)
-    point, steps = jax.vmap(one, in_axes=-1, out_axes=-1)(each, start)
+    problems = PlainProblem(problem.data, problem.coordinates)
+    problems = jax.tree.map(lambda x: jnp.broadcast_to(x, (x.shape[0], size)), problems)
+    point, steps = jax.vmap(solve_one, in_axes=-1, out_axes=-1)(problems, start)
     finite = jnp.all(jnp.isfinite(point), 0, keepdims=True)
     return jnp.where(finite, point, start), steps
 
 
 def _gradient(point: SpatialVec, problem: PlainProblem) -> SpatialVec:
-    """The dual's gradient; directions that no contact reaches pull the multiplier to zero instead of nowhere."""
+    """Return the dual's gradient w - G f, less x along directions that no contact reaches, where it would be zero."""
     residual = dual.residual(problem, dual.candidate_forces(problem, point).forces)
     return residual - problem.coordinates.unused() * point
 
@@ -117,16 +110,16 @@ def _negative_dual(point: SpatialVec, problem: PlainProblem) -> Array:
 
 
 def _check_optimality(problem: ScaledProblem, point: SpatialVec, tolerance: float) -> tuple[ContactVec, Array]:
-    """The forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
+    """Return the forces of a multiplier, and whether residual and duality gap are within ``tolerance``, or rounding."""
     best = dual.candidate_forces(problem, point)
     residual = dual.residual(problem, best.forces)
     value = dual.dual_value(problem, best, point)
     total_normal_force = dual.total_normal_force(problem.data, best.forces)
-    found = (problem.data, point, residual, squared_norm(problem.metric, residual), value, total_normal_force)
-    return best.forces, is_within(*found, tolerance, tolerance) | has_converged(*found)
+    measures = (problem.data, point, residual, squared_norm(problem.metric, residual), value, total_normal_force)
+    return best.forces, is_within(*measures, tolerance, tolerance) | has_converged(*measures)
 
 
 def _find_certificate(problem: ScaledProblem, start: SpatialVec, point: SpatialVec) -> Certificate:
-    """What is left of the wrench, or the way the multiplier ran, proves of forces that do not exist."""
+    """Return a proof of infeasibility from the residual of ``point``, or from the multiplier's displacement."""
     residual = dual.residual(problem, dual.candidate_forces(problem, point).forces)
     return find_certificate(problem, residual, point - start)

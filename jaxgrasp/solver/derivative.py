@@ -36,7 +36,7 @@ from jaxgrasp.solver.torque_limits import TorqueConstraints
 
 
 class _Moving(NamedTuple):
-    """What moves with the problem, in a scaling that stays."""
+    """Quantities that move with the problem, in a constant scaling."""
 
     data: ContactData
     directions: Array | None
@@ -46,7 +46,7 @@ class _Moving(NamedTuple):
 
 
 class _Fixed(NamedTuple):
-    """What stays, since the answer does not depend on it."""
+    """Constants: quantities on which the answer does not depend."""
 
     scaling: Scaling
     whitened: ScaledAxes | Mixing
@@ -62,7 +62,7 @@ class _Fixed(NamedTuple):
 
 
 class _DualProblem(NamedTuple):
-    """What the optimality conditions are made of."""
+    """Data and coordinates from which the optimality conditions are computed."""
 
     data: ContactData
     coordinates: Coordinates
@@ -90,7 +90,7 @@ class Tangent(NamedTuple):
 
 
 class _Outputs(NamedTuple):
-    """What is differentiated, in the problems' coordinates."""
+    """Differentiated outputs, in the problems' coordinates."""
 
     forces: ContactVec
     moments: Array | None
@@ -101,10 +101,11 @@ class _Outputs(NamedTuple):
 
 
 def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, constrained: bool) -> Tangent:
-    """How forces, multipliers and objective move when the problem moves by ``moved``.
+    """Compute the tangents of forces, multipliers and objective for the problem's tangent ``moved``.
 
-    On rank-deficient grasps, within the range. Where no contact can carry a force nothing moves; there is no derivative
-    where there is no answer, nor of allowed forces that are not those of their multiplier, and so not the optimum's.
+    By the implicit function theorem: the optimality residual F(x, problem) = 0 moves by F_x dx + F_p dp = 0. On
+    rank-deficient grasps, within the range. Where no contact can carry a force the tangent is zero; it is undefined
+    where there is no answer, and for allowed forces that are not those of their multiplier, so not the optimum's.
     """
     fixed = _constants(problem, constrained)
     scaling = fixed.scaling
@@ -133,22 +134,22 @@ def tangent(problem: ProblemBatch, moved: ProblemBatch, solution: Solution, cons
             torque_multipliers=None if moving.constraints is None else moving.constraints.scale * at[6:],
         )
 
-    found, tangents = jax.jvp(outputs, (moving, at), (moving_tangent, turned))
-    by_multiplier = forces_from_scaled(lax.stop_gradient(found.forces.linear), scaling)
+    values, tangents = jax.jvp(outputs, (moving, at), (moving_tangent, turned))
+    by_multiplier = forces_from_scaled(lax.stop_gradient(values.forces.linear), scaling)
     optimal = (solution.verdict != Verdict.FEASIBLE) | _agree(by_multiplier, solution.forces)
     answered = balanced & optimal[None]
     return _to_solution(scaling, answered, answered[0] | (solution.verdict == Verdict.NO_CONTACTS), tangents)
 
 
-def _agree(forces: Vec3, given: Array) -> Array:
-    """Whether forces ``(n, B)`` are those given ``(B, n, 3)``, but for what rounding does to large multipliers."""
-    given = lax.stop_gradient(given).transpose(2, 1, 0)
-    apart = jnp.abs(jnp.stack(forces) - given)
-    return jnp.max(apart, (0, 1)) <= float(jnp.finfo(given.dtype).eps) ** 0.4 * jnp.max(jnp.abs(given), (0, 1))
+def _agree(forces: Vec3, reference: Array) -> Array:
+    """Return whether forces ``(n, B)`` equal the solution's ``(B, n, 3)``, but for rounding of large multipliers."""
+    reference = lax.stop_gradient(reference).transpose(2, 1, 0)
+    apart = jnp.abs(jnp.stack(forces) - reference)
+    return jnp.max(apart, (0, 1)) <= float(jnp.finfo(reference.dtype).eps) ** 0.4 * jnp.max(jnp.abs(reference), (0, 1))
 
 
 def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) -> Array:
-    """The solution's multiplier in the coordinates, over those of the torque constraints."""
+    """Return the solution's multiplier in the coordinates, above those of the torque constraints."""
     point = problem.coordinates.from_twist(*multiplier_to_scaled(solution.multiplier, scaling))
     if problem.constraints is None or solution.torque_multiplier is None:
         return point
@@ -157,7 +158,7 @@ def _multipliers(solution: Solution, scaling: Scaling, problem: _DualProblem) ->
 
 
 def _optimality_residual(problem: _DualProblem, at: Array, forces: ContactVec) -> Array:
-    """What is zero at a solution: the wrench that is left and, of limits that bind, what torques are beyond them."""
+    """Return the residual that is zero at a solution: w - G f, and below it torque less limit where a limit binds."""
     wrench, constraints = dual.residual(problem, forces), problem.constraints
     if constraints is None:
         return wrench
@@ -167,7 +168,7 @@ def _optimality_residual(problem: _DualProblem, at: Array, forces: ContactVec) -
 
 
 def _forces(problem: _DualProblem, at: Array, unit: Array, constrained: bool) -> tuple[ContactVec, ContactVec]:
-    """The forces of multipliers, and the deviation (f - s a) / k of each contact."""
+    """Return the forces of multipliers, and the deviation (f - s a) / k of each contact."""
     data = problem.data
     if not constrained:
         return pseudo_inverse.forces_without_cones(problem, at), dual.contact_velocities(problem, at)
@@ -183,8 +184,8 @@ def _is_fixed_at_zero(data: ContactData) -> Array:
 
 def _about_apex(data: ContactData, velocity: ContactVec, unit: Array) -> ContactVec:
     """s a + k v on its cone, for s and k about 0, linearised where both are equal: as method B moves them."""
-    seen = lax.stop_gradient(dual.relaxed_target(data, velocity, unit))
-    side = lax.stop_gradient(friction_cone.derivative(data.cone, friction_cone.decompose(seen, data.cone)))
+    target = lax.stop_gradient(dual.relaxed_target(data, velocity, unit))
+    side = lax.stop_gradient(friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone)))
     target = contact_vec.add(squeezing_forces(data), contact_vec.scale(data.weights, velocity))
     return contact_vec.of_components(ldl.multiply(side, contact_vec.components(target)))
 
@@ -202,28 +203,28 @@ def _constants(problem: ProblemBatch, constrained: bool) -> _Fixed:
 
 
 def _in_scaling(problem: ProblemBatch, fixed: _Fixed) -> _Moving:
-    """The problem in a given scaling; a contact that is absent stays where no derivative reaches it."""
+    """Return the problem in a constant scaling; no derivative reaches an absent contact."""
     data, _ = to_batch_last(problem)
     scaling = fixed.scaling
     weight = jnp.where(scaling.weight_sum > 0, scaling.weight_sum, 1)
     moved = vec3.sub(data.torque, vec3.cross(scaling.centre, data.force))
-    there = with_scaling(data, scaling, vec3.sub(data.points, scaling.centre), data.weights / weight, moved)
+    scaled = with_scaling(data, scaling, vec3.sub(data.points, scaling.centre), data.weights / weight, moved)
     assert scaling.axes is not None
-    there = rotate(there, scaling.axes)
+    scaled = rotate(scaled, scaling.axes)
     free = None if problem.free is None else directions_to_scaled(problem.free, scaling)
     constraints = None
     if fixed.constraints is not None:
-        constraints = torque_limits.torque_constraints_scaled_by(fixed.constraints, problem, there, scaling)
-    return _Moving(there, free, constraints)
+        constraints = torque_limits.torque_constraints_scaled_by(fixed.constraints, problem, scaled, scaling)
+    return _Moving(scaled, free, constraints)
 
 
 def _negative_hessian(problem: _DualProblem, at: Array, constrained: bool) -> Array:
     """Minus the Hessian by the coordinates and by the limits that bind, ``(k, k, B)``."""
     data = problem.data
     if not constrained:
-        one, zero = jnp.ones_like(data.weights), jnp.zeros_like(data.weights)
+        unit, zero = jnp.ones_like(data.weights), jnp.zeros_like(data.weights)
         size = 3 if data.spin_radius is None else 4
-        return _full(dual.negative_hessian(problem, [[zero] * i + [one] for i in range(size)]))
+        return _full(dual.negative_hessian(problem, [[zero] * i + [unit] for i in range(size)]))
     best = dual.candidate_forces_at(data, problem.velocities(at))
     plain = dual.negative_hessian(problem, friction_cone.derivative(data.cone, best.split))
     if problem.constraints is None:
@@ -248,20 +249,20 @@ def _solve(curvature: Array, right: Array) -> Array:
     return x + pivoted_ldl.solve(factors, right - jnp.sum(curvature * x[None], 1))
 
 
-def _to_solution(scaling: Scaling, answered: Array, defined: Array, found: _Outputs) -> Tangent:
+def _to_solution(scaling: Scaling, answered: Array, defined: Array, outputs: _Outputs) -> Tangent:
     unit = vec3.safe_divide(scaling.force_unit, scaling.weight_sum)
-    linear, angular = multiplier_from_scaled(*found.twist, scaling)
+    linear, angular = multiplier_from_scaled(*outputs.twist, scaling)
 
     def batch_first(array: Array | None, factor: Array | float = 1) -> Array | None:
         return None if array is None else jnp.where(answered, factor * array, 0).T
 
-    forces = forces_from_scaled(found.forces.linear, scaling)
+    forces = forces_from_scaled(outputs.forces.linear, scaling)
     return Tangent(
         forces=jnp.stack([jnp.where(answered, c, 0) for c in forces]).transpose(2, 1, 0),
         multiplier=jnp.concatenate([jnp.where(answered, c, 0) for c in (*linear, *angular)]).T,
-        objective=jnp.where(answered, unit * scaling.force_unit * found.objective, 0)[0],
-        moments=batch_first(found.moments),
-        normal_multiplier=batch_first(found.normal_multipliers, unit),
-        torque_multiplier=batch_first(found.torque_multipliers, unit),
+        objective=jnp.where(answered, unit * scaling.force_unit * outputs.objective, 0)[0],
+        moments=batch_first(outputs.moments),
+        normal_multiplier=batch_first(outputs.normal_multipliers, unit),
+        torque_multiplier=batch_first(outputs.torque_multipliers, unit),
         undefined=~defined,
     )

@@ -28,7 +28,7 @@ from jaxgrasp.problem.spatial import SpatialVec, inner
 
 @runtime_checkable
 class DualProblem(Protocol):
-    """What the dual is made of; a ``ScaledProblem`` has it, and so has ``PlainProblem``."""
+    """Data and coordinates of which the dual is computed, as ``ScaledProblem`` and ``PlainProblem`` have them."""
 
     @property
     def data(self) -> ContactData: ...
@@ -45,21 +45,22 @@ class PlainProblem(NamedTuple):
 
 
 def plain_problem(data: ContactData) -> PlainProblem:
+    """Return the problem in the user's coordinates."""
     return PlainProblem(data, plain_axes(data.force.x))
 
 
 def required_wrench(problem: DualProblem) -> SpatialVec:
-    """The wrench asked for."""
+    """Return the required wrench w in the problem's coordinates."""
     return problem.coordinates.wrench(problem.data.force, problem.data.torque)
 
 
 def solve(factors: tuple[list[list[Array]], list[Array]], right: SpatialVec) -> SpatialVec:
-    """x with A x = right, from the factors of A."""
+    """Solve A x = right from the factors of A."""
     return jnp.concatenate(ldl.solve(factors, [right[i : i + 1] for i in range(6)]))
 
 
 class CandidateForces(NamedTuple):
-    """Forces that minimise the Lagrangian for a multiplier, and what they came from."""
+    """Forces that minimise the Lagrangian for a multiplier, with their contact velocities and cone regions."""
 
     velocity: ContactVec
     """The multiplier's velocity at each contact, less the cost along its normal."""
@@ -86,12 +87,12 @@ def contact_velocities(problem: DualProblem, multiplier: SpatialVec) -> ContactV
 
 
 def candidate_forces(problem: DualProblem, multiplier: SpatialVec) -> CandidateForces:
-    """The forces of the Lagrangian's minimum for a multiplier."""
+    """Compute the forces that minimise the Lagrangian for a multiplier: f_i = P_i(s_i a_i + k_i G_i^T x)."""
     return candidate_forces_at(problem.data, contact_velocities(problem, multiplier))
 
 
 def target_forces(data: ContactData, velocity: ContactVec) -> ContactVec:
-    """s a + k v for contact velocities v: projected on the cones, these give the candidate forces."""
+    """Return s a + k v for contact velocities v, whose projections on the cones are the candidate forces."""
     return _target(data, _less_cost(data, velocity))
 
 
@@ -100,14 +101,14 @@ def _target(data: ContactData, velocity: ContactVec) -> ContactVec:
 
 
 def _less_cost(data: ContactData, velocity: ContactVec) -> ContactVec:
-    """The velocities less what a unit of normal force costs, along the normals."""
+    """Subtract the cost of a unit of normal force from the velocities, along the normals."""
     if data.normal_cost is None:
         return velocity
     return velocity._replace(linear=vec3.sub(velocity.linear, vec3.scale(data.normal_cost, data.normals)))
 
 
 def candidate_forces_at(data: ContactData, velocity: ContactVec) -> CandidateForces:
-    """The candidate forces for velocities of the contacts, wherever these come from."""
+    """Compute the candidate forces from velocities of the contacts."""
     velocity = _less_cost(data, velocity)
     target = _target(data, velocity)
     split = friction_cone.decompose(target, data.cone)
@@ -115,12 +116,12 @@ def candidate_forces_at(data: ContactData, velocity: ContactVec) -> CandidateFor
 
 
 def residual(problem: DualProblem, forces: ContactVec) -> SpatialVec:
-    """w - G f."""
+    """Return w - G f."""
     return _unbalanced(problem, vec3.totals(*wrench_terms(problem.data, forces)))
 
 
 def wrench_terms(data: ContactData, forces: ContactVec) -> tuple[Array, ...]:
-    """What each contact adds to the wrench: force, then torque."""
+    """Return each contact's part of the wrench: force f_i, then torque r_i x f_i."""
     torque = vec3.cross(data.points, forces.linear)
     if forces.spin is not None and data.spin_radius is not None:
         torque = vec3.add(torque, vec3.scale(data.spin_radius * forces.spin, data.normals))
@@ -134,12 +135,12 @@ def _unbalanced(problem: DualProblem, wrench: list[Array]) -> SpatialVec:
 
 
 def evaluate(problem: DualProblem, multiplier: SpatialVec) -> DualEvaluation:
-    """Value, gradient ``(6, B)`` and minus Hessian of the dual at a multiplier ``(6, B)``."""
+    """Return value, gradient ``(6, B)`` and minus Hessian of the dual at a multiplier ``(6, B)``."""
     return evaluate_at(problem, candidate_forces(problem, multiplier), multiplier)
 
 
 def evaluate_at(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> DualEvaluation:
-    """The dual at a multiplier whose forces are known."""
+    """Return the dual at a multiplier whose forces are known."""
     data = problem.data
     jacobian = friction_cone.derivative(data.cone, best.split)
     sums = vec3.totals(*_value_terms(data, best)) + vec3.stacked_totals(*_hessian_terms(data, jacobian))
@@ -163,12 +164,12 @@ def normal_multipliers(data: ContactData, velocity: ContactVec) -> Array:
 
 
 def dual_value(problem: DualProblem, best: CandidateForces, multiplier: SpatialVec) -> Array:
-    """The dual at a multiplier whose forces are known."""
+    """Return the dual at a multiplier whose forces are known."""
     return _value(problem, multiplier, vec3.totals(*_value_terms(problem.data, best)))[0]
 
 
 def total_normal_force(data: ContactData, forces: ContactVec) -> Array:
-    """Sum of the normal forces."""
+    """Sum the normal forces."""
     return vec3.totals(vec3.dot(forces.linear, data.normals))[0]
 
 
@@ -177,13 +178,13 @@ VALUE_TERMS = 8
 
 def _value_terms(data: ContactData, best: CandidateForces) -> tuple[Array, ...]:
     # w.x + sum of |f - s a|^2 / 2k - v.f, written so that small weights cancel nothing.
-    own = deviation_cost(data, best.forces) - contact_vec.dot(best.velocity, best.forces)
-    return own, vec3.dot(best.forces.linear, data.normals), *wrench_terms(data, best.forces)
+    cost = deviation_cost(data, best.forces) - contact_vec.dot(best.velocity, best.forces)
+    return cost, vec3.dot(best.forces.linear, data.normals), *wrench_terms(data, best.forces)
 
 
 def _value(problem: DualProblem, multiplier: SpatialVec, sums: list[Array]) -> tuple[Array, SpatialVec, Array]:
-    own, total_normal_force, *wrench = sums
-    value = inner(required_wrench(problem), multiplier) + own
+    cost, total_normal_force, *wrench = sums
+    value = inner(required_wrench(problem), multiplier) + cost
     return value, _unbalanced(problem, wrench), total_normal_force
 
 
@@ -205,9 +206,9 @@ def weighted_deviation(data: ContactData, best: CandidateForces, unit: Array) ->
     along = contact_vec.along(vec3.dot(best.velocity.linear, data.normals), data.normals, best.velocity)
     still = contact_vec.where(data.friction > 0, best.velocity, along)
     # At s = k = 0 the force is k times a projection.
-    target, own = relaxed_target(data, best.velocity, unit), contact_vec.along(unit, data.normals, best.velocity)
+    target, offset = relaxed_target(data, best.velocity, unit), contact_vec.along(unit, data.normals, best.velocity)
     split = friction_cone.decompose(target, data.cone)
-    relaxed = contact_vec.sub(friction_cone.project(target, data.cone, split), own)
+    relaxed = contact_vec.sub(friction_cone.project(target, data.cone, split), offset)
     return contact_vec.where(moves, apart, contact_vec.where(data.squeeze > 0, still, relaxed))
 
 
@@ -226,13 +227,13 @@ def deviation_cost_by(data: ContactData, forces: ContactVec, deviation: ContactV
 
 
 def objective_of_no_force(data: ContactData) -> Array:
-    """The objective of no force at all: what gaps are measured against where the optimum's own is small."""
+    """Return the objective of zero forces, against which gaps are measured where the optimum's own is small."""
     held = squeezing_forces(data)
     return vec3.totals(deviation_cost(data, contact_vec.sub(held, held)))[0]
 
 
 def gap_scale(data: ContactData, objective: Array) -> Array:
-    """The scale of a duality gap: |objective|, or the objective of zero forces where that is larger."""
+    """Return the scale of a duality gap: |objective|, or the objective of zero forces where that is larger."""
     return jnp.maximum(jnp.abs(objective), objective_of_no_force(data))
 
 
@@ -242,7 +243,7 @@ def negative_hessian(problem: DualProblem, jacobian: Lower) -> Lower:
 
 
 def force_change(data: ContactData, best: CandidateForces, velocity: ContactVec) -> ContactVec:
-    """How the candidate forces change with velocities of the contacts, k D v."""
+    """Return the change of the candidate forces with velocities of the contacts, k D v."""
     jacobian = friction_cone.derivative(data.cone, best.split)
     moved = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(velocity)))
     return contact_vec.scale(data.weights, moved)
@@ -253,12 +254,12 @@ def _hessian_terms(data: ContactData, jacobian: Lower) -> list[Array]:
     d = [[k * jacobian[max(i, j)][min(i, j)] for j in range(3)] for i in range(3)]
     columns = [vec3.cross(r, Vec3(d[0][j], d[1][j], d[2][j])) for j in range(3)]  # [r]x D, column by column
     mixed = [Vec3(columns[0][i], columns[1][i], columns[2][i]) for i in range(3)]  # its rows
-    own = None
+    spin_rows = None
     if data.spin_radius is not None:
-        mixed, own = _with_spin(data, vec3.scale(data.spin_radius, data.normals), jacobian[3], mixed)
+        mixed, spin_rows = _with_spin(data, vec3.scale(data.spin_radius, data.normals), jacobian[3], mixed)
     angular = [vec3.cross(r, row) for row in mixed]  # rows of [r]x D [r]x^T
-    if own is not None:
-        angular = [vec3.add(row, more) for row, more in zip(angular, own, strict=True)]
+    if spin_rows is not None:
+        angular = [vec3.add(row, more) for row, more in zip(angular, spin_rows, strict=True)]
     terms = [d[i][j] for i in range(3) for j in range(i + 1)]
     terms += [mixed[i][j] for i in range(3) for j in range(3)]
     terms += [angular[i][j] for i in range(3) for j in range(i + 1)]
@@ -266,7 +267,7 @@ def _hessian_terms(data: ContactData, jacobian: Lower) -> list[Array]:
 
 
 def _with_spin(data: ContactData, a: Vec3, last: Sequence[Array], mixed: list[Vec3]) -> tuple[list[Vec3], list[Vec3]]:
-    """What moments about the normals add, with ``a`` the normals times the spin radii and (c, d) the last row of k D.
+    """Add moments about the normals: ``a`` are the normals times the spin radii, (c, d) the last row of k D.
 
     The block of torques by forces gains a c^T, that of torques by torques a (r x c)^T and what follows from it.
     """

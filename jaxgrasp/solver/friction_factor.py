@@ -33,7 +33,7 @@ GAP_EXPONENT = 0.6
 
 
 class FrictionFactor(NamedTuple):
-    """What was found, ``(B,)`` each."""
+    """The least factor with its bounds, ``(B,)`` each."""
 
     factor: Array
     lower: Array
@@ -45,32 +45,32 @@ class FrictionFactor(NamedTuple):
 
 
 def least_friction_factor(data: ContactData, total: Array, frozen: Array, first: Array) -> FrictionFactor:
-    """The least factors of problems ``with_unit_weights``, whose normal forces may reach a ``total (1, B)`` above 0.
+    """Find the least factors of problems ``with_unit_weights``, whose normal forces may total ``total (1, B)`` > 0.
 
-    Those that are ``frozen (1, B)`` are not looked for. The search begins with a factor of ``first``, for small loads.
+    Problems that are ``frozen (1, B)`` are left out. The search begins with a factor of ``first``, for small loads.
     """
     program = _program(data, total)
     state = quasiconvex.minimise(program, _start(program, frozen, first), _is_proven)
-    return _found(program, state)
+    return _to_factor(program, state)
 
 
 @fused_cpu_kernel
 def _program(data: ContactData, total: Array) -> QuasiconvexProgram:
-    there = (data.weights > 0).astype(data.friction.dtype)
-    zero = jnp.zeros_like(there)
+    present = (data.weights > 0).astype(data.friction.dtype)
+    zero = jnp.zeros_like(present)
     first, second = _tangents(data.normals)
 
     def rows(direction: Vec3, size: Array) -> Rows:
         linear = vec3.scale(size, direction)
         return [*linear, *vec3.cross(data.points, linear)]
 
-    grown = [[*rows(data.normals, there), -there]]
+    grown = [[*rows(data.normals, present), -present]]
     if data.spin_radius is not None:
-        turning = vec3.scale(there * data.friction * data.spin_radius, data.normals)
+        turning = vec3.scale(present * data.friction * data.spin_radius, data.normals)
         grown.append([zero, zero, zero, *turning, zero])
-    plain = [[*rows(tangent, there * data.friction), zero] for tangent in (first, second)]
+    plain = [[*rows(tangent, present * data.friction), zero] for tangent in (first, second)]
     load = [c / total for c in (*data.force, *data.torque)]
-    return QuasiconvexProgram(grown, plain, jnp.concatenate([*load, -jnp.ones_like(total)]), there)
+    return QuasiconvexProgram(grown, plain, jnp.concatenate([*load, -jnp.ones_like(total)]), present)
 
 
 def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
@@ -84,15 +84,15 @@ def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
 
 @fused_cpu_kernel
 def _start(program: QuasiconvexProgram, frozen: Array, first: Array) -> InteriorPoint:
-    """The central point of no load."""
+    """Return the central point of no load."""
     # A grasp that many wrenches share has one column; where each problem stands is its own.
     none = jnp.zeros_like(frozen, program.right.dtype)
-    count = none + jnp.sum(program.there, 0, keepdims=True)
-    each = 1 / (count + 1)
+    count = none + jnp.sum(program.present, 0, keepdims=True)
+    share = 1 / (count + 1)
     size = jnp.sqrt(jnp.sum(program.right[:6] ** 2, 0, keepdims=True))
     first = first * jnp.maximum(1, HEAVY * size)
-    each, zero = 0 * program.there + each, 0 * program.there + none
-    grown, plain = [each] + [zero] * (len(program.grown) - 1), [zero] * len(program.plain)
+    share, zero = 0 * program.present + share, 0 * program.present + none
+    grown, plain = [share] + [zero] * (len(program.grown) - 1), [zero] * len(program.plain)
     price = (count + 1) / jnp.maximum(count, 1)
     return InteriorPoint(
         parameter=first,
@@ -106,14 +106,14 @@ def _start(program: QuasiconvexProgram, frozen: Array, first: Array) -> Interior
         reference=grown,
         gap=none + jnp.inf,
         owed=none,
-        missed=none + jnp.inf,
+        residual=none + jnp.inf,
         steps=jnp.zeros_like(frozen, jnp.int32),
         done=frozen,
     )
 
 
 @fused_cpu_kernel
-def _found(program: QuasiconvexProgram, state: InteriorPoint) -> FrictionFactor:
+def _to_factor(program: QuasiconvexProgram, state: InteriorPoint) -> FrictionFactor:
     # The one of the total's two parts that vanishes is next to nothing beside the other.
     spent = state.spare * state.parameter <= state.prices
     parts = state.parameter + state.owed, _lower(program, state), _is_proven(program, state), spent
@@ -125,14 +125,14 @@ def _is_proven(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     lower, upper = _lower(program, state), state.parameter + state.owed
     # What is owed is known to first order: what is left of it is a square.
     balanced = (
-        jnp.maximum(jnp.abs(state.owed), state.missed * state.parameter) <= eps**BALANCE_EXPONENT * state.parameter
+        jnp.maximum(jnp.abs(state.owed), state.residual * state.parameter) <= eps**BALANCE_EXPONENT * state.parameter
     )
     enough = (jnp.abs(upper - lower) <= eps**GAP_EXPONENT * upper) | (upper <= 1 / LARGEST_FACTOR)
     return (balanced & enough) | (lower >= LARGEST_FACTOR)
 
 
 def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
-    """The largest factor that the twist proves to be no more than enough."""
+    """Return the lower bound on the factor that the twist proves."""
     twist = [state.twist[i : i + 1] for i in range(6)]
     work = sum(t * program.right[i : i + 1] for i, t in enumerate(twist))
     along, *spins = (_power(rows, twist) for rows in program.grown)
@@ -142,7 +142,7 @@ def _lower(program: QuasiconvexProgram, state: InteriorPoint) -> Array:
     slide = vec3.safe_sqrt(across[0] ** 2 + across[1] ** 2)
     room = jnp.sqrt(jnp.maximum((lead - spin) * (lead + spin), 0))
     factor = jnp.where(slide > 0, room / jnp.where(slide > 0, slide, 1), jnp.inf)
-    factor = jnp.where(program.there > 0, jnp.where(lead >= spin, factor, 0), jnp.inf)
+    factor = jnp.where(program.present > 0, jnp.where(lead >= spin, factor, 0), jnp.inf)
     return jnp.where(work > 0, jnp.min(factor, 0, keepdims=True), 0)
 
 

@@ -13,12 +13,12 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, friction_cone, spatial
 from jaxgrasp.problem.coordinates import plain_axes
+from jaxgrasp.problem.metric import add_damping
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.scaling import rounding_growth
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual, torque_limits
-from jaxgrasp.solver.newton import damped
 from jaxgrasp.solver.result import Certificate
 from jaxgrasp.solver.torque_limits import TorqueConstraints
 
@@ -31,7 +31,7 @@ VERIFIER_ROUNDING = 8.0
 
 
 def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: TorqueConstraints | None = None) -> Array:
-    """The total normal force that ``direction`` (in the coordinates) proves to be needed, as of a Certificate.
+    """Return the total normal force that ``direction`` (in the coordinates) proves to be needed, as in a Certificate.
 
     With ``constraints``, limits of torques, the rates of their joints stand below the coordinates.
     """
@@ -46,11 +46,11 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
         size = size + spatial.length(rates)
     push = friction_cone.work_per_normal_force(velocity, data.cone)
     adjustable = data.weights > 0
-    endless, bounded = friction_cone.largest_work(push, data.cone)
+    endless, bounded = friction_cone.support_function(push, data.cone)
     largest = jnp.max(jnp.where(adjustable, endless, 0), 0, keepdims=True)
     held = data.squeeze * vec3.dot(velocity.linear, data.normals)
     work = work - vec3.totals(jnp.where(adjustable, bounded, held))[0]
-    # Written out, the direction loses its last digits, and more of them the further away the frame is.
+    # In the user's frame the direction loses its last digits, more of them the farther the frame is.
     rounding = 4 * jnp.finfo(work.dtype).eps * size * rounding_growth(problem.scaling)
     proven = (work > 0) & (jnp.maximum(largest, rounding) * tolerances(work.dtype).proof <= work)
     return jnp.where(proven, vec3.safe_divide(work, jnp.maximum(largest, 0) + VERIFIER_ROUNDING * rounding), 0)
@@ -60,29 +60,31 @@ def proven_force_bound(problem: ScaledProblem, direction: Array, constraints: To
 def find_certificate(
     problem: ScaledProblem, residual: Array, displacement: Array, constraints: TorqueConstraints | None = None
 ) -> Certificate:
-    """The first proof among three directions: the residual, the multiplier's displacement, and the residual corrected
-    until no contact can push along it; as a twist.
+    """Return the first proof among three directions, as a twist.
 
-    Running off, the multiplier keeps its direction's digits where what is left of the wrench loses them.
+    They are the residual, the multiplier's displacement, and the residual corrected until no contact can push along it.
+    A multiplier that runs off keeps its direction's digits where the residual loses them.
     """
     directions = [residual, displacement / jnp.maximum(spatial.length(displacement), 1)]
     if constraints is None:
         directions.append(_turned_away(problem, residual))
-    # What is looked at is what is returned: computed anew, in other kernels, it would be rounded otherwise.
+    # The barrier keeps XLA from computing the direction again in another kernel, with other rounding.
     first, *others = lax.optimization_barrier(directions)
-    found = Certificate(first, proven_force_bound(problem, first, constraints))
+    certificate = Certificate(first, proven_force_bound(problem, first, constraints))
     for direction in others:
-        open_, force = found.force_bound <= 0, proven_force_bound(problem, direction, constraints)
-        found = Certificate(jnp.where(open_, direction, found.direction), jnp.where(open_, force, found.force_bound))
-    linear, angular = problem.coordinates.twist(found.direction[:6])
-    return found._replace(direction=jnp.concatenate([spatial.join(linear, angular), found.direction[6:]]))
+        open_, force = certificate.force_bound <= 0, proven_force_bound(problem, direction, constraints)
+        certificate = Certificate(
+            jnp.where(open_, direction, certificate.direction), jnp.where(open_, force, certificate.force_bound)
+        )
+    linear, angular = problem.coordinates.twist(certificate.direction[:6])
+    return certificate._replace(direction=jnp.concatenate([spatial.join(linear, angular), certificate.direction[6:]]))
 
 
 def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
-    """The direction, corrected by Newton steps until no contact can push along it.
+    """Correct a direction by Newton steps until no contact can push along it.
 
-    What is left of the wrench tends to a direction along which some contacts just do not push; until then they push by
-    a little. Mostly there are others beside it along which none pushes at all, and any of them is a proof.
+    The residual tends to a direction along which some contacts just do not push; until then they push a little. Mostly
+    there are directions beside it along which none pushes at all, and any of them is a proof.
     """
     data = problem.data
     cone = friction_cone.Cone(data.normals, data.friction)
@@ -96,10 +98,10 @@ def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
         largest = jnp.maximum(jnp.max(push, 0, keepdims=True), 0)
         excess = jnp.maximum(push + BEYOND * largest, 0)
         strongest = friction_cone.edge_force(cone, split)
-        # How pushes change with the direction, as the dual's curvature is made of how forces do.
+        # The Hessian of the pushes by the direction has the form of the dual's Hessian.
         along = contact_vec.components(strongest)
         rows = [[jnp.where(excess > 0, along[i] * along[j], 0) for j in range(i + 1)] for i in range(len(along))]
-        curvature = damped(dual.negative_hessian(problem, rows), problem.metric, damping)
+        curvature = add_damping(dual.negative_hessian(problem, rows), problem.metric, damping)
         wrench = vec3.totals(*dual.wrench_terms(data, contact_vec.scale(data.weights * excess, strongest)))
         back = problem.coordinates.wrench(Vec3(*wrench[:3]), Vec3(*wrench[3:]))
         return direction - dual.solve(ldl.factor(curvature), back)
@@ -109,7 +111,7 @@ def _turned_away(problem: ScaledProblem, direction: SpatialVec) -> SpatialVec:
 
 @fused_cpu_kernel
 def out_of_range(problem: ScaledProblem) -> Certificate:
-    """What is asked for along twists that no contact reaches, as a direction, if that is more than rounding.
+    """Return the load along twists that no contact reaches, as a direction; a proof where it exceeds rounding.
 
     The direction is a twist, since the coordinates leave it out.
     """

@@ -48,7 +48,7 @@ def contact_power(conic: ConeProblem, multipliers: Multipliers) -> ContactPower:
 
 
 def velocity_of(conic: ConeProblem, multipliers: Multipliers) -> Array:
-    """What each component of y works against ``(B, n, c)``."""
+    """Return the velocity that each component of y works against ``(B, n, c)``."""
     velocity = jnp.einsum("bxnc,bx->bnc", conic.columns, multipliers.twist)
     rates = _rates(multipliers)
     if rates is not None and conic.rows is not None:
@@ -59,7 +59,7 @@ def velocity_of(conic: ConeProblem, multipliers: Multipliers) -> Array:
 
 
 def constraints(conic: ConeProblem, multipliers: Multipliers, y: Array) -> Array:
-    """What a Lagrangian adds to the objective of forces y ``(B,)``: nothing at the optimum, where it is stationary.
+    """Return the constraint terms of the Lagrangian at forces y ``(B,)``: zero at the optimum, where it is stationary.
 
     The friction cones are not among them: y is in the same cones whatever the problem.
     """
@@ -84,13 +84,13 @@ def required_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
 
 
 def limit_work(conic: ConeProblem, multipliers: Multipliers) -> Array:
-    """What upper bounds of normal forces and torques let them do at the most ``(B,)``."""
-    given = jnp.zeros_like(conic.right[:, 0])
+    """Return the largest work that upper bounds of normal forces and torques allow ``(B,)``."""
+    work = jnp.zeros_like(conic.right[:, 0])
     if conic.normal_max is not None:
-        given = given + _worth(multipliers.bounds["normal_max"], conic.normal_max)
+        work = work + _worth(multipliers.bounds["normal_max"], conic.normal_max)
     if conic.torque_max is not None and "up" in multipliers.bounds:
-        given = given + _worth(multipliers.bounds["up"] + multipliers.bounds["down"], conic.torque_max)
-    return given
+        work = work + _worth(multipliers.bounds["up"] + multipliers.bounds["down"], conic.torque_max)
+    return work
 
 
 def _worth(price: Array, end: Array) -> Array:
@@ -107,10 +107,10 @@ def unit_force_power(conic: ConeProblem, power: ContactPower) -> Array:
 
 
 def with_marginal_friction(problem: ProblemBatch, units: Units, y: Array, multipliers: Multipliers) -> Array:
-    """The forces, with the friction direction that frictionless contacts would use first; for derivatives."""
+    """Return the forces with the friction direction that frictionless contacts would use first; for derivatives."""
     slick = (problem.friction == 0)[..., None]
     rough = eqx.tree_at(lambda p: p.friction, problem, jnp.where(slick[..., 0], 1, problem.friction))
     across = velocity_of(cone_problem(rough, units), multipliers)[..., 1:3]
-    press, rest = y[..., :1], y[..., 3:]
+    press, tail = y[..., :1], y[..., 3:]
     lean = press * safe_divide(across, safe_sqrt(jnp.sum(across**2, -1, keepdims=True)))
-    return jnp.concatenate([press, jnp.where(slick, lean, y[..., 1:3]), rest], -1)
+    return jnp.concatenate([press, jnp.where(slick, lean, y[..., 1:3]), tail], -1)

@@ -15,7 +15,7 @@ AXIS = "problem"
 
 
 def local_mesh(devices: int) -> Mesh:
-    """The first so many of JAX's local devices.
+    """Return a mesh of JAX's first ``devices`` local devices.
 
     Raises:
         ValueError: where there are not so many, or none is asked for.
@@ -26,7 +26,7 @@ def local_mesh(devices: int) -> Mesh:
     return Mesh(np.array(available[:devices]), (AXIS,))
 
 
-def over_devices(solve: Callable[..., Any], own: Any, size: int, room: int, mesh: Mesh) -> Any:
+def over_devices(solve: Callable[..., Any], inputs: Any, size: int, padded_size: int, mesh: Mesh) -> Any:
     """``solve(own)`` for ``size`` problems, the leading axis of whose arrays is spread over the devices.
 
     Args:
@@ -39,14 +39,14 @@ def over_devices(solve: Callable[..., Any], own: Any, size: int, room: int, mesh
     Returns:
         Arrays ``(size, ...)``, spread as their problems are.
     """
-    leaves, structure = jax.tree.flatten(own)
+    leaves, structure = jax.tree.flatten(inputs)
     spread = tuple(array.ndim > 0 and len(array) == size for array in leaves)
     put = [
-        jax.device_put(_filled(array, room * mesh.size) if apart else array, NamedSharding(mesh, _spec(apart)))
+        jax.device_put(_filled(array, padded_size * mesh.size) if apart else array, NamedSharding(mesh, _spec(apart)))
         for array, apart in zip(leaves, spread, strict=True)
     ]
     answer = _program(solve, mesh, structure, spread)(put)
-    return answer if size == room * mesh.size else jax.tree.map(lambda array: array[:size], answer)
+    return answer if size == padded_size * mesh.size else jax.tree.map(lambda array: array[:size], answer)
 
 
 def _filled(array: np.ndarray, room: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from jaxgrasp.solver.dual import DualProblem
 
 
 def closed_multiplier(problem: ScaledProblem) -> SpatialVec:
-    """The multiplier that balances the wrench when no cone is imposed; eq. 10 with weights."""
+    """Solve G W G^T x = w - G s a for the multiplier that balances the wrench when no cone is imposed (eq. 10)."""
     return _balancing(problem, squeezing_forces(problem.data))
 
 
@@ -39,12 +39,12 @@ def refined_multiplier(problem: ScaledProblem) -> SpatialVec:
 
 
 def _balancing(problem: ScaledProblem, forces: ContactVec) -> SpatialVec:
-    """The multiplier that balances what these forces leave of the wrench."""
+    """Return the multiplier that balances the residual of these forces."""
     linear, angular = spatial.parts(dual.residual(problem, forces))
     return spatial.join(linear, Vec3(*ldl.solve(problem.metric.factors, angular)))
 
 
 def forces_without_cones(problem: DualProblem, multiplier: SpatialVec) -> ContactVec:
-    """Forces of eq. 8 with weights: s a + k (G^T multiplier), whatever friction says."""
+    """Compute the forces of eq. 8 with weights, s a + k G^T x, which friction may not allow."""
     velocity = dual.contact_velocities(problem, multiplier)
     return contact_vec.add(squeezing_forces(problem.data), contact_vec.scale(problem.data.weights, velocity))

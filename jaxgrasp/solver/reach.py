@@ -18,6 +18,7 @@ from jax import Array, lax
 
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
+from jaxgrasp.numerics.iterate import iterate
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import spatial
@@ -59,7 +60,7 @@ class QuadraticPenalty(NamedTuple):
 
 
 class _MaximiserState(NamedTuple):
-    """Where each problem stands, and what Newton's method knows there."""
+    """State of Newton's method in each problem: point, value, derivatives and damping."""
 
     point: SpatialVec
     value: Array
@@ -103,19 +104,20 @@ class NearestWrench(NamedTuple):
 
 
 def largest_multiplier(dtype: np.dtype) -> float:
-    """Where a multiplier that runs off is stopped: its rounding then weighs as much as what the penalty is short of."""
+    """Return the size at which a multiplier that runs off is stopped: its rounding equals the penalty's error there."""
     return float(jnp.finfo(dtype).eps ** -0.55)
 
 
 def identity(like: Array) -> Lower:
-    one, zero = jnp.ones_like(like), jnp.zeros_like(like)
-    return [[one if i == j else zero for j in range(i + 1)] for i in range(6)]
+    """Return the 6x6 identity as a lower triangle."""
+    unit, zero = jnp.ones_like(like), jnp.zeros_like(like)
+    return [[unit if i == j else zero for j in range(i + 1)] for i in range(6)]
 
 
 def nearest_wrench(
     problem: DualProblem, metric: Lower, frozen: Array, plane: SpatialVec | None = None
 ) -> NearestWrench:
-    """The nearest wrench, what is missed of the load, e, being measured by e.metric^-1 e.
+    """Find the nearest wrench that the contacts can exert: the missed part e of the load minimises e.metric^-1 e.
 
     With a ``plane`` the metric must be the identity, and wrenches along the plane's normal cost nothing. Plane,
     metric and point are in the problem's coordinates.
@@ -125,7 +127,7 @@ def nearest_wrench(
     def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
         term = QuadraticPenalty(1 / penalty, zero, metric, plane)
         point = maximise(problem, term, penalty, predicted, done)
-        residual = missed_wrench(problem, point)
+        residual = wrench_residual(problem, point)
         if plane is not None:
             residual = _in_plane(plane, residual)
         far = spatial.length(point) >= largest_multiplier(zero.dtype)
@@ -137,7 +139,7 @@ def nearest_wrench(
 
 
 def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen: Array) -> tuple[Array, PenaltyPath]:
-    """The largest theta with load + theta ray in reach, and the multipliers of what bounds it, by their work.
+    """Find the largest theta with load + theta ray in reach, and the multipliers of its bound, scaled by their work.
 
     ``start`` does no work along the ``ray``, which has length 1. Problems where no theta is in reach, or all
     are, should be ``frozen``.
@@ -148,7 +150,7 @@ def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen:
         predicted = predicted + (penalty - spatial.inner(ray, predicted)) * ray
         term = QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, ray)
         point = maximise(problem, term, penalty, predicted, done)
-        residual = missed_wrench(problem, point)
+        residual = wrench_residual(problem, point)
         # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
         theta = -spatial.inner(point, residual) / penalty
         size = 1 + jnp.abs(theta)
@@ -161,7 +163,7 @@ def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen:
 
 
 def least_normal_force(data: ContactData, frozen: Array) -> tuple[Array, PenaltyPath]:
-    """The least total of normal forces that exert the load, and the multipliers of what bounds it, by the cost.
+    """Find the least total of normal forces that exert the load, and the multipliers of its bound, scaled by the cost.
 
     Problems that have no forces at all should be ``frozen``.
     """
@@ -186,7 +188,7 @@ def least_normal_force(data: ContactData, frozen: Array) -> tuple[Array, Penalty
 
 
 def with_normal_cost(data: ContactData, normal_cost: Array) -> ContactData:
-    """Problems in which each unit of normal force has a cost, beside half its square over the weight."""
+    """Return problems in which each unit of normal force has a cost, beside half its square over the weight."""
     return data._replace(normal_cost=normal_cost)
 
 
@@ -223,19 +225,20 @@ def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialV
 
 
 def _bias(path: PenaltyPath, penalty: Array, estimate: Array) -> Array:
-    """How far the estimate still is from its limit, which it approaches with the square of the penalty."""
+    """Return the distance of the estimate from its limit, which falls with the square of the penalty."""
     some = path.penalty > 0
     ratio = jnp.where(some, penalty / jnp.where(some, path.penalty, 1), PENALTY_FACTOR)
     return jnp.where(some, (estimate - path.estimate) / (ratio**2 - 1), 0)
 
 
 def _predicted(path: PenaltyPath, penalty: Array) -> SpatialVec:
-    """The point at a penalty by the secant: in the end the path is straight."""
+    """Predict the point at a penalty by the secant: in the end the path is straight."""
     factor = vec3.safe_divide(penalty - path.penalty, path.penalty - path.penalty_before)
     return path.point + factor * (path.point - path.point_before)
 
 
-def missed_wrench(problem: DualProblem, point: SpatialVec) -> SpatialVec:
+def wrench_residual(problem: DualProblem, point: SpatialVec) -> SpatialVec:
+    """Return w - G f for the candidate forces of ``point``."""
     return dual.residual(problem, dual.candidate_forces(problem, point).forces)
 
 
@@ -244,58 +247,57 @@ def maximise(
 ) -> SpatialVec:
     """Maximise the dual less the penalty by Newton's method, damped as each problem needs it.
 
-    A line search such as ``newton.maximise`` has fails here: where the multiplier is large, most of Newton's
+    The line search of ``newton.LineSearchNewton`` fails here: where the multiplier is large, most of Newton's
     direction lies where only the faint penalty bends the dual, and a kink in it soon ends the step. Damping turns
     the step away instead. The search stops where a step has nothing to gain but rounding, not by the gradient,
     which is rounding itself in all directions but those that matter.
     """
-    damping = FIRST_DAMPING / penalty + 0 * start[:1]
-    state = varying_like(
-        _MaximiserState(start, *_evaluate(problem, penalty_term, start), damping, frozen),
-        problem,
-        penalty_term,
-        penalty,
-    )
-
-    def unfinished(carry):
-        count, state = carry
-        return (count < STEPS_PER_LEVEL) & ~jnp.all(state.done)
-
-    def advance(carry):
-        count, state = carry
-        return count + 1, _advance(problem, penalty_term, penalty, state)
-
-    return lax.while_loop(unfinished, advance, (jnp.int32(0), state))[1].point
+    method = _DampedNewton(problem, penalty_term, penalty)
+    state = varying_like(method.init(start, frozen), problem, penalty_term, penalty)
+    return iterate(method, state, STEPS_PER_LEVEL).point
 
 
-@fused_cpu_kernel
-def _advance(
-    problem: DualProblem, penalty_term: QuadraticPenalty, penalty: Array, state: _MaximiserState
-) -> _MaximiserState:
-    step = _step(penalty_term, state)
-    trial = state.point + step
-    value, gradient, curvature = _evaluate(problem, penalty_term, trial)
-    eps = jnp.finfo(value.dtype).eps
-    # The value is a small difference where the multiplier is large.
-    noise = 8 * eps * (1 + jnp.abs(value) + spatial.length(trial))
-    gain = spatial.inner(state.gradient, step)
-    better = value >= state.value + ARMIJO * gain - noise
-    moves = better & ~state.done
-    # Such a step doubles the digits, of which there are enough by then.
-    last = moves & (gain <= noise) & (state.damping * penalty <= 1)
-    damping = jnp.where(better, state.damping / DAMPING_FACTOR, DAMPING_FACTOR * state.damping)
-    return _MaximiserState(
-        point=jnp.where(moves, trial, state.point),
-        value=jnp.where(moves, value, state.value),
-        gradient=jnp.where(moves, gradient, state.gradient),
-        curvature=jax.tree.map(lambda new, old: jnp.where(moves, new, old), curvature, state.curvature),
-        damping=jnp.maximum(damping, 16 * eps),
-        done=state.done | last | (state.damping > HIGHEST_DAMPING),
-    )
+class _DampedNewton(NamedTuple):
+    """Newton's method with adaptive damping (Levenberg-Marquardt), as a ``Method`` of ``numerics/iterate.py``."""
+
+    problem: DualProblem
+    penalty_term: QuadraticPenalty
+    penalty: Array
+
+    def init(self, start: SpatialVec, frozen: Array) -> _MaximiserState:
+        damping = FIRST_DAMPING / self.penalty + 0 * start[:1]
+        return _MaximiserState(start, *_evaluate(self.problem, self.penalty_term, start), damping, frozen)
+
+    @fused_cpu_kernel
+    def step(self, state: _MaximiserState) -> _MaximiserState:
+        """Take a damped step where it raises the value; less damping then, more where it does not."""
+        step = _step(self.penalty_term, state)
+        trial = state.point + step
+        value, gradient, curvature = _evaluate(self.problem, self.penalty_term, trial)
+        eps = jnp.finfo(value.dtype).eps
+        # The value is a small difference where the multiplier is large.
+        noise = 8 * eps * (1 + jnp.abs(value) + spatial.length(trial))
+        gain = spatial.inner(state.gradient, step)
+        better = value >= state.value + ARMIJO * gain - noise
+        moves = better & ~state.done
+        # Such a step doubles the digits, of which there are enough by then.
+        last = moves & (gain <= noise) & (state.damping * self.penalty <= 1)
+        damping = jnp.where(better, state.damping / DAMPING_FACTOR, DAMPING_FACTOR * state.damping)
+        return _MaximiserState(
+            point=jnp.where(moves, trial, state.point),
+            value=jnp.where(moves, value, state.value),
+            gradient=jnp.where(moves, gradient, state.gradient),
+            curvature=jax.tree.map(lambda new, old: jnp.where(moves, new, old), curvature, state.curvature),
+            damping=jnp.maximum(damping, 16 * eps),
+            done=state.done | last | (state.damping > HIGHEST_DAMPING),
+        )
+
+    def terminate(self, state: _MaximiserState) -> Array:
+        return state.done
 
 
 def _step(penalty_term: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
-    """Newton's damped step, within the plane."""
+    """Return Newton's damped step, within the plane: (H + damping I) d = g, n.d = 0."""
     rows = [[*row[:-1], row[-1] + state.damping] for row in state.curvature]
     factors = ldl.factor(rows)
     step = dual.solve(factors, state.gradient)
@@ -313,7 +315,7 @@ def _step(penalty_term: QuadraticPenalty, state: _MaximiserState) -> SpatialVec:
 def _evaluate(
     problem: DualProblem, penalty_term: QuadraticPenalty, trial: SpatialVec
 ) -> tuple[Array, SpatialVec, Lower]:
-    """Value, gradient and minus Hessian."""
+    """Return value, gradient and minus Hessian of the dual less the penalty."""
     at = dual.evaluate(problem, trial)
     offset = trial - penalty_term.centre
     heavy = penalty_term.strength * times(penalty_term.metric, offset)
@@ -325,15 +327,15 @@ def _evaluate(
 
 
 def _in_plane(normal: SpatialVec, x: SpatialVec) -> SpatialVec:
-    """The part of x in the plane."""
+    """Return the part of x in the plane."""
     return x - spatial.inner(normal, x) * normal
 
 
 def solve_by(metric: Lower, right: SpatialVec) -> SpatialVec:
-    """metric^-1 right."""
+    """Return metric^-1 right."""
     return dual.solve(ldl.factor(metric), right)
 
 
 def times(metric: Lower, x: SpatialVec) -> SpatialVec:
-    """metric x."""
+    """Return metric x."""
     return jnp.concatenate(ldl.multiply(metric, [x[i : i + 1] for i in range(6)]))

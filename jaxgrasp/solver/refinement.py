@@ -13,19 +13,18 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxgrasp.model.solution import Verdict
 from jaxgrasp.numerics import ldl
 from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.shard_map_loop import varying_like
 from jaxgrasp.problem import contact_vec, friction_cone
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.metric import squared_norm
+from jaxgrasp.problem.metric import add_damping, squared_norm
 from jaxgrasp.problem.scaled_problem import ScaledProblem
 from jaxgrasp.problem.spatial import SpatialVec, inner, parts
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
-from jaxgrasp.solver.newton import LOOSE_FACTOR, damped, is_small, without_recomputation
+from jaxgrasp.solver.optimality import LOOSE_FACTOR, is_small, without_recomputation
 from jaxgrasp.solver.proximal import ProximalState
 from jaxgrasp.solver.result import measure_forces
 
@@ -40,55 +39,55 @@ ENOUGH = 0.25
 
 
 class _Refinement(NamedTuple):
-    """Where a refinement stands."""
+    """State of a refinement."""
 
     aim: ContactVec
-    """What is projected on the cones next: targets, then forces moved along their cones."""
+    """Point to project on the cones next: targets, then forces moved along their cones."""
     jacobian: Lower
     """The projection's derivative at the last target."""
     point: SpatialVec
     """The multiplier that belongs to the targets."""
     least: Array
-    """What the dual proves to be least there."""
+    """Dual value there, a lower bound on the objective."""
     wanting: Array
-    """Whether the problem is still to be refined."""
+    """Problems still to be refined."""
     state: ProximalState
 
 
 @fused_cpu_kernel
-def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> ProximalState:
-    """The state with the forces of an optimum brought to balance where they miss their load.
+def refined(problem: ScaledProblem, state: ProximalState, robust: Array) -> ProximalState:
+    """Return the state with the forces of an optimum brought to balance where they miss their load.
 
-    As ``careful``, what has come to its end without having converged is tried too.
+    In the ``robust`` phases, a search that ended without having converged is refined too.
     """
     data, tol = problem.data, tolerances(state.relative_residual.dtype)
     enough = ENOUGH * tol.balance
     rounding = jnp.asarray(16 * jnp.finfo(state.relative_residual.dtype).eps, state.relative_residual.dtype)
-    damping = jnp.where(state.verdict == Verdict.OPTIMAL, rounding, LEAST_DAMPING)
-    wanting = (state.verdict == Verdict.OPTIMAL) & (state.relative_residual > enough)
-    wanting = wanting | (careful & (state.verdict == Verdict.NOT_CONVERGED) & (state.strength == 0))
+    damping = jnp.where(state.optimal, rounding, LEAST_DAMPING)
+    wanting = state.optimal & (state.relative_residual > enough)
+    wanting = wanting | (robust & ~state.optimal & ~state.infeasible & (state.strength == 0))
 
     def step(i: Array, at: _Refinement) -> _Refinement:
         by_target = i <= REFINING_STEPS
         split = friction_cone.decompose(at.aim, data.cone)
         forces = without_recomputation(friction_cone.project(at.aim, data.cone, split))
-        found = measure_forces(problem, forces)
-        left = problem.coordinates.wrench(*parts(found.residual))
+        measured = measure_forces(problem, forces)
+        left = problem.coordinates.wrench(*parts(measured.residual))
         # Forces of a target minimise the Lagrangian, whose value is then the dual's. Those moved along their cones have
         # left it, so that their residual alone does not tell what they cost.
-        least = jnp.where(by_target, found.objective + inner(at.point, left), at.least)
-        gap = LOOSE_FACTOR * tol.gap * dual.gap_scale(data, found.objective)
-        small = is_small(squared_norm(problem.metric, left), found.total_normal_force, LOOSE_FACTOR * tol.gradient)
-        good = at.wanting & (found.relative_residual <= enough) & small & (found.objective - least <= gap)
+        least = jnp.where(by_target, measured.objective + inner(at.point, left), at.least)
+        gap = LOOSE_FACTOR * tol.gap * dual.gap_scale(data, measured.objective)
+        small = is_small(squared_norm(problem.metric, left), measured.total_normal_force, LOOSE_FACTOR * tol.gradient)
+        good = at.wanting & (measured.relative_residual <= enough) & small & (measured.objective - least <= gap)
         state = at.state._replace(
             point=jnp.where(good, at.point, at.state.point),
             forces=contact_vec.where(good, forces, at.state.forces),
-            verdict=jnp.where(good, Verdict.OPTIMAL, at.state.verdict),
+            optimal=at.state.optimal | good,
             steps=at.state.steps + at.wanting.astype(jnp.int32),
         )
         jacobian = jax.tree.map(partial(jnp.where, by_target), friction_cone.derivative(data.cone, split), at.jacobian)
         curvature = dual.negative_hessian(problem, jacobian)
-        more = dual.solve(ldl.factor(damped(curvature, problem.metric, damping)), left)
+        more = dual.solve(ldl.factor(add_damping(curvature, problem.metric, damping)), left)
         moved = contact_vec.scale(data.weights, dual.contact_velocities(problem, more))
         along = contact_vec.of_components(ldl.multiply(jacobian, contact_vec.components(moved)))
         newton = i < REFINING_STEPS
@@ -98,6 +97,6 @@ def refined(problem: ScaledProblem, state: ProximalState, careful: Array) -> Pro
 
     target = dual.target_forces(data, dual.contact_velocities(problem, state.point))
     none = jax.tree.map(jnp.zeros_like, friction_cone.derivative(data.cone, friction_cone.decompose(target, data.cone)))
-    begun = _Refinement(target, none, state.point, 0 * state.relative_residual, wanting, state)
+    start = _Refinement(target, none, state.point, 0 * state.relative_residual, wanting, state)
     trips = jnp.where(jnp.any(wanting), REFINING_STEPS + CORRECTIONS + 1, 0)
-    return lax.fori_loop(0, trips, step, varying_like(begun, problem, state)).state
+    return lax.fori_loop(0, trips, step, varying_like(start, problem, state)).state

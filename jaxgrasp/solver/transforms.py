@@ -19,8 +19,8 @@ from jaxgrasp.model.solution import Solution
 from jaxgrasp.numerics.no_derivative import nan_tangents_where
 from jaxgrasp.numerics.zero_tangent import zero_tangent
 from jaxgrasp.problem.batch_last import ProblemBatch
-from jaxgrasp.solver import by_optimistix, derivative, passes
-from jaxgrasp.solver.result import PassResult
+from jaxgrasp.solver import by_optimistix, derivative, phases
+from jaxgrasp.solver.result import PhaseResult
 
 FlatSolver = Callable[[ProblemBatch], Solution]
 """A differentiable solver of a flat batch."""
@@ -31,9 +31,9 @@ PER_WRENCH = ("wrench", "start")
 
 
 def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> Callable[[ProblemBatch], Any]:
-    """A solver of PassResults as one of Solutions with derivatives.
+    """Return a solver of Solutions with derivatives from a solver of PhaseResults.
 
-    ``constrained`` says whether the cones are imposed: a truth for one result, or a tuple of them for a tuple.
+    ``constrained`` says whether the cones are imposed: a bool for one result, a tuple of bools for a tuple of results.
     """
     flat = _batched(solve)
     outer = jax.custom_jvp(flat)
@@ -55,7 +55,7 @@ def _differentiable(solve: Callable[[ProblemBatch], Any], constrained: Any) -> C
 def _batched(solve: Callable[[ProblemBatch], Any]) -> Callable[[ProblemBatch], Any]:
     @custom_vmap
     def flat(problem: ProblemBatch) -> Any:
-        return jax.tree.map(as_solution, solve(problem), is_leaf=lambda x: isinstance(x, PassResult))
+        return jax.tree.map(as_solution, solve(problem), is_leaf=lambda x: isinstance(x, PhaseResult))
 
     @flat.def_vmap
     def rule(axis_size: int, in_batched, problem: ProblemBatch):
@@ -67,51 +67,51 @@ def _batched(solve: Callable[[ProblemBatch], Any]) -> Callable[[ProblemBatch], A
     return flat
 
 
-def as_solution(result: PassResult) -> Solution:
-    """The fields of a result that users see."""
+def as_solution(result: PhaseResult) -> Solution:
+    """Return the fields of a result that users see."""
     return Solution(**{name: getattr(result, name) for name in SOLUTION})
 
 
 def _merge(axis_size: int, batched: ProblemBatch, problem: ProblemBatch) -> tuple[ProblemBatch, int]:
-    """The problem with its mapped axis merged into the batch, and the size that each mapped element had."""
+    """Merge the mapped axis of a problem into its batch; return also the batch size of each mapped element."""
     size = problem.wrench.shape[1 if batched.wrench else 0]
     contacts = [field.name for field in fields(ProblemBatch) if field.name not in PER_WRENCH]
     shared = not any(jax.tree.leaves([getattr(batched, name) for name in contacts])) and problem.points.shape[0] == 1
 
     def merge(array: Array, is_batched: bool) -> Array:
-        own = array if is_batched else array[None]
-        wide = jnp.broadcast_to(own, (axis_size, size, *own.shape[2:]))
-        return wide.reshape(axis_size * size, *own.shape[2:])
+        entries = array if is_batched else array[None]
+        wide = jnp.broadcast_to(entries, (axis_size, size, *entries.shape[2:]))
+        return wide.reshape(axis_size * size, *entries.shape[2:])
 
     merged = jax.tree.map(merge, problem, batched)
     if shared:
-        own = {name: getattr(problem, name) for name in contacts}
-        merged = ProblemBatch(**own, **{name: getattr(merged, name) for name in PER_WRENCH})
+        shared_fields = {name: getattr(problem, name) for name in contacts}
+        merged = ProblemBatch(**shared_fields, **{name: getattr(merged, name) for name in PER_WRENCH})
     return merged, size
 
 
 def _tangent_solution(solution: Solution, parts: derivative.Tangent) -> Solution:
-    """A Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers.
+    """Return a Solution's tangent, whose integer fields have the dtype that JAX gives to tangents of integers.
 
-    What is zero for every answer, as a certificate is, has a derivative of zero with it.
+    A field that is zero for every answer, as a certificate is, has a tangent of zero.
     """
 
     def of(name: str, field: Array) -> Any:
         moving = getattr(parts, name, None)
         return zero_tangent(field) if moving is None else moving
 
-    there = [(name, getattr(solution, name)) for name in SOLUTION]
-    leaves = [of(name, field) for name, field in there if field is not None]
+    named = [(name, getattr(solution, name)) for name in SOLUTION]
+    leaves = [of(name, field) for name, field in named if field is not None]
     return jax.tree.unflatten(jax.tree.structure(solution), leaves)
 
 
-closed_form = _differentiable(passes.solve_closed, False)
-optimum = _differentiable(passes.solve_optimum, True)
-closed_form_and_optimum = _differentiable(passes.solve_both, (False, True))
+closed_form = _differentiable(phases.solve_closed, False)
+optimum = _differentiable(phases.solve_optimum, True)
+closed_form_and_optimum = _differentiable(phases.solve_both, (False, True))
 """Both by one solver, which does their common work once."""
 
 
 @cache
 def optimum_by(solver: Any) -> FlatSolver:
-    """The optimum by an optimistix solver."""
+    """Return the flat solver of the optimum by an optimistix solver."""
     return _differentiable(partial(by_optimistix.solve_optimum, solver), True)

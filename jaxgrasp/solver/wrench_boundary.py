@@ -31,7 +31,7 @@ class UnitWeightProblem(NamedTuple):
 
 
 class BoundaryPoint(NamedTuple):
-    """What bounds an answer, batch-first in the user's units and axes."""
+    """Multipliers and forces at the bound of an answer, batch-first in the user's units and axes."""
 
     centre: Array
     """``(B, 3)`` [m]: the normal is written about this point."""
@@ -65,7 +65,7 @@ def with_unit_weights(batch: ProblemBatch) -> UnitWeightProblem:
 
 
 def with_wrench(problem: UnitWeightProblem, wrench: SpatialVec) -> UnitWeightProblem:
-    """The problems under another wrench, and nothing held."""
+    """Return the problems under another wrench, without squeeze."""
     force, torque = spatial.parts(wrench)
     data = problem.data
     return problem._replace(data=data._replace(squeeze=0 * data.squeeze, force=force, torque=torque))
@@ -74,34 +74,34 @@ def with_wrench(problem: UnitWeightProblem, wrench: SpatialVec) -> UnitWeightPro
 def boundary_point(
     unit_weight: UnitWeightProblem, last: ContactData, before: ContactData, path: reach.PenaltyPath, size: Array
 ) -> BoundaryPoint:
-    """What a path of multipliers leads to, in the user's axes and units; ``size`` is that of a unit of its answer.
+    """Return the end of a path of multipliers in the user's axes and units; ``size`` is that of a unit of its answer.
 
-    ``last`` and ``before`` are the problems as they were at the path's last two penalties. The result is what holds at
-    the last one, less the error that falls with the penalty.
+    ``last`` and ``before`` are the problems at the path's last two penalties. The result is extrapolated from these
+    two, since its error falls with the penalty.
     """
     share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
-    now, then = (
+    last_values, then = (
         _supporting_twist(last, path.point, path.penalty),
         _supporting_twist(before, path.point_before, path.penalty_before),
     )
-    normal = now.normal + share * (now.normal - then.normal)
-    normal_force = now.normal_force + share * (now.normal_force - then.normal_force)
+    normal = last_values.normal + share * (last_values.normal - then.normal)
+    normal_force = last_values.normal_force + share * (last_values.normal_force - then.normal_force)
     friction_use = contact_vec.add(
-        now.friction_use, contact_vec.scale(share, contact_vec.sub(now.friction_use, then.friction_use))
+        last_values.friction_use, contact_vec.scale(share, contact_vec.sub(last_values.friction_use, then.friction_use))
     )
-    scaling, one = unit_weight.scaling, jnp.ones_like(size)
+    scaling, ones = unit_weight.scaling, jnp.ones_like(size)
     assert scaling.axes is not None
     linear, angular = spatial.parts(vec3.safe_divide(normal, size))
     linear = vec3.rotate_back(scaling.axes, linear)
     angular = vec3.rotate_back(scaling.axes, vec3.scale(1 / scaling.length, angular))
     return BoundaryPoint(
-        centre=jnp.concatenate([c * one for c in scaling.centre]).T,
+        centre=jnp.concatenate([c * ones for c in scaling.centre]).T,
         normal=spatial.join(linear, angular).T,
-        normal_force=(scaling.force_unit * normal_force * one).T,
-        friction_use=jnp.stack([c * one for c in vec3.rotate_back(scaling.axes, friction_use.linear)]).transpose(
+        normal_force=(scaling.force_unit * normal_force * ones).T,
+        friction_use=jnp.stack([c * ones for c in vec3.rotate_back(scaling.axes, friction_use.linear)]).transpose(
             2, 1, 0
         ),
-        spin_use=None if friction_use.spin is None else (friction_use.spin * one).T,
+        spin_use=None if friction_use.spin is None else (friction_use.spin * ones).T,
     )
 
 
@@ -132,5 +132,5 @@ def work_along(problem: ProblemBatch, wrench: Array, boundary: BoundaryPoint) ->
     normal_force = jnp.where(adjustable, boundary.normal_force.T, data.squeeze)
     push = along + jnp.where(adjustable, data.friction * slide, 0)
     force, torque = spatial.parts(wrench.T)
-    asked = vec3.dot(linear, force) + vec3.dot(angular, vec3.sub(torque, vec3.cross(centre, force)))
-    return (jnp.sum(normal_force * push, 0, keepdims=True) - asked)[0]
+    work = vec3.dot(linear, force) + vec3.dot(angular, vec3.sub(torque, vec3.cross(centre, force)))
+    return (jnp.sum(normal_force * push, 0, keepdims=True) - work)[0]

@@ -1,8 +1,8 @@
-"""The optimum within limits of joint torques: nothing where none is broken, more coordinates where some are.
+"""The optimum within limits of joint torques, in phases that start from the optimum without limits.
 
-1. The optimum as it is, where its forces break no limit.
+1. The optimum without limits, where its forces break none.
 2. Newton's method with the few limits that are broken most, from there on; then, for what that leaves, with more.
-3. The careful pass with all limits, for what that leaves, and a proof where no forces exist.
+3. The robust phase with all limits for what that leaves, and a proof where no forces exist.
 """
 
 from dataclasses import replace
@@ -23,40 +23,46 @@ from jaxgrasp.problem.scaled_problem import ScaledProblem, in_plain_axes, in_pri
 from jaxgrasp.problem.scaling import multiplier_to_scaled
 from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import torque_limits
-from jaxgrasp.solver.infeasibility import find_certificate
-from jaxgrasp.solver.newton import OptimalityCheck, ProximalTerm, maximise
-from jaxgrasp.solver.proximal import careful_settings, initial_state, proximal_search
-from jaxgrasp.solver.result import Certificate, JointResult, PassResult, ScaledResult, no_certificate, to_result
-from jaxgrasp.solver.torque_limits import TorqueConstraints, TorqueLimitedObjective
+from jaxgrasp.solver.newton import maximise
+from jaxgrasp.solver.proximal import initial_state, proximal_search, robust_settings
+from jaxgrasp.solver.result import (
+    Findings,
+    JointResult,
+    PhaseResult,
+    ScaledSolution,
+    no_certificate,
+    to_result,
+)
+from jaxgrasp.solver.torque_objective import TorqueLimitedObjective
 
 
-class _TorquePass(NamedTuple):
-    """Fast passes with ``width`` limits at a time, those that bind or are broken most."""
+class _NewtonPhases(NamedTuple):
+    """Newton phases with ``width`` limits at a time, those that bind or are broken most."""
 
     width: int
     steps: tuple[int, ...]
-    """Evaluations of each, after which the unfinished are gathered again and choose their limits anew."""
+    """Evaluations of each phase, after which the unfinished are gathered again and choose their limits anew."""
 
 
-FAST = (_TorquePass(3, (4, 4, 8, 20)), _TorquePass(6, (10, 30)), _TorquePass(12, (40,)))
+NEWTON_PHASES = (_NewtonPhases(3, (4, 4, 8, 20)), _NewtonPhases(6, (10, 30)), _NewtonPhases(12, (40,)))
 ROUNDING = 4.0
 """Torques may be beyond their limits by so many tolerances of forces."""
 TILE = 32
-CAREFUL_TILE = 16
+ROBUST_TILE = 16
 
 
 def without_torques(problem: ProblemBatch) -> ProblemBatch:
-    """The problem with no limits of torques, so that nothing before them has to carry them about."""
+    """Return the problem without limits of torques, so that the other phases do not gather them."""
     return replace(problem, torque_bounds=None)
 
 
-def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
-    """The optimum within the limits of torques, from that without."""
+def within_torques(problem: ProblemBatch, result: PhaseResult) -> PhaseResult:
+    """Return the optimum within the limits of torques, from the optimum without them."""
     bounds = problem.torque_bounds
     if bounds is None:
         return result
     nothing = jnp.zeros((problem.size, bounds.torque_max.shape[-1]), result.forces.dtype)
-    # A first look at all; what it suspects is looked at closely where it is gathered.
+    # A quick comparison of all; what it suspects is compared with rounding where it is gathered.
     torque = torque_limits.torques_of_forces(bounds.torque_map, result.forces, result.moments)
     broken = jnp.sum(~(jnp.abs(torque) <= bounds.torque_max), 1)
     within = broken == 0
@@ -67,66 +73,66 @@ def within_torques(problem: ProblemBatch, result: PassResult) -> PassResult:
     result = result._replace(undecided=(is_optimum(result.verdict) & ~within) | strange, verdict=verdict)
     nothing = varying_like(nothing, problem, result)
     result = result._replace(torque_multiplier=nothing, certificate_rates=nothing)
-    # One question for all, since every pass that asks for itself copies what it may change.
+    # One condition around all phases, since each condition copies the results that it may change.
     return lax.cond(jnp.any(result.undecided), partial(_within, problem, broken), lambda result: result, result)
 
 
-def _within(problem: ProblemBatch, broken: Array, result: PassResult) -> PassResult:
-    """Pass after pass, for the undecided, whose optimum without limits breaks so many ``(B,)``."""
+def _within(problem: ProblemBatch, broken: Array, result: PhaseResult) -> PhaseResult:
+    """Run the phases; ``broken`` ``(B,)`` counts the limits that the optimum without them breaks."""
     nothing = result.certificate_rates
     assert nothing is not None
-    # The fast ones prove nothing.
+    # The Newton phases prove nothing.
     result = result._replace(certificate_rates=None)
     if problem.free is None:
         joints = nothing.shape[1]
-        wide = next((k for k, passes in enumerate(FAST) if passes.width >= joints), len(FAST) - 1)
-        for passes in FAST[: wide + 1]:
-            # Where more are broken than a pass has room for, it would end with some of them broken still.
-            fits = (broken <= passes.width) | (passes == FAST[wide])
-            result = _fast(problem, result, passes, fits)
+        last = next((k for k, phases in enumerate(NEWTON_PHASES) if phases.width >= joints), len(NEWTON_PHASES) - 1)
+        for phases in NEWTON_PHASES[: last + 1]:
+            # Where more limits are broken than a phase has room for, it would end with some of them still broken.
+            fits = (broken <= phases.width) | (phases == NEWTON_PHASES[last])
+            result = _newton_phases(problem, result, phases, fits)
     result = result._replace(certificate_rates=nothing)
-    return over_chosen(_careful_tile, problem, result, result.undecided, CAREFUL_TILE)
+    return over_chosen(_robust_tile, problem, result, result.undecided, ROBUST_TILE)
 
 
-def _fast(problem: ProblemBatch, result: PassResult, passes: _TorquePass, fits: Array) -> PassResult:
-    """Newton's method for the undecided that ``fits`` says it is for, as far as it gets."""
+def _newton_phases(problem: ProblemBatch, result: PhaseResult, phases: _NewtonPhases, fits: Array) -> PhaseResult:
+    """Run Newton's method for the undecided problems of the mask ``fits``, as far as it gets."""
 
-    def newton(index: Array, result: PassResult) -> PassResult:
-        tile = partial(_fast_tile, width=passes.width, max_evaluations=jnp.asarray(passes.steps, jnp.int32)[index])
+    def newton(index: Array, result: PhaseResult) -> PhaseResult:
+        tile = partial(_newton_tile, width=phases.width, max_evaluations=jnp.asarray(phases.steps, jnp.int32)[index])
         return over_chosen(tile, problem, result, result.undecided & fits, TILE)
 
-    # A loop rather than several calls: the passes are one piece of compiled code.
-    return lax.fori_loop(0, len(passes.steps), newton, result)
+    # A loop rather than several calls: the phases are one compiled program.
+    return lax.fori_loop(0, len(phases.steps), newton, result)
 
 
-def _excess(problem: ProblemBatch, result: PassResult) -> Array:
-    """How far each torque is beyond its limit ``(B, j)``, rounding aside, beside the size of what makes it.
+def _excess(problem: ProblemBatch, result: PhaseResult) -> Array:
+    """Return the excess of each torque over its limit ``(B, j)``, rounding aside, relative to the terms of its sum.
 
     The batch must be ``cleaned``.
     """
     bounds = problem.torque_bounds
     assert bounds is not None
     torque = torque_limits.torques_of_forces(bounds.torque_map, result.forces, result.moments)
-    # Forces are known to what rounds the largest of them.
+    # Forces are known to the rounding of the largest of them.
     size = jnp.sum(jnp.abs(bounds.torque_map), (1, 2)) * jnp.max(jnp.abs(result.forces), (1, 2))[:, None]
     beyond = jnp.abs(torque) - bounds.torque_max - ROUNDING * tolerances(torque.dtype).gradient * size
     return jnp.where(beyond > 0, beyond / jnp.where(size > 0, size, 1), beyond)
 
 
-def _settled(problem: ProblemBatch, prior: PassResult, excess: Array, valid: Array) -> Array:
-    """Problems that no limit concerns after all."""
+def _settled(problem: ProblemBatch, prior: PhaseResult, excess: Array, valid: Array) -> Array:
+    """Return a mask of the problems that no limit changes."""
     unsolved = (prior.verdict != Verdict.NOT_CONVERGED) & ~is_optimum(prior.verdict)
     return valid[0] & (unsolved | (is_optimum(prior.verdict) & ~jnp.any(excess > 0, 1)))
 
 
-def _merge(settled: Array, prior: PassResult, result: PassResult) -> PassResult:
+def _merge(settled: Array, prior: PhaseResult, result: PhaseResult) -> PhaseResult:
     prior = prior._replace(undecided=jnp.zeros_like(settled))
     return jax.tree.map(
         lambda old, new: jnp.where(jnp.expand_dims(settled, range(1, old.ndim)), old, new), prior, result
     )
 
 
-def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, max_evaluations: Array) -> PassResult:
+def _newton_tile(batch: ProblemBatch, prior: PhaseResult, width: int, max_evaluations: Array) -> PhaseResult:
     problem = _with_usable_torques(in_plain_axes(batch), batch)
     batch = torque_limits.cleaned(batch)
     scaling, ill_conditioned = problem.scaling, problem.ill_conditioned
@@ -136,23 +142,23 @@ def _fast_tile(batch: ProblemBatch, prior: PassResult, width: int, max_evaluatio
     constraints = torque_limits.torque_constraints(batch, problem.data, scaling, chosen)
     objective = TorqueLimitedObjective(problem, constraints)
     twist = problem.coordinates.from_twist(*multiplier_to_scaled(prior.multiplier, scaling))
-    known = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight_sum / scaling.force_unit
-    start = jnp.concatenate([twist, vec3.safe_divide(known, constraints.scale)])
+    known_rates = jnp.sum(chosen * _binding(prior)[:, None], -1).T * scaling.weight_sum / scaling.force_unit
+    start = jnp.concatenate([twist, vec3.safe_divide(known_rates, constraints.scale)])
     reached = maximise(objective, start, ill_conditioned, max_evaluations)
     best, good, *_ = objective.check_optimality(reached.point)
     good = good & ~ill_conditioned
     rates = jnp.sum(chosen * (constraints.scale * reached.point[6:]).T[..., None], 1)
     velocities = torque_limits.velocities_by_joints(constraints, reached.point[6:])
-    found = ScaledResult(
+    scaled = ScaledSolution(
         forces=best,
         multiplier=reached.point[:6],
-        verdict=jnp.where(good, Verdict.OPTIMAL, Verdict.NOT_CONVERGED),
+        findings=Findings(infeasible=jnp.zeros_like(good), optimal=good, closed_form=False),
         steps=reached.steps + prior.steps[None],
         certificate=no_certificate(twist),
         undecided=~good,
         joints=JointResult(velocities, rates.T, 0 * rates.T),
     )
-    result = to_result(problem, found, Route.FAST)
+    result = to_result(problem, scaled, Route.NEWTON)
     # Limits that were not chosen may be broken now.
     undecided = (result.verdict == Verdict.NOT_CONVERGED) | jnp.any(_excess(batch, result) > 0, 1)
     return _merge(settled, prior, result._replace(undecided=undecided & problem.valid[0], certificate_rates=None))
@@ -162,16 +168,16 @@ def _with_usable_torques(problem: ScaledProblem, batch: ProblemBatch) -> ScaledP
     return problem._replace(valid=problem.valid & torque_limits.usable(batch)[None])
 
 
-def _binding(result: PassResult) -> Array:
+def _binding(result: PhaseResult) -> Array:
     assert result.torque_multiplier is not None
     return result.torque_multiplier
 
 
 @fused_cpu_kernel
-def _choose(excess: Array, prior: PassResult, width: int) -> Array:
-    """The limits that bind already, and those that are broken most: a 1 for each at its joint ``(B, width, j)``.
+def _choose(excess: Array, prior: PhaseResult, width: int) -> Array:
+    """Choose the limits that bind and those that are broken most: a 1 for each at its joint ``(B, width, j)``.
 
-    By sums with ones and zeros, since sorting and gathering take longer for so few.
+    Ones and zeros are summed, since sorting and gathering take longer for so few.
     """
     interest = jnp.where(_binding(prior) != 0, jnp.inf, excess)
     chosen = []
@@ -181,47 +187,27 @@ def _choose(excess: Array, prior: PassResult, width: int) -> Array:
     return jnp.stack(chosen, 1)
 
 
-class _TorqueLimitedProblem(NamedTuple):
-    """Whitened problems with limits."""
-
-    problem: ScaledProblem
-    constraints: TorqueConstraints
-
-    def with_proximal_term(self, proximal: ProximalTerm | None = None) -> TorqueLimitedObjective:
-        return TorqueLimitedObjective(self.problem, self.constraints, proximal)
-
-    def check_optimality(self, point: Array) -> OptimalityCheck:
-        return self.with_proximal_term().check_optimality(point)
-
-    def proof(self, check: OptimalityCheck, displacement: Array) -> Certificate:
-        torques = torque_limits.torques(self.constraints, check.forces)
-        beyond = torque_limits.beyond(torques, self.constraints.bound)
-        return find_certificate(
-            self.problem, jnp.concatenate([check.residual[:6], beyond]), displacement, self.constraints
-        )
-
-
-def _careful_tile(batch: ProblemBatch, prior: PassResult) -> PassResult:
+def _robust_tile(batch: ProblemBatch, prior: PhaseResult) -> PhaseResult:
     problem = _with_usable_torques(in_principal_axes(batch), batch)
     batch = torque_limits.cleaned(batch)
     constraints = torque_limits.torque_constraints(batch, problem.data, problem.scaling, None)
     point = jnp.zeros((6 + len(constraints.bound), batch.size), constraints.bound.dtype)
     undecided = jnp.zeros((1, batch.size), bool)
-    start = initial_state(point, squeezing_forces(problem.data), undecided + Verdict.NOT_CONVERGED, undecided)
-    state = proximal_search(_TorqueLimitedProblem(problem, constraints), start, careful_settings(point.dtype))
+    start = initial_state(point, squeezing_forces(problem.data), undecided, undecided)
+    state = proximal_search(TorqueLimitedObjective(problem, constraints), start, robust_settings(point.dtype))
     joints = JointResult(
         velocities=torque_limits.velocities_by_joints(constraints, state.point[6:]),
         multiplier=constraints.scale * state.point[6:],
         rates=constraints.scale * state.certificate.direction[6:],
     )
-    found = ScaledResult(
+    scaled = ScaledSolution(
         forces=state.forces,
         multiplier=state.point[:6],
-        verdict=state.verdict,
+        findings=Findings(state.infeasible, state.optimal, closed_form=False),
         steps=state.steps + prior.steps[None],
         certificate=state.certificate._replace(direction=state.certificate.direction[:6]),
         undecided=undecided,
         joints=joints,
     )
-    result = to_result(problem, found, Route.CAREFUL)
+    result = to_result(problem, scaled, Route.ROBUST)
     return _merge(_settled(batch, prior, _excess(batch, prior), problem.valid), prior, result)

@@ -38,7 +38,7 @@ HERE = Path(__file__).parent
 BEFORE = "be510ef"
 OPTIONS = {
     "as users compile": "",
-    "as plain calls compile": "--xla_backend_optimization_level=2 --xla_cpu_prefer_vector_width=512",
+    "as plain calls compile": "--xla_backend_optimization_level=2",
     "LLVM at level 0": "--xla_backend_optimization_level=0",
     "LLVM at level 1": "--xla_backend_optimization_level=1",
 }

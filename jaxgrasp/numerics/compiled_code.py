@@ -18,9 +18,10 @@ MEASURED_SINCE, UNMEASURED_FROM = (0, 10), (0, 13)
 """Versions of JAX that are measured and tested: from the first, up to but without the second (see CONTRIBUTING.md)."""
 LOOPS_MERGED_FROM = (0, 12)
 """The first version whose XLA makes one kernel of a whole loop, however large its arrays and the code in it are."""
-COMPILED_FOR_FIRST_CALL = {"xla_backend_optimization_level": 2, "xla_cpu_prefer_vector_width": 512}
+COMPILED_FOR_FIRST_CALL = {"xla_backend_optimization_level": 2}
 """Options of programs that answer plain calls. Level 2 compiles the optimum in two thirds of the time of level 3, to
-code that takes a fifth longer; vectors of 512 bits, where the processor has them, win most of that back."""
+code that takes a fifth longer. Vectors of 512 bits (``xla_cpu_prefer_vector_width``) would win most of that back, but
+with JAX 0.10 they gave wrong arctangents on processors that have them."""
 COMPILED_ONCE = {"xla_backend_optimization_level": 0}
 """Options of programs that run once or a few times."""
 WARNS = "JAXGRASP_JAX_WARNING"

@@ -124,3 +124,25 @@ def test_options_that_the_user_gives_in_xla_flags_stay(monkeypatch):
     assert name not in (compiled_code.compile_quickly_options() or {})
     monkeypatch.setenv("XLA_FLAGS", "")
     assert jax.default_backend() != "cpu" or compiled_code.compile_quickly_options() == compiled_code.COMPILED_ONCE
+
+
+MARGINS = """
+import numpy as np
+from jaxgrasp.batch.contact_margins import margins
+from jaxgrasp.batch.contact_sets import ContactSets
+import jax
+jax.config.update("jax_enable_x64", True)
+normals = np.tile([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], (8, 1))
+forces = np.tile([[-5.0, 0.0, 1.0], [5.0, 0.0, 1.0]], (8, 1))
+friction = np.linspace(0.1, 0.9, 16)
+sets = ContactSets(-normals, normals, friction, friction, np.arange(17), np.zeros((16, 1, 6)))
+margin, _ = margins(sets, forces[:, None], None)
+assert np.abs(margin[:, 0] - (np.arctan(friction) - np.arctan2(1.0, 5.0))).max() < 1e-14, np.degrees(margin[:, 0])
+"""
+
+
+def test_programs_of_plain_calls_give_the_angles_that_numpy_gives():
+    """Compile as users do: with vectors of 512 bits, XLA gave wrong arctangents where the processor has them."""
+    environment = {name: value for name, value in os.environ.items() if name != "XLA_FLAGS"}
+    done = subprocess.run([sys.executable, "-c", MARGINS], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -74,13 +74,17 @@ def fused_cpu_kernel(function: Callable[Params, Out]) -> Callable[Params, Out]:
 def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
     """Return the function of the arrays alone, in a tree whose other leaves are ``fixed``."""
 
-    def plain(*arrays: Array) -> Any:
+    def arguments(arrays: tuple[Array, ...]) -> Any:
         remaining = iter(arrays)
-        args, kwargs = jax.tree.unflatten(tree, [next(remaining) if leaf is None else leaf[1] for leaf in fixed])
+        return jax.tree.unflatten(tree, [next(remaining) if leaf is None else leaf[1] for leaf in fixed])
+
+    def plain(*arrays: Array) -> Any:
+        args, kwargs = arguments(arrays)
         return function(*args, **kwargs)
 
     def touching(*arrays: Array) -> tuple[Any, Array]:
-        return plain(*arrays), _touch(arrays)
+        args, kwargs = arguments(arrays)
+        return function(*args, **kwargs), _touch(arrays)
 
     touching.__name__ = function.__name__
     compiled = jax.jit(touching)
@@ -99,9 +103,7 @@ def _kernel(function: Callable, tree: Any, fixed: tuple) -> Callable:
         out = jax.vmap(plain, [0 if batched else None for batched in in_batched])(*arrays)
         return out, jax.tree.map(lambda _: True, out)
 
-    @jax.custom_jvp
-    def kernel(*arrays: Array) -> Any:
-        return alone(*arrays)
+    kernel = jax.custom_jvp(alone)
 
     @kernel.defjvp
     def jvp(primals: tuple, tangents: tuple) -> tuple[Any, Any]:

@@ -23,7 +23,7 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.progress import Progress
-from jaxgrasp.numerics.compiled_code import jit_here
+from jaxgrasp.numerics.compiled_code import is_tracing, jit_here
 from jaxgrasp.problem.batch_last import ProblemBatch
 from jaxgrasp.problem.flatten import FlatInput, Sharing, flatten, named_weights, read_sharing
 from jaxgrasp.solver.over_devices import local_mesh, over_devices
@@ -71,57 +71,58 @@ def dispatch(
     progress: Progress | None = None,
     **per_problem: AnyArray | float | None,
 ) -> Any:
-    """The answers of ``solve`` with the leading axes of what was given, on so many ``devices`` where that is asked for.
+    """Return the answers of ``solve`` with the arguments' leading axes, computed on ``devices`` where that is a number.
 
     ``per_problem`` are further arrays, one for each problem, whose last axes ``trailing_shapes`` name, or ``(6,)``;
     those that are None are left out. ``start``, multipliers to begin from, becomes a field of the problem.
 
-    ``progress`` is told how many problems are done, piece by piece, between which the batch can be interrupted.
+    ``progress`` is called with the number of problems of each chunk that is done; between chunks the batch can be
+    interrupted.
     """
     name, weights = read_sharing(sharing)
-    there = {key: array for key, array in per_problem.items() if array is not None}
-    given = Inputs(grasp, wrench, weights, free, limits, safety, there)
+    named_arrays = {key: array for key, array in per_problem.items() if array is not None}
+    inputs = Inputs(grasp, wrench, weights, free, limits, safety, named_arrays)
     if devices is not None:
-        return _on_devices(solve, given, name, trailing_shapes, devices)
-    if not _is_local_cpu_data(given):
+        return _on_devices(solve, inputs, name, trailing_shapes, devices)
+    if not _is_single_cpu(inputs):
         if progress is not None:
             raise ValueError("progress is given inside another program, or where data lie elsewhere: leave it out")
-        return _on_mesh(given, partial(_within, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
+        return _on_mesh(inputs, partial(_within, solve=solve, sharing=name, trailing_shapes=trailing_shapes))
     if weights is None:
         # As arrays, so that every sharing is one piece of compiled code.
-        name, given = "given", given._replace(weights=named_weights(grasp, name, np))
+        name, inputs = "given", inputs._replace(weights=named_weights(grasp, name, np))
     try:
-        size = _size(given, trailing_shapes)
+        size = _size(inputs, trailing_shapes)
         if size in SIZES and (progress is None or size <= LEAST_WHOLE):
             return _after_progress(
-                progress, size, _unpadded_program()(given, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
+                progress, size, _unpadded_program()(inputs, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
             )
-        return _in_pieces(solve, given, name, trailing_shapes, progress)
-    except ValueError as error:
-        if "compiler_options" not in str(error):
+        return _in_chunks(solve, inputs, name, trailing_shapes, progress)
+    except ValueError:
+        # Constants inside another program: it has its own compiler options, and no other program's are allowed.
+        if not is_tracing():
             raise
-        # Constants inside another program, which has its own options.
-        return _within(given, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
+        return _within(inputs, solve=solve, sharing=name, trailing_shapes=trailing_shapes)
 
 
-def _flat(given: Inputs, sharing: str, trailing_shapes: tuple, numpy: Any) -> FlatInput:
+def _flat(inputs: Inputs, sharing: str, trailing_shapes: tuple, numpy: Any) -> FlatInput:
     last = dict(trailing_shapes)
-    per_problem = {name: (array, last.get(name, (6,))) for name, array in given.per_problem.items()}
+    per_problem = {name: (array, last.get(name, (6,))) for name, array in inputs.per_problem.items()}
     return flatten(
-        given.grasp,
-        given.wrench,
-        given.weights,
+        inputs.grasp,
+        inputs.wrench,
+        inputs.weights,
         sharing,
-        free=given.free,
-        limits=given.limits,
-        safety=given.safety,
+        free=inputs.free,
+        limits=inputs.limits,
+        safety=inputs.safety,
         per_problem=per_problem,
         numpy=numpy,
     )
 
 
-def _traced(given: Inputs, *, solve: Solve, sharing: str, trailing_shapes: tuple) -> Any:
-    flat = _flat(given, sharing, trailing_shapes, jnp)
+def _traced(inputs: Inputs, *, solve: Solve, sharing: str, trailing_shapes: tuple) -> Any:
+    flat = _flat(inputs, sharing, trailing_shapes, jnp)
     return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), solve(flat.problem, **flat.per_problem))
 
 
@@ -131,41 +132,43 @@ _within = jax.jit(_traced, static_argnames=STATIC)
 
 @cache
 def _unpadded_program() -> Callable[..., Any]:
-    """The program for sizes that need no padding, called outside any other: the least work before and after."""
+    """Return the program for sizes that need no padding, called outside other programs: the least work around it."""
     return jit_here(_traced, static_argnames=STATIC)
 
 
-def _on_mesh(given: Inputs, within: Callable[[Inputs], Any]) -> Any:
-    """The answers; where axes of a mesh are explicit they are XLA's own inside, since tiles are cut across them."""
-    types = [jax.typeof(leaf) for leaf in jax.tree.leaves(given) if isinstance(leaf, Array)]
+def _on_mesh(inputs: Inputs, within: Callable[[Inputs], Any]) -> Any:
+    """Return the answers; explicit axes of a mesh become XLA's own inside, since tiles are cut across them."""
+    types = [jax.typeof(leaf) for leaf in jax.tree.leaves(inputs) if isinstance(leaf, Array)]
     spread = [kind.sharding for kind in types if kind.sharding.mesh.explicit_axes]
     if not spread:
-        return within(given)
+        return within(inputs)
     mesh = spread[0].mesh
     # The answers are spread as the wrenches are, or else as the grasps.
-    leading = jax.typeof(given.wrench).sharding.spec[:-1]
+    leading = jax.typeof(inputs.wrench).sharding.spec[:-1]
     if not any(leading):
-        leading = jax.typeof(given.grasp.points).sharding.spec[:-2]
+        leading = jax.typeof(inputs.grasp.points).sharding.spec[:-2]
     out = NamedSharding(mesh, PartitionSpec(*leading))
-    return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(given)
+    return jax.sharding.auto_axes(within, axes=mesh.explicit_axes, out_sharding=out)(inputs)
 
 
-def _on_devices(solve: Solve, given: Inputs, sharing: str, trailing_shapes: tuple, devices: int) -> Any:
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(given)):
+def _on_devices(solve: Solve, inputs: Inputs, sharing: str, trailing_shapes: tuple, devices: int) -> Any:
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(inputs)):
         raise ValueError("devices is given inside another program, which says itself where its data are: leave it out")
     mesh = local_mesh(devices)
-    flat = _flat(given, sharing, trailing_shapes, np)
+    flat = _flat(inputs, sharing, trailing_shapes, np)
     size = math.prod(flat.batch)
     share = max(1, -(-size // devices))
-    room = next((room for room in SIZES if room >= share), -(-share // SIZES[-1]) * SIZES[-1])
-    own = jax.tree.map(np.asarray, (flat.problem, flat.per_problem))
-    answer = over_devices(_of_flat(solve), own, size, room, mesh)
+    padded_size = next(
+        (padded_size for padded_size in SIZES if padded_size >= share), -(-share // SIZES[-1]) * SIZES[-1]
+    )
+    arrays = jax.tree.map(np.asarray, (flat.problem, flat.per_problem))
+    answer = over_devices(_of_flat(solve), arrays, size, padded_size, mesh)
     return jax.tree.map(lambda x: x.reshape(flat.batch + x.shape[1:]), answer)
 
 
 @cache
 def _of_flat(solve: Solve) -> Solve:
-    """The solver of what NumPy has brought into one leading axis, perhaps with so many problems alone."""
+    """Return the solver of a batch that NumPy has flattened, of which ``count`` problems are solved."""
 
     def run(flat: tuple[ProblemBatch, dict[str, Array]], count: Array | None = None) -> Any:
         problem, per_problem = flat
@@ -174,22 +177,22 @@ def _of_flat(solve: Solve) -> Solve:
     return run
 
 
-def _is_local_cpu_data(given: Inputs) -> bool:
-    """Whether all is data on this machine's one processor: neither traced, nor spread, nor on another device."""
+def _is_single_cpu(inputs: Inputs) -> bool:
+    """Return whether all data are on this machine's one processor: not traced, not sharded, not on another device."""
     if jax.default_backend() != "cpu":
         return False
-    here = {jax.devices()[0]}
-    for leaf in jax.tree.leaves(given):
-        if isinstance(leaf, jax.core.Tracer) or (isinstance(leaf, Array) and leaf.devices() != here):
+    default_device = {jax.devices()[0]}
+    for leaf in jax.tree.leaves(inputs):
+        if isinstance(leaf, jax.core.Tracer) or (isinstance(leaf, Array) and leaf.devices() != default_device):
             return False
     return True
 
 
-def _size(given: Inputs, trailing_shapes: tuple) -> int | None:
-    """How many problems there are, as far as grasp, wrench and ``per_problem`` tell; None where that makes no sense."""
-    grasp, last = given.grasp, dict(trailing_shapes)
-    shapes = [np.shape(grasp.points)[:-2], np.shape(grasp.friction)[:-1], np.shape(given.wrench)[:-1]]
-    for name, array in given.per_problem.items():
+def _size(inputs: Inputs, trailing_shapes: tuple) -> int | None:
+    """Count the problems by grasp, wrench and ``per_problem``; None where their axes do not broadcast."""
+    grasp, last = inputs.grasp, dict(trailing_shapes)
+    shapes = [np.shape(grasp.points)[:-2], np.shape(grasp.friction)[:-1], np.shape(inputs.wrench)[:-1]]
+    for name, array in inputs.per_problem.items():
         shape = np.shape(array)
         shapes.append(shape[: len(shape) - len(last.get(name, (6,)))])
     try:
@@ -198,75 +201,75 @@ def _size(given: Inputs, trailing_shapes: tuple) -> int | None:
         return None  # whoever reads the arrays says what is wrong
 
 
-def _in_pieces(solve: Solve, given: Inputs, sharing: str, trailing_shapes: tuple, progress: Progress | None) -> Any:
-    own: Any = given
+def _in_chunks(solve: Solve, inputs: Inputs, sharing: str, trailing_shapes: tuple, progress: Progress | None) -> Any:
+    arrays: Any = inputs
     program: Callable
-    batch = _plain_batch(given, trailing_shapes)
+    batch = _plain_batch(inputs, trailing_shapes)
     if batch is None:
-        flat = _flat(given, sharing, trailing_shapes, np)
-        own, batch = (flat.problem, flat.per_problem), flat.batch
+        flat = _flat(inputs, sharing, trailing_shapes, np)
+        arrays, batch = (flat.problem, flat.per_problem), flat.batch
         program = _flat_program(solve)
     else:
         program = _program(solve, sharing, trailing_shapes)
     size = math.prod(batch)
-    own = jax.tree.map(np.asarray, own)
+    arrays = jax.tree.map(np.asarray, arrays)
 
-    def found(first: int, room: int) -> Any:
-        part = jax.tree.map(lambda array: _piece(array, first, room, size), own)
-        count = min(room, size - first)
+    def solve_chunk(first: int, padded_size: int) -> Any:
+        part = jax.tree.map(lambda array: _chunk(array, first, padded_size, size), arrays)
+        count = min(padded_size, size - first)
         return _after_progress(progress, count, program(part, np.int32(count)))
 
-    cut = pieces(size) if progress is None else pieces(size, LEAST_WHOLE)
-    answers = (found(*piece) for piece in cut)
+    cut = chunks(size) if progress is None else chunks(size, LEAST_WHOLE)
+    answers = (solve_chunk(*piece) for piece in cut)
     if size <= LARGEST_ASSEMBLED and _is_repeated_size(size):
         return _assembler(batch)(tuple(answers))
     return _assembled_by_numpy(answers, batch)
 
 
-def _plain_batch(given: Inputs, trailing_shapes: tuple) -> tuple[int, ...] | None:
-    """The leading axis, where all arrays have the same one and no other: then each program reads its piece itself."""
-    grasp, last = given.grasp, dict(trailing_shapes)
+def _plain_batch(inputs: Inputs, trailing_shapes: tuple) -> tuple[int, ...] | None:
+    """Return the leading axis, where all arrays have the same and no other: programs then read their own chunk."""
+    grasp, last = inputs.grasp, dict(trailing_shapes)
     contacts = np.shape(grasp.points)[:-1]
-    one_safety = given.safety is None or np.ndim(given.safety) == 0
-    if len(contacts) != 2 or given.free is not None or given.limits is not None or not one_safety:
+    one_safety = inputs.safety is None or np.ndim(inputs.safety) == 0
+    if len(contacts) != 2 or inputs.free is not None or inputs.limits is not None or not one_safety:
         return None
     batch = contacts[:1]
     shapes: list[tuple[Any, tuple[int, ...]]]
-    shapes = [(grasp.normals, (*contacts, 3)), (given.wrench, (*batch, 6))]
-    each = (grasp.friction, grasp.squeeze, grasp.present, grasp.torsion, given.weights)
-    shapes += [(array, contacts) for array in each if array is not None]
-    shapes += [(array, batch + last.get(name, (6,))) for name, array in given.per_problem.items()]
+    shapes = [(grasp.normals, (*contacts, 3)), (inputs.wrench, (*batch, 6))]
+    per_contact = (grasp.friction, grasp.squeeze, grasp.present, grasp.torsion, inputs.weights)
+    shapes += [(array, contacts) for array in per_contact if array is not None]
+    shapes += [(array, batch + last.get(name, (6,))) for name, array in inputs.per_problem.items()]
     # A weak type would be lost with NumPy.
-    same = all(np.shape(array) == shape and not getattr(array, "weak_type", False) for array, shape in shapes)
-    return batch if same and not getattr(grasp.points, "weak_type", False) else None
+    has_one_axis = all(np.shape(array) == shape and not getattr(array, "weak_type", False) for array, shape in shapes)
+    return batch if has_one_axis and not getattr(grasp.points, "weak_type", False) else None
 
 
 def _after_progress(progress: Progress | None, count: int, answer: Any) -> Any:
-    """The answer, once it is there if somebody waits to be told."""
+    """Return the answer; with a ``progress``, wait for it and report its count."""
     if progress is not None:
         jax.block_until_ready(answer)
         progress(count)
     return answer
 
 
-def pieces(size: int, largest: int = SIZES[-1]) -> list[tuple[int, int]]:
-    """Where each piece of a batch begins, and for how many problems its program is compiled; the last is padded."""
+def chunks(size: int, largest: int = SIZES[-1]) -> list[tuple[int, int]]:
+    """Return the start and the compiled size of each chunk of a batch; the last one is padded."""
     cut, first = [], 0
-    for room in reversed([room for room in SIZES if room <= largest]):
-        while room >= LEAST_WHOLE and size - first >= room:
-            cut.append((first, room))
-            first += room
+    for padded_size in reversed([padded_size for padded_size in SIZES if padded_size <= largest]):
+        while padded_size >= LEAST_WHOLE and size - first >= padded_size:
+            cut.append((first, padded_size))
+            first += padded_size
     return cut if 0 < size == first else [*cut, (first, SIZES[bisect_left(SIZES, size - first)])]
 
 
-def _piece(array: np.ndarray, first: int, room: int, size: int) -> np.ndarray:
-    """So many problems from the first on, behind the last one zeros; what all share is left as it is."""
+def _chunk(array: np.ndarray, first: int, padded_size: int, size: int) -> np.ndarray:
+    """Return ``padded_size`` problems from the first on, zeros behind the last; a shared array is unchanged."""
     if array.ndim == 0 or len(array) != size:
         return array
-    part = array[first : first + room]
-    if len(part) == room:
+    part = array[first : first + padded_size]
+    if len(part) == padded_size:
         return part
-    padded = _aligned((room, *array.shape[1:]), array.dtype)
+    padded = _aligned((padded_size, *array.shape[1:]), array.dtype)
     padded[: len(part)] = part
     return padded
 
@@ -277,7 +280,7 @@ def _sizes_met() -> deque[int]:
 
 
 def _is_repeated_size(size: int) -> bool:
-    """Whether a batch of this size was asked for not long ago: then another program for it is worth its compilation."""
+    """Return whether a batch of this size was met not long ago, so that a program for it is worth its compilation."""
     met = _sizes_met()
     if size in met:
         return True
@@ -290,42 +293,42 @@ def _assembler(batch: tuple[int, ...]) -> Callable[[tuple[Any, ...]], Any]:
     """From the answers of all pieces to one of all problems, without what was padded."""
     size = math.prod(batch)
 
-    def one(*parts: Array) -> Array:
+    def join(*parts: Array) -> Array:
         return jnp.concatenate(parts)[:size].reshape(batch + parts[0].shape[1:])
 
     def assemble(answers: tuple[Any, ...]) -> Any:
-        return jax.tree.map(one, *answers)
+        return jax.tree.map(join, *answers)
 
     return jax.jit(assemble)
 
 
 def _assembled_by_numpy(answers: Iterable[Any], batch: tuple[int, ...]) -> Any:
-    """The answers of all pieces as one without a program for this size; each piece is copied as soon as it is there."""
+    """Join the answers of all chunks without a program for this size; each is copied as soon as it is computed."""
     size, first = math.prod(batch), 0
-    whole: list[np.ndarray] = []
+    buffers: list[np.ndarray] = []
     for answer in answers:
         leaves, structure = jax.tree.flatten(answer)
-        whole = whole or [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
-        for all_of_it, leaf in zip(whole, leaves, strict=True):
+        buffers = buffers or [_aligned((size, *leaf.shape[1:]), leaf.dtype) for leaf in leaves]
+        for all_of_it, leaf in zip(buffers, leaves, strict=True):
             all_of_it[first : first + len(leaf)] = np.asarray(leaf)[: size - first]
         first += len(leaves[0])
-    return jax.tree.unflatten(structure, jax.device_put([x.reshape(batch + x.shape[1:]) for x in whole]))
+    return jax.tree.unflatten(structure, jax.device_put([x.reshape(batch + x.shape[1:]) for x in buffers]))
 
 
 def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """Zeros that JAX takes over without a copy; what is not written to is never touched at all."""
     length = math.prod(shape) * dtype.itemsize
-    room = np.zeros(length + ALIGNMENT, np.uint8)
-    first = -room.ctypes.data % ALIGNMENT
-    return room[first : first + length].view(dtype).reshape(shape)
+    padded_size = np.zeros(length + ALIGNMENT, np.uint8)
+    first = -padded_size.ctypes.data % ALIGNMENT
+    return padded_size[first : first + length].view(dtype).reshape(shape)
 
 
 @cache
 def _program(solve: Solve, sharing: str, trailing_shapes: tuple) -> Callable:
-    """The program for pieces of what the user gave."""
+    """Return the program for chunks of the user's arrays."""
 
-    def run(given: Inputs, count: Array) -> Any:
-        flat = _flat(given, sharing, trailing_shapes, jnp)
+    def run(inputs: Inputs, count: Array) -> Any:
+        flat = _flat(inputs, sharing, trailing_shapes, jnp)
         return solve(replace(flat.problem, count=count), **flat.per_problem)
 
     return jit_here(run)
@@ -333,5 +336,5 @@ def _program(solve: Solve, sharing: str, trailing_shapes: tuple) -> Callable:
 
 @cache
 def _flat_program(solve: Solve) -> Callable:
-    """The program for pieces of what NumPy has brought into one leading axis."""
+    """Return the program for chunks of a batch that NumPy has flattened."""
     return jit_here(_of_flat(solve))

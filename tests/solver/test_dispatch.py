@@ -7,7 +7,7 @@ import pytest
 
 import jaxgrasp
 from jaxgrasp import Grasp, Verdict
-from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, dispatch, pieces
+from jaxgrasp.solver.dispatch import LEAST_WHOLE, SIZES, chunks, dispatch
 from jaxgrasp.testing import problems as P
 from tests.turns import later
 
@@ -69,7 +69,7 @@ def test_a_size_that_comes_again_needs_one_program_more(compilations):
 
 @pytest.mark.parametrize("size", [2, 11, 101, 999, 1001, 1500, 4000, 12345, 35000, 1_000_001])
 def test_pieces_cover_a_batch_once_and_only_the_last_is_padded(size):
-    cut = pieces(size)
+    cut = chunks(size)
     ends = [first + room for first, room in cut]
     assert [first for first, _ in cut] == [0, *ends[:-1]]
     assert {room for _, room in cut} <= set(SIZES)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxgrasp.glove.network.link import LARGEST, MOST, NetworkLink
-from jaxgrasp.glove.network.messages import Exchange, length_of
+from jaxgrasp.glove.network.link import LARGEST, MOST, MOST_CALLERS, PROOF_S, NetworkLink
+from jaxgrasp.glove.network.messages import TAKEN, Exchange, length_of
 from jaxgrasp.glove.protocol.cobs import stuff
 
 SIZE = 5
@@ -182,25 +182,175 @@ def test_sockets(transport):
     client.close()
 
 
-def test_a_flood_does_not_keep_the_loop():
+@pytest.mark.parametrize("is_peer", [False, True], ids=["stranger", "peer"])
+@pytest.mark.parametrize(
+    "piece, is_looked_at",
+    [(b"\x01\0" * 30_000, False), ((stuff(bytes(range(1, 1 + length_of(SIZE)))) + b"\0") * 1000, True)],
+    ids=["no message by its length", "no message by its check"],
+)
+def test_a_flood_does_not_keep_the_loop(piece, is_looked_at, is_peer):
     server = NetworkLink("127.0.0.1", 0, SIZE, listens=True, transport="tcp")
     flood = socket.create_connection(("127.0.0.1", server.port))
-    for _ in range(3):
-        server.receive(0.0)
+    if is_peer:
+        flood.sendall(tcp_line(Exchange(1, SIZE)))
+    until(lambda: server.receive(0.0) or server.exchange.accepted == is_peer)
     flood.setblocking(False)
-    taken = []
-    for piece in (b"\x01\0" * 30_000, (stuff(bytes(range(1, 1 + length_of(SIZE)))) + b"\0") * 1000):
-        refused = server.exchange.refused
-        for _ in range(30):
-            with contextlib.suppress(BlockingIOError):
-                flood.send(piece)
-            before = server.exchange.refused
-            server.receive(0.0)
-            assert server.exchange.refused - before <= MOST * LARGEST / length_of(SIZE)
-        taken.append(server.exchange.refused - refused)
-    assert taken[0] < 2 < taken[1], "what is no message by its length is not even read"
+    for _ in range(30):
+        with contextlib.suppress(BlockingIOError):
+            flood.send(piece)
+        before = server.exchange.refused
+        server.receive(0.0)
+        assert server.exchange.refused - before <= (MOST * LARGEST / length_of(SIZE) if is_peer else 2)
+    assert server.exchange.refused > 20 if is_looked_at else server.exchange.refused < 2
     flood.close()
     server.close()
+
+
+def tcp_line(sender: Exchange, now: float = 0.0) -> bytes:
+    """The next message of a side, as TCP carries it."""
+    return stuff(sender.outgoing(now, np.zeros(SIZE))) + b"\0"
+
+
+def until(holds, seconds: float = 5.0) -> None:
+    start = time.monotonic()
+    while not holds():
+        assert time.monotonic() - start < seconds
+        time.sleep(0.001)
+
+
+class Pair:
+    """Two ends of a keyed link on a simulated clock."""
+
+    def __init__(self, transport: str):
+        self.transport, self.now = transport, 0.0
+        self.server = self.end(0, listens=True)
+        self.client = self.end(self.server.port)
+
+    def end(self, port: int, **options) -> NetworkLink:
+        return NetworkLink("127.0.0.1", port, SIZE, transport=self.transport, key=KEY, **options)
+
+    def tick(self, count: int, between=lambda: None, sides=None) -> int:
+        """Count the ticks in which both (or these) sides have a fresh message."""
+        sides = (self.server, self.client) if sides is None else sides
+        n_fresh = 0
+        for _ in range(count):
+            self.now += 0.005
+            for side in sides:
+                side.send(self.now, np.zeros(SIZE))
+            between()
+            time.sleep(0.001)
+            n_fresh += None not in [side.receive(self.now) for side in sides]
+        return n_fresh
+
+    def stranger(self) -> socket.socket:
+        if self.transport == "tcp":
+            return socket.create_connection(("127.0.0.1", self.server.port))
+        stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        stranger.connect(("127.0.0.1", self.server.port))
+        return stranger
+
+    def carried(self, message: bytes) -> bytes:
+        return stuff(message) + b"\0" if self.transport == "tcp" else message
+
+
+@pytest.fixture(params=["udp", "tcp"])
+def linked(request):
+    pair = Pair(request.param)
+    until(lambda: pair.tick(1))
+    yield pair
+    pair.server.close()
+    pair.client.close()
+
+
+def recording() -> list[bytes]:
+    """Messages of an earlier session under the same key."""
+    return conversation(Exchange(6, SIZE, KEY), Exchange(7, SIZE, KEY), 0.0)[0]
+
+
+WORDS = {
+    "none": list,
+    "short": lambda: [b"\x01\0"],
+    "long": lambda: [b"x" * 5000],
+    "other key": lambda: [Exchange(5, SIZE, b"k" * 32).outgoing(0.0, np.zeros(SIZE))],
+    "no key": lambda: [Exchange(5, SIZE).outgoing(0.0, np.zeros(SIZE))],
+    "recorded": lambda: recording()[:3],
+}
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_no_stranger_takes_the_place_of_a_peer_that_is_there(linked, words):
+    messages = [linked.carried(message) for message in WORDS[words]()]
+    strangers: list[socket.socket] = []
+
+    def call() -> None:
+        strangers.append(linked.stranger())
+        if len(strangers) > 40:
+            strangers.pop(0).close()
+        for message in messages:
+            strangers[-1].send(message)
+
+    assert linked.tick(100, call) >= 95
+    for stranger in strangers:
+        stranger.setblocking(False)
+        with contextlib.suppress(OSError):
+            assert stranger.recv(1000) == b"", "a message for the peer went to a stranger"
+        stranger.close()
+
+
+def test_a_recording_does_not_keep_the_place_of_a_peer_that_was_silent(linked):
+    """Neither where a side listens, nor where it calls: that one is led to no other address."""
+    server, stranger, recorded = linked.server, linked.stranger(), recording()
+    targets = [stranger.getpeername()]
+    if linked.transport == "udp":
+        # A socket of its own: the true side's address is free for nobody else.
+        stranger.close()
+        stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        targets.append(("127.0.0.1", linked.client._carrier._socket.getsockname()[1]))
+
+    def play() -> None:
+        if recorded:
+            message = linked.carried(recorded.pop(0))
+            for target in targets:
+                stranger.send(message) if linked.transport == "tcp" else stranger.sendto(message, target)
+
+    linked.now += 2 * TAKEN
+    n_accepted = server.exchange.accepted
+    play()
+    time.sleep(0.01)
+    for side in (server, linked.client):
+        side.receive(linked.now)
+    assert server.exchange.accepted > n_accepted, "the recording was not even taken for a new side"
+    linked.tick(20)
+    assert linked.tick(20, play) >= 18
+    stranger.close()
+
+
+@pytest.mark.parametrize("linked", ["tcp"], indirect=True)
+def test_callers_without_a_message_are_bounded_in_number_and_age(linked):
+    strangers = [linked.stranger() for _ in range(3 * MOST_CALLERS)]
+    linked.tick(10)
+    is_closed = [has_ended(stranger) for stranger in strangers]
+    assert is_closed == [True] * 2 * MOST_CALLERS + [False] * MOST_CALLERS
+    assert linked.tick(int(PROOF_S / 0.005) + 10) >= 195
+    assert all(has_ended(stranger) for stranger in strangers)
+    for stranger in strangers:
+        stranger.close()
+
+
+def has_ended(connection: socket.socket) -> bool:
+    connection.setblocking(False)
+    try:
+        return connection.recv(100) == b""
+    except BlockingIOError:
+        return False
+
+
+def test_a_peer_that_starts_anew_takes_its_own_place(linked):
+    linked.client.close()
+    again = linked.end(linked.server.port)
+    linked.tick(int(TAKEN / 0.005) + 10, sides=(linked.server, again))
+    assert linked.tick(20, sides=(linked.server, again)) >= 18
+    again.close()
 
 
 def test_answers_go_only_to_who_is_understood():

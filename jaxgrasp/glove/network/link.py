@@ -18,6 +18,10 @@ LARGEST = 4096
 """Bytes of a message that are kept at most before its end."""
 MOST = 16
 """Pieces that are taken at a time, so that nobody who sends without end keeps the loop from its work."""
+MOST_CALLERS = 16
+"""TCP connections beside the peer's that are kept at most; a further one closes the oldest of them."""
+PROOF_S = 1.0
+"""Time in which a caller over TCP must have sent a valid message [s]; then its connection is closed."""
 
 
 class NetworkLink:
@@ -26,6 +30,10 @@ class NetworkLink:
     One side listens, the other connects; either may come, go and come back. Nothing is queued here: a message that the
     network cannot take is dropped, since the next is newer. (What TCP has taken, it keeps until it arrives; what it
     brings late is too old, and not acted on.)
+
+    The side that listens speaks only to its peer: the sender of the latest valid message, of the shared key where there
+    is one. Whoever calls without such a message takes nothing from the peer, is sent nothing, and over TCP its
+    connection is closed after ``PROOF_S``. The side that connects speaks only to the address that it was given.
     """
 
     def __init__(
@@ -85,7 +93,7 @@ class NetworkLink:
         with contextlib.suppress(OSError):
             for data, sender in self._carrier.receive(now):
                 if self.exchange.incoming(now, data) is not None:
-                    self._carrier.answer(sender)
+                    self._carrier.answer(now, sender)
         return self.exchange.latest if self.exchange.age(now) <= self._oldest else None
 
     def close(self) -> None:
@@ -94,7 +102,7 @@ class NetworkLink:
 
 
 class _Transport(ABC):
-    """What carries messages; an OSError means not now."""
+    """Carrier of messages; an OSError means not now."""
 
     port: int
 
@@ -103,10 +111,11 @@ class _Transport(ABC):
 
     @abstractmethod
     def receive(self, now: float) -> list[tuple[bytes, Any]]:
-        """What came, each with its sender; however much comes, a call takes only so much."""
+        """Return the data that came, each with its sender; however much comes, a call takes only so much."""
 
-    def answer(self, sender: Any) -> None:  # noqa: B027
-        """Speak from now on to the sender of a message that was understood."""
+    @abstractmethod
+    def answer(self, now: float, sender: Any) -> None:
+        """Make the sender of a valid message the peer, if this side listens."""
 
     @abstractmethod
     def close(self) -> None: ...
@@ -117,6 +126,7 @@ class _Datagrams(_Transport):
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        self._listens = listens
         self._peer = None if listens else address
         if listens:
             self._socket.bind(address)
@@ -127,20 +137,71 @@ class _Datagrams(_Transport):
             self._socket.sendto(data, self._peer)
 
     def receive(self, now: float) -> list[tuple[bytes, Any]]:
-        found = []
-        # A refusal of what was sent comes as an error of one call; what has come is still there.
+        received = []
+        # A refusal of what was sent comes as an error of one call (and so does, on Windows, a datagram of more than
+        # LARGEST bytes); the datagrams that have come are still there.
         for _ in range(MOST):
             try:
-                data, sender = self._socket.recvfrom(LARGEST)
+                received.append(self._socket.recvfrom(LARGEST))
             except BlockingIOError:
                 break
-            except ConnectionError:
+            except OSError:
                 continue
-            found.append((data, sender))
-        return found
+        return received
 
-    def answer(self, sender: Any) -> None:
-        self._peer = sender
+    def answer(self, now: float, sender: Any) -> None:
+        # The side that connects has the other's address from its user. If it followed senders, a recording played back
+        # while the other is silent would lead it away for good: the other waits to be called.
+        if self._listens:
+            self._peer = sender
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Connection:
+    """A TCP connection, with the halves of messages that wait at its two ends."""
+
+    def __init__(self, connected: socket.socket, since: float) -> None:
+        connected.setblocking(False)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.since = since
+        """When it was made, or ceased to be the peer's [s]."""
+        self._socket = connected
+        self._received, self._unsent = bytearray(), b""
+
+    def is_established(self) -> bool:
+        try:
+            self._socket.getpeername()
+        except OSError:
+            return False
+        return True
+
+    def send(self, line: bytes) -> None:
+        """Send a line, or nothing of it while the network takes none; OSError where the connection has ended."""
+        with contextlib.suppress(BlockingIOError):
+            # The rest of a message goes first, or the other side would take two halves for one.
+            if self._unsent:
+                self._unsent = self._unsent[self._socket.send(self._unsent) :]
+            if not self._unsent:
+                self._unsent = line[self._socket.send(line) :]
+
+    def receive(self, most: int) -> list[bytes] | None:
+        """Return the lines that the next ``most`` bytes end; None where no bytes wait.
+
+        Raises:
+            OSError: the connection has ended.
+        """
+        try:
+            data = self._socket.recv(most)
+        except BlockingIOError:
+            return None
+        if not data:
+            raise ConnectionResetError
+        *lines, rest = (bytes(self._received) + data).split(b"\0")
+        # More than a message without an end is none.
+        self._received = bytearray(rest[-LARGEST:])
+        return lines
 
     def close(self) -> None:
         self._socket.close()
@@ -157,81 +218,93 @@ class _Stream(_Transport):
             self._server = socket.create_server(self._address, family=self._family, reuse_port=False)
             self._server.setblocking(False)
         self.port = self._server.getsockname()[1] if self._server else port
-        self._socket: socket.socket | None = None
-        self._is_ready = False
+        self._peer: _Connection | None = None
+        self._callers: list[_Connection] = []
+        """Connections without a valid message since ``since``, the oldest first; only where this side listens."""
         self._next = -np.inf
-        self._kept, self._rest = bytearray(), b""
 
     def send(self, now: float, data: bytes) -> None:
-        self._connect(now)
-        if self._socket is None or not self._is_ready:
+        self._call(now)
+        if self._peer is None or not self._peer.is_established():
             return
         try:
-            # The rest of a message goes first, or the other side would take two halves for one.
-            if self._rest:
-                self._rest = self._rest[self._socket.send(self._rest) :]
-            if not self._rest:
-                line = stuff(data) + b"\0"
-                self._rest = line[self._socket.send(line) :]
-        except BlockingIOError:
-            return
+            self._peer.send(stuff(data) + b"\0")
         except OSError:
-            self._drop()
+            self._drop(self._peer)
 
     def receive(self, now: float) -> list[tuple[bytes, Any]]:
-        self._connect(now)
-        found: list[tuple[bytes, Any]] = []
-        for _ in range(MOST):
-            if self._socket is None or not self._is_ready:
+        self._call(now)
+        if self._server is not None:
+            self._accept(self._server, now)
+        received: list[tuple[bytes, Any]] = []
+        if self._peer is not None and (self._server is not None or self._peer.is_established()):
+            received += self._read(self._peer, MOST, LARGEST)
+        for caller in list(self._callers):
+            # Two messages at a time: a caller that sends as often as we ask keeps up, and no flood takes long to read.
+            received += self._read(caller, 1, 2 * (self._lengths[-1] + 1))
+        for caller in [one for one in self._callers if not 0 <= now - one.since <= PROOF_S]:
+            self._drop(caller)
+        return received
+
+    def answer(self, now: float, sender: Any) -> None:
+        if sender not in self._callers:
+            return
+        self._callers.remove(sender)
+        if self._peer is not None:
+            # It may be the true one, whose place a recording takes while it is silent: its next message takes it back.
+            self._peer.since = now
+            self._callers.append(self._peer)
+        self._peer = sender
+
+    def _read(self, connection: _Connection, pieces: int, most: int) -> list[tuple[bytes, Any]]:
+        """Return the messages that wait, at most so many pieces of ``most`` bytes; drop a connection that has ended."""
+        received: list[tuple[bytes, Any]] = []
+        for _ in range(pieces):
+            try:
+                lines = connection.receive(most)
+            except OSError:
+                self._drop(connection)
+                break
+            if lines is None:
+                break
+            messages = [unstuff(line) for line in lines if len(line) in self._lengths]
+            received += [(message, connection) for message in messages if message is not None]
+        return received
+
+    def _accept(self, server: socket.socket, now: float) -> None:
+        """Take new callers beside the peer, MOST_CALLERS at most: the oldest makes room for the newest."""
+        for _ in range(MOST_CALLERS):
+            try:
+                accepted, _ = server.accept()
+            except OSError:
                 break
             try:
-                data = self._socket.recv(LARGEST)
-            except BlockingIOError:
-                break
+                self._callers.append(_Connection(accepted, now))
             except OSError:
-                data = b""
-            if not data:
-                self._drop()
-                break
-            *lines, rest = (bytes(self._kept) + data).split(b"\0")
-            # More than a message without an end is none.
-            self._kept = bytearray(rest[-LARGEST:])
-            candidates = [unstuff(line) for line in lines if len(line) in self._lengths]
-            found += [(message, None) for message in candidates if message is not None]
-        return found
+                accepted.close()
+        while len(self._callers) > MOST_CALLERS:
+            self._drop(self._callers[0])
 
-    def _connect(self, now: float) -> None:
-        """Take a caller, the newest one, or call."""
-        if self._server is not None:
-            with contextlib.suppress(BlockingIOError):
-                caller, _ = self._server.accept()
-                self._drop()
-                self._use(caller)
-        elif now >= self._next and not self._is_ready:
-            self._next = now + RECONNECT
-            self._drop()
-            called = socket.socket(self._family, socket.SOCK_STREAM)
-            called.setblocking(False)
-            called.connect_ex(self._address)
-            self._use(called)
-        if self._socket is not None and not self._is_ready:
-            with contextlib.suppress(OSError):
-                self._socket.getpeername()
-                self._is_ready = True
+    def _call(self, now: float) -> None:
+        """Call the other side, if this side connects and the connection is not there."""
+        if self._server is not None or now < self._next or (self._peer is not None and self._peer.is_established()):
+            return
+        self._next = now + RECONNECT
+        if self._peer is not None:
+            self._drop(self._peer)
+        called = socket.socket(self._family, socket.SOCK_STREAM)
+        self._peer = _Connection(called, now)
+        called.connect_ex(self._address)
 
-    def _use(self, connected: socket.socket) -> None:
-        connected.setblocking(False)
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = connected
-
-    def _drop(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-        self._socket, self._is_ready = None, False
-        self._kept.clear()
-        self._rest = b""
+    def _drop(self, connection: _Connection) -> None:
+        connection.close()
+        if connection is self._peer:
+            self._peer = None
+        else:
+            self._callers.remove(connection)
 
     def close(self) -> None:
-        self._drop()
+        for connection in [*self._callers, *([self._peer] if self._peer is not None else [])]:
+            self._drop(connection)
         if self._server is not None:
             self._server.close()

@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import math
 import os
+import secrets
 import struct
 import termios
 import tty
@@ -16,7 +17,7 @@ PROMPT = 0.002
 
 
 class PseudoTerminal(Terminal):
-    """A pseudo-terminal under a name of our own, that can be unplugged and come back."""
+    """A pseudo-terminal under a name of its own, that can be unplugged and come back."""
 
     def __init__(self, link: Path, baud: int) -> None:
         self.link = link
@@ -28,17 +29,29 @@ class PseudoTerminal(Terminal):
         self._ends: tuple[int, int] | None = None
 
     def plug(self) -> None:
+        """Open a pseudo-terminal under the name, in place of a link that is there.
+
+        Raises:
+            OSError: the folder takes no link.
+        """
         ours, theirs = os.openpty()
         tty.setraw(theirs)
         os.set_blocking(ours, False)
         self._ends = ours, theirs
-        beside = self.link.with_name(f".{self.link.name}.{os.getpid()}")
-        beside.symlink_to(os.ttyname(theirs))
-        os.replace(beside, self.link)
+        # A random name: several terminals in one process, and links that a killed one left, have others.
+        beside = self.link.with_name(f".{self.link.name}.{secrets.token_hex(8)}")
+        try:
+            beside.symlink_to(os.ttyname(theirs))
+            os.replace(beside, self.link)
+        finally:
+            beside.unlink(missing_ok=True)
 
     def unplug(self) -> None:
+        """Close the pseudo-terminal, and remove its name unless another one has taken it."""
         if self._ends is not None:
-            self.link.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                if os.readlink(self.link) == os.ttyname(self._ends[1]):
+                    self.link.unlink()
             for end in self._ends:
                 os.close(end)
             self._ends = None

@@ -23,6 +23,7 @@ from jaxgrasp.view.live_hand import LiveHand
 from jaxgrasp.view.live_page import LivePage
 from jaxgrasp.view.live_world import LiveWorld
 from jaxgrasp.view.page_loop import PageLoop
+from jaxgrasp.view.request_guard import RequestGuard
 from jaxgrasp.view.viewer_server import check_free, quiet_viser, serving
 from jaxgrasp.world.world_file import world_of
 
@@ -35,6 +36,7 @@ def view_command(arguments: View) -> int:
     check_positive(arguments, "seconds", "scale")
     # What is missing is said before anything compiles.
     quiet_viser()
+    RequestGuard(arguments.host, arguments.allowed_hosts)
     if arguments.save is None:
         check_free(arguments.host, arguments.port)
     if arguments.file is not None and Path(arguments.file).suffix.lower() in FORMATS:
@@ -76,7 +78,7 @@ def _live(arguments: View) -> int:
 
 
 def _server(arguments: View, label: str) -> AbstractContextManager[Any]:
-    return serving(arguments.host, 0 if arguments.save else arguments.port, label)
+    return serving(arguments.host, 0 if arguments.save else arguments.port, label, arguments.allowed_hosts)
 
 
 def _shown(arguments: View, server: Any, page: PageLoop) -> int:
@@ -84,7 +86,8 @@ def _shown(arguments: View, server: Any, page: PageLoop) -> int:
     if arguments.save is not None:
         return _saved(arguments.save, page.html())
     page.frame()
-    show(f"open http://{arguments.host}:{server.get_port()} in a browser; Ctrl-C ends it")
+    host = f"[{arguments.host}]" if ":" in arguments.host else arguments.host
+    show(f"open http://{host}:{server.get_port()} in a browser; Ctrl-C ends it")
     end = None if arguments.seconds is None else time.perf_counter() + arguments.seconds
     try:
         page.run(lambda: end is None or time.perf_counter() < end)

@@ -20,6 +20,9 @@ class View:
     """Write the scene as it is at first as a page that opens offline, and show nothing."""
     host: str = "127.0.0.1"
     """Address to listen at: others than this machine's own let others look, and move the sliders."""
+    allowed_hosts: tuple[str, ...] = ()
+    """Further names by which browsers reach this machine, beside localhost, addresses and `--host`; pages of other
+    sites are refused."""
     port: int = 8080
     """Port to listen at; 0 for any that is free."""
     normals: Literal["inward", "outward"] = "inward"

@@ -1,36 +1,45 @@
-"""A server of pages on one port: of this machine alone unless asked otherwise, quiet, without uploads or sharing."""
+"""A server of pages on one port: of this machine alone unless asked otherwise, for its own pages alone, quiet, without
+uploads or sharing."""
 
 import contextlib
 import errno
 import logging
 import socket
-from collections.abc import Iterator
+import threading
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from jaxgrasp.validation.optional_library import optional_library
+from jaxgrasp.view.request_guard import RequestGuard, guarding
 
 MISSING = "the live scene needs viser: pip install 'jaxgrasp[view]'"
+UNSAFE = "pages of any site could use it, so it was stopped"
 HOST, PORT = "127.0.0.1", 8080
 TRIED = 200
 """How many ports are looked at for a free one."""
 
 
 @contextlib.contextmanager
-def serving(host: str = HOST, port: int = PORT, label: str = "jaxgrasp") -> Iterator[Any]:
-    """A viser server, which stops in the end.
+def serving(
+    host: str = HOST, port: int = PORT, label: str = "jaxgrasp", allowed_hosts: Sequence[str] = ()
+) -> Iterator[Any]:
+    """Run a viser server until the block ends, which refuses what pages of other sites ask for.
 
     Args:
         host: the address that it listens on.
         port: its port, or 0 for any that is free.
         label: the heading of its panel.
+        allowed_hosts: names by which browsers reach it, besides localhost, addresses of this machine and ``host``.
 
     Raises:
         OSError: for a port that is taken, with one that is free, and for an address that this machine has not.
+        ValueError: for an allowed host that is none.
         ImportError: viser is not installed.
     """
     server_class = quiet_viser()
+    guard = RequestGuard(host, allowed_hosts)
     check_free(host, port)
-    server = server_class(host=host, port=port, label=label, verbose=False)
+    server = server_class(guard, host=host, port=port, label=label, verbose=False)
     try:
         if port not in (0, server.get_port()):
             raise OSError(taken(host, port))
@@ -41,7 +50,7 @@ def serving(host: str = HOST, port: int = PORT, label: str = "jaxgrasp") -> Iter
 
 
 def quiet_viser() -> Any:
-    """The class of servers that say nothing on the terminal, and whose scene nobody can have shared elsewhere."""
+    """Return the class of servers that print nothing, refuse foreign requests, and share no scene elsewhere."""
     optional_library("viser", missing=MISSING)
     import rich
     import viser
@@ -52,6 +61,18 @@ def quiet_viser() -> Any:
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
 
     class LocalServer(viser.ViserServer):
+        def __init__(self, guard: RequestGuard, **options: Any) -> None:
+            def is_ours() -> bool:
+                return threading.current_thread() is self._websock_server._server_thread
+
+            with guarding(guard, is_ours) as is_guarded:
+                super().__init__(**options)
+            if not is_guarded.is_set():
+                self.stop()
+                raise RuntimeError(
+                    f"viser {viser.__version__} starts its server in another way than viser 1.1 does: {UNSAFE}"
+                )
+
         def request_share_url(self, verbose: bool = True) -> None:
             """Any browser may ask for it: it would make a tunnel through a machine on the internet."""
 

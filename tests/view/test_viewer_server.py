@@ -7,17 +7,18 @@ import time
 
 import pytest
 
+from jaxgrasp.view.request_guard import RequestGuard, guarding
 from jaxgrasp.view.viewer_server import check_free, serving
 
 viser = pytest.importorskip("viser", reason="the live scene needs viser")
 
 
-def asked(port: int, raw: bytes) -> bytes:
+def asked(port: int, raw: bytes, most: int = 200) -> bytes:
     """What a server answers to some bytes."""
     with socket.create_connection(("127.0.0.1", port), timeout=0.5) as line:
         line.sendall(raw)
         with contextlib.suppress(OSError):
-            return line.recv(200)
+            return line.recv(most)
     return b""
 
 
@@ -96,6 +97,127 @@ def test_uploads_and_shared_addresses_are_refused(served):
                 line.recv(timeout=1)
     assert served._share_tunnel is None
     assert page_is_served(port)
+
+
+SITES = {
+    # Host and Origin of a request; the port of the server stands for {}.
+    "no page": ("127.0.0.1:{}", None, True),
+    "its page by address": ("127.0.0.1:{}", "http://127.0.0.1:{}", True),
+    "its page by name": ("localhost:{}", "http://localhost:{}", True),
+    "its page, name in capitals": ("LOCALHOST:{}", "http://localhost:{}", True),
+    "its page by IPv6": ("[::1]:{}", "http://[::1]:{}", True),
+    "its page through a tunnel": ("localhost:9000", "http://localhost:9000", True),
+    "its page behind a proxy": ("scene.example", "https://scene.example", True),
+    "its page at port 80": ("localhost:80", "http://localhost", True),
+    "another site": ("127.0.0.1:{}", "http://evil.example", False),
+    "another site at its port": ("127.0.0.1:{}", "http://evil.example:{}", False),
+    "another site, begins alike": ("127.0.0.1:{}", "http://127.0.0.1:{}.evil.example", False),
+    "another site, ends alike": ("scene.example", "http://evil-scene.example", False),
+    "another site below": ("localhost:{}", "http://localhost.evil.example:{}", False),
+    "another server of this machine": ("127.0.0.1:{}", "http://127.0.0.1:8888", False),
+    "another name of this machine": ("127.0.0.1:{}", "http://localhost:{}", False),
+    "a page of a file": ("127.0.0.1:{}", "null", False),
+    "a page of an extension": ("127.0.0.1:{}", "chrome-extension://127.0.0.1:{}", False),
+    "an empty origin": ("127.0.0.1:{}", "", False),
+    "DNS rebinding": ("evil.example:{}", "http://evil.example:{}", False),
+    "DNS rebinding, a page": ("evil.example:{}", None, False),
+    "DNS rebinding, a name like an address": ("127.0.0.1.evil.example:{}", None, False),
+    "an address of another machine": ("192.0.2.1:{}", None, False),
+    "a host before the true one": ("evil.example@127.0.0.1:{}", None, False),
+    "a host after the true one": ("127.0.0.1:{}@evil.example", None, False),
+    "no host": (None, None, False),
+    "an empty host": ("", None, False),
+    "two hosts": ("127.0.0.1:{}\r\nHost: evil.example", None, False),
+    "two origins": ("127.0.0.1:{}", "http://127.0.0.1:{}\r\nOrigin: http://evil.example", False),
+}
+
+
+@pytest.fixture(scope="module")
+def named():
+    with serving(port=0, allowed_hosts=["scene.example"]) as server:
+        yield server
+
+
+@pytest.mark.parametrize("upgrade", [False, True], ids=["page", "socket"])
+@pytest.mark.parametrize("site", SITES)
+def test_only_its_own_pages_are_answered(named, site, upgrade):
+    """Sockets carry scene and sliders; the page itself is refused likewise, so that no name leads to both."""
+    host, origin, is_own = SITES[site]
+    port = named.get_port()
+    lines = ["GET / HTTP/1.1"]
+    lines += [] if host is None else [f"Host: {host.format(port)}"]
+    lines += [] if origin is None else [f"Origin: {origin.replace('{}', str(port))}"]
+    if upgrade:
+        lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"]
+        lines += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"]
+    answer = asked(port, "\r\n".join([*lines, "", ""]).encode())
+    expected = (b"101" if upgrade else b"200") if is_own else b"403"
+    assert answer.split(b" ")[1] == expected, answer
+
+
+def test_sliders_move_for_its_own_page_alone(named):
+    from viser import _messages
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    port, protocol = named.get_port(), f"viser-v{viser.__version__}"
+    slider = named.gui.add_slider("a slider", 0.0, 1.0, 0.1, 0.5)
+    move = packed(_messages.GuiUpdateMessage(slider._impl.uuid, {"value": 0.9}))
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], origin="http://evil.example")
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], origin=f"http://127.0.0.1:{port}") as line:
+        line.recv(timeout=5)
+        line.send(move)
+        deadline = time.monotonic() + 5
+        while slider.value != 0.9 and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert slider.value == 0.9
+
+
+def test_no_other_site_shows_it_in_a_frame(named):
+    answer = asked(named.get_port(), b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", 1000)
+    assert b"Content-Security-Policy: frame-ancestors 'self'\r\n" in answer
+
+
+def test_where_others_may_call_addresses_and_the_machines_name_are_taken():
+    for listens_on in ("0.0.0.0", "::", "192.0.2.7", "a-machine"):
+        guard = RequestGuard(listens_on)
+        for host in ("192.0.2.7:80", "[2001:db8::7]:80", f"{socket.gethostname()}:80", "localhost", "127.0.0.1"):
+            assert guard.refusal(host, f"http://{host}") is None
+            assert guard.refusal(host, "http://evil.example") is not None
+        assert "evil.example" in guard.refusal("evil.example", None)
+    assert RequestGuard("a-machine").refusal("A-Machine:8080", None) is None
+
+
+@pytest.mark.parametrize("name", ["", "http://a.example", "a.example:80", "a.example/x", "a@b"])
+def test_an_allowed_host_that_is_none(name):
+    with pytest.raises(ValueError, match=r"allowed_hosts\[1\] is .*: expected a name or address without a port"):
+        RequestGuard("127.0.0.1", ["a.example", name])
+
+
+def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
+    from jaxgrasp.view import viewer_server
+
+    @contextlib.contextmanager
+    def unguarded(*_):
+        yield threading.Event()
+
+    monkeypatch.setattr(viewer_server, "guarding", unguarded)
+    with pytest.raises(RuntimeError, match="starts its server in another way"), serving(port=0):
+        pass
+
+
+def test_servers_of_other_threads_are_left_alone():
+    import websockets.asyncio.server as module
+
+    calls = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "serve", lambda *_, process_request: calls.append(process_request))
+        before = module.serve
+        with guarding(RequestGuard("127.0.0.1"), lambda: False) as is_guarded:
+            module.serve(process_request=print)
+        assert module.serve is before
+    assert calls == [print] and not is_guarded.is_set()
 
 
 def packed(message) -> bytes:

@@ -4,6 +4,7 @@ These are global settings, so only a program that owns its process may make them
 """
 
 import contextlib
+import os
 import platform
 import sys
 import threading
@@ -16,6 +17,7 @@ import jax
 from tqdm import tqdm
 
 from jaxgrasp.cli.terminal import announce
+from jaxgrasp.numerics import compile_notice
 from jaxgrasp.numerics.compiled_code import compile_all_quickly, use_cache
 
 LOWERED, COMPILED = "/jax/core/compile/jaxpr_to_mlir_module_duration", "/jax/core/compile/backend_compile_duration"
@@ -31,6 +33,8 @@ def set_up_jax(dtype: str, *, quickly: bool = False) -> None:
         dtype: float64 or float32.
         quickly: whether to compile quickly, to slower code, as suits programs that do not run often.
     """
+    # `compiling` says it, in a bar; processes that this one starts are quiet too.
+    os.environ.setdefault(compile_notice.VARIABLE, "0")
     if quickly:
         compile_all_quickly()
     jax.config.update("jax_enable_x64", dtype == "float64")

@@ -13,6 +13,8 @@ import jax
 import jax.numpy as jnp
 from jax.experimental.compilation_cache import compilation_cache
 
+from jaxgrasp.numerics.compile_notice import CompileNotice
+
 LEAST_SECONDS = 0.1
 """Programs that compile faster than this are not worth a file."""
 MEASURED_SINCE, UNMEASURED_FROM = (0, 10), (0, 13)
@@ -28,6 +30,7 @@ COMPILED_ONCE = {"xla_backend_optimization_level": 0}
 WARNS = "JAXGRASP_JAX_WARNING"
 """Environment variable that, set to 0, turns off the warning about an unmeasured version of JAX."""
 _traces_for_processor: ContextVar[bool] = ContextVar("traces_for_processor", default=False)
+CompileNotice().start()
 
 
 def use_cache(folder: str | os.PathLike | None = None) -> Path:

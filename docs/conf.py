@@ -14,6 +14,7 @@ sys.path[:0] = [str(ROOT / "docs" / "extensions"), str(ROOT)]
 
 project = "jaxgrasp"
 author = "the authors of jaxgrasp"
+copyright = f"2026, {author}, Apache License 2.0"  # at the foot of every page
 version = release = version_of("jaxgrasp")
 
 extensions = [

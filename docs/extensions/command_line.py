@@ -1,9 +1,10 @@
-"""The directive ``command-line``: the help of every command, as the command itself gives it."""
+"""The directives ``command-line``, the help of commands as they give it, and ``commands``, a list of them."""
 
 import contextlib
 import io
 import os
 import re
+from pathlib import Path
 
 import tyro
 from docutils import nodes
@@ -14,6 +15,7 @@ from jaxgrasp.cli.main import Command
 from jaxgrasp.cli.optional_arguments import REGISTRY
 
 WIDTH = "88"
+NAMED = re.compile(r"^```\{command-line\} (.+)$", re.M)
 GROUP = re.compile(r"\{([\w,-]+)\}$")
 
 
@@ -43,12 +45,18 @@ def commands(above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
 
 
 class CommandLine(SphinxDirective):
-    """A section for each command."""
+    """A section for each command that is named, with those below it; or for those that no other page names."""
+
+    optional_arguments = 1
+    final_argument_whitespace = True
 
     def run(self) -> list[nodes.Node]:
         """Sections one below the other, so that each has an entry in the page's contents."""
+        names = self.arguments[0].split() if self.arguments else unlisted()
         sections: list[nodes.Node] = []
         for command in commands():
+            if command[0] not in names:
+                continue
             title = " ".join(("jaxgrasp", *command))
             section = nodes.section(ids=[title.replace(" ", "-")], names=[title])
             section += nodes.title(text=title)
@@ -57,7 +65,45 @@ class CommandLine(SphinxDirective):
         return sections
 
 
+class Commands(SphinxDirective):
+    """A list of all commands, each with a link and the first sentence of its help."""
+
+    def run(self) -> list[nodes.Node]:
+        """Return one bulleted list."""
+        pages = {name: page for page, names in listed().items() for name in names}
+        listing = nodes.bullet_list()
+        for command in commands():
+            title = " ".join(("jaxgrasp", *command))
+            page = f"command_line/{pages[command[0]]}.html" if command[0] in pages else ""
+            link = nodes.reference("", "", nodes.literal(text=title), refuri=f"{page}#{title.replace(' ', '-')}")
+            # Of a text with `code` in it, every second part is code.
+            parts = enumerate(f": {first_sentence(command)}".split("`"))
+            words = [nodes.literal(text=part) if k % 2 else nodes.Text(part) for k, part in parts]
+            listing += nodes.list_item("", nodes.paragraph("", "", link, *words))
+        return [listing]
+
+
+def first_sentence(command: tuple[str, ...]) -> str:
+    """Return what a command does, in a sentence of its help."""
+    about = help_of(command).split("\n\n")[1]
+    return re.split(r"(?<=[.!?])\s+(?=[A-Z`])", " ".join(about.split()))[0]
+
+
+def listed() -> dict[str, list[str]]:
+    """Return the commands that each page of the folder ``command_line`` names."""
+    folder = Path(__file__).resolve().parent.parent / "reference" / "command_line"
+    found = {page.stem: NAMED.search(page.read_text()) for page in folder.glob("*.md")}
+    return {page: names[1].split() for page, names in found.items() if names is not None}
+
+
+def unlisted() -> list[str]:
+    """Return the commands that no page of the folder names."""
+    named = {name for names in listed().values() for name in names}
+    return [command[0] for command in commands() if command[0] not in named]
+
+
 def setup(app: Sphinx) -> dict:
-    """Enter the directive."""
+    """Enter the directives."""
     app.add_directive("command-line", CommandLine)
+    app.add_directive("commands", Commands)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

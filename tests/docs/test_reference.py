@@ -25,6 +25,17 @@ def test_every_room_has_its_page():
         assert f".. room:: {name}\n" in (REFERENCE / f"{room}.md").read_text()
 
 
+def test_pages_of_groups_list_public_names_of_their_room_once_each():
+    for folder in sorted(path for path in REFERENCE.iterdir() if path.is_dir() and path.name != "command_line"):
+        room = jaxgrasp if folder.name == "jaxgrasp" else getattr(jaxgrasp, folder.name)
+        listed = []
+        for page in sorted(folder.glob("*.md")):
+            (names,) = re.findall(rf"^\.\. room:: {room.__name__}\n   :names:(.*?)^```", page.read_text(), re.M | re.S)
+            listed += names.split()
+            assert f"\n{folder.name}/{page.stem}\n" in (REFERENCE / f"{folder.name}.md").read_text()
+        assert len(listed) == len(set(listed)) and set(listed) <= set(room.__all__)
+
+
 def test_every_code_has_its_table():
     page = (REFERENCE / "outcomes.md").read_text()
     listed = {name for _, name in re.findall(r"^```\{outcomes\} (\S+) (\S+)$", page, re.M)}

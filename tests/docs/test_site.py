@@ -56,13 +56,63 @@ def test_every_page_says_its_version(pages):
         assert f"jaxgrasp {version}</title>" in page.read_text(), page
 
 
-def test_every_public_name_has_its_entry_and_its_source(site):
-    for room in (jaxgrasp, *(getattr(jaxgrasp, name) for name in jaxgrasp._ROOMS)):
-        text = (site / "docs" / "reference" / f"{room.__name__.rpartition('.')[2]}.html").read_text()
-        for name in room.__all__:
-            if name not in jaxgrasp._ROOMS:
-                assert f'id="{room.__name__}.{name}"' in text, name
-        assert "_modules/jaxgrasp/" in text
+def public_names() -> list[tuple[str, str]]:
+    """Every public name with its room."""
+    rooms = (jaxgrasp, *(getattr(jaxgrasp, name) for name in jaxgrasp._ROOMS))
+    return [(room.__name__, name) for room in rooms for name in room.__all__ if name not in jaxgrasp._ROOMS]
+
+
+def test_every_public_name_has_one_entry_and_its_source(site):
+    """On its room's page, or on that of a group in the room's folder."""
+    reference = site / "docs" / "reference"
+    for room, name in public_names():
+        page = room.rpartition(".")[2]
+        texts = [one.read_text() for one in (reference / f"{page}.html", *sorted((reference / page).glob("*.html")))]
+        entries = [text for text in texts if f'id="{room}.{name}"' in text]
+        assert len(entries) == 1, (room, name)
+        assert "_modules/jaxgrasp/" in entries[0]
+
+
+def test_every_public_name_has_a_line_in_the_index(site):
+    text = (site / "docs" / "reference" / "index.html").read_text()
+    rows = re.findall(r'<tr class="row-\w+"><td>(.*?)</td>\s*<td>(.*?)</td>', text, re.DOTALL)
+    lines = {re.search(r'href="[^"]*#([\w.]+)"', name)[1]: re.sub("<.*?>", "", line).strip() for name, line in rows}
+    assert sorted(lines) == sorted(f"{room}.{name}" for room, name in public_names())
+    for name, line in lines.items():
+        assert 10 < len(line) < 200 and "\n" not in line, name
+
+
+def test_every_command_has_its_help_on_one_page_and_a_line_that_leads_there(site):
+    reference = site / "docs" / "reference"
+    overview = (reference / "command_line.html").read_text()
+    links = re.findall(r'href="(command_line/\w+\.html)#([\w-]+)"><code[^>]*>(?:<span[^>]*>)?jaxgrasp', overview)
+    assert len(links) > 30
+    pages = {path: (reference / path).read_text() for path, _ in links}
+    for path, anchor in links:
+        assert [page for page, text in pages.items() if f'id="{anchor}"' in text] == [path], anchor
+
+
+def test_links_have_titles(pages):
+    for page in pages:
+        texts = re.findall(r"<a [^>]*>(.*?)</a>", page.read_text(), re.DOTALL)
+        named = [
+            text for text in texts if re.fullmatch(r"[\w./-]+\.(md|ipynb|html)", re.sub("<.*?>", "", text).strip())
+        ]
+        assert not named, (page, named)
+
+
+def test_every_page_names_its_copyright(pages):
+    for page in pages:
+        if page.name not in ("search.html", "genindex.html", "py-modindex.html"):
+            assert re.search(r"Copyright &#169; \d{4}, the authors of jaxgrasp", page.read_text()), page
+
+
+def test_no_page_of_the_reference_is_endless(site, browser):
+    """But the index, which has a line for each name."""
+    reference = site / "docs" / "reference"
+    for page in sorted(set(reference.rglob("*.html")) - {reference / "index.html"}):
+        browser.page.goto(page.as_uri())
+        assert browser.page.evaluate("document.documentElement.scrollHeight") < 14_000, page
 
 
 def test_no_page_asks_for_anything_from_elsewhere(site, pages, browser):

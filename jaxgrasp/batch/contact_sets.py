@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from jaxgrasp.files.printable import shortened
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.batched import checked_index
-from jaxgrasp.model.faults import Fault, GraspError, shape_faults, value_faults
+from jaxgrasp.model.faults import UNIT_LENGTH, Fault, GraspError, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limit_faults import check_limits, limit_faults
 from jaxgrasp.model.limits import BOUNDS, NORMALS, Limits
+from jaxgrasp.model.normal_direction import to_middle
 
 CONTACT_FIELDS = ("points", "normals", "friction", "squeeze")
 OPTIONAL_NUMBERS = ("torsion", *NORMALS)
@@ -46,6 +48,8 @@ class ContactSets:
     """``(M, c, j)``."""
     torque_max: np.ndarray | None = None
     """``(N, j)``."""
+    lines: np.ndarray | None = None
+    """``(M,)``: the line of each contact in the text file that it was read from; None where there is none."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -133,6 +137,8 @@ class ContactSets:
         changed: dict[str, Any] = {name: array[own] for name, array in self.columns.items()}
         if self.torque_max is not None:
             changed["torque_max"] = self.torque_max[chosen]
+        if self.lines is not None:
+            changed["lines"] = self.lines[own]
         return replace(
             self,
             **changed,
@@ -169,12 +175,7 @@ class ContactSets:
 
     def towards_middle(self) -> np.ndarray:
         """From each contact to the mean of its grasp's contacts, ``(M, 3)`` [m]."""
-        held = np.flatnonzero(self.sizes)
-        if not len(held):
-            return np.zeros((0, 3))
-        sizes = self.sizes[held]
-        middle = np.add.reduceat(self.points, self.offsets[:-1][held], axis=0) / sizes[:, None]
-        return np.repeat(middle, sizes, axis=0) - self.points
+        return to_middle(self.points, self.offsets)
 
     def reach(self) -> np.ndarray:
         """Largest distance of a contact from the middle, of each grasp that has any [m]."""
@@ -192,22 +193,50 @@ class ContactSets:
         return replace(self, **changed)
 
     def faults(self, first_grasp: int = 0) -> Iterator[Fault]:
-        """Every bad entry, by grasp and contact; ``first_grasp`` is the number of the first grasp here."""
+        """Yield every bad entry, by grasp and contact; ``first_grasp`` is the number of the first grasp here.
+
+        Each says which line of a text file it stands in and its grasp's name, where there are any.
+        """
+        for fault in self._faults():
+            grasp, *rest = fault.index
+            place = self._place(first_grasp, grasp, rest[0] if rest and fault.field != "wrench" else 0)
+            yield replace(fault, index=(first_grasp + grasp, *rest), place=place)
+
+    def _place(self, first_grasp: int, grasp: int, contact: int) -> str:
+        name = self.name_of(grasp)
+        title = f"grasp {shortened(name)}" if name else ""
+        if self.lines is None or not self.sizes[grasp]:
+            return title
+        return f"line {self.lines[self.offsets[grasp] + contact]}, {title or f'grasp {first_grasp + grasp}'}"
+
+    def name_of(self, grasp: int) -> str:
+        """Return the name of a grasp by its place here; nothing where it has none."""
+        return str(self.labels["name"][grasp]) if "name" in self.labels else ""
+
+    def _faults(self) -> Iterator[Fault]:
         columns = self.columns
         bounds = {name: columns.pop(name) for name in BOUNDS if name in columns}
         for fault in (*value_faults(**columns), *limit_faults(bounds, np.ones(self.friction.shape, bool))):
             grasp = int(np.searchsorted(self.offsets, fault.index[0], "right")) - 1
             contact = fault.index[0] - int(self.offsets[grasp])
-            yield replace(fault, index=(first_grasp + grasp, contact, *fault.index[1:]))
+            if fault.expected == UNIT_LENGTH:
+                fault = replace(fault, expected=f"{UNIT_LENGTH}; --normalize, or normalize=True, makes it so")
+            yield replace(fault, index=(grasp, contact, *fault.index[1:]))
         if self.torque_max is not None:
-            for fault in limit_faults({"torque_max": self.torque_max}, np.ones(1, bool)):
-                yield replace(fault, index=(first_grasp + fault.index[0], *fault.index[1:]))
+            yield from limit_faults({"torque_max": self.torque_max}, np.ones(1, bool))
         for index in np.argwhere(~np.isfinite(self.wrench).all(-1)):
             shown = np.array2string(self.wrench[tuple(index)], precision=6)
-            place = (first_grasp + int(index[0]), *map(int, index[1:] if self.wrenches > 1 else ()))
+            place = (int(index[0]), *map(int, index[1:] if self.wrenches > 1 else ()))
             yield Fault("wrench", place, shown, "six finite numbers [N, N.m]")
         for empty in np.flatnonzero(self.sizes == 0):
-            yield Fault("offsets", (first_grasp + int(empty),), "a grasp of no contacts", "at least one contact")
+            yield Fault("offsets", (int(empty),), "a grasp of no contacts", "at least one contact")
+
+    def normalized(self) -> "ContactSets":
+        """Return these sets with normals of length 1; those of no length, or of no finite one, stay as they are."""
+        length = np.linalg.norm(self.normals.astype(float), axis=1, keepdims=True)
+        usable = np.isfinite(length) & (length > 0)
+        unit = np.where(usable, self.normals / np.where(usable, length, 1), self.normals)
+        return replace(self, normals=unit.astype(self.normals.dtype))
 
 
 def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:

@@ -3,12 +3,15 @@
 Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp, and the grasp's name where
 there is no column name), px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
 torsion [m], normal_min, normal_max [N], name, source, object, hand. Limits of torques need a file of another kind.
-Lines above that of the columns' names that begin with # are comments.
+Lines above that of the columns' names that begin with # are comments. Commas, semicolons or tabs separate columns, as
+the line of their names shows; spaces around names and numbers do not count, nor do lines without any entry. Where
+semicolons or tabs separate, numbers may have decimal commas, all of a file or none.
 """
 
 import csv
 import io
 import os
+import re
 from array import array
 from collections import Counter
 from collections.abc import Iterator
@@ -31,6 +34,10 @@ TOGETHER = {"points": POINT, "normals": NORMAL}
 GRASPS_AT_A_TIME = 1_000
 """Grasps whose lines are made at a time: as text they take ten times the memory."""
 NUMBERS = (*POINT, *NORMAL, *WRENCH, "friction", "squeeze", *OPTIONAL_NUMBERS)
+COLUMNS = {"grasp", *NUMBERS, *LABELS}
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
+"""The first line of files in which Excel is told the separator."""
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
@@ -38,10 +45,7 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     path, fill = Path(path), fill or {}
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            header = next((row for row in reader if not (row and row[0].startswith("#"))), [])
-            _check_header(path, header, fill)
-            table = _read_rows(path, header, reader)
+            table = _read_table(path, stream, fill)
     except (UnicodeDecodeError, csv.Error) as error:
         raise GraspFileError(path, f"it is not CSV in UTF-8 ({error})") from error
     if not table.starts:
@@ -61,8 +65,52 @@ def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> C
     if "name" not in labels and table.grasps != list(map(str, range(len(table.grasps)))):
         labels["name"] = np.array(table.grasps)
     return ContactSets(
-        together["points"], together["normals"], **contacts, offsets=offsets, wrench=wrench[:, None], labels=labels
+        together["points"],
+        together["normals"],
+        **contacts,
+        offsets=offsets,
+        wrench=wrench[:, None],
+        labels=labels,
+        lines=np.array(table.lines),
     )
+
+
+def _read_table(path: Path, stream: IO[str], fill: dict[str, float]) -> "_Table":
+    """Read the line of names, which says how columns are separated, and every row below it."""
+    above, separator = 0, None
+    for line in stream:
+        above += 1
+        if (told := SEPARATOR_LINE.fullmatch(line.strip("\r\n "))) and above == 1:
+            separator = told[1]
+        elif not line.startswith("#"):
+            break
+    else:
+        line = ""
+    layout = _layout(line, separator)
+    _check_header(path, layout, fill)
+    reader = csv.reader(stream, delimiter=layout.separator, skipinitialspace=layout.spaced)
+    return _read_rows(path, layout, above, reader)
+
+
+class _Layout(NamedTuple):
+    """How the cells of a file's lines are found."""
+
+    header: list[str]
+    """Names of the columns, without the spaces around them."""
+    separator: str
+    spaced: bool
+    """Whether names have spaces around them, so that those around texts are no part of the texts either."""
+
+
+def _layout(line: str, separator: str | None = None) -> _Layout:
+    """Return the layout that a line of names shows: of the separator with which most of the names are known."""
+    layouts = []
+    for one in [separator] if separator else SEPARATORS:
+        names = next(csv.reader([line], delimiter=one, skipinitialspace=True), [])
+        raw = next(csv.reader([line], delimiter=one), [])
+        stripped = [name.strip() for name in names]
+        layouts.append(_Layout(stripped, one, stripped != raw))
+    return max(layouts, key=lambda layout: len(COLUMNS.intersection(layout.header)))
 
 
 def _differing(column: dict[str, np.ndarray], wrench: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -90,34 +138,38 @@ class _Table(NamedTuple):
     """What each grasp is called, by the label's name."""
 
 
-def _check_header(path: Path, header: list[str], fill: dict[str, float]) -> None:
+def _check_header(path: Path, layout: _Layout, fill: dict[str, float]) -> None:
+    header = layout.header
     needed = ["grasp", *POINT, *NORMAL, *WRENCH, *(c for c in ("friction", "squeeze") if c not in fill)]
     torques = [column for column in ("torque_map", "torque_max") if column in header]
     if torques:
         raise GraspFileError(path, f"it has the column {torques[0]}: limits of torques need an .npz file")
     missing = [column for column in needed if column not in header]
     if missing:
-        raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}")
-    doubled = [column for column, times in Counter(header).items() if times > 1]
+        separated = "" if COLUMNS.intersection(header) else ": expected names with commas, semicolons or tabs between"
+        raise GraspFileError(path, f"it lacks the columns {', '.join(missing)}{separated}")
+    doubled = [column for column, times in Counter(filter(None, header)).items() if times > 1]
     if doubled:
         raise GraspFileError(path, f"it has the column {shortened(min(doubled))} twice")
 
 
-def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
-    """Every row as numbers at once: the text of a large file takes ten times the memory."""
+def _read_rows(path: Path, layout: _Layout, above: int, reader: Any) -> _Table:
+    """Read every row as numbers at once: the text of a large file takes ten times the memory."""
+    header = layout.header
     places = [k for k, name in enumerate(header) if name in NUMBERS]
     labels = {name: (header.index(name), list[str]()) for name in LABELS if name in header}
     numbers, lines, starts, of_grasp = array("d"), array("q"), [], header.index("grasp")
+    read_number = _NumberReader(path, layout.separator)
     seen: dict[str, None] = {}
     last = None
     for row in reader:
-        if not row:
+        if not any(row) or not any(cell.strip() for cell in row):
             continue
-        line = reader.line_num
+        line = above + reader.line_num
+        if layout.spaced:
+            row = [cell.strip() for cell in row]
         if len(row) != len(header):
-            raise GraspFileError(
-                path, f"line {line} has {'more' if len(row) > len(header) else 'fewer'} cells than the header"
-            )
+            raise GraspFileError(path, _other_cells(line, len(row) > len(header), layout.separator))
         if row[of_grasp] != last:
             last = row[of_grasp]
             if last in seen:
@@ -129,7 +181,7 @@ def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
             for name, (place, values) in labels.items():
                 values.append(text_of_formula(_label(path, line, name, row[place])))
         for place in places:
-            numbers.append(_number(path, line, header[place], row[place]))
+            numbers.append(read_number(line, header[place], row[place]))
         lines.append(line)
     columns = [header[place] for place in places]
     shaped = np.frombuffer(numbers).reshape(len(lines), len(columns)) if lines else np.zeros((0, len(columns)))
@@ -141,6 +193,13 @@ def _read_rows(path: Path, header: list[str], reader: Any) -> _Table:
         [text_of_formula(cell) for cell in seen],
         {name: values for name, (_, values) in labels.items()},
     )
+
+
+def _other_cells(line: int, is_longer: bool, separator: str) -> str:
+    text = f"line {line} has {'more' if is_longer else 'fewer'} cells than the header"
+    if is_longer and separator == ",":
+        text += ": where numbers have decimal commas, semicolons must separate the columns"
+    return text
 
 
 def _label(path: Path, line: int, name: str, text: str) -> str:
@@ -182,8 +241,42 @@ def _rows(sets: ContactSets, first: int) -> Iterator[list]:
         yield [first + grasp, *line, *(formula_as_text(values[grasp]) for values in labels)]
 
 
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        return decimal_number(text)
-    except ValueError as error:
-        raise GraspFileError(path, f"line {line}, column {column} {error}") from None
+DECIMAL_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
+
+
+class _NumberReader:
+    """Reads the numbers of one file, whose decimals are all marked by points or all by commas."""
+
+    def __init__(self, path: Path, separator: str) -> None:
+        self._path = path
+        self._may_have_commas = separator != ","
+        self._mark = ""
+        """The mark of the first number that has any."""
+        self._marked_at = ""
+
+    def __call__(self, line: int, column: str, text: str) -> float:
+        """Return the number in a cell.
+
+        Raises:
+            GraspFileError: for a text that is no number, and for a decimal mark that differs from the others'.
+        """
+        mark = "," if "," in text else "." if "." in text else ""
+        if mark and self._may_have_commas:
+            self._check_mark(mark, line, column, text)
+            if mark == "," and DECIMAL_COMMA.fullmatch(text.strip(" \t")):
+                text = text.replace(",", ".")
+        try:
+            return decimal_number(text)
+        except ValueError as error:
+            raise GraspFileError(self._path, f"line {line}, column {column} {error}") from None
+
+    def _check_mark(self, mark: str, line: int, column: str, text: str) -> None:
+        if not self._mark:
+            self._mark, self._marked_at = mark, f"line {line}, column {column}"
+        elif mark != self._mark:
+            names = {",": "a comma", ".": "a point"}
+            raise GraspFileError(
+                self._path,
+                f"line {line}, column {column} is {shortened(text)}, with {names[mark]}, where {self._marked_at} has "
+                f"{names[self._mark]}: expected one decimal mark in the whole file, and no marks of thousands",
+            )

@@ -1,5 +1,6 @@
 """Contact sets to results: every method on every grasp and wrench, in memory."""
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -82,6 +83,7 @@ def evaluate(
     progress: Progress | None = None,
     dtype: str | np.dtype | None = None,
     skip_bad: bool = False,
+    normalize: bool = False,
     devices: int | None = None,
 ) -> Evaluation:
     """Closed forms and constrained optima of many grasps, and how far apart they are.
@@ -99,13 +101,18 @@ def evaluate(
         progress: is told how many more grasps are measured, every few hundred; what it raises ends the evaluation.
         dtype: ``"float64"`` or ``"float32"``; the data's own where not given. float64 needs JAX's 64-bit mode.
         skip_bad: leave out grasps with faults instead of raising; ``summary.set_aside`` counts them.
+        normalize: make every normal length 1, as those of tables with few digits are not.
         devices: how many of JAX's local devices to use; all where not given.
+
+    Warns:
+        UserWarning: naming grasps whose normals point away from the middle of their contacts.
 
     Raises:
         GraspError: for the first fault of the data, before anything is computed.
         ValueError: for an unknown method or measure, or float64 asked for while JAX's 64-bit mode is off.
     """
     sets = as_sets(grasps, wrenches, limits)
+    sets = sets.normalized() if normalize else sets
     engine, measures = Engine(methods_named(methods), devices), measures_named(quality, task)
     found = answers(
         engine,
@@ -116,6 +123,9 @@ def evaluate(
         skip_bad=skip_bad,
     )
     summary = found.summary(measures)
+    if warning := summary.outward.warning("expected normals into the object"):
+        # Past the wrapper that checks arguments, to the user's own line.
+        warnings.warn(warning, stacklevel=3)
     return Evaluation(
         found.sets,
         found.results,

@@ -8,7 +8,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine
 from jaxgrasp.batch.evaluation import run, usable
 from jaxgrasp.batch.reasons import Reason
-from jaxgrasp.batch.sources import POINT_AWAY, GraspSource, looks_like_millimetres, normals_point_away
+from jaxgrasp.batch.sources import MILLIMETRES, TURN_ROUND, GraspSource, looks_like_millimetres
 from jaxgrasp.batch.stream import StreamPlan
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.model.compared_methods import methods_named
@@ -25,10 +25,10 @@ def hints(source: GraspSource, plan: StreamPlan, summary: Summary) -> list[str]:
     if not len(sample):
         return found
     if looks_like_millimetres(sample):
-        found.append("contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m.")
-    if normals_point_away(sample):
-        found.append(f"{POINT_AWAY}: if yours point out of the object, add --normals outward.")
-    elif _share_that_holds(summary) < 0.5 and _holds_turned_round(sample, plan):
+        found.append(f"{MILLIMETRES}.")
+    if warning := summary.outward.warning(f"{TURN_ROUND}."):
+        found.append(warning)
+    if not summary.outward.is_most and _share_that_holds(summary) < 0.5 and _holds_turned_round(sample, plan):
         found.append(
             "most grasps fail, but hold with their normals turned round: if yours point out of the object, "
             "add --normals outward."

@@ -13,7 +13,7 @@ from jaxgrasp.files.printable import shortened
 from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
-VERSION = 7
+VERSION = 8
 
 
 @contextmanager

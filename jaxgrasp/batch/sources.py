@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,12 +23,12 @@ from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
+from jaxgrasp.model.normal_direction import NAMED, direction_warning, normal_directions
 
-POINT_AWAY = "most normals point away from the middle of their grasp"
+TURN_ROUND = "if yours point out of the object, add --normals outward"
+MILLIMETRES = "contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m"
 MOSTLY = 0.8
 """Share of grasps from which all are suspected."""
-ROUNDING = 1e-3
-"""Part of the distances: as far as normals out of files may be off."""
 MILLIMETRES_LIKELY = 2.0
 """A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
 
@@ -55,6 +55,13 @@ class GraspSource(Protocol):
     def __exit__(self, *_) -> None: ...
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]: ...
+
+
+def numbered_chunks(source: GraspSource, chunk: int, start: int = 0) -> Iterator[tuple[int, ContactSets]]:
+    """Yield the grasps of a source from ``start`` on, ``chunk`` at a time, each after the number of its first grasp."""
+    for sets in source.chunks(chunk, start):
+        yield start, sets
+        start += len(sets)
 
 
 class MemorySource:
@@ -102,6 +109,8 @@ class Adjustments:
     squeeze: float | None = None
     torsion: float | None = None
     """Makes every contact with friction a soft finger of this torsional coefficient [m], in place of the file's."""
+    normalize: bool = False
+    """Makes every normal length 1, as those of files with few digits are not."""
 
     @property
     def fill(self) -> dict[str, float]:
@@ -117,7 +126,8 @@ class Adjustments:
             changes["torsion"] = np.zeros_like(sets.torsion)
         if self.outward_normals:
             changes["normals"] = -sets.normals
-        return replace(sets, **changes) if changes else sets
+        changed = replace(sets, **changes) if changes else sets
+        return changed.normalized() if self.normalize else changed
 
 
 def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments()) -> GraspSource:
@@ -173,8 +183,16 @@ def file_format(path: Path) -> FileFormat:
     return found
 
 
-def load_grasps(path: str | os.PathLike) -> ContactSets:
+def load_grasps(path: str | os.PathLike, *, normalize: bool = False) -> ContactSets:
     """Read a grasp file (``.npz``, ``.csv``, ``.parquet``, ``.h5``), check every entry, and return it whole.
+
+    Args:
+        path: the file.
+        normalize: make every normal length 1, as those of files with few digits are not.
+
+    Warns:
+        UserWarning: where lengths look like millimetres, and naming grasps whose normals point away from the middle
+            of their contacts.
 
     Raises:
         GraspFileError: if the file is of another kind, damaged, lacks a column, or its shapes do not fit.
@@ -182,7 +200,7 @@ def load_grasps(path: str | os.PathLike) -> ContactSets:
         GraspError: for the first entry that is not usable: which, its value, and what was expected.
     """
     with open_source(path) as source:
-        sets = next(source.chunks(max(1, len(source))))
+        sets = Adjustments(normalize=normalize).apply(next(source.chunks(max(1, len(source)))))
     for fault in sets.faults():
         raise GraspError(fault)
     if looks_like_millimetres(sets):
@@ -190,8 +208,8 @@ def load_grasps(path: str | os.PathLike) -> ContactSets:
             f"{os.fspath(path)}: contacts lie metres apart, as if lengths were in millimetres: expected metres",
             stacklevel=2,
         )
-    if normals_point_away(sets):
-        warnings.warn(f"{os.fspath(path)}: {POINT_AWAY}: expected normals that point into the object", stacklevel=2)
+    if warning := outward_normals(sets).warning("expected normals into the object"):
+        warnings.warn(f"{os.fspath(path)}: {warning}", stacklevel=2)
     return sets
 
 
@@ -244,11 +262,43 @@ def looks_like_millimetres(sets: ContactSets) -> bool:
     return bool(len(reach) and np.median(reach) > MILLIMETRES_LIKELY)
 
 
+class OutwardNormals(NamedTuple):
+    """Grasps whose normals point away from the middle of their contacts, so that parts of a file merge."""
+
+    away: int = 0
+    decided: int = 0
+    """Grasps whose contacts can tell the sign of their normals."""
+    names: tuple[str, ...] = ()
+    """The first of those that point away: their own names, or their numbers."""
+
+    def merged(self, other: "OutwardNormals") -> "OutwardNormals":
+        """Return both parts as one, this one first."""
+        return OutwardNormals(self.away + other.away, self.decided + other.decided, (self.names + other.names)[:NAMED])
+
+    def warning(self, remedy: str) -> str:
+        """Return the sentence that warns of these grasps and ends with the ``remedy``; nothing where there are none."""
+        return direction_warning(self.names, self.away, self.decided, remedy) if self.away else ""
+
+    @property
+    def is_most(self) -> bool:
+        """Whether most grasps of those that can tell point away, as where a whole file has outward normals."""
+        return self.away > MOSTLY * self.decided
+
+
+def outward_normals(sets: ContactSets, numbers: np.ndarray | None = None) -> OutwardNormals:
+    """Return which grasps have normals that point away from the middle of their contacts.
+
+    Args:
+        sets: the grasps.
+        numbers: of the grasps in their file ``(N,)``; from 0 where not given.
+    """
+    away, decided = normal_directions(sets.points, sets.normals, sets.offsets)
+    numbers = np.arange(len(sets)) if numbers is None else numbers
+    first = np.flatnonzero(away)[:NAMED]
+    names = tuple(sets.name_of(k) or f"grasp {numbers[k]}" for k in first.tolist())
+    return OutwardNormals(int(away.sum()), int(decided.sum()), names)
+
+
 def normals_point_away(sets: ContactSets) -> bool:
-    """Whether the normals of most grasps point away from the contacts' own middle, as no convex object's do."""
-    if not len(sets.points):
-        return False
-    ways, starts = sets.towards_middle(), sets.offsets[:-1][sets.sizes > 0]
-    inward = np.add.reduceat(np.einsum("ci,ci->c", ways, sets.normals), starts)
-    # Those that press across the plane that they lie in, as fingers under a tray, say nothing either way.
-    return bool(np.mean(inward < -ROUNDING * np.add.reduceat(np.linalg.norm(ways, axis=1), starts)) > MOSTLY)
+    """Return whether the normals of most grasps that can tell point away from the middle of their contacts."""
+    return outward_normals(sets).is_most

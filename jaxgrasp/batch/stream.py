@@ -14,7 +14,7 @@ from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import Engine, Times
 from jaxgrasp.batch.evaluation import Answers, answers
 from jaxgrasp.batch.shards import ResultFolder
-from jaxgrasp.batch.sources import Adjustments, GraspSource
+from jaxgrasp.batch.sources import Adjustments, GraspSource, numbered_chunks
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.summary_json import from_json, to_json
 from jaxgrasp.model.compared_methods import METHODS, methods_named
@@ -57,6 +57,8 @@ class StreamPlan:
         adjusted = {"outward_normals": self.adjustments.outward_normals, **self.adjustments.fill}
         if self.adjustments.torsion is not None:
             adjusted["torsion"] = self.adjustments.torsion
+        if self.adjustments.normalize:
+            adjusted["normalize"] = True
         return {
             "methods": list(self.methods),
             "quality": list(self.quality),
@@ -107,7 +109,7 @@ class StreamResult:
 
 def check_all(source: GraspSource, adjustments: Adjustments, chunk: int) -> None:
     """Raise for the first fault of a whole source, before anything is computed."""
-    for first, sets in _numbered(source, chunk, 0):
+    for first, sets in numbered_chunks(source, chunk, 0):
         for fault in adjustments.apply(sets).faults(first):
             raise GraspError(fault)
 
@@ -146,7 +148,7 @@ def evaluate_stream(
         assert folder is not None
         again = task(entry["start"], next(iter(source.chunks(plan.chunk, entry["start"]))))
         folder.replace(entry, again.arrays)
-    for chunk in _in_order(task, _numbered(source, plan.chunk, resumed), _workers(engine), stop):
+    for chunk in _in_order(task, numbered_chunks(source, plan.chunk, resumed), _workers(engine), stop):
         summary = chunk.summary if summary is None else summary.merged(chunk.summary)
         if folder:
             folder.add(chunk.arrays, chunk.start, chunk.stop, to_json(summary))
@@ -226,9 +228,3 @@ def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int,
 def _rows_per_shape(source: GraspSource, plan: StreamPlan) -> int:
     """Chunks of a stream are filled up to one size, so that its short last one needs no compiling of its own."""
     return plan.chunk if len(source) > plan.chunk else 1
-
-
-def _numbered(source: GraspSource, chunk: int, start: int) -> Iterator[tuple[int, ContactSets]]:
-    for sets in source.chunks(chunk, start):
-        yield start, sets
-        start += len(sets)

@@ -10,6 +10,7 @@ from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.price import price_of_friction
 from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.rankings import Ranked
+from jaxgrasp.batch.sources import OutwardNormals, outward_normals
 from jaxgrasp.batch.worst import KEPT, worst_cases
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Route, Verdict, is_balanced, is_optimum
@@ -94,6 +95,8 @@ class Summary:
     """Measures of quality that were asked for."""
     ranked: Ranked | None = None
     """Which hold, why the others do not, and the best and the worst."""
+    outward: OutwardNormals = field(default_factory=OutwardNormals)
+    """Grasps whose normals point away from the middle of their contacts."""
 
     def merged(self, other: "Summary") -> "Summary":
         sizes = np.zeros(max(len(self.sizes), len(other.sizes)), int)
@@ -111,6 +114,7 @@ class Summary:
             ranked[:KEPT],
             {name: own.merged(other.qualities[name]) for name, own in self.qualities.items()},
             self.ranked.merged(other.ranked) if self.ranked and other.ranked else self.ranked or other.ranked,
+            self.outward.merged(other.outward),
         )
 
 
@@ -136,6 +140,7 @@ def summarise(
         methods={name: _one_method(sets, result) for name, result in results.items()},
         comparisons=comparisons,
         worst=worst,
+        outward=outward_normals(sets, numbers),
     )
 
 

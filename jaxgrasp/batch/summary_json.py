@@ -6,6 +6,7 @@ from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.rankings import Ranked, Ranking
 from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.batch.sources import OutwardNormals
 from jaxgrasp.batch.summary import MethodComparison, MethodSummary, Summary
 from jaxgrasp.model.solution import Route, Verdict
 
@@ -24,6 +25,7 @@ def to_json(summary: Summary) -> dict:
         "worst": summary.worst,
         "qualities": {name: quality.to_json() for name, quality in summary.qualities.items()},
         "ranked": summary.ranked and _ranked_to_json(summary.ranked),
+        "outward_normals": summary.outward._asdict(),
     }
 
 
@@ -36,7 +38,12 @@ def from_json(data: dict) -> Summary:
         comparisons={name: _comparison_from_json(c) for name, c in data["comparisons"].items()},
         qualities={name: QualitySummary.from_json(quality) for name, quality in data["qualities"].items()},
         ranked=data["ranked"] and _ranked_from_json(data["ranked"]),
+        outward=_outward_from_json(data["outward_normals"]),
     )
+
+
+def _outward_from_json(data: dict) -> OutwardNormals:
+    return OutwardNormals(data["away"], data["decided"], tuple(data["names"]))
 
 
 def _ranked_to_json(ranked: Ranked) -> dict:

@@ -3,7 +3,8 @@
 from importlib.resources import files
 from pathlib import Path
 
-from jaxgrasp.batch.sources import Adjustments, file_format, open_source, save_grasps
+from jaxgrasp.batch.sources import file_format, open_source, save_grasps
+from jaxgrasp.cli.data import adjustments_of
 from jaxgrasp.cli.file_arguments import Convert, Template
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.files.replace import replace_file
@@ -13,7 +14,7 @@ def convert_command(arguments: Convert) -> int:
     """Read all, check all, write all."""
     file_format(arguments.out)
     _check_free(arguments.out, arguments.overwrite, "; --overwrite replaces it")
-    adjustments = Adjustments(arguments.normals == "outward")
+    adjustments = adjustments_of(arguments)
     with open_source(arguments.file, adjustments) as source:
         sets = adjustments.apply(next(source.chunks(max(1, len(source)))))
         for fault in sets.faults():

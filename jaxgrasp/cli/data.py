@@ -2,10 +2,23 @@
 
 from importlib.resources import files
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from jaxgrasp.batch.remote_file import RemoteFile
 from jaxgrasp.batch.sources import Adjustments, GraspSource, open_source
 from jaxgrasp.cli.data_arguments import Data
+
+
+@runtime_checkable
+class Conventions(Protocol):
+    """Arguments that say how the grasps of a file differ from the conventions."""
+
+    @property
+    def normals(self) -> str: ...
+
+    @property
+    def normalize(self) -> bool: ...
+
 
 SHIPPED = "simulated_grips.npz"
 
@@ -13,6 +26,11 @@ SHIPPED = "simulated_grips.npz"
 def data_path(file: "Path | RemoteFile | None") -> "Path | RemoteFile":
     """The file asked for, or the one that ships with the package."""
     return file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
+
+
+def adjustments_of(arguments: Conventions) -> Adjustments:
+    """Return what is changed of grasps that differ from the conventions."""
+    return Adjustments(arguments.normals == "outward", normalize=arguments.normalize)
 
 
 def opened(data: Data, adjustments: Adjustments) -> GraspSource:

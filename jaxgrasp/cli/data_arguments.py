@@ -13,6 +13,8 @@ class Convention:
 
     normals: Literal["inward", "outward"] = "inward"
     """Where the file's normals point: into the object, or out of it."""
+    normalize: bool = False
+    """Make every normal length 1, as those of tables with few digits are not."""
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,9 @@ def evaluate_command(arguments: Evaluate) -> int:
     set_up_jax(arguments.dtype)
     sweeping = len(arguments.friction) > 1 or len(arguments.squeeze) > 1
     for friction, squeeze in product(arguments.friction or (None,), arguments.squeeze or (None,)):
-        adjustments = Adjustments(arguments.normals == "outward", friction, squeeze, arguments.torsion)
+        adjustments = Adjustments(
+            arguments.normals == "outward", friction, squeeze, arguments.torsion, arguments.normalize
+        )
         folder = arguments.out
         if sweeping:
             label = "-".join(f"{name}-{value!r}" for name, value in adjustments.fill.items())

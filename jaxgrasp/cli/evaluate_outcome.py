@@ -22,10 +22,10 @@ def say_outcome(
     source: GraspSource, plan: StreamPlan, outcome: StreamResult, arguments: Evaluate, name: str, out: Path
 ) -> list[str]:
     """Show and write the summary; returns hints, out of some of the grasps of ``source``, for whoever asked."""
-    show(summary_text(outcome.summary, outcome.times, outcome.seconds))
     doubts = hints(source, plan, outcome.summary)
     for hint in doubts:
-        show(f"hint: {hint}")
+        show(f"warning: {hint}")
+    show(summary_text(outcome.summary, outcome.times, outcome.seconds))
     # A resumed evaluation that was finished already has nothing new to say, and no times.
     if outcome.times.problems or not (out / "summary.json").exists():
         _write_summary(out / "summary.json", outcome, arguments, name, doubts)
@@ -70,7 +70,7 @@ def write_page(
 def _details(arguments: Evaluate, name: str) -> dict[str, str]:
     return {
         "input": name,
-        "normals": arguments.normals,
+        "normals": arguments.normals + (", made length 1" if arguments.normalize else ""),
         "methods": ", ".join(arguments.methods),
         "precision": arguments.dtype,
         **provenance(),

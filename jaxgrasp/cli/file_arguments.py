@@ -17,6 +17,8 @@ class Convert:
     """The file to write, whole or not at all."""
     normals: Literal["inward", "outward"] = "inward"
     """Where the normals of the file to read point; those that are written point into the object."""
+    normalize: bool = False
+    """Make every normal length 1, as those of tables with few digits are not."""
     overwrite: bool = False
     """Replace a file that stands there."""
 

@@ -3,8 +3,15 @@
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.batch.sources import POINT_AWAY, Adjustments, looks_like_millimetres, normals_point_away
-from jaxgrasp.cli.data import data_path, opened
+from jaxgrasp.batch.sources import (
+    MILLIMETRES,
+    TURN_ROUND,
+    OutwardNormals,
+    looks_like_millimetres,
+    numbered_chunks,
+    outward_normals,
+)
+from jaxgrasp.cli.data import adjustments_of, data_path, opened
 from jaxgrasp.cli.data_arguments import Info, Validate
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.printable import printable
@@ -25,7 +32,7 @@ UNITS = {
 
 def info_command(arguments: Info) -> int:
     """Print counts, ranges and labels; reads the file once."""
-    with opened(arguments, Adjustments(arguments.normals == "outward")) as source:
+    with opened(arguments, adjustments_of(arguments)) as source:
         chunks = [_facts(sets) for sets in source.chunks(CHUNK)]
         show(f"{data_path(arguments.file)}: {len(source):,} grasps, {source.wrenches} wrench(es) each")
     sizes = np.sum([np.bincount(facts["sizes"], minlength=source.largest + 1) for facts in chunks], 0)
@@ -47,30 +54,35 @@ def info_command(arguments: Info) -> int:
         )
         show(f"{label:10} {shown}")
     if any(facts["millimetres"] for facts in chunks):
-        show("warning: contacts lie metres apart; expected metres, these look like millimetres")
+        show(f"warning: {MILLIMETRES}")
     return 0
 
 
 def validate_command(arguments: Validate) -> int:
-    """Print every fault, then their number."""
-    count, bad, away = 0, set(), False
-    adjustments = Adjustments(arguments.normals == "outward")
+    """Print warnings, every fault, and their number."""
+    adjustments = adjustments_of(arguments)
+    normals, in_millimetres = OutwardNormals(), False
     with opened(arguments, adjustments) as source:
-        first = 0
-        for sets in source.chunks(CHUNK):
-            adjusted = adjustments.apply(sets)
-            for fault in adjusted.faults(first):
+        for first, raw in numbered_chunks(source, CHUNK):
+            sets = adjustments.apply(raw)
+            normals = normals.merged(outward_normals(sets, first + np.arange(len(sets))))
+            in_millimetres = in_millimetres or looks_like_millimetres(sets)
+        if warning := normals.warning(f"{TURN_ROUND}."):
+            show(f"warning: {warning}")
+        if in_millimetres:
+            show(f"warning: {MILLIMETRES}.")
+        count, bad = 0, set()
+        # A second time through the file, so that warnings come first and faults need not be kept.
+        for first, raw in numbered_chunks(source, CHUNK):
+            for fault in adjustments.apply(raw).faults(first):
                 show(fault)
                 count += 1
                 bad.add(fault.index[0])
-            away = away or (first == 0 and normals_point_away(adjusted))
-            first += len(sets)
-    if away:
-        show(f"warning: {POINT_AWAY}: if yours point out of the object, add --normals outward")
+        total = len(source)
     if count:
-        announce(f"{count:,} fault(s) in {len(bad):,} of {first:,} grasps")
+        announce(f"{count:,} fault(s) in {len(bad):,} of {total:,} grasps")
         return 1
-    show(f"{first:,} grasps, no fault")
+    show(f"{total:,} grasps, no fault" + (f"; {normals.away:,} with doubtful normals" if normals.away else ""))
     return 0
 
 

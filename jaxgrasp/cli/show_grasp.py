@@ -5,7 +5,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.sources import Adjustments
-from jaxgrasp.cli.data import data_path, opened
+from jaxgrasp.cli.data import adjustments_of, data_path, opened
 from jaxgrasp.cli.machine import set_up_jax
 from jaxgrasp.cli.show_arguments import Show
 from jaxgrasp.cli.terminal import show
@@ -20,7 +20,7 @@ CHUNK = 65_536
 
 def show_command(arguments: Show) -> int:
     """Find the grasp, answer, and draw."""
-    adjustments = Adjustments(arguments.normals == "outward")
+    adjustments = adjustments_of(arguments)
     thing = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
     one, number = _chosen(arguments, adjustments)
     for fault in one.faults():

@@ -5,7 +5,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from jaxgrasp.batch.sources import FORMATS, Adjustments, open_source
+from jaxgrasp.batch.sources import FORMATS, open_source
+from jaxgrasp.cli.data import adjustments_of
 from jaxgrasp.cli.machine import compiling, set_up_jax
 from jaxgrasp.cli.terminal import show
 from jaxgrasp.cli.view_arguments import View
@@ -41,7 +42,7 @@ def view_command(arguments: View) -> int:
         check_free(arguments.host, arguments.port)
     if arguments.file is not None and Path(arguments.file).suffix.lower() in FORMATS:
         return _grasps(arguments, arguments.file)
-    for name in ("mesh", "normals", "scale"):
+    for name in ("mesh", "normals", "normalize", "scale"):
         if getattr(arguments, name) != getattr(View, name):
             raise ValueError(f"{name} is given without a file of grasps: expected {', '.join(FORMATS)}")
     return _live(arguments)
@@ -49,8 +50,10 @@ def view_command(arguments: View) -> int:
 
 def _grasps(arguments: View, file: str) -> int:
     thing = None if arguments.mesh is None else load_mesh(arguments.mesh, arguments.scale)
-    with open_source(file, Adjustments(arguments.normals == "outward")) as source:
-        sets = next(source.chunks(max(1, len(source))), None)
+    adjustments = adjustments_of(arguments)
+    with open_source(file, adjustments) as source:
+        raw = next(source.chunks(max(1, len(source))), None)
+    sets = None if raw is None else adjustments.apply(raw)
     if sets is None or not len(sets):
         raise ValueError(f"{file} holds no grasps")
     for fault in sets.faults():

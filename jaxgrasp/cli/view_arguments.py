@@ -27,6 +27,8 @@ class View:
     """Port to listen at; 0 for any that is free."""
     normals: Literal["inward", "outward"] = "inward"
     """Where the normals of a file of grasps point: into the object, or out of it."""
+    normalize: bool = False
+    """Make every normal of a file of grasps length 1, as those of tables with few digits are not."""
     mesh: Path | None = None
     """The object of a file of grasps, in the frame of its contacts (needs the extra `mesh`)."""
     scale: float = 1.0

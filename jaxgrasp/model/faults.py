@@ -1,5 +1,6 @@
 """What is wrong with concrete grasp data: found all at once, in NumPy, before anything is computed."""
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -7,9 +8,11 @@ import jax
 import numpy as np
 
 from jaxgrasp.model.grasp import OPTIONAL, Grasp
+from jaxgrasp.model.normal_direction import NAMED, direction_warning, normal_directions
 from jaxgrasp.validation.values import check_instance
 
 UNIT_TOLERANCE = 1e-6
+UNIT_LENGTH = "a vector of length 1 (to 1e-6)"
 
 
 @dataclass(frozen=True)
@@ -20,10 +23,13 @@ class Fault:
     index: tuple[int, ...]
     value: object
     expected: str
+    place: str = ""
+    """Line of a file and name of the grasp, where the data have any."""
 
     def __str__(self) -> str:
-        place = f"[{', '.join(map(str, self.index))}]" if self.index else ""
-        return f"{self.field}{place} is {self.value}: expected {self.expected}"
+        index = f"[{', '.join(map(str, self.index))}]" if self.index else ""
+        place = f"{self.place}: " if self.place else ""
+        return f"{place}{self.field}{index} is {self.value}: expected {self.expected}"
 
 
 class GraspError(ValueError):
@@ -35,7 +41,7 @@ class GraspError(ValueError):
 
 
 def check_grasp(grasp: Grasp) -> Grasp:
-    """Raise unless the concrete ``grasp`` is usable, and return it unchanged.
+    """Raise unless the concrete ``grasp`` is usable, and return it unchanged; warn of normals that point outward.
 
     Checked, in this order: shapes, dtypes, finite values, unit normals (to 1e-6), friction, squeeze and torsion
     not negative, no torsion without friction. Entries of absent contacts are not looked at, since no method reads them.
@@ -50,7 +56,18 @@ def check_grasp(grasp: Grasp) -> Grasp:
     Raises:
         GraspError: naming the field, the first bad index, the value and what was expected.
         TypeError: if the grasp is traced, as under ``jit``: there are no values to check.
+
+    Warns:
+        UserWarning: naming the grasps of the batch whose normals point away from the middle of their contacts, as
+            normals into a convex object never do.
     """
+    check_entries(grasp)
+    _warn_of_outward(grasp)
+    return grasp
+
+
+def check_entries(grasp: Grasp) -> None:
+    """Raise unless the concrete ``grasp`` is usable, as [`jaxgrasp.check_grasp`][] does, without its warning."""
     check_instance("grasp", grasp, Grasp)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(grasp)):
         raise TypeError("check_grasp needs concrete arrays: call it outside jit, vmap and grad")
@@ -60,7 +77,24 @@ def check_grasp(grasp: Grasp) -> Grasp:
     fields |= {name: np.asarray(array) for name in OPTIONAL if (array := getattr(grasp, name)) is not None}
     for fault in value_faults(**fields):
         raise GraspError(fault)
-    return grasp
+
+
+def _warn_of_outward(grasp: Grasp) -> None:
+    points, normals = np.asarray(grasp.points), np.asarray(grasp.normals)
+    batch, n = points.shape[:-2], points.shape[-2]
+    present = np.ones((*batch, n), bool) if grasp.present is None else np.asarray(grasp.present) > 0.5
+    sizes = present.reshape(-1, n).sum(1)
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    away, decided = normal_directions(points[present], normals[present], offsets)
+    if not away.any():
+        return
+    remedy = "expected normals into the object"
+    if batch:
+        names = [str([int(i) for i in np.unravel_index(k, batch)]) for k in np.flatnonzero(away)[:NAMED]]
+        warning = direction_warning(names, int(away.sum()), int(decided.sum()), remedy)
+    else:
+        warning = f"normals point away from the middle of the contacts, as no convex object's do: {remedy}"
+    warnings.warn(warning, stacklevel=3)
 
 
 def shape_faults(grasp: Grasp) -> Iterator[Fault]:
@@ -110,7 +144,7 @@ def value_faults(
         length = np.sqrt(np.einsum("...i,...i->...", normals, normals))
         # A float32 file keeps unit length to about 1e-7, so one tolerance serves both precisions.
         not_unit = looked_at & finite_normals & (np.abs(length - 1) > UNIT_TOLERANCE)
-        yield from entries("normals", normals, not_unit, "a vector of length 1 (to 1e-6)", length)
+        yield from entries("normals", normals, not_unit, UNIT_LENGTH, length)
         for name, values in (("friction", friction), ("squeeze", squeeze)):
             bad = looked_at & ~(np.isfinite(values) & (values >= 0))
             yield from entries(name, values, bad, "a finite number, zero or more")

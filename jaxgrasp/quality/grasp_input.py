@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from jaxgrasp.model.faults import Fault, GraspError, check_grasp, entries
+from jaxgrasp.model.faults import Fault, GraspError, check_entries, entries
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.problem.wrench_discs import About, Ellipsoid, Length, WrenchDiscs, measured_discs
 from jaxgrasp.quality.wrench_sets import WrenchSets
@@ -43,10 +43,10 @@ def read_grasps(grasp: Grasp, length: Length = None, about: About = None, ellips
     """The grasps, checked; computed in float64 whatever JAX's mode and the precision of the data.
 
     Raises:
-        GraspError: for the first entry that is not usable, as ``check_grasp``, of the other arguments too.
+        GraspError: for the first entry that is not usable, as ``check_entries``, of the other arguments too.
         TypeError: for traced arrays, as under ``jit``.
     """
-    check_grasp(grasp)
+    check_entries(grasp)
     unit, middle, axes = _check_frame(grasp, length, about, ellipsoid)
     precision = np.finfo(np.asarray(grasp.points).dtype).eps
     with jax.enable_x64(True):

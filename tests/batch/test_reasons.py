@@ -87,6 +87,7 @@ def holds_by_any_friction(points, normals, wrench) -> bool:
     return made.status == 0
 
 
+@pytest.mark.filterwarnings("ignore:normals of")
 @pytest.mark.parametrize("kind", ["tray", "sphere", "box"])
 def test_friction_is_blamed_where_more_of_it_would_hold_and_nowhere_else(kind):
     rng = np.random.default_rng(len(kind))

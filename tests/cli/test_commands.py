@@ -107,10 +107,10 @@ def test_outward_normals_are_suspected_and_turned(grasps):
         columns = dict(archive)
     np.savez("outward.npz", **columns | {"normals": -columns["normals"]})
     plain = run("evaluate", "outward.npz", "--no-report", "--out", "plain")
-    assert "hint: most normals point away from the middle" in plain.stdout and "--normals outward" in plain.stdout
+    assert "warning: normals of " in plain.stdout and "--normals outward" in plain.stdout
     turned = run("evaluate", "outward.npz", "--normals", "outward", "--no-report", "--out", "turned")
     straight = run("evaluate", "grasps.npz", "--no-report", "--out", "straight")
-    assert "hint" not in turned.stdout + straight.stdout
+    assert "warning" not in turned.stdout + straight.stdout
     with np.load("turned/results.npz") as a, np.load("straight/results.npz") as b:
         np.testing.assert_array_equal(a["B.forces"], b["B.forces"])
 
@@ -122,9 +122,9 @@ def test_normals_that_hold_nothing_up_are_suspected(folder):
     down = np.broadcast_to([0.0, 0, -1], points.shape)
     columns = {"friction": np.full((1, 3), 0.5), "squeeze": np.ones((1, 3)), "wrench": np.array([[0, 0, 3.0, 0, 0, 0]])}
     np.savez("down.npz", points=points, normals=down, **columns)
-    assert "hint: most grasps fail, but hold" in run("evaluate", "down.npz", "--no-report").stdout
+    assert "warning: most grasps fail, but hold" in run("evaluate", "down.npz", "--no-report").stdout
     np.savez("up.npz", points=points, normals=-down, **columns)
-    assert "hint" not in run("evaluate", "up.npz", "--no-report").stdout
+    assert "warning" not in run("evaluate", "up.npz", "--no-report").stdout
 
 
 def test_values_are_swept(grasps):

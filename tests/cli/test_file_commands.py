@@ -64,7 +64,7 @@ def test_converting_is_whole_or_not_at_all(folder, capsys):
 
 def test_converting_turns_outward_normals(folder):
     sets = make_sets([3, 3])
-    with pytest.warns(UserWarning, match="most normals point away from the middle of their grasp"):
+    with pytest.warns(UserWarning, match="normals of 2 of 2 grasps point away from the middle of their contacts"):
         jaxgrasp.save_grasps("in.npz", sets)
         with np.load("in.npz") as archive:
             np.savez("out.npz", **dict(archive) | {"normals": -archive["normals"]})
@@ -79,7 +79,7 @@ def test_validate_suspects_outward_normals(folder, capsys):
     with np.load("in.npz") as archive:
         np.savez("out.npz", **dict(archive) | {"normals": -archive["normals"]})
     assert main(["validate", "out.npz"]) == 0
-    assert "warning: most normals point away from the middle of their grasp" in capsys.readouterr().out
+    assert "warning: normals of 3 of 3 grasps point away from the middle of their contacts" in capsys.readouterr().out
     for arguments in (["in.npz"], ["out.npz", "--normals", "outward"]):
         assert main(["validate", *arguments]) == 0
         assert "warning" not in capsys.readouterr().out
@@ -110,7 +110,7 @@ def test_jaws_that_cannot_hold_are_told_why_and_what_mends_it(folder, capsys):
         assert [(row["name"], row["holds"]) for row in csv.DictReader(stream)] == [(n, "no") for n in "abc"]
     assert main([*common, "--out", "soft", "--torsion", "0.01"]) == 0
     said = capsys.readouterr().out
-    assert "3 of 3 grasps hold" in said and "hint" not in said
+    assert "3 of 3 grasps hold" in said and "warning" not in said
 
 
 def test_torsion_must_be_a_length(folder, capsys):

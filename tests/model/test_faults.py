@@ -11,7 +11,8 @@ from jaxgrasp.model.faults import value_faults
 def fields() -> dict[str, np.ndarray]:
     """Two grasps of three contacts, all good."""
     points = np.random.default_rng(0).normal(size=(2, 3, 3))
-    normals = -points / np.linalg.norm(points, axis=-1, keepdims=True)
+    normals = points.mean(1, keepdims=True) - points
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     return {"points": points, "normals": normals, "friction": np.full((2, 3), 0.5), "squeeze": np.ones((2, 3))}
 
 

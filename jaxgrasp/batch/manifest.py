@@ -9,7 +9,7 @@ from pathlib import Path
 
 from jaxgrasp.batch.file_error import GraspFileError
 from jaxgrasp.files.lock import FolderHeldError, locked
-from jaxgrasp.files.printable import shortened
+from jaxgrasp.files.printable import printable, shortened
 from jaxgrasp.files.replace import replace_file
 
 MANIFEST = "manifest.json"
@@ -95,7 +95,11 @@ class Manifest:
         differing = [key for key in ("version", *identity) if found.get(key) != self.content[key]]
         if resume:
             if differing:
-                raise GraspFileError(self.folder, f"{self._unlike(found, differing[0])}: they cannot be resumed")
+                raise GraspFileError(
+                    self.folder,
+                    f"{self._unlike(found, differing[0])}: they cannot be resumed; --overwrite in place of --resume "
+                    "drops them, or choose another --out",
+                )
             self.content = found
             return
         if not overwrite and not complete and entries:
@@ -106,12 +110,16 @@ class Manifest:
             )
         if not overwrite and differing and entries:
             raise GraspFileError(
-                self.folder, f"{self._unlike(found, differing[0])}: choose another --out, or --overwrite drops them"
+                self.folder, f"{self._unlike(found, differing[0])}: add --overwrite, or choose another --out"
             )
         self.earlier = found
 
     def _unlike(self, found: dict, key: str) -> str:
-        """By what the results that are there differ from those that are wanted."""
+        """Return by what the results that are there differ from those that are wanted, as a sentence says it."""
+        if key == "fingerprint":
+            return f"{printable(self.content.get('input'))} has changed since these results were written"
+        if key == "input":
+            return f"its results are of {shortened(found.get(key))}, not of {shortened(self.content[key])}"
         return f"its results have {key} = {shortened(found.get(key))}, not {shortened(self.content[key])}"
 
     def drop_earlier(self, beside: tuple[str, ...]) -> None:

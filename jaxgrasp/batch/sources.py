@@ -92,6 +92,8 @@ class MemorySource:
         arrays = [*sets.columns.values(), sets.offsets, sets.wrench]
         for array in (*arrays, *([] if sets.torque_max is None else [sets.torque_max])):
             sum_ = zlib.crc32(np.ascontiguousarray(array).tobytes(), sum_)
+        for name, values in sets.labels.items():
+            sum_ = zlib.crc32("\0".join([name, *map(str, values)]).encode(), sum_)
         return sum_
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:

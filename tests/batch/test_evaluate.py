@@ -233,8 +233,13 @@ def test_another_finished_evaluation_gives_way_only_to_overwrite(sets, tmp_path)
         streamed(sets, tmp_path, methods=("A",))
     assert (tmp_path / "results.npz").read_bytes() == before
     other = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
-    with pytest.raises(GraspFileError, match="fingerprint"):
+    with pytest.raises(GraspFileError, match="sets has changed since these results were written: add --overwrite, or"):
         streamed(other, tmp_path, methods=("B",))
+    renamed = dataclasses.replace(sets, labels={"name": np.array([f"g{k}" for k in range(len(sets))])})
+    with pytest.raises(GraspFileError, match="sets has changed since"):
+        streamed(renamed, tmp_path, methods=("B",))
+    with pytest.raises(GraspFileError, match="its results are of 'sets', not of 'others': add --overwrite, or"):
+        ResultFolder(tmp_path, plan(methods=("B",)).identity("others", MemorySource(sets)), resume=False)
     streamed(sets, tmp_path, methods=("B",))  # the same again loses nothing
     streamed(sets, tmp_path, overwrite=True, methods=("A",))
     _, (results,) = read_results(tmp_path)
@@ -362,7 +367,7 @@ def test_resuming_with_other_data_is_refused(sets, tmp_path):
             Interrupted(sets), wanted, ResultFolder(tmp_path, wanted.identity("sets", MemorySource(sets)), resume=False)
         )
     other = dataclasses.replace(sets, squeeze=2 * sets.squeeze)
-    with pytest.raises(GraspFileError, match="fingerprint"):
+    with pytest.raises(GraspFileError, match="sets has changed since these results were written: they cannot be resumed"):
         streamed(other, tmp_path, resume=True)
 
 

@@ -85,11 +85,15 @@ class Engine:
     def devices(self) -> int:
         return self._mesh.size
 
-    def run(self, block: Block, problems: int) -> dict[str, dict[str, np.ndarray]]:
-        """Every method on a block, whose size the number of devices divides: fields of results, but for margins.
+    def run(
+        self, block: Block, problems: int, methods: tuple[ComparedMethod, ...] | None = None
+    ) -> dict[str, dict[str, np.ndarray]]:
+        """Run methods on a block, whose size the number of devices divides: fields of results, but for margins.
 
-        ``problems`` of them are the user's, the rest fill the block.
+        ``problems`` of them are the user's, the rest fill the block. ``methods`` are all of the engine's where not
+        given.
         """
+        methods = self.methods if methods is None else methods
         block = Block(block.rows, *jax.tree.map(self._put, block[1:]))
         contacts = block.grasp.points.shape[-2]
         with self._counting:
@@ -98,12 +102,14 @@ class Engine:
                 self._announced.add(contacts)
                 self._announce(f"compiling for grasps of {contacts} contacts ...")
         results: dict[str, dict[str, np.ndarray]] = {}
-        for sharing in dict.fromkeys(method.sharing for method in self.methods):
-            results |= self._one_sharing(sharing, block)
-        return {method.name: results[method.name] for method in self.methods}
+        for sharing in dict.fromkeys(method.sharing for method in methods):
+            results |= self._one_sharing(sharing, block, methods)
+        return {method.name: results[method.name] for method in methods}
 
-    def _one_sharing(self, sharing: str, block: Block) -> dict[str, dict[str, np.ndarray]]:
-        wanted = [method for method in self.methods if method.sharing == sharing]
+    def _one_sharing(
+        self, sharing: str, block: Block, methods: tuple[ComparedMethod, ...]
+    ) -> dict[str, dict[str, np.ndarray]]:
+        wanted = [method for method in methods if method.sharing == sharing]
         problem = _problem(sharing, block)
         closed, spent = self._timed(phases.solve_closed, problem)
         results = {}

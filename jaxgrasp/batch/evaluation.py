@@ -13,13 +13,14 @@ from jaxgrasp.batch.contact_sets import ContactSets, as_sets
 from jaxgrasp.batch.engine import ANSWERED, Engine, MethodResult, Times
 from jaxgrasp.batch.qualities import least_friction_of, measure_all, summarise_qualities
 from jaxgrasp.batch.rankings import rank
-from jaxgrasp.batch.reasons import reasons
+from jaxgrasp.batch.reasons import judge, reasons
 from jaxgrasp.batch.result_table import table_columns
 from jaxgrasp.batch.shards import arrays_of
+from jaxgrasp.batch.squeeze_factor import as_it_squeezes, pressed_times, with_little_squeeze
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.arrays import AnyArray
-from jaxgrasp.model.compared_methods import METHODS, methods_named
+from jaxgrasp.model.compared_methods import METHODS, ComparedMethod, methods_named
 from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -49,12 +50,16 @@ class Evaluation:
     """``(N,)``: of the grasps in what was given, of which bad ones may have been left out."""
     least_friction: np.ndarray | None = None
     """``(N, W)``: the least factor on its friction with which each grasp holds, where asked for."""
+    squeeze_factor: np.ndarray | None = None
+    """``(N, W)``: by which factor on its squeezing forces each grasp holds: 1 where it does as it squeezes, NaN where
+    it does not hold, or squeezes with nothing."""
 
     def __repr__(self) -> str:
         methods = ", ".join(self.results)
         wrenches = f" x {self.sets.wrenches} wrenches" if self.sets.wrenches > 1 else ""
         ranked = self.summary.ranked
         holds = f", {ranked.holds:,} hold" if ranked else ""
+        holds += f", {ranked.harder:,} if they squeeze harder" if ranked and ranked.harder else ""
         return f"Evaluation({len(self.sets):,} grasps{wrenches} by {methods}{holds}; print it for more)"
 
     def table(self) -> dict[str, np.ndarray]:
@@ -62,7 +67,9 @@ class Evaluation:
 
         ``pandas.DataFrame(found.table())`` makes a data frame of it.
         """
-        arrays = arrays_of(self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction)
+        arrays = arrays_of(
+            self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction, self.squeeze_factor
+        )
         return table_columns(arrays)
 
     def __str__(self) -> str:
@@ -135,6 +142,7 @@ def evaluate(
         found.quality,
         found.numbers,
         found.least_friction,
+        found.squeeze_factor,
     )
 
 
@@ -147,19 +155,30 @@ class Answers(NamedTuple):
     quality: Columns
     numbers: np.ndarray
     least_friction: np.ndarray | None
+    squeeze_factor: np.ndarray
     set_aside: int
     """Grasps with faults, which are none of the sets."""
 
     def arrays(self) -> dict[str, np.ndarray]:
         """As the arrays of a shard."""
-        return arrays_of(self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction)
+        return arrays_of(
+            self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction, self.squeeze_factor
+        )
 
     def summary(self, measures: tuple[Measure, ...]) -> Summary:
         """What they say as a whole."""
         return replace(
             summarise(self.sets, self.results, numbers=self.numbers, set_aside=self.set_aside),
             qualities=summarise_qualities(measures, self.quality),
-            ranked=rank(self.sets, self.results, self.why, self.quality, self.least_friction, self.numbers),
+            ranked=rank(
+                self.sets,
+                self.results,
+                self.why,
+                self.quality,
+                self.least_friction,
+                self.numbers,
+                self.squeeze_factor,
+            ),
         )
 
 
@@ -188,13 +207,15 @@ def answers(
     if buckets is not None:
         _check_fit(good.sizes, first + kept, buckets[-1])
     results = run(engine, good, chunk, buckets)
+    factor = squeeze_factors(engine, good, results, chunk, buckets)
     return Answers(
         good,
         results,
-        reasons(good, results),
+        reasons(good, results, factor),
         measure_all(measures, good, progress),
         first + kept,
         least_friction_of(good) if least_friction else None,
+        factor,
         len(sets) - len(good),
     )
 
@@ -220,21 +241,62 @@ def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[Con
     return (sets.rows(kept) if bad else sets), kept
 
 
+def squeeze_factors(
+    engine: Engine,
+    sets: ContactSets,
+    results: dict[str, MethodResult],
+    chunk: int = 1,
+    buckets: tuple[int, ...] | None = None,
+) -> np.ndarray:
+    """Return by which factor on its squeezing forces each grasp holds, ``(N, W)``, as far as an optimum shows.
+
+    It is 1 where a closed form lies inside every cone, or where allowed forces press no harder in all than the
+    squeezing forces: the grasp holds as it squeezes. Otherwise it is the sum of normal forces over the sum of squeezing
+    forces. Optima stay close to the squeezing forces, so those that need more are found once more with next to no
+    squeeze, where they are as small as they can be: mostly within 1 %, and at most a third, of what
+    `jaxgrasp.least_squeeze` finds at more cost. NaN where no answer holds, and where the hand squeezes with nothing.
+    """
+    factor = as_it_squeezes(sets, pressed_times(sets, results, sets))
+    method, harder = METHODS[judge(results)], factor > 1
+    if harder.any() and method.constrained:
+        little = with_little_squeeze(sets, harder)
+        again = run_shaped(engine, little, chunk, buckets, (method,))
+        smallest = {name: MethodResult(**arrays, margin=factor, violation=factor) for name, arrays in again.items()}
+        factor = np.where(harder, np.fmin(factor, pressed_times(little, smallest, sets)), factor)
+    return as_it_squeezes(sets, factor)
+
+
 def run(
     engine: Engine, sets: ContactSets, chunk: int = 1, buckets: tuple[int, ...] | None = None
 ) -> dict[str, MethodResult]:
-    """Every method of the engine on every problem, back in the order of ``sets``.
+    """Run every method of the engine on every problem; answers are in the order of ``sets``.
 
     ``chunk`` is the number of grasps in a full chunk, for a stream of them; see ``blocks``.
     """
+    shaped = run_shaped(engine, sets, chunk, buckets)
+    return {name: _with_margins(arrays, sets) for name, arrays in shaped.items()}
+
+
+def run_shaped(
+    engine: Engine,
+    sets: ContactSets,
+    chunk: int,
+    buckets: tuple[int, ...] | None,
+    methods: tuple[ComparedMethod, ...] | None = None,
+) -> dict[str, dict[str, np.ndarray]]:
+    """Run methods on every problem: fields of results but for margins, in the order of ``sets``.
+
+    Problems solved by some of the engine's ``methods`` alone do not count as evaluated once more; their time does.
+    """
     shaped: dict[str, dict[str, np.ndarray]] = {}
     for block in blocks(sets, chunk, engine.devices, buckets):
-        for method, part in engine.run(block, len(block.rows) * sets.wrenches).items():
+        counted = len(block.rows) * sets.wrenches if methods is None else 0
+        for method, part in engine.run(block, counted, methods).items():
             own = shaped.setdefault(method, {name: _empty(name, sets) for name in part})
             _place(own, part, block.rows, sets)
     if not shaped:
-        shaped = {method.name: {name: _empty(name, sets) for name in ALWAYS} for method in engine.methods}
-    return {name: _with_margins(arrays, sets) for name, arrays in shaped.items()}
+        return {method.name: {name: _empty(name, sets) for name in ALWAYS} for method in methods or engine.methods}
+    return shaped
 
 
 def _with_margins(arrays: dict[str, np.ndarray], sets: ContactSets) -> MethodResult:

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.batch.reasons import Reason, judge
+from jaxgrasp.batch.reasons import HELD, Reason, judge
 from jaxgrasp.batch.worst import cases_of
 from jaxgrasp.model.solution import is_balanced
 from jaxgrasp.quality.measures import Columns
@@ -56,12 +56,18 @@ class Ranked:
 
     @property
     def holds(self) -> int:
+        """Problems that hold as they squeeze."""
         return int(self.counts[Reason.HOLDS])
+
+    @property
+    def harder(self) -> int:
+        """Problems that hold if they squeeze harder."""
+        return int(self.counts[Reason.HARDER])
 
     @property
     def failing(self) -> list[tuple[Reason, int]]:
         """Why grasps do not hold, the most frequent first."""
-        there = [(reason, int(self.counts[reason])) for reason in Reason if reason and self.counts[reason]]
+        there = [(one, int(self.counts[one])) for one in Reason if one not in HELD and self.counts[one]]
         return sorted(there, key=lambda pair: -pair[1])
 
     def merged(self, other: "Ranked") -> "Ranked":
@@ -81,6 +87,7 @@ def rank(
     quality: Columns,
     least_friction: np.ndarray | None,
     numbers: np.ndarray,
+    squeeze_factor: np.ndarray | None = None,
 ) -> Ranked:
     """What one chunk adds, whose grasps hold or do not for these reasons, and have these ``numbers`` in the input."""
     name = judge(results)
@@ -89,7 +96,11 @@ def rank(
         for reason in Reason
         if reason and (why == reason).any()
     }
-    rankings, holds = {}, why.ravel() == Reason.HOLDS
+    if squeeze_factor is not None and Reason.HARDER.name in examples:
+        factors = squeeze_factor.ravel()[np.flatnonzero(why.ravel() == Reason.HARDER)[:EXAMPLES]]
+        for case, factor in zip(examples[Reason.HARDER.name], factors.tolist(), strict=True):
+            case["squeeze_factor"] = factor
+    rankings, holds = {}, np.isin(why.ravel(), HELD)
     for label, (method, values) in _orders(sets, results, quality, least_friction, name[0]).items():
         flat = np.asarray(values, float).ravel() * _sign(label)
         ranked = np.flatnonzero(np.isfinite(flat))

@@ -63,6 +63,12 @@ class Reason(IntEnum):
     )
     NOT_DECIDED = (8, "not decided", Verdict.NOT_CONVERGED.advice)
     INVALID_DATA = (9, "invalid data", Verdict.INVALID_DATA.advice)
+    HARDER = (
+        10,
+        "holds if it squeezes harder",
+        "There are contact forces inside every friction cone and limit that give the wrench, but together they press "
+        "harder than the hand means to squeeze: the squeeze factor says how many times as hard.",
+    )
 
     def __new__(cls, code: int, title: str = "", advice: str = "") -> "Reason":
         member = int.__new__(cls, code)
@@ -88,11 +94,23 @@ def judge(results: dict[str, MethodResult]) -> str:
     return next(name for name in JUDGES if name in results)
 
 
-def reasons(sets: ContactSets, results: dict[str, MethodResult]) -> np.ndarray:
-    """Codes of Reason for every problem, ``(N, W)``."""
+HELD = (Reason.HOLDS, Reason.HARDER)
+"""Reasons of grasps that hold, as they squeeze or if they squeeze harder."""
+
+
+def reasons(
+    sets: ContactSets, results: dict[str, MethodResult], squeeze_factor: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the codes of Reason for every problem, ``(N, W)``.
+
+    By ``squeeze_factor (N, W)``, of ``evaluation.squeeze_factors``, those that hold if they squeeze harder are told
+    apart.
+    """
     name = judge(results)
     result, own = results[name], METHODS[name]
     found = np.array([_BY_VERDICT[verdict] for verdict in Verdict], np.int8)[result.verdict]
+    if squeeze_factor is not None:
+        found[(found == Reason.HOLDS) & (squeeze_factor > 1)] = Reason.HARDER
     grasps, wrenches = np.nonzero(result.verdict == Verdict.INFEASIBLE)
     if not len(grasps):
         return found

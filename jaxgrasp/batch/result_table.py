@@ -5,11 +5,13 @@ Columns, in this order:
     grasp, name        number in the input, from 0; its own name, or the number again
     wrench             number of the wrench, only where grasps have several
     contacts           how many
-    holds, why         yes, no or unknown by the best judge among the methods; the title of a Reason
+    holds, why         yes, harder (if it squeezes harder), no or unknown by the best judge among the methods; the title
+                       of a Reason
     METHOD.verdict     the name of a [`jaxgrasp.Verdict`][]
     METHOD.margin_deg  smallest friction margin of the loaded contacts; empty where the forces balance nothing
     METHOD.largest_force_N   likewise
     A.price, B.price   price of friction, a share; empty where there is no optimum to compare with
+    squeeze_factor     by which factor on its squeezing forces it holds: 1 as it squeezes; empty where it does not hold
     least_friction     with --least-friction: the least factor on the friction with which it holds, perhaps inf
     MEASURE.COLUMN     measures of quality that were asked for
     METHOD.forces      in Parquet alone: a list of [x, y, z] for each contact [N]
@@ -52,7 +54,8 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
         columns["wrench"] = np.tile(np.arange(wrenches), count)
     columns["contacts"] = np.repeat(np.diff(shard["offsets"]), wrenches)
     unknown = np.isin(why, UNKNOWN)
-    columns["holds"] = np.where(why == Reason.HOLDS, "yes", np.where(unknown, "unknown", "no")).ravel()
+    known = np.where(why == Reason.HOLDS, "yes", np.where(why == Reason.HARDER, "harder", "no"))
+    columns["holds"] = np.where(unknown, "unknown", known).ravel()
     columns["why"] = np.array([reason.title for reason in Reason])[why.ravel()]
     methods = [name for name in METHODS if f"{name}.verdict" in shard]
     for name in methods:
@@ -63,6 +66,8 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
             verdict = shard[f"{optimum}.verdict"]
             price = price_of_friction(shard[f"{name}.objective"], shard[f"{optimum}.objective"], verdict)
             columns[f"{name}.price"] = np.where(is_optimum(verdict), np.maximum(price, 0), np.nan).ravel()
+    if "squeeze_factor" in shard:
+        columns["squeeze_factor"] = shard["squeeze_factor"].ravel()
     if "least_friction" in shard:
         columns["least_friction"] = shard["least_friction"].ravel()
     for name, values in shard.items():

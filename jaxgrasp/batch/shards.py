@@ -5,8 +5,8 @@ A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.re
 ``.force_bound (N, W)``; with soft fingers ``.moments (M, W)``; of limited optima ``.normal_multiplier (M, W)``,
 ``.torque_multiplier`` and ``.certificate_rates (N, W, j)``; and ``grasp (N,)``, the grasps' numbers in the input, and
 ``offsets (N + 1,)`` of its contacts; ``why (N, W)``, codes of [`Reason`][jaxgrasp.batch.reasons.Reason]; the grasps'
-own ``name (N,)`` where they have one; ``least_friction (N, W)`` where it was asked for; and for each measure of quality
-that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
+own ``name (N,)`` where they have one; ``squeeze_factor (N, W)``; ``least_friction (N, W)`` where it was asked for; and
+for each measure of quality that was asked for, columns ``quality.MEASURE.COLUMN (N,)``.
 """
 
 import re
@@ -131,6 +131,7 @@ def arrays_of(
     numbers: np.ndarray,
     quality: dict[str, np.ndarray],
     least_friction: np.ndarray | None = None,
+    squeeze_factor: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
     """The results of some sets as the arrays of a shard; ``numbers`` are the grasps' in the input."""
     arrays = {"grasp": numbers, "offsets": sets.offsets, "why": why}
@@ -138,6 +139,8 @@ def arrays_of(
         arrays["name"] = np.asarray(sets.labels["name"], str)
     if least_friction is not None:
         arrays["least_friction"] = least_friction
+    if squeeze_factor is not None:
+        arrays["squeeze_factor"] = squeeze_factor
     for method, result in results.items():
         for field in fields(MethodResult):
             array = getattr(result, field.name)

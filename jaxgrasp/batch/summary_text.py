@@ -7,6 +7,7 @@ from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
 from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN
+from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.worst import case_title
 from jaxgrasp.files.printable import printable
@@ -67,6 +68,13 @@ def _which_hold(summary: Summary) -> list[str]:
         return []
     unit = "problems" if several else "grasps"
     lines = [f"{ranked.holds:,} of {summary.problems:,} {unit} hold ({ranked.judge})."]
+    if ranked.harder:
+        cases = ranked.examples.get(Reason.HARDER.name, [])
+        factors = "; ".join(
+            f"{printable(case_title(case, several))} {case.get('squeeze_factor', math.nan):.2g} times" for case in cases
+        )
+        more = "; ..." if ranked.harder > len(cases) else ""
+        lines.append(f"  {ranked.harder:,} more if the hand squeezes harder ({factors}{more})")
     for reason, count in ranked.failing:
         names = "; ".join(printable(case_title(case, several)) for case in ranked.examples.get(reason.name, []))
         more = "; ..." if count > len(ranked.examples.get(reason.name, [])) else ""

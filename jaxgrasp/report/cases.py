@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.worst import case_title
 from jaxgrasp.report.look import text
@@ -42,6 +43,8 @@ class DrawnCases:
         """Those that do not hold, the ends of each order, and where closed forms are furthest from their optima."""
         drawn = DrawnCases(summary.problems != summary.grasps)
         if summary.ranked is not None:
+            for case in summary.ranked.examples.get(Reason.HARDER.name, []):
+                drawn.add(case, Reason.HARDER.title)
             for reason, _ in summary.ranked.failing:
                 for case in summary.ranked.examples.get(reason.name, []):
                     drawn.add(case, f"does not hold: {reason.title}")

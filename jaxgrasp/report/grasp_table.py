@@ -10,7 +10,12 @@ from jaxgrasp.report.look import NOTHING, counted, number, percentage, text, who
 
 MOST_ROWS = 2_000
 """A page with more is slow to open; the table beside the results has all."""
-HEADINGS = {"margin_deg": "margin [°]", "price": "price", "least_friction": "least friction"}
+HEADINGS = {
+    "margin_deg": "margin [°]",
+    "price": "price",
+    "least_friction": "least friction",
+    "squeeze_factor": "squeeze factor",
+}
 
 
 def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn: DrawnCases) -> str:
@@ -33,6 +38,7 @@ def grasp_table_html(rows: Mapping[str, np.ndarray] | None, problems: int, drawn
     return f"""<p class="note">{note}</p>
 <div class="chooser"><input type="search" id="filter" placeholder="filter by any text" aria-label="filter">
 <select id="filter-holds" aria-label="which"><option value="">all</option><option value="yes">those that hold</option>
+<option value="harder">those that hold if they squeeze harder</option>
 <option value="no">those that do not</option><option value="unknown">those of which it is not known</option></select>
 <span class="note" id="filtered">{counted(count, "row")}</span></div>
 <div class="scroll tall"><table id="grasps"><thead><tr>{head}</tr></thead>

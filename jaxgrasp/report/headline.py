@@ -70,6 +70,8 @@ def _holding(summary: Summary) -> list[Tile]:
     other = summary.methods.get("B-optimum")
     if name == "A-optimum" and other is not None and other.count(*SOLVED) != holds:
         sentence += f" By B's optimum, whose contacts of no squeeze carry nothing, {whole(other.count(*SOLVED))} do."
+    if summary.ranked is not None and summary.ranked.harder:
+        sentence += f" Of {whole(summary.ranked.harder)} they press harder in all than the hand means to squeeze."
     return [Tile("Hold with friction", [("", share(holds, summary.problems))], sentence)]
 
 

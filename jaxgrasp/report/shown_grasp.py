@@ -130,7 +130,11 @@ def _answers(found: Evaluation) -> str:
             ]
         )
     head = ["", "verdict", "smallest friction margin", "largest force", "<span class='wide'>what it means</span>"]
-    said = "It holds." if why == Reason.HOLDS else f"It does not hold: {text(why.title)}. {text(why.advice)}"
+    said = f"It does not hold: {text(why.title)}. {text(why.advice)}"
+    if why == Reason.HOLDS:
+        said = "It holds."
+    elif why == Reason.HARDER and found.squeeze_factor is not None:
+        said = f"It holds if it squeezes {found.squeeze_factor[0, 0]:.2g} times as hard. {text(why.advice)}"
     return f"<p>{said}</p>{table(head, rows)}"
 
 

@@ -1,8 +1,10 @@
 """Which grasps are good: how many hold, why the others do not, and the best and the worst, each by its own name."""
 
+import math
 from collections.abc import Sequence
 
 from jaxgrasp.batch.rankings import MARGIN, Ranked
+from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.report.cases import DrawnCases
 from jaxgrasp.report.look import counted, degrees, method_title, number, share, table, text, whole
@@ -23,10 +25,19 @@ def which_hold_html(summary: Summary, drawn: DrawnCases, hints: Sequence[str] = 
     lead = (
         f"<p><b>{whole(ranked.holds)} of {counted(summary.problems, unit)} hold</b> "
         f"({share(ranked.holds, summary.problems)}), as {text(method_title(ranked.judge))} says. "
-        "A button shows its grasp below.</p>"
+        f"{_harder(ranked, drawn)}A button shows its grasp below.</p>"
     )
     doubts = "".join(f'<p class="note"><b>Hint:</b> {text(hint)}</p>' for hint in hints)
     return lead + doubts + _failing(ranked, summary, drawn) + _rankings(ranked, drawn)
+
+
+def _harder(ranked: Ranked, drawn: DrawnCases) -> str:
+    """Return the sentence about problems that hold if the hand squeezes harder; nothing where there are none."""
+    if not ranked.harder:
+        return ""
+    cases = ranked.examples.get(Reason.HARDER.name, [])
+    named = ", ".join(f"{drawn.pick(case)} {number(case.get('squeeze_factor', math.nan))} times" for case in cases)
+    return f"<b>{whole(ranked.harder)} more if the hand squeezes harder</b> than it means to: {named}. "
 
 
 def _failing(ranked: Ranked, summary: Summary, drawn: DrawnCases) -> str:

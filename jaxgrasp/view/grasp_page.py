@@ -66,8 +66,9 @@ class GraspPage(PageLoop):
         why = self._steps.reason(self.problem)
         if why == Reason.HOLDS:
             return super().said(seen)
+        lead = "It " if why == Reason.HARDER else "Why not: "
         return super().said(seen) + (
-            f'<div style="font: 13px/1.4 system-ui, sans-serif;padding:0 10px 8px"><b>Why not: {text(why.title)}.</b> '
+            f'<div style="font: 13px/1.4 system-ui, sans-serif;padding:0 10px 8px"><b>{lead}{text(why.title)}.</b> '
             f"{text(why.advice)}</div>"
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import evaluate
-from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.batch.reasons import HELD, Reason
 from jaxgrasp.batch.worst import case_title, cases_of
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
 from jaxgrasp.grip.monitor import Assessment, Law
@@ -32,7 +32,7 @@ class GraspSteps:
         self.sets, self._law = sets, law
         found = evaluate(sets, methods=("B", "B-optimum"), dtype="float64")
         self._why = found.why.ravel()
-        self._orders = orders(self._why == Reason.HOLDS, _ranked(found.results["B"]))
+        self._orders = orders(np.isin(self._why, HELD), _ranked(found.results["B"]))
         self._width = sets.largest
         reach = sets.reach()
         self._sizes = np.where(reach > 0, reach / BESIDE_A_HAND, 1.0)

@@ -17,6 +17,34 @@ EXAMPLES = 3
 """Grasps that fail, of each reason."""
 MARGIN, LEAST_FRICTION = "friction margin", "least friction"
 SMALLER_IS_BETTER = (LEAST_FRICTION,)
+RADIUS = "N of wrench per N of normal force"
+UNITS = {
+    LEAST_FRICTION: "times its friction",
+    "force-closure": f"margin, {RADIUS}",
+    "ferrari-canny-l1": RADIUS,
+    "ferrari-canny-linf": RADIUS,
+    "min-weight": "share of the weight of an even one",
+    "least-singular-value": "of the grasp matrix",
+    "volume": "of the grasp matrix",
+    "isotropy": "0 to 1",
+    "task-ball-l1": "times the ellipsoid",
+    "task-ball-linf": "times the ellipsoid",
+    "task-margin": "times the task's wrench",
+    "hold-probability": "0 to 1",
+}
+"""What the values of an order are, beside margins, which are angles."""
+NOTHING_LEFT = 1e-12
+"""Values so small are rounding of a margin of nothing."""
+
+
+def ranking_title(name: str) -> str:
+    """Return the name of an order with the unit of its values."""
+    return f"{name} [{UNITS[name]}]" if name in UNITS else name
+
+
+def without_rounding(value: float) -> float:
+    """Return a value of an order as a person reads it: rounding of nothing is 0."""
+    return 0.0 if abs(value) < NOTHING_LEFT else value
 
 
 @dataclass

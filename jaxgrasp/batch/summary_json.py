@@ -64,6 +64,23 @@ def _ranked_from_json(data: dict) -> Ranked:
     )
 
 
+def _cells_to_json(cells: np.ndarray) -> list | dict:
+    """Return counts as rows, or where most are zero as shape and counts by the cell's number, row by row."""
+    used = np.flatnonzero(cells)
+    if len(used) > cells.size // 4:
+        return cells.tolist()
+    return {"shape": list(cells.shape), "counts": {str(cell): int(cells.flat[cell]) for cell in used.tolist()}}
+
+
+def _cells_from_json(data: list | dict) -> np.ndarray:
+    if isinstance(data, list):
+        return np.array(data, int)
+    cells = np.zeros(data["shape"], int)
+    for cell, count in data["counts"].items():
+        cells.flat[int(cell)] = count
+    return cells
+
+
 def _method_to_json(method: MethodSummary) -> dict:
     margin, bound = method.smallest_margin, method.least_force_bound
     return {
@@ -74,7 +91,7 @@ def _method_to_json(method: MethodSummary) -> dict:
         # JSON has no infinity; a method without a loaded contact has no margin.
         "smallest_margin": margin if np.isfinite(margin) else None,
         "least_force_bound": bound if np.isfinite(bound) else None,
-        "angles": method.angles.tolist(),
+        "angles": _cells_to_json(method.angles),
     }
 
 
@@ -87,7 +104,7 @@ def _method_from_json(data: dict) -> MethodSummary:
         largest_residual=data["largest_residual"],
         smallest_margin=np.inf if margin is None else margin,
         least_force_bound=np.inf if bound is None else bound,
-        angles=np.array(data["angles"], int),
+        angles=_cells_from_json(data["angles"]),
     )
 
 

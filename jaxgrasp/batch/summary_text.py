@@ -6,7 +6,7 @@ import textwrap
 from jaxgrasp.batch.engine import Times
 from jaxgrasp.batch.histogram import LogHistogram
 from jaxgrasp.batch.qualities import quality_line
-from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN
+from jaxgrasp.batch.rankings import LEAST_FRICTION, MARGIN, ranking_title, without_rounding
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.worst import case_title
@@ -35,10 +35,23 @@ SHOWN = 3
 _SOLVER_ROUTES = (Route.CLOSED_FORM, Route.NEWTON, Route.ROBUST)
 
 
-def summary_text(summary: Summary, times: Times, seconds: float) -> str:
-    """Some twenty lines of plain text."""
+def summary_text(summary: Summary, times: Times, seconds: float, details: bool = True) -> str:
+    """Return the summary in plain text: what was read and which grasps hold, and then the details.
+
+    The details are the statistics of each method, and of closed forms against their optima.
+    """
     lines = [_what_was_read(summary), "", *_which_hold(summary)]
-    names = list(summary.methods)
+    if details:
+        lines += [*_method_lines(summary, times), ""]
+    if summary.qualities:
+        lines += [*(quality_line(name, quality) for name, quality in summary.qualities.items()), ""]
+    lines.append(_closing(summary, times, seconds, details))
+    return "\n".join(lines)
+
+
+def _method_lines(summary: Summary, times: Times) -> list[str]:
+    """Return a table of the methods' verdicts, and closed forms against their optima."""
+    names, lines = list(summary.methods), list[str]()
     lines.append(f"{'':30}" + "".join(f"{name:>14}" for name in names))
     for label, verdicts in _ROWS:
         counts = [summary.methods[name].count(*verdicts) for name in names]
@@ -55,10 +68,7 @@ def summary_text(summary: Summary, times: Times, seconds: float) -> str:
         lines.append(f"{'time per grasp and wrench':30}" + "".join(f"{_duration(cost):>14}" for cost in costs))
     if summary.comparisons:
         lines += ["", *_comparison_lines(summary)]
-    if summary.qualities:
-        lines += ["", *(quality_line(name, quality) for name, quality in summary.qualities.items())]
-    lines += ["", _closing(summary, times, seconds)]
-    return "\n".join(lines)
+    return lines
 
 
 def _which_hold(summary: Summary) -> list[str]:
@@ -71,7 +81,8 @@ def _which_hold(summary: Summary) -> list[str]:
     if ranked.harder:
         cases = ranked.examples.get(Reason.HARDER.name, [])
         factors = "; ".join(
-            f"{printable(case_title(case, several))} {case.get('squeeze_factor', math.nan):.2g} times" for case in cases
+            f"{printable(case_title(case, several))}: {times_harder(case.get('squeeze_factor', math.nan))} times"
+            for case in cases
         )
         more = "; ..." if ranked.harder > len(cases) else ""
         lines.append(f"  {ranked.harder:,} more if the hand squeezes harder ({factors}{more})")
@@ -87,7 +98,7 @@ def _which_hold(summary: Summary) -> list[str]:
                 for case in cases[:SHOWN]
             )
             if shown:
-                lines.append(f"{end} by {name}: {shown}")
+                lines.append(f"{end} by {ranking_title(name)}: {shown}")
     return [*lines, ""]
 
 
@@ -95,7 +106,12 @@ def ranked_value(name: str, value: float) -> str:
     """A value that grasps are ranked by, with its unit."""
     if name == MARGIN:
         return _degrees(value)
-    return f"{value:.3g}"
+    return f"{without_rounding(value):.3g}"
+
+
+def times_harder(factor: float) -> str:
+    """Return a factor on squeezing forces with one decimal, or as whole where it is large; never rounded down."""
+    return f"{math.ceil(10 * factor) / 10:.1f}" if factor < 100 else f"{math.ceil(min(factor, 1e15)):,}"
 
 
 def _what_was_read(summary: Summary) -> str:
@@ -129,10 +145,10 @@ def _quantiles(label: str, histogram: LogHistogram, show) -> str:
     return f"{label:30}" + "".join(f"{cell:>14}" for cell in (*about, show(histogram.quantile(1.0), 3)))
 
 
-def _closing(summary: Summary, times: Times, seconds: float) -> str:
+def _closing(summary: Summary, times: Times, seconds: float, details: bool) -> str:
     text = f"{_duration(seconds)} in all, {_duration(times.compiling)} of it compiling."
     optima = [m.routes for name, m in summary.methods.items() if METHODS[name].constrained]
-    if optima:
+    if optima and details:
         skipped, fast, careful = (int(sum(routes[route] for routes in optima)) for route in _SOLVER_ROUTES)
         text += f"\nOptima: {skipped:,} skipped, the closed form being one; {fast:,} found fast, {careful:,} with care."
     return text

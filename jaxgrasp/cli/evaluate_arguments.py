@@ -53,6 +53,8 @@ class Evaluate(Convention):
     """Go on with an interrupted evaluation in the same folder; files of results that are damaged are computed again."""
     overwrite: bool = False
     """Drop the results of another evaluation that are in the folder; without it they are kept, and this one refused."""
+    details: bool = False
+    """Also print the statistics of each method: verdicts, times, the price of friction, distances in force."""
     report: bool = True
     """Write report.html beside the results (needs the extra `report`)."""
     cluster: str | None = None

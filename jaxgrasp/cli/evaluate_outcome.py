@@ -25,7 +25,9 @@ def say_outcome(
     doubts = hints(source, plan, outcome.summary)
     for hint in doubts:
         show(f"warning: {hint}")
-    show(summary_text(outcome.summary, outcome.times, outcome.seconds))
+    show(summary_text(outcome.summary, outcome.times, outcome.seconds, arguments.details))
+    if not arguments.details:
+        show("details: add --details for the statistics of each method; summary.json and the report have them too")
     # A resumed evaluation that was finished already has nothing new to say, and no times.
     if outcome.times.problems or not (out / "summary.json").exists():
         _write_summary(out / "summary.json", outcome, arguments, name, doubts)

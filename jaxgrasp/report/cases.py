@@ -1,11 +1,20 @@
 """The grasps that the report draws, each once, however many tables name it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.batch.worst import case_title
 from jaxgrasp.report.look import text
+
+LONGEST_TITLE = 36
+"""Characters of a grasp's name that a button shows."""
+WORTH_DROPPING = 8
+"""Characters of a start that all names share, from which on it is dropped."""
+SEPARATORS = "/\\_-:,. "
+ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
 
 
 @dataclass
@@ -35,8 +44,17 @@ class DrawnCases:
         return case_title(case, self.several)
 
     def pick(self, case: dict) -> str:
-        """A button with the grasp's name that shows it."""
-        return pick(self._places[case["grasp"], case["wrench_number"]], self.title(case))
+        """Return a button with the grasp's name, shortened, that shows it."""
+        return self.pick_of(self._places[case["grasp"], case["wrench_number"]], self.title(case))
+
+    def pick_of(self, place: int, title: str) -> str:
+        """Return a button that shows the case of this place, with its title shortened and whole where one points."""
+        return pick(place, title, short_title(title, self.shared_start))
+
+    @cached_property
+    def shared_start(self) -> str:
+        """How all titles begin, as those of an imported set do; asked for once all cases are added."""
+        return shared_start([self.title(case) for case in self.cases])
 
     @staticmethod
     def of(summary: Summary) -> "DrawnCases":
@@ -57,6 +75,28 @@ class DrawnCases:
         return drawn
 
 
-def pick(place: int, title: str) -> str:
-    """A button that shows the case of this place."""
-    return f'<button type="button" class="pick" data-case="{place}">{text(title)}</button>'
+def pick(place: int, title: str, shown: str | None = None) -> str:
+    """Return a button that shows the case of this place; it may show a shorter title than the case's whole one."""
+    if shown is None or shown == title:
+        return f'<button type="button" class="pick" data-case="{place}">{text(title)}</button>'
+    return f'<button type="button" class="pick" data-case="{place}" title="{text(title)}">{text(shown)}</button>'
+
+
+def shared_start(titles: Sequence[str]) -> str:
+    """Return how all titles begin, up to the last separator of words; nothing where that is not worth dropping."""
+    if len(set(titles)) < 2:
+        return ""
+    # The first and the last in order differ as early as any two do.
+    pairs = zip(min(titles), max(titles), strict=False)
+    start = min(titles)[: next((k for k, (one, other) in enumerate(pairs) if one != other), None)]
+    start = start[: max((start.rfind(one) for one in SEPARATORS), default=-1) + 1]
+    return start if len(start) >= WORTH_DROPPING else ""
+
+
+def short_title(title: str, start: str = "") -> str:
+    """Return a title without the start that all share, and without its middle where it is long: its end tells it."""
+    short = ELLIPSIS + title[len(start) :] if start and title.startswith(start) else title
+    if len(short) <= LONGEST_TITLE:
+        return short
+    head = LONGEST_TITLE // 3
+    return short[:head] + ELLIPSIS + short[len(short) - (LONGEST_TITLE - head - 1) :]

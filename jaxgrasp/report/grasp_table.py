@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxgrasp.report.cases import DrawnCases, pick
+from jaxgrasp.report.cases import DrawnCases, short_title
 from jaxgrasp.report.look import NOTHING, counted, number, percentage, text, whole
 
 MOST_ROWS = 2_000
@@ -66,11 +66,20 @@ def _line(rows: Mapping[str, np.ndarray], shown: list[str], k: int, drawn: Drawn
     for name in shown:
         value = rows[name][k].item()
         if isinstance(value, str):
-            inside = text(value) if name != "name" or place is None else pick(place, value)
-            cells.append(f'<td class="text">{inside}</td>')
+            cells.append(_text_cell(value, place if name == "name" else None, drawn, name == "name"))
         elif isinstance(value, float) and math.isnan(value):
             cells.append(f"<td>{NOTHING}</td>")
         else:
             said = percentage(value) if name.endswith(".price") else number(value)
             cells.append(f'<td data-value="{value}">{said}</td>')
-    return f'<tr data-holds="{rows["holds"][k]}">{"".join(cells)}</tr>'
+    # The filter looks for whole names, of which the cells may show a part.
+    name = text(str(rows["name"][k])) if "name" in rows else ""
+    return f'<tr data-holds="{rows["holds"][k]}" data-name="{name}">{"".join(cells)}</tr>'
+
+
+def _text_cell(value: str, place: int | None, drawn: DrawnCases, is_name: bool) -> str:
+    if place is not None:
+        return f'<td class="text">{drawn.pick_of(place, value)}</td>'
+    short = short_title(value, drawn.shared_start) if is_name else value
+    whole_name = f' title="{text(value)}"' if short != value else ""
+    return f'<td class="text"{whole_name}>{text(short)}</td>'

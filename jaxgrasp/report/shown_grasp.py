@@ -11,6 +11,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.evaluation import Evaluation, evaluate
 from jaxgrasp.batch.reasons import Reason
+from jaxgrasp.batch.summary_text import times_harder
 from jaxgrasp.batch.worst import cases_of
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.hand.kinematics import pose_hand
@@ -134,7 +135,8 @@ def _answers(found: Evaluation) -> str:
     if why == Reason.HOLDS:
         said = "It holds."
     elif why == Reason.HARDER and found.squeeze_factor is not None:
-        said = f"It holds if it squeezes {found.squeeze_factor[0, 0]:.2g} times as hard. {text(why.advice)}"
+        factor = times_harder(float(found.squeeze_factor[0, 0]))
+        said = f"It holds if it squeezes {factor} times as hard. {text(why.advice)}"
     return f"<p>{said}</p>{table(head, rows)}"
 
 

@@ -17,7 +17,7 @@
     const wanted = words.value.toLowerCase();
     let shown = 0;
     for (const row of rows) {
-      row.hidden = (holds.value && row.dataset.holds !== holds.value) || !row.textContent.toLowerCase().includes(wanted);
+      row.hidden = (holds.value && row.dataset.holds !== holds.value) || !(row.textContent + " " + row.dataset.name).toLowerCase().includes(wanted);
       shown += row.hidden ? 0 : 1;
     }
     said.textContent = shown + " of " + rows.length + " rows";

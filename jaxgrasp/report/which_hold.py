@@ -3,9 +3,10 @@
 import math
 from collections.abc import Sequence
 
-from jaxgrasp.batch.rankings import MARGIN, Ranked
+from jaxgrasp.batch.rankings import MARGIN, Ranked, ranking_title, without_rounding
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.batch.summary import Summary
+from jaxgrasp.batch.summary_text import times_harder
 from jaxgrasp.report.cases import DrawnCases
 from jaxgrasp.report.look import counted, degrees, method_title, number, share, table, text, whole
 
@@ -36,7 +37,9 @@ def _harder(ranked: Ranked, drawn: DrawnCases) -> str:
     if not ranked.harder:
         return ""
     cases = ranked.examples.get(Reason.HARDER.name, [])
-    named = ", ".join(f"{drawn.pick(case)} {number(case.get('squeeze_factor', math.nan))} times" for case in cases)
+    named = ", ".join(
+        f"{drawn.pick(case)} {times_harder(case.get('squeeze_factor', math.nan))} times" for case in cases
+    )
     return f"<b>{whole(ranked.harder)} more if the hand squeezes harder</b> than it means to: {named}. "
 
 
@@ -71,9 +74,9 @@ def _rankings(ranked: Ranked, drawn: DrawnCases) -> str:
             rows.append(row)
         meaning = f'<p class="note">{text(MEANINGS[name])}</p>' if name in MEANINGS else ""
         body = table(["", "best", "", "worst", ""], rows, "ranking")
-        parts.append(f'<div class="panel3"><h3>By {text(name)}</h3>{meaning}{body}</div>')
+        parts.append(f'<div class="panel3"><h3>By {text(ranking_title(name))}</h3>{meaning}{body}</div>')
     return f'<div class="three rankings">{"".join(parts)}</div>'
 
 
 def ranked_value(name: str, value: float) -> str:
-    return degrees(value) if name == MARGIN else number(value)
+    return degrees(value) if name == MARGIN else number(without_rounding(value))

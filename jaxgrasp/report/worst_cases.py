@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxgrasp.batch.summary import Summary
 from jaxgrasp.report.bundle import embedded
-from jaxgrasp.report.cases import DrawnCases
+from jaxgrasp.report.cases import DrawnCases, short_title
 from jaxgrasp.report.grasp_in_3d import Case, answers, scale_text, scene
 from jaxgrasp.report.look import METHOD_COLOURS, NOTHING, counted, degrees, number, percentage, swatch, table, text
 
@@ -18,7 +18,10 @@ def cases_html(drawn: DrawnCases, around: Sequence[dict] = ()) -> str:
     cases = [Case(case) for case in drawn.cases]
     choices = "".join(
         f'<optgroup label="{text(group)}">'
-        + "".join(f'<option value="{i}">{text(drawn.title(drawn.cases[i]))}</option>' for i in members)
+        + "".join(
+            f'<option value="{i}">{text(short_title(drawn.title(drawn.cases[i]), drawn.shared_start))}</option>'
+            for i in members
+        )
         + "</optgroup>"
         for group, members in _by_group(drawn).items()
     )

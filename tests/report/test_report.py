@@ -16,7 +16,7 @@ from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict
 from jaxgrasp.report import bundle
-from jaxgrasp.report.cases import DrawnCases
+from jaxgrasp.report.cases import DrawnCases, short_title
 from jaxgrasp.report.figures import verdict_bars
 from jaxgrasp.report.grasp_in_3d import Case, scene
 from jaxgrasp.report.grasp_table import grasp_table_html
@@ -143,8 +143,8 @@ def test_which_grasps_are_good_comes_first_and_by_name(found):
     words = Tags(html).words
     assert "3 of 4 grasps hold" in words
     assert "no torque about the line through its contacts" in words
-    assert "By least-singular-value" in words and "least-singular-value" in words
-    assert {"second", "third", "fourth", HOSTILE} <= set(words)
+    assert "By least-singular-value [of the grasp matrix]" in words and "least-singular-value" in words
+    assert {"second", "third", "fourth", short_title(HOSTILE)} <= set(words)
 
 
 def test_every_button_shows_a_grasp_that_is_drawn(found):
@@ -188,8 +188,11 @@ def test_text_from_outside_is_escaped():
     parsed = Tags(html)
     assert "img" not in {tag for tag, _ in parsed.tags}
     assert "<img" not in html.replace(bundle.plotly_bundle(), "")
-    # The title twice, the name and the text of the detail, and each worst case by its name: offered, drawn, and listed.
-    assert "".join(parsed.words).count(HOSTILE) == 4 + 3 * len(fake_summary().worst)
+    # The title twice, the name and the text of the detail, and each worst case by its name: drawn whole, offered and
+    # listed without its middle.
+    cases = len(fake_summary().worst)
+    assert "".join(parsed.words).count(HOSTILE) == 4 + cases
+    assert "".join(parsed.words).count(short_title(HOSTILE)) == 2 * cases
 
 
 def test_embedded_data_cannot_end_its_script():

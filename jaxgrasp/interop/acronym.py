@@ -3,7 +3,9 @@
 ``grasps/transforms`` (N, 4, 4) are of the gripper in the mesh's frame, at the scale of ``object/scale`` [m for one
 unit]; it looks along its z axis and closes along x. ``object`` has ``file``, ``mass`` [kg], ``friction`` and ``com``,
 the centre of mass, in the mesh's frame [m]; ``grasps/qualities/flex/object_in_gripper`` says which held in simulation.
-Normals and forces there are none. ``grasps/angles``, joints of a hand that does not close any further, is ours.
+Normals and forces there are none. How the object moved in simulation, its inertia, density and volume, and the
+gripper's configuration are not needed; a warning names whatever else a file has. ``grasps/angles``,
+joints of a hand that does not close any further, is ours.
 
 Source: Eppner, Mousavian and Fox, ACRONYM, 2021; https://github.com/NVlabs/acronym.
 """
@@ -12,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxgrasp.files.hdf5 import hdf5_library
+from jaxgrasp.interop.file_records import warn_unused
 from jaxgrasp.interop.grasp_fields import poses_of_fields
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
@@ -26,6 +29,19 @@ PLACES = {
     "mesh": "object/file",
     "succeeded": "grasps/qualities/flex/object_in_gripper",
 }
+
+NOT_NEEDED = (
+    *(
+        f"grasps/qualities/flex/object_motion_during_{phase}"
+        for phase in ("closing_angular", "closing_linear", "shaking_angular", "shaking_linear")
+    ),
+    "gripper/configuration",
+    "gripper/type",
+    "object/density",
+    "object/inertia",
+    "object/volume",
+)
+"""Arrays of the project's own files that say nothing about contacts at rest."""
 
 
 @checked
@@ -44,16 +60,21 @@ def read_acronym(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
         ValueError: for a file that is none of ACRONYM's, naming what is wrong.
         OSError: for a file that cannot be read.
     """
-    return poses_of_fields(Path(path), _fields(path), PLACES, keep_going)
+    fields, names = _fields(path)
+    warn_unused("ACRONYM", names, (*PLACES.values(), *NOT_NEEDED))
+    return poses_of_fields(Path(path), fields, PLACES, keep_going)
 
 
-def _fields(path: str | Path) -> dict[str, Any]:
+def _fields(path: str | Path) -> tuple[dict[str, Any], list[str]]:
+    """Return arrays by our names, and the names of all arrays that the file has."""
     h5py = hdf5_library()
     # h5py's own message for a missing file is five lines long.
     with open(path, "rb"):
         pass
     try:
         with h5py.File(path, "r") as file:
-            return {name: file[place][()] for name, place in PLACES.items() if place in file}
+            names: list[str] = []
+            file.visititems(lambda name, part: names.append(name) if isinstance(part, h5py.Dataset) else None)
+            return {name: file[place][()] for name, place in PLACES.items() if place in file}, names
     except (OSError, KeyError, TypeError, ValueError, MemoryError) as error:
         raise ValueError(f"{path}: it cannot be read as HDF5: {error}") from None

@@ -23,8 +23,11 @@ import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
 from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
-from jaxgrasp.interop.file_records import field, numbers, pose, read_each, rigid_axes
+from jaxgrasp.interop.file_records import field, numbers, pose, read_each, rigid_axes, warn_unused
 from jaxgrasp.validation.checked import checked
+
+NOT_NEEDED = ("robot_pose", "joint_names", "grasp_error", "dist_error", "scene_path")
+"""Fields about the hand and the search for the grasp; a warning names whatever else a record has."""
 
 
 class _Object(NamedTuple):
@@ -62,6 +65,7 @@ def read_bodex(path: str | Path, *, keep_going: bool = False) -> ContactRecords:
             yield ", ".join(map(str, place)), (points[place], frames[place], forces[place])
 
     found, left_out = read_each(path, each(), _grasp, keep_going)
+    warn_unused("BODex", record, ("contact_point", "contact_frame", "contact_force", "world_cfg", *NOT_NEEDED))
     if objects is None:
         return contact_records(path, found, left_out)
     own = [objects[int(name.split(",")[0])] for name, _ in found]

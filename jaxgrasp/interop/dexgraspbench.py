@@ -19,12 +19,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
-from jaxgrasp.interop.file_records import by_order, field, numbers, pose, positive, read_each
+from jaxgrasp.interop.file_records import by_order, field, numbers, pose, positive, read_each, warn_unused
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 
 MESH = "mesh/simplified.obj"
+USED = ("grasp_qpos", "pregrasp_qpos", "squeeze_qpos", "obj_pose", "obj_scale", "obj_path")
+"""Fields of a record that are read, as far as the posture asks for them."""
 
 
 class _Grasp(NamedTuple):
@@ -63,6 +65,7 @@ def read_dexgraspbench(
         given = {name: np.atleast_2d(field(record, f"{name}_qpos")) for name in dict.fromkeys(("grasp", posture))}
     except ValueError as error:
         raise ValueError(f"{path} is no grasp of DexGraspBench: {error}") from None
+    warn_unused("DexGraspBench", record, USED)
     rows = len(given["grasp"])
     each = ((str(i), {name: several[i : i + 1] for name, several in given.items()}) for i in range(rows))
     found, left_out = read_each(path, each, lambda one: _grasp(one, hand, posture), keep_going)

@@ -24,13 +24,23 @@ import numpy as np
 
 from jaxgrasp.files.plain_pickle import load_plain
 from jaxgrasp.interop.contact_records import ContactRecords, OneGrasp, contact_records, pressing
-from jaxgrasp.interop.file_records import directions, field, numbers, read_each
+from jaxgrasp.interop.file_records import directions, field, numbers, read_each, warn_unused
 from jaxgrasp.validation.checked import checked
 
 TIMES = 10.0
 """How many times those of the quadratic program the wrenches in a file are."""
 AIMED = ("obj_cpn_w", "obj_worldframe_contacts", "hand_cpn_w", "hand_worldframe_contacts")
 CENTERS = ("ext_center", "obj_gravity_center")
+NOT_NEEDED = (
+    "evolution_num",
+    "grasp_pose",
+    "hand_contact_body_names",
+    "necessary_contact_body_names",
+    "obj_gravity_direction",
+    "pregrasp_qpos",
+    "squeeze_qpos",
+)
+"""Fields about the hand and the search for the grasp; a warning names whatever else a record has."""
 
 
 @checked
@@ -49,6 +59,7 @@ def read_dexonomy(path: str | Path) -> ContactRecords:
     """
     record = load_plain(path)
     found, _ = read_each(path, [("0", record)], _grasp, keep_going=False)
+    warn_unused("Dexonomy", record, ("grasp_qpos", "ho_c", "ext_wrench", *AIMED, *CENTERS, *NOT_NEEDED))
     return contact_records(path, found, ())
 
 

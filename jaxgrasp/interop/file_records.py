@@ -1,12 +1,13 @@
 """Records of files from anywhere: read one by one, checked before they are used, and named where they are bad."""
 
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from jaxgrasp.files.printable import printable, shortened
+from jaxgrasp.files.printable import message_line, printable, shortened
 from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.hand import Hand
 from jaxgrasp.numerics.rotation import is_rotation
@@ -49,6 +50,16 @@ def read_each(
     if not found:
         raise ValueError(f"{left_out[0]}, and no other {kind} is better" if left_out else f"{path} holds no {kind}s")
     return found, tuple(left_out)
+
+
+def warn_unused(kind: str, names: Iterable[Any], used: Iterable[str]) -> None:
+    """Warn by name of the fields of a file that its reader does not use.
+
+    The warning names the ``kind`` of file and not the file, so that Python shows it once for all files of a folder.
+    """
+    unused = sorted({str(name) for name in names} - set(used))
+    if unused:
+        warnings.warn(message_line(f"{kind}: fields that are not used: {', '.join(unused)}"), stacklevel=4)
 
 
 def read_text(path: str | Path) -> str:

@@ -17,9 +17,12 @@ from typing import Any
 import numpy as np
 
 from jaxgrasp.files.printable import shortened
-from jaxgrasp.interop.file_records import field, positive, read_each, read_text, transform
+from jaxgrasp.interop.file_records import field, positive, read_each, read_text, transform, warn_unused
 from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.checked import checked
+
+USED = ("object", "object.file", "object.scale", "grasps", "grasps.transforms", "grasps.object_in_gripper")
+"""Fields of a file that are read."""
 
 
 @checked
@@ -47,6 +50,8 @@ def read_graspgen(path: str | Path, *, keep_going: bool = False) -> GraspPoses:
         succeeded = _flags(grasps.get("object_in_gripper"), len(transforms))
     except ValueError as error:
         raise ValueError(f"{path} is no file of GraspGen: {error}") from None
+    names = [*whole, *(f"object.{name}" for name in object_), *(f"grasps.{name}" for name in grasps)]
+    warn_unused("GraspGen", names, USED)
     each = ((str(number), one) for number, one in enumerate(transforms))
     found, left_out = read_each(path, each, lambda one: transform("transforms", one), keep_going, "grasp")
     kept = np.array([int(name) for name, _ in found])

@@ -43,6 +43,7 @@ def test_normals_are_first_columns_and_pressures_means_over_the_wrenches(folder)
 
 
 @pytest.mark.filterwarnings("ignore:.*normals point away")
+@pytest.mark.filterwarnings("ignore:.*normals of")
 def test_the_weight_acts_where_the_mesh_has_its_centre_of_mass(folder):
     trimesh = pytest.importorskip("trimesh")
     (folder / "cube/mesh").mkdir(parents=True)

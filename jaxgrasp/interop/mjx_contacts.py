@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
@@ -10,7 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.interop.mujoco_contacts import FINGERTIP_STIFFNESS, import_mujoco
+from jaxgrasp.interop.mujoco_contacts import ANISOTROPIC, FINGERTIP_STIFFNESS, ROLLING, check_unused, import_mujoco
+from jaxgrasp.interop.mujoco_loads import guiding_joints
+from jaxgrasp.interop.mujoco_selection import (
+    ContactSelection,
+    Element,
+    Exclude,
+    ModelTree,
+    listed,
+    select_contacts,
+    tree_of_mjx,
+)
 from jaxgrasp.model.arrays import Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.validation.checked import checked
@@ -20,23 +33,31 @@ if TYPE_CHECKING:
 
 
 class MjxGrasp(eqx.Module):
-    """What may touch a body, and the engine's own answer, in world axes from the body's centre of mass.
+    """All contacts that may touch an object, and the engine's own forces, in world axes from its centre of mass.
 
-    The n contacts are all that MJX looks for, whatever they are between; those that do not touch the body are absent.
+    The n contacts are all that MJX looks for, whatever they are between; those that do not count are absent.
     """
 
     grasp: Grasp
-    """With a mask ``present``; what is absent is zero but for a unit normal."""
+    """With a mask ``present``; what is absent is zero but for a unit normal. ``torsion`` is None where none of the n
+    contacts has ``condim`` 4 or 6."""
     wrench: Float[Array, "*batch 6"]
-    """Force [N] and torque [N.m] that hold the body still against gravity and ``xfrc_applied``."""
+    """Force [N] and torque [N.m] that hold the object still against gravity and ``xfrc_applied``."""
     depths: Float[Array, "*batch n"]
     """Penetration [m] past the distance where MuJoCo starts to press."""
     forces: Float[Array, "*batch n 3"]
-    """MJX's contact forces on the body [N]."""
+    """MJX's contact forces on the object [N]."""
     bodies: Int[Array, "*batch n"]
     """Id of the body that touches; -1 where none does."""
     dropped: Int[Array, "*batch"]
-    """Contacts with the body that were left out beyond ``max_contacts``."""
+    """Contacts that count and were left out beyond ``max_contacts``."""
+    moments: Float[Array, "*batch n 3"]
+    """MJX's torsional and rolling moments on the object at the contacts [N.m]."""
+    other_wrench: Float[Array, "*batch 6"]
+    """Force and torque that contacts left out by ``hand=`` and ``exclude=`` exert on the object now.
+
+    ``wrench`` is for a hand that bears all loads alone; ``wrench - other_wrench`` is its share beside a table.
+    """
 
 
 @checked
@@ -45,124 +66,184 @@ def from_mjx(
     data: mjx.Data,
     body: str | int,
     *,
-    squeeze: Literal["stiffness", "normal_force"] = "stiffness",
-    stiffness: float = FINGERTIP_STIFFNESS,
+    hand: Element | Sequence[Element] | None = None,
+    exclude: Exclude = (),
+    squeeze: Literal["stiffness", "normal_force"] = "normal_force",
+    stiffness: float | None = None,
     max_contacts: int | None = None,
 ) -> MjxGrasp:
-    """The contacts between a free body and everything else, as [`jaxgrasp.interop.from_mujoco`][] reads them.
+    """Read the contacts between an object and a hand, as [`jaxgrasp.interop.from_mujoco`][] does, from MJX.
 
     Contacts are those of the last ``mjx.forward`` or ``mjx.step``. A state's number of contacts is fixed in MJX: absent
-    ones are masked. Torsional and rolling moments (``condim`` 4 and 6) are left out, here without a warning.
+    ones are masked. The object is ``body`` with all that is welded to it and all bodies below it in joints.
 
     Args:
         model: from ``mjx.put_model``.
         data: of one state, or of many with the same leading axes everywhere, as ``jax.vmap`` makes them.
-        body: name or id of the held body, not traced; bodies welded to it count as part of it.
-        squeeze: ``"stiffness"`` is eq. 6, K depth; ``"normal_force"`` is the engine's own normal force.
-        stiffness: K of eq. 6 [N/m].
+        body: name or id of the held body, not traced.
+        hand: elements whose contacts count: names of bodies or geoms, or ids of bodies, not traced; a body stands for
+            its whole subtree, ``"world"`` for the world's own geoms. Contacts with everything but the object count
+            where not given: a table too.
+        exclude: elements whose contacts do not count, or pairs of elements, as for ``from_mujoco``.
+        squeeze: ``"normal_force"`` is the engine's own normal force; ``"stiffness"`` is eq. 6, K depth.
+        stiffness: K of eq. 6 [N/m], 1,000 where not given; only with ``squeeze="stiffness"``.
         max_contacts: keep no more than that many, the deepest; all where not given.
 
     Raises:
         ImportError: without MuJoCo's MJX.
-        ValueError: for an unknown or immovable body, a stiffness that is negative or not finite, fewer than one contact
-            to keep, or data of another implementation than MJX's own in JAX.
+        ValueError: for an unknown or immovable body, a name or id in ``hand`` or ``exclude`` that the model lacks or
+            that cannot be meant, a stiffness that is negative, not finite or given without ``squeeze="stiffness"``,
+            fewer than one contact to keep, or data of another implementation than MJX's own in JAX.
+
+    Warns:
+        UserWarning: by name of what the model may have and the answer lacks: rolling friction (``condim`` 6) of geoms
+            that can touch the object, the larger of two sliding coefficients of a pair, and joints that tie the object
+            to other bodies. The values of a state are not looked at: loads of equality constraints, actuators, fluids
+            and ``qfrc_applied``, and inertial loads are left out without a warning.
     """
     mujoco = import_mujoco("from_mjx")
     if squeeze not in ("stiffness", "normal_force"):
         raise ValueError(f"squeeze is {squeeze!r}: expected 'stiffness' or 'normal_force'")
+    check_unused(squeeze, stiffness=stiffness)
+    if stiffness is None:
+        stiffness = FINGERTIP_STIFFNESS
     if not (np.isfinite(stiffness) and stiffness >= 0):
         raise ValueError(f"stiffness is {stiffness!r}: expected a finite number, zero or more")
     if max_contacts is not None and max_contacts < 1:
         raise ValueError(f"max_contacts is {max_contacts}: expected one at least")
-    impl = getattr(data, "_impl", None)
+    impl: Any = getattr(data, "_impl", None)
     if not (hasattr(impl, "contact") and hasattr(impl, "efc_force")):
         kind = type(data if impl is None else impl).__name__
         raise ValueError(f"data is a {kind}: expected mjx.Data of MJX's own implementation in JAX")
-    parts = _parts(mujoco, model, body)
-
-    def read(data: mjx.Data) -> MjxGrasp:
-        return _read(mujoco, model, data, parts, squeeze, stiffness, max_contacts)
-
+    tree = tree_of_mjx(mujoco, model)
+    root = tree.object_root(body)
+    inside = tree.subtree(root)
+    selection = select_contacts(tree, body, tree.shapes_of(inside), hand, exclude)
+    for sentence in _left_out(model, tree, root, selection, np.asarray(impl.contact.dim)):
+        warnings.warn(sentence, stacklevel=3)
+    reading = _Reading(mujoco, model, inside, selection, squeeze, stiffness, max_contacts)
+    read = reading.read
     for _ in range(jnp.ndim(data.time)):
         read = jax.vmap(read)
     return read(data)
 
 
-def _parts(mujoco: Any, model: mjx.Model, body: str | int) -> np.ndarray:
-    """``(nbody,)`` booleans: the body and all that is welded to it."""
-    if isinstance(body, str):
-        from mujoco import mjx
-
-        index = mjx.name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
-        if index < 0:
-            raise ValueError(f"body is {body!r}: the model has no body of that name")
-    else:
-        index = int(body)
-        if not 0 <= index < model.nbody:
-            raise ValueError(f"body is {body!r}: expected an id from 0 to {model.nbody - 1}")
-    weld = np.asarray(model.body_weldid)
-    if weld[index] == 0:
-        raise ValueError(f"body is {body!r}, which cannot move: expected a body that contacts hold")
-    return weld == weld[index]
-
-
-def _read(
-    mujoco: Any,
-    model: mjx.Model,
-    data: mjx.Data,
-    parts: np.ndarray,
-    squeeze: str,
-    stiffness: float,
-    most: int | None,
-) -> MjxGrasp:
-    """The grasp of one state."""
-    contact = data._impl.contact
-    bodies = jnp.asarray(model.geom_bodyid)[contact.geom]
-    own = jnp.asarray(parts)[bodies]
-    depths = contact.includemargin - contact.dist
-    # An address below zero is of a contact that MuJoCo leaves out; -1 is also a geom that is none.
-    there = (own[:, 0] != own[:, 1]) & (depths > 0) & (contact.efc_address >= 0) & (contact.geom >= 0).all(-1)
-    sign = jnp.where(own[:, 0], -1.0, 1.0)
-    normals = sign[:, None] * contact.frame[:, 0]
-    forces = sign[:, None] * jnp.einsum("na,nab->nb", _contact_forces(mujoco, model, data), contact.frame)
-    weights = jnp.where(parts, model.body_mass, 0)
-    center = weights @ data.xipos / weights.sum()
-
-    def kept(values: Array, otherwise: Array | float = 0.0) -> Array:
-        return jnp.where(there.reshape(-1, *[1] * (values.ndim - 1)), values, otherwise)
-
-    pressing = jnp.maximum(jnp.sum(forces * normals, -1), 0)
-    sliding = jnp.where(contact.dim > 1, contact.friction[:, 0], 0)
-    grasp = Grasp(
-        kept(contact.pos - center),
-        kept(normals, jnp.eye(3, dtype=normals.dtype)[2]),
-        kept(sliding),
-        kept(stiffness * depths if squeeze == "stiffness" else pressing),
-        present=there.astype(normals.dtype),
-    )
-    found = MjxGrasp(
-        grasp=grasp,
-        wrench=_wrench_against_loads(mujoco, model, data, parts, center),
-        depths=kept(depths),
-        forces=kept(forces),
-        bodies=jnp.where(there, jnp.where(own[:, 0], bodies[:, 1], bodies[:, 0]), -1),
-        dropped=jnp.zeros((), int),
-    )
-    return found if most is None or most >= len(depths) else _deepest(found, there, most)
+def _left_out(model: mjx.Model, tree: ModelTree, root: int, selection: ContactSelection, dims: np.ndarray) -> list[str]:
+    """Return a sentence for each property of the model that an MjxGrasp lacks; of contacts only ``dims`` is known."""
+    pairs = np.stack([np.ravel(model.pair_geom1), np.ravel(model.pair_geom2)])
+    pair_dims = np.ravel(model.pair_dim)
+    cases = []
+    if (dims == 6).any():
+        rolling = _pairs_of_condim(model, tree, selection, 6)
+        cases.append((ROLLING, np.concatenate([rolling, pairs[:, pair_dims == 6]], 1)))
+    if not isinstance(model.pair_friction, jax.core.Tracer):
+        coefficients = np.asarray(model.pair_friction).reshape(-1, 5)
+        differ = (pair_dims > 1) & (coefficients[:, 0] != coefficients[:, 1])
+        cases.append((ANISOTROPIC, pairs[:, differ]))
+    sentences = []
+    for text, (one, other) in cases:
+        is_selected = selection.is_selected(one, other)
+        outside = np.where(selection.own[one], other, one)[is_selected]
+        if len(outside):
+            sentences.append(text.format(listed([tree.link_name(shape) for shape in np.sort(outside).tolist()])))
+    guide = guiding_joints(tree, root, model)
+    return sentences + ([guide] if guide else [])
 
 
-def _deepest(found: MjxGrasp, there: Array, most: int) -> MjxGrasp:
-    """The deepest contacts, in the order that they had."""
-    _, order = jax.lax.top_k(jnp.where(there, found.depths, -1), most)
+def _pairs_of_condim(model: mjx.Model, tree: ModelTree, selection: ContactSelection, condim: int) -> np.ndarray:
+    """Return ``(2, m)`` ids of geoms of the object and of others that MuJoCo may pair with a dimension."""
+    first, second = (each.ravel() for each in np.meshgrid(np.flatnonzero(selection.own), np.arange(tree.n_shapes)))
+    types, affinities = model.geom_contype, model.geom_conaffinity
+    may_touch = ((types[first] & affinities[second]) | (types[second] & affinities[first])) != 0
+    # The geom of the higher priority decides; of two alike the larger dimension does.
+    dims, priority = model.geom_condim, model.geom_priority
+    combined = np.maximum(dims[first], dims[second])
+    combined = np.where(priority[first] > priority[second], dims[first], combined)
+    combined = np.where(priority[first] < priority[second], dims[second], combined)
+    # Explicit pairs replace those that MuJoCo makes; a body pair is excluded by (first << 16) + second, either way.
+    explicit = {frozenset(pair) for pair in zip(np.ravel(model.pair_geom1), np.ravel(model.pair_geom2), strict=True)}
+    bodies = tree.geom_bodies[first].astype(int), tree.geom_bodies[second].astype(int)
+    low, high = np.minimum(*bodies), np.maximum(*bodies)
+    signatures = np.ravel(model.exclude_signature)
+    excluded = np.isin((low << 16) + high, signatures) | np.isin((high << 16) + low, signatures)
+    mask = may_touch & (combined == condim) & ~excluded
+    mask &= np.array([frozenset(pair) not in explicit for pair in zip(first, second, strict=True)], bool)
+    return np.stack([first, second])[:, mask]
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Options of one call, and the reading of one state."""
+
+    mujoco: Any
+    model: mjx.Model
+    inside: np.ndarray
+    """``(nbody,)`` booleans: bodies of the object."""
+    selection: ContactSelection
+    squeeze: str
+    stiffness: float
+    max_contacts: int | None
+
+    def read(self, data: mjx.Data) -> MjxGrasp:
+        """Return the grasp of one state."""
+        contact, own = data._impl.contact, jnp.asarray(self.selection.own)
+        first, second = contact.geom[:, 0], contact.geom[:, 1]
+        depths = contact.includemargin - contact.dist
+        # An address below zero is of a contact that MuJoCo leaves out; -1 is also a geom that is none.
+        is_active = (depths > 0) & (contact.efc_address >= 0) & (contact.geom >= 0).all(-1)
+        present = is_active & self.selection.is_selected(first, second, jnp)
+        sign = jnp.where(own[first], -1.0, 1.0)
+        normals = sign[:, None] * contact.frame[:, 0]
+        local = _contact_forces(self.mujoco, self.model, data)
+        forces, moments = (
+            sign[:, None] * jnp.einsum("na,nab->nb", each, contact.frame) for each in (local[:, :3], local[:, 3:])
+        )
+        weights = jnp.where(self.inside, self.model.body_mass, 0)
+        center = weights @ data.xipos / weights.sum()
+        points = contact.pos - center
+
+        def masked(values: Array, otherwise: Array | float = 0.0) -> Array:
+            return jnp.where(present.reshape(-1, *[1] * (values.ndim - 1)), values, otherwise)
+
+        others = jnp.concatenate([forces, jnp.cross(points, forces) + moments], -1)
+        is_other = is_active & self.selection.is_touching(first, second, jnp) & ~present
+        pressing = jnp.maximum(jnp.sum(forces * normals, -1), 0)
+        dims = np.asarray(contact.dim)
+        grasp = Grasp(
+            masked(points),
+            masked(normals, jnp.eye(3, dtype=normals.dtype)[2]),
+            masked(jnp.where(dims > 1, contact.friction[:, :2].min(-1), 0)),
+            masked(self.stiffness * depths if self.squeeze == "stiffness" else pressing),
+            present=present.astype(normals.dtype),
+            torsion=masked(jnp.where(dims > 3, contact.friction[:, 2], 0)) if (dims > 3).any() else None,
+        )
+        bodies = jnp.asarray(self.model.geom_bodyid)[contact.geom]
+        result = MjxGrasp(
+            grasp=grasp,
+            wrench=_wrench_against_loads(self.mujoco, self.model, data, self.inside, center),
+            depths=masked(depths),
+            forces=masked(forces),
+            bodies=jnp.where(present, jnp.where(own[first], bodies[:, 1], bodies[:, 0]), -1),
+            dropped=jnp.zeros((), int),
+            moments=masked(moments),
+            other_wrench=jnp.where(is_other[:, None], others, 0).sum(0),
+        )
+        most = self.max_contacts
+        return result if most is None or most >= len(depths) else _deepest(result, present, most)
+
+
+def _deepest(result: MjxGrasp, present: Array, most: int) -> MjxGrasp:
+    """Return the deepest contacts, in the order that they had."""
+    _, order = jax.lax.top_k(jnp.where(present, result.depths, -1), most)
     chosen = jnp.sort(order)
-    grasp, depths, forces, bodies = jax.tree.map(
-        lambda x: x[chosen], (found.grasp, found.depths, found.forces, found.bodies)
-    )
-    return MjxGrasp(grasp, found.wrench, depths, forces, bodies, jnp.sum(there) - jnp.sum(there[chosen]))
+    by_contact = (result.grasp, result.depths, result.forces, result.bodies, result.moments)
+    grasp, depths, forces, bodies, moments = jax.tree.map(lambda x: x[chosen], by_contact)
+    dropped = jnp.sum(present) - jnp.sum(present[chosen])
+    return MjxGrasp(grasp, result.wrench, depths, forces, bodies, dropped, moments, result.other_wrench)
 
 
 def _contact_forces(mujoco: Any, model: mjx.Model, data: mjx.Data) -> Array:
-    """``(n, 3)`` Normal and tangential forces in the contacts' own frames, out of the forces of the constraints."""
+    """Return ``(n, 6)`` forces and moments along the axes of the contacts' frames, out of the constraints' forces."""
     contact, rows = data._impl.contact, jnp.append(data._impl.efc_force, 0.0)
     address, dims = np.asarray(contact.efc_address), np.asarray(contact.dim)
     nothing = rows.shape[0] - 1
@@ -172,15 +253,16 @@ def _contact_forces(mujoco: Any, model: mjx.Model, data: mjx.Data) -> Array:
         return rows[np.where(used & (address >= 0), address + offset, nothing)]
 
     if int(model.opt.cone) == int(mujoco.mjtCone.mjCONE_ELLIPTIC):
-        return jnp.stack([row(0, dims > 0), row(1, dims > 1), row(2, dims > 1)], -1)
+        return jnp.stack([row(i, i < dims) for i in range(6)], -1)
+    # A pyramid has two edges for each axis beside the normal: their sum presses, their difference acts along the axis.
     edges = [row(i, (i == 0) | (i < 2 * (dims - 1))) for i in range(10)]
-    tangents = [contact.friction[:, i] * (edges[2 * i] - edges[2 * i + 1]) for i in range(2)]
-    flat = jnp.asarray(dims > 1)
-    return jnp.stack([sum(edges), *(jnp.where(flat, tangent, 0) for tangent in tangents)], -1)
+    differences = [contact.friction[:, i] * (edges[2 * i] - edges[2 * i + 1]) for i in range(5)]
+    along = [jnp.where(dims > i + 1, difference, 0) for i, difference in enumerate(differences)]
+    return jnp.stack([sum(edges), *along], -1)
 
 
 def _wrench_against_loads(mujoco: Any, model: mjx.Model, data: mjx.Data, parts: np.ndarray, center: Array) -> Array:
-    """Minus gravity's wrench and that of ``xfrc_applied``, about ``center``."""
+    """Return minus gravity's wrench and that of ``xfrc_applied``, about ``center``."""
     off = bool(int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY))
     gravity = jnp.zeros(3) if off else model.opt.gravity
     falling = model.body_mass * (1 - model.body_gravcomp)

@@ -97,9 +97,9 @@ def from_mjx(
 
     Warns:
         UserWarning: by name of what the model may have and the answer lacks: rolling friction (``condim`` 6) of geoms
-            that can touch the object, the larger of two sliding coefficients of a pair, and joints that tie the object
-            to other bodies. The values of a state are not looked at: loads of equality constraints, actuators, fluids
-            and ``qfrc_applied``, and inertial loads are left out without a warning.
+            that can touch the object, the larger of two sliding coefficients of a pair (of a model not traced), and
+            joints that tie the object to other bodies. The values of a state are not looked at: loads of equality
+            constraints, actuators, fluids and ``qfrc_applied``, and inertial loads are left out without a warning.
     """
     mujoco = import_mujoco("from_mjx")
     if squeeze not in ("stiffness", "normal_force"):

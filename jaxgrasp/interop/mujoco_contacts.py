@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 FINGERTIP_STIFFNESS = 1000.0
 """[N/m]: a fingertip's pulp gives about one millimetre for one newton."""
 ROLLING = (
-    "rolling friction (condim 6) of the contacts with {} is left out: a Grasp has sliding and torsional friction; "
-    "forces with rolling moments balance what a Grasp's cannot"
+    "rolling friction (condim 6) of the contacts with {} is left out: a Grasp has sliding and torsional friction only"
 )
 ADHESION = "adhesion of the contacts with {} is left out: a Grasp's contacts do not pull"
 PASSIVE = 4

@@ -108,7 +108,7 @@ def loads_left_out(
 ) -> list[str]:
     """Return a sentence for each kind of load on the object that is neither gravity, ``xfrc_applied`` nor a contact.
 
-    The six coordinates of a free joint at the object's root see all loads from outside and none between its parts.
+    The six coordinates of the object's root see all loads from outside and none between its parts.
 
     Args:
         mujoco: the library.
@@ -125,23 +125,23 @@ def loads_left_out(
         return [guide]
     first = int(model.body_dofadr[root])
     dofs = slice(first, first + 6)
-    if model.jnt_type[model.body_jntadr[root]] != mujoco.mjtJoint.mjJNT_FREE:
-        return []
-    mass = model.body_mass[inside].sum()
-    tolerance = NEGLIGIBLE * (mass * STANDARD_GRAVITY + np.abs(contact_wrench[:3]).sum())
-    # A free joint's torque is in the body's axes, about its frame's origin.
-    torque = contact_wrench[3:] - np.cross(data.xpos[root], contact_wrench[:3])
-    contacts = np.concatenate([contact_wrench[:3], data.xmat[root].reshape(3, 3).T @ torque])
-    # MuJoCo adds adhesion to a contact's row, takes it off as a passive force, and reports the difference as the force.
     adhesion = data.qfrc_adhesion[dofs]
     loads = {
-        "constraints" + _equalities(mujoco, model, data, inside): data.qfrc_constraint[dofs] + adhesion - contacts,
-        "passive forces, such as of fluids and springs (qfrc_passive)": data.qfrc_passive[dofs]
-        - adhesion
-        - data.qfrc_gravcomp[dofs],
+        "passive forces, such as of fluids and springs (qfrc_passive)": (
+            data.qfrc_passive[dofs] - adhesion - data.qfrc_gravcomp[dofs]
+        ),
         "actuators": data.qfrc_actuator[dofs],
         "qfrc_applied": data.qfrc_applied[dofs],
     }
+    if model.jnt_type[model.body_jntadr[root]] == mujoco.mjtJoint.mjJNT_FREE:
+        # A free joint's torque is in the body's axes, about its frame's origin.
+        torque = contact_wrench[3:] - np.cross(data.xpos[root], contact_wrench[:3])
+        contacts = np.concatenate([contact_wrench[:3], data.xmat[root].reshape(3, 3).T @ torque])
+        # MuJoCo adds adhesion to a contact's row and takes it off as a passive force; a contact's force is net of it.
+        constraints = data.qfrc_constraint[dofs] + adhesion - contacts
+        loads["constraints other than contacts" + _equalities(mujoco, model, data, inside)] = constraints
+    mass = model.body_mass[inside].sum()
+    tolerance = NEGLIGIBLE * (mass * STANDARD_GRAVITY + np.abs(contact_wrench[:3]).sum())
     for source, load in loads.items():
         if np.abs(load).max() > tolerance:
             sentences.append(f"body {name!r} is loaded by {source}, which is not in the wrench")
@@ -152,7 +152,7 @@ def guiding_joints(tree: ModelTree, root: int, model: Any) -> str | None:
     """Return a sentence on the joints that tie an object to the rest of the model; None for one that moves freely."""
     first, count = int(model.body_jntadr[root]), int(model.body_jntnum[root])
     # Six coordinates to the world, as of a free joint or of slides and a ball, guide nothing.
-    if int(model.body_dofnum[root]) == 6 and tree.parents[root] == 0:
+    if int(model.body_dofnum[root]) == 6 and tree.welds[tree.parents[root]] == 0:
         return None
     joints = listed([tree.name_of("joint", joint) or f"joint {joint}" for joint in range(first, first + count)])
     parent = tree.body_name(int(tree.parents[root]))
@@ -170,4 +170,4 @@ def _equalities(mujoco: Any, model: mujoco.MjModel, data: mujoco.MjData, inside:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if inside[ends[0]] != inside[ends[1]]:
             names.append(repr(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_EQUALITY, index) or f"equality {index}"))
-    return f" other than contacts ({', '.join(names)})" if names else " other than contacts"
+    return f" ({', '.join(names)})" if names else ""

@@ -198,8 +198,8 @@ LOADED = """
   <option {option}/>
   <worldbody>
     <geom type="plane" size="5 5 .1"/>
-    <body name="box" pos="0 0 .2"><freejoint name="free"/><geom type="box" size=".2 .2 .2" mass="10"/><site name="top"/>
-      <body name="lid" pos=".1 0 .3"><joint axis="0 0 1" damping="1"/>
+    <body name="box" pos="0 0 .2">{joints}<geom type="box" size=".2 .2 .2" mass="10"/><site name="top"/>
+      <body name="lid" pos=".1 0 .3"><joint name="hinge" axis="0 0 1" damping="1"/>
         <geom type="box" size=".05 .05 .05" mass="2"/></body>
     </body>
   </worldbody>
@@ -207,6 +207,10 @@ LOADED = """
   <actuator>{actuator}</actuator>
 </mujoco>
 """
+SLIDES = (
+    '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+    '<joint type="slide" axis="0 0 1" stiffness="9" springref="1"/><joint type="ball"/>'
+)
 THRUST = '<general site="top" gear="0 0 1 0 0 0" ctrlrange="-9 9"/>'
 
 
@@ -218,6 +222,7 @@ THRUST = '<general site="top" gear="0 0 1 0 0 0" ctrlrange="-9 9"/>'
         ({"actuator": THRUST}, "actuators"),
         ({"option": 'density="1.2" wind="3 0 0"'}, "passive forces"),
         ({"applied": 20.0}, "qfrc_applied"),
+        ({"joints": SLIDES}, "passive forces"),
         ({}, None),
         ({"equality": '<joint joint1="hinge"/>'}, None),
     ],
@@ -226,10 +231,8 @@ THRUST = '<general site="top" gear="0 0 1 0 0 0" ctrlrange="-9 9"/>'
 def test_other_loads_on_the_object_are_named(change, source):
     change = dict(change)
     applied = change.pop("applied", 0.0)
-    text = LOADED.format(**{"option": "", "equality": "", "actuator": ""} | change).replace(
-        "<joint axis", '<joint name="hinge" axis'
-    )
-    model = mujoco.MjModel.from_xml_string(text)
+    defaults = {"option": "", "joints": "<freejoint/>", "equality": "", "actuator": ""}
+    model = mujoco.MjModel.from_xml_string(LOADED.format(**defaults | change))
     data = mujoco.MjData(model)
     data.ctrl[:] = 5.0
     data.qfrc_applied[2] = applied

@@ -24,13 +24,21 @@ from jaxgrasp.quality.closure import decide_all
 from jaxgrasp.quality.grasp_input import check_tolerance, read_grasps
 from jaxgrasp.quality.host_call import call_on_host, is_traced, moved
 from jaxgrasp.quality.in_turn import in_turn
-from jaxgrasp.quality.largest_ball import largest_balls
-from jaxgrasp.quality.refine_facet import touch
+from jaxgrasp.quality.largest_ball import Balls, largest_balls
+from jaxgrasp.quality.refine_facet import TouchingPoints, touch
+from jaxgrasp.quality.rounded_bodies import RoundedBodies, rounded
 from jaxgrasp.quality.summary_line import count_of, range_of
 from jaxgrasp.quality.wrench_sets import Bound, WrenchSets, check_bound, check_sides, pyramid
 from jaxgrasp.validation.checked import checked
 
 MAX_POINTS = 1000
+FINER = (1e-2, 1e-4, 1e-6)
+"""Parts of the tolerance that the search goes on to where the point of touch is not found from where it ended: on a few
+grasps in a hundred, mostly by the first."""
+LOCATED = 1e-6
+"""Relative distance of the bounds with which the hardest wrench is located, whatever the tolerance."""
+FINEST = 1e-9
+"""The least tolerance that this is tried with: by finer ones rounding makes facets without end."""
 
 
 class Epsilon(NamedTuple):
@@ -49,11 +57,21 @@ class Epsilon(NamedTuple):
     tangential: np.ndarray
     """``(..., n, 3)``: parts of the largest friction along two tangents, and of a soft finger's moment, times that
     force."""
+    converged: np.ndarray
+    """``(...)``: whether the bounds are within ``tol`` of each other, relative to the upper one. Where they are not,
+    ``max_points`` or the room for the search's surfaces ended it, or rounding of the data alone, which is added to the
+    bounds, is more than ``tol`` of the radius."""
+    located: np.ndarray
+    """``(...)``: whether the search itself came within ``tol``, or within 1e-6 where that is less, before rounding of
+    the data was added: only there do ``direction`` and the forces belong to the radius, and only there has it a
+    derivative (NaN elsewhere)."""
 
     def __str__(self) -> str:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         which = {"closed": lower > 0, "not closed": upper <= 0, "undecided": (lower <= 0) & (upper > 0)}
-        return f"Epsilon: {count_of(which)}; lower bound {range_of(lower)}; upper bound {range_of(upper)}"
+        apart = count_of({"with bounds further apart than tol": (lower > 0) & ~np.asarray(self.converged)})
+        note = "" if apart == "none" else f"; {apart}"
+        return f"Epsilon: {count_of(which)}; lower bound {range_of(lower)}; upper bound {range_of(upper)}{note}"
 
 
 @checked
@@ -92,7 +110,7 @@ def ferrari_canny(
 
     Inside ``jit``, ``vmap`` and ``grad`` it calls the host back, nothing is checked, and results are JAX arrays in the
     precision of the points, rounded to the nearest; it reports no progress. Both bounds then have the radius's
-    derivative, which is that of ``ferrari_canny_at``.
+    derivative, which is that of ``ferrari_canny_at``: NaN where the search left the bounds apart (``located``).
 
     Args:
         grasp: contacts ``(..., n)``.
@@ -108,7 +126,8 @@ def ferrari_canny(
             ``numpy.diag([1, 1, 1, l, l, l])`` stands for the length l, and
             ``numpy.linalg.inv(numpy.linalg.cholesky(Q)).T`` for the metric w^T Q w <= 1.
         tol: relative distance of the bounds at which the search ends.
-        max_points: corners of the inner surface at which it ends too, with bounds further apart; 1000 at most.
+        max_points: corners of the inner surface at which it ends too, with bounds further apart (``converged`` is
+            false then); 1000 at most. So many points, and 262,144 facets, bound time and memory for any grasp.
         progress: is told how many more grasps of a batch are done, every few hundred; what it raises ends the work.
 
     Raises:
@@ -141,10 +160,12 @@ def ferrari_canny_at(
     By the envelope theorem the radius moves as the work of ``found.normal_force`` and ``found.tangential`` along
     ``found.direction`` does, since nearby neither another direction nor other forces change it to first order. So
     ``jax.grad`` of this, at the grasp measured, is the radius's derivative; its value there is ``found.upper`` but for
-    rounding. (On a few grasps in a hundred the search ends without the point of touch to all digits; value and
-    derivative are then as good as the bounds, and the value tells, by differing from ``found.upper``.) Where several
-    directions are equally hard the derivative is that of one of them. First derivatives only. Where the grasp
-    is not closed the radius is zero, and stays so; where that is not decided there is no derivative (NaN).
+    rounding. (Where Newton's method does not find the point of touch, as where the ball touches the body along a whole
+    curve, value and derivative are as good as finer bounds, and the value tells, by differing from ``found.upper``.)
+    Where several directions are equally hard the derivative is that of one of them; where they are so within ``tol``
+    alone it may be that of one that is not the hardest, and a finer ``tol`` tells them apart. First derivatives only.
+    Where the grasp is not closed the radius is zero, and stays so; where that is not decided, or ``found.located`` is
+    false because the search left its bounds apart, there is no derivative (NaN).
 
     Args:
         grasp: the grasp measured, of JAX arrays; works under ``jit``, ``vmap`` and ``grad``.
@@ -171,7 +192,8 @@ def _work_of(shapes: WrenchDiscs, found: Epsilon) -> Array:
     normal_force, tangential, direction = (
         jnp.asarray(array, shapes.centres.dtype) for array in (found.normal_force, found.tangential, found.direction)
     )
-    return differentiable_where(jnp.any(direction != 0, -1), work(shapes, normal_force, tangential, direction), shapes)
+    located = jnp.asarray(found.located, bool) & jnp.any(direction != 0, -1)
+    return differentiable_where(located, work(shapes, normal_force, tangential, direction), shapes)
 
 
 def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: float, max_points: int) -> Epsilon:
@@ -181,8 +203,8 @@ def _traced(grasp: Grasp, bound: Bound, sides: int | None, frame: Frame, tol: fl
     def question(bodies: WrenchSets) -> Epsilon:
         return measure(replace(bodies, bound=bound, corners=corners), tol, max_points)
 
-    shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3)), grasp, *frame)
-    found: Any = Epsilon(*answers)
+    shapes, answers = call_on_host(question, ((), (), (6,), (count,), (count, 3), (), ()), grasp, *frame)
+    found: Any = Epsilon(*answers[:5], *(flag > 0.5 for flag in answers[5:]))
     at = _work_of(shapes, found)
     return found._replace(lower=moved(found.lower, jnp.where(found.lower > 0, at, 0)), upper=moved(found.upper, at))
 
@@ -197,16 +219,46 @@ def measure(bodies: WrenchSets, tol: float, max_points: int) -> Epsilon:
         np.where((closure.decided & ~closure.closed)[:, None], closure.twist, 0),
         np.zeros((grasps, count)),
         np.zeros((grasps, count, 3)),
+        closure.decided.copy(),
+        closure.decided.copy(),
     )
     own = np.flatnonzero(closure.closed)
     if len(own):
-        some = bodies.take(own)
-        balls = largest_balls(some, closure.margin[own], tol, max_points)
-        touched = touch(some, balls)
-        found.lower[own] = np.maximum(balls.lower - some.slack, closure.margin[own])
-        found.upper[own] = np.minimum(balls.upper, touched.height) + some.slack
-        found.direction[own], found.normal_force[own], found.tangential[own] = touched[1:]
+        slack, round_ones = bodies.slack[own], rounded(bodies.take(own))
+        balls, touched = _touching_balls(round_ones, closure.margin[own], slack, tol, max_points)
+        lower = np.maximum(balls.lower - slack, closure.margin[own])
+        upper = np.minimum(balls.upper, touched.height) + slack
+        found.lower[own], found.upper[own] = lower, upper
+        found.direction[own] = round_ones.original(touched.direction)
+        found.normal_force[own], found.tangential[own] = touched.normal_force, touched.tangential
+        found.converged[own] = lower >= (1 - tol) * upper
+        found.located[own] = balls.lower >= (1 - max(tol, LOCATED)) * (upper - slack)
     return found
+
+
+def _touching_balls(
+    bodies: RoundedBodies, inside: np.ndarray, slack: np.ndarray, tol: float, max_points: int
+) -> tuple[Balls, TouchingPoints]:
+    """Bound the largest balls and find where they touch the bodies; arguments as for ``largest_balls``.
+
+    Newton's method may start too far from the point of touch, since directions are known by the root of the tolerance
+    only: these bodies are searched again with finer ones.
+    """
+    balls = largest_balls(bodies, inside, slack, tol, max_points)
+    touched = touch(bodies, balls)
+    for part in FINER:
+        left = np.flatnonzero(balls.met & ~touched.exact)
+        if not len(left) or part * tol < FINEST:
+            break
+        some = bodies.take(left)
+        closer = largest_balls(some, inside[left], slack[left], part * tol, max_points)
+        balls.lower[left] = np.maximum(balls.lower[left], closer.lower)
+        balls.upper[left] = np.minimum(balls.upper[left], closer.upper)
+        closest = touch(some, closer)
+        better = closest.height <= touched.height[left]
+        for array, other in zip(touched, closest):
+            array[left[better]] = other[better]
+    return balls, touched
 
 
 def _some_reach(bodies: WrenchSets) -> np.ndarray:

@@ -22,6 +22,9 @@ MOST_SURFACES = 1 << (64 - 5 * BITS)
 """Ridges are sorted by surface and corners at once."""
 ROOM = 192
 """Facets that arrays have room for at first."""
+MOST_FACETS = 1 << 18
+"""Facets of a surface at most, some seconds of work: most balls take a thousand, and those that touch the body along a
+whole circle, as of contacts evenly around an axis, up to 200,000. More come of lost digits alone, without end."""
 NEARLY_FLAT = 1e-9
 """Relative singular value of a facet's corners under which they span no plane but a smaller flat."""
 UNEVEN = 1e-11
@@ -40,9 +43,14 @@ of symmetric grasps have many of."""
 class InnerPolytopes:
     """Surfaces of five-dimensional simplices in six dimensions, ``G`` of them."""
 
-    def __init__(self, radii: np.ndarray):
-        """Cross-polytopes whose corners are ``radii`` (G,) away from the origin."""
+    def __init__(self, radii: np.ndarray, scales: np.ndarray | None = None):
+        """Start with cross-polytopes whose corners are ``radii`` (G,) away from the origin.
+
+        Normals n of facets have the length 1 in the norm |scales * n|, and offsets are heights along such normals.
+        With ``scales`` (G, 6) of ones, as where none are given, that is the plain distance of a facet's plane.
+        """
         count = len(radii)
+        self._scales = np.ones((count, 6)) if scales is None else scales
         if count > MOST_SURFACES:
             raise ValueError(f"radii has {count} entries: expected {MOST_SURFACES} at most")
         self._points = np.zeros((count, 32, 6))
@@ -56,12 +64,19 @@ class InnerPolytopes:
         self._facets = np.zeros((count, ROOM), np.uint64)
         self._facets[:, :64] = np.bitwise_or.reduce(chosen << _CORNERS, 1)
         self._normals = np.zeros((count, ROOM, 6))
-        self._normals[:, :64] = np.where(signs > 0, -1, 1) @ _AXES / np.sqrt(6)
+        normals = np.where(signs > 0, -1.0, 1.0)
+        lengths = np.linalg.norm(normals * self._scales[:, None], axis=2)
+        self._normals[:, :64] = normals @ _AXES / lengths[..., None]
         self._offsets = np.full((count, ROOM), np.inf)
         """``(G, F)``: no corner of a facet is nearer along its normal; infinite where there is no facet."""
-        self._offsets[:, :64] = radii[:, None] / np.sqrt(6)
+        self._offsets[:, :64] = radii[:, None] / lengths
         self._used = np.full(count, 64)
         """``(G,)``: facets lie before this."""
+
+    @property
+    def room(self) -> int:
+        """How many facets the arrays of all surfaces have room for."""
+        return self._facets.size
 
     def lowest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For each surface the facet of least offset: its offset, normal ``(G, 6)``, ``along`` at its corners."""
@@ -72,8 +87,12 @@ class InnerPolytopes:
         return self._offsets[every, facet], normals, self.along[every[:, None], corners]
 
     def grow(self, points: np.ndarray, along: np.ndarray, least: np.ndarray) -> np.ndarray:
-        """Take a point ``(G, 6)`` into each surface, if it lies beyond some facet by ``least`` (G,) > 0 or more;
-        whether it does ``(G,)``."""
+        """Take a point ``(G, 6)`` into each surface, if it lies beyond a facet by ``least`` (G,) > 0 or more and the
+        surface then has no more than ``MOST_FACETS`` facets.
+
+        Returns:
+            ``(G,)``: whether it was taken.
+        """
         if self._points.shape[1] == self.size.max(initial=0):
             self._points, self.along = (_doubled(array) for array in (self._points, self.along))
         every = np.arange(len(self.size))
@@ -84,6 +103,12 @@ class InnerPolytopes:
         # The origin is on the other side of these only.
         surface, facet = np.nonzero((beyond > 0) & (self._offsets > 0) & taken[:, None])
         owners, ridges = _rims(surface, self._facets[surface, facet])
+        freed, made = (np.bincount(index, minlength=len(every)) for index in (surface, owners))
+        fits = self._used + made - freed <= MOST_FACETS
+        if not fits.all():
+            taken &= fits
+            surface, facet = surface[fits[surface]], facet[fits[surface]]
+            owners, ridges = owners[fits[owners]], ridges[fits[owners]]
         new = (ridges << np.uint64(BITS)) | self.size[owners].astype(np.uint64)
         normals, offsets = self._planes(owners, new)
         self._offsets[surface, facet] = np.inf
@@ -125,19 +150,24 @@ class InnerPolytopes:
             self._offsets = np.concatenate([self._offsets, np.full((count, more), np.inf)], 1)
         return slots
 
+    def _lengths(self, owners: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Return the lengths ``(f,)`` of normals ``(6, f)`` in the norm of their surface."""
+        scaled = (_AXES @ normals) * self._scales[owners].T
+        return np.sqrt(np.einsum("jf,jf->f", scaled, scaled))
+
     def _planes(self, owners: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Unit normals ``(f, 6)`` of facets and the least heights of their corners ``(f,)``."""
         corners = np.ascontiguousarray(self._points[owners[:, None], corners_of(facets)].transpose(1, 2, 0))
         normals = _through(corners)
         with np.errstate(all="ignore"):
-            normals /= np.sqrt(np.einsum("jf,jf->f", normals, normals))
+            normals /= self._lengths(owners, normals)
             heights = np.einsum("cjf,jf->cf", corners, normals)
             least = heights.min(0)
             rough = ~(heights.max(0) - least <= UNEVEN * np.abs(least))
         if rough.any():
             own = corners[..., rough].transpose(2, 0, 1)
             across = np.linalg.pinv(own, NEARLY_FLAT) @ np.ones(6)
-            normals[:, rough] = (across / np.linalg.norm(across, axis=1, keepdims=True)).T
+            normals[:, rough] = across.T / self._lengths(owners[rough], across.T)
             least[rough] = np.einsum("fcj,jf->fc", own, normals[:, rough]).min(1)
         return normals.T, least
 

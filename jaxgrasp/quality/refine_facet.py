@@ -9,7 +9,8 @@ with a multiplier for every bound of forces, t for their sum or t_i for each,
 
 The last two lines are x_i = projection on Q of x_i - y_i, and t = max(0, t + force - 1). Newton's method on all of it,
 by derivatives of the projections' pieces, starts from the bounds' surface; what it finds is taken only if the body
-reaches no further there.
+reaches no further there. All of it is done in the coordinates of ``rounded_bodies.py``: there |scales * d| = 1, and the
+wrench is e scales^2 * d.
 """
 
 from typing import NamedTuple
@@ -17,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.quality.largest_ball import Balls
+from jaxgrasp.quality.rounded_bodies import RoundedBodies
 from jaxgrasp.quality.wrench_sets import Support, WrenchSets
 
 STEPS = 20
@@ -34,11 +36,18 @@ class TouchingPoints(NamedTuple):
     height: np.ndarray
     """``(G,)``."""
     direction: np.ndarray
-    """``(G, 6)``."""
+    """``(G, 6)``, mapped."""
     normal_force: np.ndarray
     """``(G, n)``."""
     tangential: np.ndarray
     """``(G, n, 3)``."""
+    exact: np.ndarray
+    """``(G,)``: whether these solve the equations; those of pyramids are the corners' planes, and always count."""
+
+    def put(self, places: np.ndarray, others: "TouchingPoints") -> None:
+        """Overwrite those of the numbers ``places`` (g,) with others ``(g, ...)`` that are exact."""
+        for array, other in zip(self, others):
+            array[places[others.exact]] = other[others.exact]
 
     def where(self, which: np.ndarray, others: "TouchingPoints") -> "TouchingPoints":
         """These where the mask ``(G,)`` is true, others elsewhere."""
@@ -57,61 +66,58 @@ class _Guess(NamedTuple):
     """``(G, 1)`` or ``(G, n)``: the multipliers of bounds."""
 
 
-def touch(bodies: WrenchSets, balls: Balls) -> TouchingPoints:
+def touch(bodies: RoundedBodies, balls: Balls) -> TouchingPoints:
     """The best that is known of where the bodies' largest balls touch them."""
-    corners = [bodies.reach(balls.corners[:, corner]) for corner in range(6)]
+    corners = [bodies.bodies.reach(balls.corners[:, corner]) for corner in range(6)]
     near = Support(*(np.stack(parts, 1) for parts in zip(*corners)))
     found = _of_corners(bodies, balls, near)
-    if bodies.corners is not None:
-        return found
-    better, sure = _newton(bodies, found)
-    found = better.where(sure, found)
-    left = np.flatnonzero(~sure)
+    if bodies.bodies.corners is not None:
+        return found._replace(exact=np.ones(len(balls.upper), bool))
+    better = _newton(bodies, found)
+    found = better.where(better.exact, found)
+    left = np.flatnonzero(~found.exact)
     if len(left):
         some = bodies.take(left)
-        start = _by_weights(
-            balls.upper[left], balls.direction[left], Support(*(part[left] for part in near)), some.size
-        )
-        better, sure = _newton(some, start)
-        for whole, own in zip(found, better):
-            whole[left[sure]] = own[sure]
+        start = _by_weights(some, balls.upper[left], balls.direction[left], Support(*(part[left] for part in near)))
+        found.put(left, _newton(some, start))
     return found
 
 
-def _of_corners(bodies: WrenchSets, balls: Balls, near: Support) -> TouchingPoints:
+def _of_corners(bodies: RoundedBodies, balls: Balls, near: Support) -> TouchingPoints:
     """The planes through the corners, where no rounding drew them aside, and the forces that carry them; where these
     reach no lower, the directions that are known."""
     every = np.any(balls.corners != 0, 2).all(1)
     points = np.where(every[:, None, None], near.points, np.eye(6))
     with np.errstate(all="ignore"):
         across = _solved(points, np.ones((len(points), 6)))
-        weights = _solved(np.swapaxes(points, 1, 2), across)
+        weights = _solved(np.swapaxes(points, 1, 2), bodies.scales**2 * across)
         weights /= weights.sum(1, keepdims=True)
-        direction = across / np.linalg.norm(across, axis=1)[:, None]
+        direction = bodies.normalised(across)
         # Weights of points that nearly coincide, as two of one disc may, say something by their sum alone.
         known = every & (np.abs(weights).max(1) < 1 / SOLVED) & np.isfinite(direction).all(1)
     direction = np.where(known[:, None], direction, balls.direction)
-    height = bodies.reach(direction).height
+    height = bodies.bodies.reach(direction).height
     lower = height <= balls.upper * (1 + SOLVED)
     weights = np.where(known[:, None], weights, 1 / 6)
     normal_force = np.maximum(np.matmul(weights[:, None], near.normal_force)[:, 0], 0)
     direction, height = np.where(lower[:, None], direction, balls.direction), np.where(lower, height, balls.upper)
     tangential = _within(np.einsum("gp,gpnk->gnk", weights, near.tangential), normal_force)
-    return TouchingPoints(height, direction, normal_force, tangential)
+    return TouchingPoints(height, direction, normal_force, tangential, np.zeros(len(height), bool))
 
 
-def _by_weights(upper: np.ndarray, direction: np.ndarray, near: Support, size: np.ndarray) -> TouchingPoints:
+def _by_weights(bodies: RoundedBodies, upper: np.ndarray, direction: np.ndarray, near: Support) -> TouchingPoints:
     """Forces of the points of the hulls of some wrenches that come closest to where the balls end."""
     from scipy.optimize import nnls
 
-    weights = np.zeros(near.height.shape)
+    weights, size = np.zeros(near.height.shape), bodies.bodies.size
+    wrenches = upper[:, None] * bodies.scales**2 * direction
     for index, points in enumerate(near.points):
         rows = np.vstack([points.T, np.full((1, len(points)), size[index])])
-        weights[index], _ = nnls(rows, np.append(upper[index] * direction[index], size[index]))
+        weights[index], _ = nnls(rows / size[index], np.append(wrenches[index], size[index]) / size[index])
     weights /= np.maximum(weights.sum(1, keepdims=True), COUNTS)
     normal_force = np.einsum("gp,gpn->gn", weights, near.normal_force)
     tangential = np.einsum("gp,gpnk->gnk", weights, near.tangential)
-    return TouchingPoints(upper, direction, normal_force, tangential)
+    return TouchingPoints(upper, direction, normal_force, tangential, np.zeros(len(upper), bool))
 
 
 def _within(tangential: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
@@ -120,8 +126,9 @@ def _within(tangential: np.ndarray, normal_force: np.ndarray) -> np.ndarray:
     return tangential * np.where(size > normal_force, normal_force / np.where(size > 0, size, 1), 1)[..., None]
 
 
-def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, np.ndarray]:
-    """The equations' solutions near the start, and where there are any; cones only."""
+def _newton(rounded: RoundedBodies, start: TouchingPoints) -> TouchingPoints:
+    """Solve the equations from the start on, for cones; ``exact`` says where that succeeded."""
+    bodies, metric = rounded.bodies, rounded.scales**2
     grasps = len(bodies.present)
     size = np.maximum(bodies.size, np.finfo(float).tiny)
     chosen = _pressing(bodies, start)
@@ -132,13 +139,14 @@ def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, 
         start.height[:, None] if total else np.maximum(bodies.supports(start.direction)[0][every, chosen], 0)
     )
     forces = np.concatenate([start.normal_force[..., None], start.tangential], -1)[every, chosen]
-    now = _Guess(start.direction, start.height / size, forces, bound_multipliers / size[:, None])
+    # The steps below write into these arrays: copies, since the start is what a run that fails falls back on.
+    now = _Guess(start.direction.copy(), start.height / size, forces, bound_multipliers / size[:, None])
     left = np.ones(grasps, bool)
     for _ in range(STEPS):
         moving = np.flatnonzero(left)
         own = _Guess(*(part[moving] for part in now))
         with np.errstate(all="ignore"):
-            residual, slope = _equations(discs[moving], own)
+            residual, slope = _equations(discs[moving], metric[moving], own)
             far = ~(np.abs(residual).max(1) <= SOLVED)
             left[moving[~far]] = False
             sound = far & np.isfinite(slope).all((1, 2))
@@ -148,7 +156,7 @@ def _newton(bodies: WrenchSets, start: TouchingPoints) -> tuple[TouchingPoints, 
             slope += TINY * np.eye(slope.shape[1])
             step = _solved(slope, residual)
         _move(now, moving, step)
-    return _checked(bodies, start, now, chosen, ~left)
+    return _checked(rounded, start, now, chosen, ~left)
 
 
 def _pressing(bodies: WrenchSets, start: TouchingPoints) -> np.ndarray:
@@ -177,8 +185,9 @@ def _move(now: _Guess, which: np.ndarray, step: np.ndarray) -> None:
     now.bound_multipliers[which] -= step[:, 7 + 4 * count :]
 
 
-def _equations(discs: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and Jacobian by (direction, height, forces, bound_multipliers) for discs ``(G, n, 4, 6)`` of size 1."""
+def _equations(discs: np.ndarray, metric: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and Jacobian by (direction, height, forces, bound_multipliers) for discs ``(G, n, 4, 6)`` of size 1;
+    ``metric`` (G, 6) are the squared scales of directions."""
     (grasps, count), bounds, d = discs.shape[:2], now.bound_multipliers.shape[1], now.direction
     ends = 7 + 4 * count
     owner = np.zeros(count, int) if bounds == 1 else np.arange(count)
@@ -189,17 +198,19 @@ def _equations(discs: np.ndarray, now: _Guess) -> tuple[np.ndarray, np.ndarray]:
     bounded = now.forces[..., 0].sum(1, keepdims=True) if bounds == 1 else now.forces[..., 0]
     paid = now.bound_multipliers + bounded - 1
     exerted = np.matmul(now.forces.reshape(grasps, 1, -1), flat)[:, 0]
+    along = metric * d
     residual = np.concatenate(
         [
-            exerted - now.height[:, None] * d,
-            (np.sum(d * d, 1)[:, None] - 1) / 2,
+            exerted - now.height[:, None] * along,
+            (np.sum(d * along, 1)[:, None] - 1) / 2,
             (now.forces - projected).reshape(grasps, -1),
             now.bound_multipliers - np.maximum(paid, 0),
         ],
         1,
     )
     slope = np.zeros((grasps, ends + bounds, ends + bounds))
-    slope[:, :6, :6], slope[:, :6, 6], slope[:, 6, :6] = -now.height[:, None, None] * np.eye(6), -d, d
+    slope[:, :6, :6] = -(now.height[:, None] * metric)[..., None] * np.eye(6)
+    slope[:, :6, 6], slope[:, 6, :6] = -along, along
     slope[:, :6, 7:ends] = np.swapaxes(flat, 1, 2)
     slope[:, 7:ends, :6] = -np.matmul(bend, discs).reshape(grasps, -1, 6)
     for contact in range(count):
@@ -227,14 +238,14 @@ def _project(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _checked(
-    bodies: WrenchSets, start: TouchingPoints, now: _Guess, chosen: np.ndarray, solved: np.ndarray
-) -> tuple[TouchingPoints, np.ndarray]:
-    """What was found, and where the body reaches no further there than at the start."""
+    rounded: RoundedBodies, start: TouchingPoints, now: _Guess, chosen: np.ndarray, solved: np.ndarray
+) -> TouchingPoints:
+    """Return the points of Newton's method, exact where it ended and the body reaches no further than at the start."""
     with np.errstate(all="ignore"):
-        direction = now.direction / np.linalg.norm(now.direction, axis=1, keepdims=True)
+        direction = rounded.normalised(now.direction)
     direction = np.where(solved[:, None], direction, start.direction)
-    height = bodies.reach(direction).height
-    forces = np.zeros((*bodies.present.shape, 4))
+    height = rounded.bodies.reach(direction).height
+    forces = np.zeros((*rounded.bodies.present.shape, 4))
     forces[np.arange(len(chosen))[:, None], chosen] = now.forces
     sure = solved & (height <= start.height * (1 + SOLVED))
-    return TouchingPoints(height, direction, forces[..., 0], forces[..., 1:]), sure
+    return TouchingPoints(height, direction, forces[..., 0], forces[..., 1:], sure)

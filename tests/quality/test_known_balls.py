@@ -6,6 +6,7 @@ from scipy.spatial import ConvexHull
 
 from jaxgrasp.quality import ferrari_canny, force_closure
 from jaxgrasp.quality.largest_ball import largest_balls
+from jaxgrasp.quality.rounded_bodies import rounded
 from jaxgrasp.quality.wrench_sets import WrenchSets
 from tests.quality import known
 from tests.quality.known import hull_radius, pyramid_edges
@@ -114,6 +115,6 @@ def test_bodies_that_wait_for_others_have_the_same_balls():
     discs = np.zeros((150, 12, 4, 6))
     discs[:, :, 0] = corners
     bodies = WrenchSets(discs, np.ones((150, 12), bool), np.full(150, 1e-15))
-    found = largest_balls(bodies, radii / 10, 1e-3, 1000)
+    found = largest_balls(rounded(bodies), radii / 10, np.zeros(150), 1e-3, 1000)
     np.testing.assert_allclose(found.upper, radii / np.sqrt(6), rtol=1e-3)
     assert (found.lower <= radii / np.sqrt(6)).all() and (found.lower >= 0.999 * found.upper).all()

@@ -1,0 +1,114 @@
+"""Derivatives of values between bounds, at the default tolerances, against differences of tight bounds."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrasp import Grasp
+from jaxgrasp.quality import ferrari_canny, ferrari_canny_at, force_closure, largest_wrench
+from tests.quality import known
+
+BOUNDS = ("l1", "linf")
+STEP = 1e-6
+COUNT = 24
+
+
+def tried_grasps() -> list[Grasp]:
+    """Closed grasps of four contacts, with ordinary friction and with friction from 1e-3 to 1e3, as many of each."""
+    plain = known.ordinary(4, 80, seed=7)
+    wide = known.changed(plain, friction=10 ** np.random.default_rng(4).uniform(-3, 3, plain.friction.shape))
+    batches = []
+    for batch in (plain, wide):
+        closed = np.flatnonzero(force_closure(batch).margin > 1e-6)[:COUNT]
+        assert len(closed) == COUNT
+        batches.append(jax.tree.map(lambda array, closed=closed: array[closed], batch))
+    return batches
+
+
+def tangent_of(grasp: Grasp) -> Grasp:
+    """How points, normals (across themselves) and friction (in proportion) move."""
+    rng = np.random.default_rng(5)
+    across = rng.normal(size=grasp.normals.shape)
+    across -= np.sum(across * grasp.normals, -1, keepdims=True) * grasp.normals
+    friction = grasp.friction * rng.normal(size=grasp.friction.shape)
+    return Grasp(0.03 * rng.normal(size=across.shape), across, friction, np.zeros_like(grasp.squeeze))
+
+
+def moved(grasp: Grasp, step: float) -> Grasp:
+    there = jax.tree.map(lambda a, b: a + step * b, grasp, tangent_of(grasp))
+    return known.changed(there, normals=there.normals / np.linalg.norm(there.normals, axis=-1, keepdims=True))
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_the_balls_derivatives_are_differences_of_tight_bounds(bound):
+    """Both bounds, and ``ferrari_canny_at``; a direction of length 1 along which the body ends at the upper bound."""
+
+    @jax.jit
+    def slopes(grasp: Grasp, tangent: Grasp):
+        def bounds(grasp):
+            found = ferrari_canny(grasp, bound)
+            return found.lower, found.upper
+
+        return jax.jvp(bounds, (grasp,), (tangent,))[1]
+
+    for grasp in tried_grasps():
+        ends = [ferrari_canny(moved(grasp, sign * STEP), bound, tol=1e-8) for sign in (1, -1)]
+        assert all((end.lower > (1 - 1e-7) * end.upper).all() for end in ends)
+        numeric = (ends[0].upper - ends[1].upper) / (2 * STEP)
+        arguments = known.of_jax(grasp), known.of_jax(tangent_of(grasp))
+        found = ferrari_canny(grasp, bound)
+        assert found.located.all() and found.converged.all()
+        beside = jax.jvp(lambda g, found=found: ferrari_canny_at(g, found), *((one,) for one in arguments))[1]
+        scale = np.abs(numeric) + found.upper
+        for slope in (*slopes(*arguments), beside):
+            np.testing.assert_array_less(np.abs(slope - numeric) / scale, 1e-4)
+        np.testing.assert_allclose(np.linalg.norm(found.direction, axis=1), 1, rtol=1e-12)
+        for index in range(COUNT):
+            height = known.height(known.one(grasp, index), found.direction[index][None], bound)[0]
+            np.testing.assert_allclose(height, found.upper[index], rtol=1e-3)
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_the_largest_wrenchs_derivatives_are_differences_of_tight_bounds(bound):
+    task = np.random.default_rng(6).normal(size=(COUNT, 6)) * [1, 1, 1, 0.05, 0.05, 0.05]
+
+    @jax.jit
+    def slopes(grasp: Grasp, tangent: Grasp):
+        def bounds(grasp):
+            found = largest_wrench(grasp, task, bound)
+            return found.lower, found.upper
+
+        return jax.jvp(bounds, (grasp,), (tangent,))[1]
+
+    for grasp in tried_grasps():
+        ends = [largest_wrench(moved(grasp, sign * STEP), task, bound, tol=1e-10) for sign in (1, -1)]
+        assert all((end.lower > (1 - 1e-8) * end.upper).all() for end in ends)
+        numeric = (ends[0].upper - ends[1].upper) / (2 * STEP)
+        scale = np.abs(numeric) + ends[0].upper
+        for slope in slopes(known.of_jax(grasp), known.of_jax(tangent_of(grasp))):
+            np.testing.assert_array_less(np.abs(slope - numeric) / scale, 1e-2)
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_bounds_left_apart_say_so_and_have_no_derivative(bound):
+    grasp = jax.tree.map(lambda array: array[:3], tried_grasps()[0])
+    found = ferrari_canny(grasp, bound, max_points=14)
+    assert not found.converged.any() and not found.located.any()
+    assert str(found).endswith("3 with bounds further apart than tol")
+    inputs = known.of_jax(grasp)
+
+    def of_friction(friction):
+        return jnp.sum(ferrari_canny_at(known.changed(inputs, friction=friction), found))
+
+    assert np.isnan(jax.grad(of_friction)(inputs.friction)).all()
+    for name in ("lower", "upper"):
+
+        def traced(friction, name=name):
+            return jnp.sum(getattr(ferrari_canny(known.changed(inputs, friction=friction), bound, max_points=14), name))
+
+        value, slope = jax.value_and_grad(traced)(inputs.friction)
+        np.testing.assert_allclose(value, getattr(found, name).sum(), rtol=1e-3)
+        assert np.isnan(slope).all()
+    closed = ferrari_canny(grasp, bound)
+    assert closed.converged.all() and "apart" not in str(closed)

@@ -84,7 +84,7 @@ def misfit(effort: Effort) -> list[dict]:
         rng = np.random.default_rng(answers)
         chances = np.asarray(observer.hit_probability(2.0, 2.0 * (1 + LEVELS)))
         hits = rng.binomial(answers, chances, (effort.experiments, len(LEVELS)))
-        for shape in PsychometricShape:
+        for shape in WIDTHS:
             found = by_likelihood(hits, answers, LEVELS, Model(shape), truth)
             rows.append(_row(f"likelihood, {shape}", found["likelihood"], answers=answers))
         for method in ("interpolation", "line", "paper"):

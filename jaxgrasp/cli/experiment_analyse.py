@@ -85,19 +85,21 @@ def _threshold(cell: Cell, unit: str, word: str) -> str:
     one = cell.threshold
     bounds = f"{100 * one.coverage:g}% interval {_number(one.low)} to {_number(one.high)}"
     if one.finding is Finding.NO_TRIALS:
-        text = f"no threshold: {cell.no_threshold}"
-    elif one.finding is not Finding.FOUND:
-        text = f"no threshold ({one.finding}); {bounds}. {cell.no_threshold}"
+        text = f"no threshold: {cell.remark}"
+    elif not one.finding.has_threshold:
+        text = f"no threshold ({one.finding}); {bounds}. {cell.remark}"
     elif cell.weber is not None:
         text = f"Weber fraction {one.value:.3f}, JND {cell.weber.jnd:.3g} {unit}; {bounds}"
     else:
         text = f"threshold {one.value:.3g} {unit}; {bounds}"
+    if one.finding.has_threshold and cell.remark:
+        text += f" ({one.finding}). {cell.remark.rstrip('.')}"
     if cell.fit is not None and cell.fit.p_value < 0.05:
         text += f"; the function does not fit (p = {cell.fit.p_value:.3f})"
     if cell.with_others is not None:
         other = cell.with_others
         text += f"; {cell.saturated} saturated trials {word} it would be "
-        text += f"{other.value:.3f}" if other.finding is Finding.FOUND else f"none ({other.finding})"
+        text += f"{other.value:.3f}" if other.finding.has_threshold else f"none ({other.finding})"
     return text
 
 

@@ -20,6 +20,8 @@ class PsychometricShape(StrEnum):
     """The logistic one."""
     WEIBULL = "weibull"
     """Weibull's, which is at chance where the level is zero."""
+    GUMBEL = "gumbel"
+    """Gumbel's of the smallest value: Weibull's of levels that are logarithms (dB, log10)."""
     DIFFERENCE = "difference"
     """What an observer without bias does who compares two noisy sensations: scale alone, at chance at zero."""
 
@@ -27,6 +29,14 @@ class PsychometricShape(StrEnum):
     def has_width(self) -> bool:
         """Whether its steepness is a parameter of its own."""
         return self is not PsychometricShape.DIFFERENCE
+
+    @property
+    def has_zero(self) -> bool:
+        """Tell whether the function starts at level zero, so that levels and thresholds are not negative.
+
+        The other shapes depend on differences of levels alone: their levels may have any sign or be logarithms.
+        """
+        return self in (PsychometricShape.WEIBULL, PsychometricShape.DIFFERENCE)
 
 
 def standard(shape: PsychometricShape, u: Values) -> Values:
@@ -36,7 +46,7 @@ def standard(shape: PsychometricShape, u: Values) -> Values:
             return ndtr(u)
         case PsychometricShape.LOGISTIC:
             return expit(u)
-        case PsychometricShape.WEIBULL:
+        case PsychometricShape.WEIBULL | PsychometricShape.GUMBEL:
             return -np.expm1(-np.exp(np.minimum(u, 50.0)))
         case PsychometricShape.DIFFERENCE:
             return 2 * ndtr(u) - 1
@@ -49,7 +59,7 @@ def quantile(shape: PsychometricShape, share: Values) -> Values:
             return ndtri(share)
         case PsychometricShape.LOGISTIC:
             return logit(share)
-        case PsychometricShape.WEIBULL:
+        case PsychometricShape.WEIBULL | PsychometricShape.GUMBEL:
             return np.log(-np.log1p(-np.asarray(share)))
         case PsychometricShape.DIFFERENCE:
             return ndtri((1 + np.asarray(share)) / 2)
@@ -66,18 +76,22 @@ def hit_probability(
     criterion: float = 0.75,
     chance: float = 0.5,
 ) -> Values:
-    """Chance of a right answer; all arguments broadcast.
+    """Compute the chance of a right answer; all arguments broadcast.
 
     Args:
         shape: of the rise.
-        levels: zero or more.
+        levels: zero or more for ``"weibull"`` and ``"difference"``, any finite number for the other shapes.
         threshold: level at which the hit ratio is the criterion, lapses included.
         width: of the rise, in units of the level; of its logarithm for a Weibull function (one by its exponent); a
             difference function has none.
         lapse: share of answers that do not depend on the stimulus and are wrong.
         criterion: hit ratio at the threshold.
         chance: hit ratio of who guesses.
+
+    Raises:
+        ValueError: for a negative level of a shape that starts at zero.
     """
+    check_levels(shape, levels)
     rise = 1 - chance - np.asarray(lapse)
     anchor = quantile(shape, (criterion - chance) / rise)
     if shape is PsychometricShape.DIFFERENCE:
@@ -101,3 +115,16 @@ def check_criterion(criterion: float, chance: float, most_lapse: float) -> None:
             f"criterion is {criterion}: expected more than chance, {chance:g}, and less than {1 - most_lapse:g}, "
             "which lapses leave"
         )
+
+
+def check_levels(shape: PsychometricShape, levels: Values, name: str = "levels") -> None:
+    """Raise ValueError for a negative level of a shape that starts at zero."""
+    values = np.asarray(levels)
+    if not shape.has_zero or not np.any(values < 0):
+        return
+    index = tuple(int(k) for k in np.argwhere(values < 0)[0])
+    subscript = f"[{', '.join(map(str, index))}]" if index else ""
+    raise ValueError(
+        f"{name}{subscript} is {values[index]:g}: the shape {shape.value!r} needs levels of 0 or more; for levels of "
+        "any sign take 'gaussian' or 'logistic', for logarithms of levels 'gumbel' (Weibull's function of them)"
+    )

@@ -62,7 +62,7 @@ def _answers(found: Analysis, unit: str) -> str:
     if any(cell.threshold.finding is not Finding.FOUND for cell in cells):
         head.append("what it means")
         rows = [
-            [*row, f'<span class="wide narrow">{text(cell.no_threshold)}</span>']
+            [*row, f'<span class="wide narrow">{text(cell.remark)}</span>']
             for row, cell in zip(rows, cells, strict=True)
         ]
     about = (

@@ -75,7 +75,7 @@ def test_what_it_means_is_said_only_where_there_is_something_to_say(folder):
     def advice(page: str) -> list[str]:
         return re.findall(r'<span class="wide narrow">(.*?)</span>', page)
 
-    found = done(Plan(session=SessionPlan((2.0,))), folder / "found", 1)
+    found = done(Plan(session=SessionPlan((2.0,)), procedure=ConstantStimuli(repeats=40)), folder / "found", 1)
     assert {cell.threshold.finding for cell in (*found.pooled, *found.cells)} == {Finding.FOUND}
     page = experiment_html(found)
     assert "what it means" not in page and not advice(page)

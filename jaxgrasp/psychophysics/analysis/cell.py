@@ -56,7 +56,12 @@ class Cell:
 
     @property
     def no_threshold(self) -> str:
-        """Why there is no threshold, and what to do; empty where there is one."""
+        """Tell why there is no threshold, and what to do; empty where there is one."""
+        return "" if self.threshold.finding.has_threshold else self.remark
+
+    @property
+    def remark(self) -> str:
+        """Tell why there is no threshold, or none without reserve, and what to do; empty where it was found."""
         if self.threshold.finding is Finding.FOUND:
             return ""
         if self.threshold.finding is Finding.NO_TRIALS and self.saturated:
@@ -100,13 +105,13 @@ def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord
     counts = counted(used)
     found = _threshold(counts, settings)
     with_others = _threshold(counted(others), settings) if len(clean) < len(own) else None
-    fraction = weber(found, reference) if reference > 0 and found.finding is Finding.FOUND else None
+    fraction = weber(found, reference) if reference > 0 and found.finding.has_threshold else None
     fit: Goodness | None = None
     views: tuple[tuple[float, DetectionSensitivity], ...] = ()
     # Where levels follow the answers, these are no independent draws at each level, and a few of them say nothing.
     if not plan.procedure.follows_answers:
         views = tuple((float(level), _view(used, level)) for level in counts.levels)
-        if found.function is not None and found.finding is Finding.FOUND:
+        if found.function is not None and found.finding.has_threshold:
             fit = goodness(counts, settings.model)
     return Cell(who, reference, counts, found, fraction, fit, views, len(own) - len(clean), with_others)
 

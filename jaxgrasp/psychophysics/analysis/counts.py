@@ -15,12 +15,13 @@ class Counts:
     """Right answers by level, in rising order; levels without a trial are left out.
 
     Raises:
-        ValueError: for arrays of different lengths, levels that are not finite, negative or there twice, and more
-            right answers than trials.
+        ValueError: for arrays of different lengths, levels that are not finite or there twice, and more right answers
+            than trials.
     """
 
     levels: Float[np.ndarray, "L"]
-    """Levels of the comparison: difference from the reference by the reference [1], or intensity in detection."""
+    """Levels of the comparison: difference from the reference by the reference [1], intensity in detection, or any
+    other finite numbers: signed differences, logarithms (dB). Which signs a fit allows depends on its shape."""
     hits: Int[np.ndarray, "L"]
     """Right answers."""
     trials: Int[np.ndarray, "L"]
@@ -30,8 +31,8 @@ class Counts:
         if not (levels.ndim == 1 and levels.shape == hits.shape == trials.shape):
             raise ValueError(f"levels, hits, trials have shapes {levels.shape}, {hits.shape}, {trials.shape}")
         for k in range(len(levels)):
-            if not (np.isfinite(levels[k]) and levels[k] >= 0):
-                raise ValueError(f"levels[{k}] is {levels[k]}: expected a finite number, 0 or more")
+            if not np.isfinite(levels[k]):
+                raise ValueError(f"levels[{k}] is {levels[k]}: expected a finite number")
             if levels[k] in levels[:k]:
                 raise ValueError(f"levels[{k}] is {levels[k]} again: expected each level once")
             for name, values in (("hits", hits), ("trials", trials)):

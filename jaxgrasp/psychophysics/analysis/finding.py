@@ -24,6 +24,12 @@ class Finding(StrEnum):
     NOT_RISING = "not-rising"
     BELOW_LEVELS = "below-levels"
     ABOVE_LEVELS = "above-levels"
+    STEEPER = "steeper-than-levels"
+
+    @property
+    def has_threshold(self) -> bool:
+        """Tell whether the estimate is a threshold; of a function that is too steep to have a width it is one."""
+        return self in (Finding.FOUND, Finding.STEEPER)
 
     @property
     def advice(self) -> str:
@@ -43,6 +49,8 @@ _ADVICE = {
     Finding.NOT_RISING: "Hit ratios do not rise with the level: look at the records, or gather more trials.",
     Finding.BELOW_LEVELS: "The estimate is below the smallest level that was tried: try smaller ones.",
     Finding.ABOVE_LEVELS: "The estimate is above the largest level that was tried: try larger ones.",
+    Finding.STEEPER: "The function rises between two levels that were tried: its width is open, and the threshold is "
+    "known no better than its interval. Try levels closer together.",
 }
 
 
@@ -55,7 +63,7 @@ def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Find
         return Finding.ALL_RIGHT
     if chance > 0 and bdtr(hits, trials, chance) < DOUBT / 2:
         return Finding.BELOW_CHANCE
-    if chance > 0 and not _is_better(counts, chance):
+    if not hits or (chance > 0 and not _is_better(counts, chance)):
         return Finding.AT_CHANCE
     if needs_levels and len(counts.levels) == 1:
         return Finding.ONE_LEVEL
@@ -68,10 +76,12 @@ def place(estimate: float, counts: Counts, *, from_zero: bool = False) -> Findin
     """Whether an estimate lies among the levels, or, of a function that is known at zero, from there on."""
     if np.isnan(estimate):
         return Finding.NOT_RISING
-    # A search ends a little beside a level where the threshold is one.
-    if estimate < (0 if from_zero else counts.levels[0] * (1 - CLOSE)):
+    # A search ends a little beside a level where the threshold is one. One level has no extent: its size counts.
+    low, high = counts.levels[0], counts.levels[-1]
+    beside = CLOSE * (high - low if high > low else abs(low))
+    if estimate < (0 if from_zero else low - beside):
         return Finding.BELOW_LEVELS
-    return Finding.ABOVE_LEVELS if estimate > counts.levels[-1] * (1 + CLOSE) else Finding.FOUND
+    return Finding.ABOVE_LEVELS if estimate > high + beside else Finding.FOUND
 
 
 def _is_better(counts: Counts, chance: float) -> bool:

@@ -7,7 +7,7 @@ from scipy.special import xlogy
 
 from jaxgrasp.psychophysics.analysis.bootstrap import draw
 from jaxgrasp.psychophysics.analysis.counts import Counts
-from jaxgrasp.psychophysics.analysis.likelihood import FLOOR, Likelihood, Model
+from jaxgrasp.psychophysics.analysis.likelihood import FLOOR, Likelihood, Model, focused
 from jaxgrasp.validation.checked import checked
 
 
@@ -25,13 +25,14 @@ class Goodness:
 
 @checked
 def goodness(counts: Counts, model: Model | None = None, *, resamples: int = 1000, seed: int = 0) -> Goodness:
-    """How well a model fits the answers at best.
+    """Compute how well a model fits the answers at best.
 
     Raises:
-        ValueError: where no level is above zero.
+        ValueError: where the shape starts at zero and a level is negative, or none is above zero.
     """
     model = Model() if model is None else model
-    grid = Likelihood(counts.levels, model)
+    # As fine and as wide as the answers need it; answers drawn from their best function lie there too.
+    grid = focused(counts, model)
     best = grid.best(counts)
     chances = model.hit_probability(counts.levels, best)
     parts = deviances(counts.hits[None], counts.trials, chances)

@@ -14,25 +14,34 @@ from scipy.optimize import minimize
 from scipy.special import xlogy
 
 from jaxgrasp.psychophysics.analysis.counts import Counts
+from jaxgrasp.psychophysics.analysis.level_axis import LARGEST_LOG, Range, axis_of, first_bounds
 from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_criterion, hit_probability
 
 Answers = Real[np.ndarray, "... L"]
 """Counts of answers at each level, of one set of answers or of many."""
-Bounds = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-"""Smallest and largest threshold, width, and lapse."""
-THRESHOLDS, WIDTHS, LAPSES = 240, 80, 6
-"""Points of the grid."""
-REACH = (0.05, 5.0)
-"""From the smallest level, and from the largest: where thresholds are looked for, by these."""
-SPREAD = (0.05, 5.0)
-"""Widths by the largest level."""
-LOG_SPREAD = (0.1, 5.0)
-"""Widths of a Weibull function."""
-ROUNDS = 3
-"""Times that a grid is narrowed to where its likelihood is: each makes it a hundred times finer, if answers are many
-enough."""
+Bounds = tuple[Range, Range, Range]
+"""Smallest and largest coordinate of the threshold, logarithm of the width, and lapse."""
+Points = tuple[int, int, int]
+POINTS: Points = (240, 80, 6)
+"""Points of a grid: of thresholds, widths, and lapses."""
+COARSE: Points = (100, 36, 5)
+"""Points of a grid that serves the search of bounds alone."""
+NARROWED = 0.8
+"""Extent of a bound's range after it is narrowed, by that before: where it is more, the grid is as fine as it gets."""
+MOST_ROUNDS = 24
+"""Grids at most, those with wider bounds included."""
+WIDENINGS = 6
+"""Times that one bound is moved out at most, each time by the distance of the two: to 64 times that distance."""
+ACTIVE = 6.0
+"""Below the largest log-likelihood by less than this, a bound is moved out: intervals of up to 99.9 % end there."""
+SAME = 0.1
+"""Difference of the log-likelihoods at two bounds that are equally open."""
+UNCHANGED = 0.01
+"""Change of the log-likelihood at a bound that is moved out: where it is less, the answers leave that bound open."""
 NEGLIGIBLE = 15.0
 """Below the largest log-likelihood by this, nothing matters."""
+EQUAL = 1e-6
+"""Difference of log-likelihoods that counts as none."""
 FLOOR = 1e-12
 """Least probability of an answer, so that no logarithm is infinite."""
 AT_ONCE = 2**22
@@ -84,13 +93,23 @@ class Parameters:
 class Likelihood:
     """Likelihood of a model on a grid of its parameters, for answers at given levels."""
 
-    def __init__(self, levels: Float[np.ndarray, "L"], model: Model, bounds: Bounds | None = None) -> None:
-        """A grid around levels, of which one at least is positive, or within bounds."""
+    def __init__(
+        self, levels: Float[np.ndarray, "L"], model: Model, bounds: Bounds | None = None, points: Points = POINTS
+    ) -> None:
+        """Compute the grid around levels, or within bounds.
+
+        Raises:
+            ValueError: where the shape starts at zero and a level is negative, or none is positive.
+        """
         self.levels, self.model = np.asarray(levels, float), model
-        thresholds, widths, lapses = _bounds(self.levels, model) if bounds is None else bounds
-        self.thresholds = np.geomspace(*thresholds, THRESHOLDS)
-        self.widths = np.geomspace(*widths, WIDTHS) if model.shape.has_width else np.ones(1)
-        self.lapses = np.linspace(*lapses, LAPSES if lapses[1] > lapses[0] else 1)
+        self.axis = axis_of(self.levels, model.shape)
+        self.bounds = self._first_bounds() if bounds is None else bounds
+        of_thresholds, of_widths, lapses = self.bounds
+        self.coordinates = np.linspace(*of_thresholds, points[0])
+        """Coordinates of the thresholds on the axis."""
+        self.thresholds = self.axis.level(self.coordinates)
+        self.widths = np.exp(np.linspace(*of_widths, points[1])) if model.shape.has_width else np.ones(1)
+        self.lapses = np.linspace(*lapses, points[2] if lapses[1] > lapses[0] else 1)
         chances = hit_probability(
             model.shape,
             self.levels,
@@ -108,16 +127,17 @@ class Likelihood:
         return self._reduced(hits, trials, lambda table: table.max((2, 3)))
 
     def posteriors(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B T"]:
-        """Probability of each threshold, by a prior that is even over the grid.
+        """Compute the probability of each threshold, by a prior that is even over the grid.
 
-        That is, even in the logarithms of threshold and width, and over the lapses, within the grid's bounds.
+        That is, even in the logarithm of the threshold for shapes that start at zero and in the threshold itself for
+        the others; in the logarithm of the width; and over the lapses; all within the grid's bounds.
         """
 
         def over_others(table: np.ndarray) -> np.ndarray:
             top = table.max((1, 2, 3), keepdims=True)
             return np.exp(table - top).sum((2, 3))
 
-        found = self._reduced(hits, trials, over_others)
+        found = self._reduced(hits, trials, over_others) * self.axis.prior(self.coordinates)
         return found / found.sum(1, keepdims=True)
 
     def estimates(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B"]:
@@ -125,33 +145,49 @@ class Likelihood:
         return self.peaks(self.profiles(hits, trials))
 
     def peaks(self, profiles: Float[np.ndarray, "B T"]) -> Float[np.ndarray, "B"]:
-        """Where profiles are highest, by a parabola through the highest point and its neighbours."""
+        """Return the thresholds where profiles are highest, by a parabola through that point and its neighbours."""
         best = np.argmax(profiles, 1)
-        inner = np.clip(best, 1, THRESHOLDS - 2)
+        inner = np.clip(best, 1, len(self.coordinates) - 2)
         rows = np.arange(len(profiles))
         before, here, after = (profiles[rows, inner + k] for k in (-1, 0, 1))
         bend = before - 2 * here + after
         with np.errstate(invalid="ignore", divide="ignore"):
             shift = np.where(bend < 0, 0.5 * (before - after) / bend, 0.0)
         shift = np.where(best == inner, np.clip(shift, -1, 1), 0.0)
-        step = np.log(self.thresholds[1] / self.thresholds[0])
-        return self.thresholds[best] * np.exp(step * shift)
+        step = self.coordinates[1] - self.coordinates[0]
+        return self.axis.level(self.coordinates[best] + step * shift)
 
     def best(self, counts: Counts) -> Parameters:
-        """The function of largest likelihood: from the grid's best point on, within the grid's bounds."""
+        """Compute the function of largest likelihood: from the grid's best point on, within the grid's bounds."""
         hits, trials = counts.hits.astype(float), counts.trials.astype(float)
-        table = hits @ self._hit + (trials - hits) @ self._miss
-        at = np.unravel_index(np.argmax(table), (len(self.thresholds), len(self.widths), len(self.lapses)))
-        start = [np.log(self.thresholds[at[0]]), np.log(self.widths[at[1]]), self.lapses[at[2]]]
-        ends = [np.log(self.thresholds[[0, -1]]), np.log(self.widths[[0, -1]]), self.model.lapse]
+        table = (hits @ self._hit + (trials - hits) @ self._miss).reshape(len(self.thresholds), -1)
+        # Between two levels that a steep function separates, all thresholds fit alike: the middle one stands for them.
+        alike = np.flatnonzero(table.max(1) >= table.max() - EQUAL)
+        row = int(alike[len(alike) // 2])
+        column = divmod(int(np.argmax(table[row])), len(self.lapses))
+        start = [self.coordinates[row], np.log(self.widths[column[0]]), self.lapses[column[1]]]
+        ends = [self.coordinates[[0, -1]], np.log(self.widths[[0, -1]]), self.model.lapse]
+
+        def parameters(values: np.ndarray) -> Parameters:
+            return Parameters(float(self.axis.level(values[0])), float(np.exp(values[1])), float(values[2]))
 
         def loss(values: np.ndarray) -> float:
-            here = Parameters(float(np.exp(values[0])), float(np.exp(values[1])), float(values[2]))
-            return -log_likelihood(counts, self.model.hit_probability(counts.levels, here))
+            return -log_likelihood(counts, self.model.hit_probability(counts.levels, parameters(values)))
 
         options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 4000}
-        found = minimize(loss, start, method="Nelder-Mead", bounds=ends, options=options).x
-        return Parameters(float(np.exp(found[0])), float(np.exp(found[1])), float(found[2]))
+        return parameters(minimize(loss, start, method="Nelder-Mead", bounds=ends, options=options).x)
+
+    def _first_bounds(self) -> Bounds:
+        thresholds, widths = first_bounds(self.levels, self.model.shape, self.axis)
+        of_widths = (float(np.log(widths[0])), float(np.log(widths[1])))
+        return thresholds, of_widths if self.model.shape.has_width else (0.0, 0.0), self.model.lapse
+
+    def axis_profiles(self, counts: Counts) -> list[Float[np.ndarray, "..."]]:
+        """Return the largest log-likelihood at each threshold, at each width and at each lapse, in this order."""
+        return [
+            self._reduced(counts.hits, counts.trials, partial(np.max, axis=others))[0]
+            for others in ((2, 3), (1, 3), (1, 2))
+        ]
 
     def _reduced(self, hits: Answers, trials: Answers, reduce: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         hits, trials = np.atleast_2d(np.asarray(hits, float)), np.atleast_2d(np.asarray(trials, float))
@@ -166,26 +202,93 @@ class Likelihood:
 
 
 def focused(counts: Counts, model: Model) -> Likelihood:
-    """A grid that is as fine as one set of answers needs it: where its likelihood is, and nowhere else."""
-    grid = Likelihood(counts.levels, model)
-    for _ in range(ROUNDS):
-        ends = []
-        for values, others in ((grid.thresholds, (2, 3)), (grid.widths, (1, 3)), (grid.lapses, (1, 2))):
-            profile = grid._reduced(counts.hits, counts.trials, partial(np.max, axis=others))[0]
-            inside = np.flatnonzero(profile >= profile.max() - NEGLIGIBLE)
-            low, high = values[max(inside[0] - 1, 0)], values[min(inside[-1] + 1, len(values) - 1)]
-            ends.append((float(low), float(high)))
-        grid = Likelihood(counts.levels, model, (ends[0], ends[1], ends[2]))
-    return grid
+    """Compute a grid that is as fine as one set of answers needs it: where its likelihood is, and nowhere else.
+
+    Bounds of thresholds and widths are moved out as long as the likelihood at them is not negligible and still changes.
+    """
+    grid, search = Likelihood(counts.levels, model, points=COARSE), _BoundSearch()
+    best, largest = None, -np.inf
+    for _ in range(MOST_ROUNDS):
+        profiles = grid.axis_profiles(counts)
+        bounds = search.widened(grid, profiles)
+        if bounds is None:
+            # Of many answers, all points of a grid may lie beside the peak: the search for it starts from the best.
+            if best is None or profiles[0].max() > largest + EQUAL:
+                best = grid.best(counts)
+                largest = log_likelihood(counts, model.hit_probability(counts.levels, best))
+            bounds = _narrowed(grid, profiles, best)
+            if all(_extent(new) >= NARROWED * _extent(old) for new, old in zip(bounds, grid.bounds, strict=True)):
+                break
+            search.forget(grid.bounds, bounds)
+        grid = Likelihood(counts.levels, model, bounds, COARSE)
+    return Likelihood(counts.levels, model, grid.bounds)
 
 
-def _bounds(levels: Float[np.ndarray, "L"], model: Model) -> Bounds:
-    positive = levels[levels > 0]
-    if not len(positive):
-        raise ValueError("no level is above zero")
-    largest = float(positive.max())
-    widths = LOG_SPREAD if model.shape is PsychometricShape.WEIBULL else (SPREAD[0] * largest, SPREAD[1] * largest)
-    return (REACH[0] * float(positive.min()), REACH[1] * largest), widths, model.lapse
+class _BoundSearch:
+    """Record of the bounds that were moved out, and of those that the answers leave open."""
+
+    def __init__(self) -> None:
+        self._history: dict[tuple[int, int], list[tuple[float, float]]] = {}
+        """Bounds before each move, with the log-likelihood at them; by axis and end."""
+        self._settled: set[tuple[int, int]] = set()
+
+    def widened(self, grid: Likelihood, profiles: list[np.ndarray]) -> Bounds | None:
+        """Return wider bounds, or None where none is active any more."""
+        bounds = [list(pair) for pair in grid.bounds]
+        for k in range(2 if grid.model.shape.has_width else 1):
+            for end in (0, -1):
+                if (k, end) not in self._settled:
+                    bounds[k][end] = self._moved(grid, k, end, profiles[k])
+        new = (bounds[0][0], bounds[0][1]), (bounds[1][0], bounds[1][1]), grid.bounds[2]
+        return None if new == grid.bounds else new
+
+    def forget(self, old: Bounds, new: Bounds) -> None:
+        """Drop the record of bounds that were narrowed: a finer grid may find them active again."""
+        for k in range(2):
+            for end in (0, -1):
+                if old[k][end] != new[k][end]:
+                    self._history.pop((k, end), None)
+                    self._settled.discard((k, end))
+
+    def _moved(self, grid: Likelihood, k: int, end: int, profile: np.ndarray) -> float:
+        """Return one bound of axis k: moved out, moved back where that changed nothing, or as it is."""
+        bound, at_end, history = grid.bounds[k][end], float(profile[end]), self._history.setdefault((k, end), [])
+        if at_end <= profile.max() - ACTIVE:
+            return bound
+        outward = -1 if end == 0 else 1
+        largest = LARGEST_LOG if k == 1 else grid.axis.largest
+        if history:
+            is_rising = at_end >= profile.max() and at_end > history[-1][1] + EQUAL
+            is_unchanged = abs(at_end - history[-1][1]) < UNCHANGED and not is_rising
+            is_last = len(history) > WIDENINGS or abs(bound) >= largest
+            if is_unchanged or is_last:
+                self._settled.add((k, end))
+                best = float(np.linspace(*grid.bounds[k], len(profile))[np.argmax(profile)])
+                # A narrower range has the finer grid: back to the first bound that the answers leave as open.
+                for earlier, value in history:
+                    if abs(value - at_end) < SAME and outward * (best - earlier) <= 0:
+                        return earlier
+                return bound
+        history.append((bound, at_end))
+        return float(np.clip(bound + outward * _extent(grid.bounds[k]), -largest, largest))
+
+
+def _extent(bounds: Range) -> float:
+    return bounds[1] - bounds[0]
+
+
+def _narrowed(grid: Likelihood, profiles: list[np.ndarray], best: Parameters) -> Bounds:
+    """Return bounds about the best function that leave out what is negligible, but for one step."""
+    peak = float(grid.axis.coordinate(best.threshold)), float(np.log(best.width)), best.lapse
+    ends = []
+    for (low, high), profile, at_best in zip(grid.bounds, profiles, peak, strict=True):
+        values, step = (
+            np.linspace(low, high, len(profile), retstep=True) if len(profile) > 1 else (np.array([low]), 0.0)
+        )
+        inside = values[profile >= profile.max() - NEGLIGIBLE]
+        first, last = min(inside[0], at_best) - step, max(inside[-1], at_best) + step
+        ends.append((max(low, float(first)), min(high, float(last))))
+    return ends[0], ends[1], ends[2]
 
 
 def log_likelihood(counts: Counts, chances: Float[np.ndarray, "L"]) -> float:

@@ -12,12 +12,15 @@ from jaxgrasp.psychophysics.analysis.bootstrap import Estimator, bca_interval, d
 from jaxgrasp.psychophysics.analysis.counts import Counts
 from jaxgrasp.psychophysics.analysis.finding import Finding, place, trouble
 from jaxgrasp.psychophysics.analysis.likelihood import Likelihood, Model, Parameters, focused
+from jaxgrasp.psychophysics.psychometric import PsychometricShape, check_levels
 from jaxgrasp.validation.checked import checked
 
 Method = Literal["likelihood", "posterior", "interpolation", "line", "paper"]
 Interval = Literal["profile", "credible", "bootstrap", "bca", "none"]
 DEFAULT_INTERVAL: dict[str, Interval] = {"likelihood": "profile", "posterior": "credible"}
 RESAMPLES = 2000
+ON_RISE = 1e-3
+"""Answers at a level, expected on the other side of its step, that show that the function rises there."""
 FALLEN = 1e-2
 """Share of a posterior's largest density: where the density at the end of the grid is below it, the answers bound the
 threshold."""
@@ -31,7 +34,8 @@ class Threshold:
     estimate: float
     """As the method has it, wherever it lies; NaN where there is none."""
     low: float
-    """Lower end of the interval; 0 where the answers do not bound it."""
+    """Lower end of the interval; where the answers do not bound it 0, or minus infinity for a shape that does not start
+    at zero."""
     high: float
     """Upper end of the interval; infinite where the answers do not bound it."""
     criterion: float
@@ -44,8 +48,11 @@ class Threshold:
 
     @property
     def value(self) -> float:
-        """The estimate, if it lies among the levels that were tried; else NaN: nothing is made up."""
-        return self.estimate if self.finding is Finding.FOUND else np.nan
+        """The estimate, if it lies among the levels that were tried; else NaN: nothing is made up.
+
+        Where the finding is ``STEEPER``, thresholds within the interval fit about equally well.
+        """
+        return self.estimate if self.finding.has_threshold else np.nan
 
 
 @checked
@@ -66,6 +73,8 @@ def threshold(
         method: ``"likelihood"`` (its maximum), ``"posterior"`` (its median), ``"interpolation"`` from level to level,
             ``"line"`` of least squares, or ``"paper"``: that line with chance at level zero as one more point.
         model: psychometric function, criterion, chance and lapses; of lines, the criterion and chance alone count.
+            Levels may be negative or logarithms for the shapes ``"gaussian"`` and ``"logistic"``, logarithms for
+            ``"gumbel"`` (Weibull's function of them).
         interval: ``"profile"`` of the likelihood, ``"credible"`` from the posterior, ``"bootstrap"`` or ``"bca"`` of
             any; ``"profile"``, ``"credible"`` and ``"bca"``, as the method has it, where not given.
         coverage: of the interval.
@@ -85,23 +94,31 @@ def threshold(
         0.15
 
     Raises:
-        ValueError: for an interval that the method does not have, or a coverage outside 0 to 1.
+        ValueError: for an interval that the method does not have, a coverage outside 0 to 1, or negative levels where
+            the shape (Weibull, difference) or the method (``"paper"``) starts at level zero.
     """
     model = Model() if model is None else model
     kind = interval or DEFAULT_INTERVAL.get(method, "bca")
     _check(method, kind, coverage)
     of_grid = method in ("likelihood", "posterior")
     found = trouble(counts, model.chance, needs_levels=not of_grid or model.shape.has_width)
-    if found is not Finding.FOUND and (not of_grid or found is Finding.NO_TRIALS or not np.any(counts.levels > 0)):
-        return Threshold(found, np.nan, 0.0, np.inf, model.criterion, method, kind, coverage)
+    if of_grid or method == "paper":
+        # The paper's line starts at chance at level zero, as shapes do that start there.
+        of_zero = model.shape if of_grid else PsychometricShape.DIFFERENCE
+        check_levels(of_zero, counts.levels, "counts.levels")
+    is_signed = not model.shape.has_zero or bool(np.any(counts.levels < 0))
+    least = -np.inf if is_signed else 0.0
+    says_nothing = found is Finding.NO_TRIALS or not (is_signed or np.any(counts.levels > 0))
+    if found is not Finding.FOUND and (not of_grid or says_nothing):
+        return Threshold(found, np.nan, least, np.inf, model.criterion, method, kind, coverage)
     if of_grid:
         return _by_grid(counts, method, model, kind, found, coverage, resamples, seed)
     estimator = _line(method, counts, model)
     estimate = float(estimator(counts.hits[None].astype(float))[0])
-    ends = (0.0, np.inf)
+    ends = (least, np.inf)
     if kind != "none":
         drawn = estimator(draw(counts, counts.ratios, resamples, np.random.default_rng(seed)))
-        ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage)
+        ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage, least)
     found = place(estimate, counts)
     estimate = estimate if np.isfinite(estimate) else np.nan
     return Threshold(found, estimate, *ends, model.criterion, method, kind, coverage)
@@ -123,17 +140,28 @@ def _by_grid(
     elif kind == "credible":
         ends = _credible_interval(grid, counts, coverage)
     elif kind == "none" or found is not Finding.FOUND:
-        ends = (0.0, np.inf)
+        ends = (grid.axis.least, np.inf)
     else:
         best = grid.best(counts) if parameters is None else parameters
         chances = model.hit_probability(counts.levels, best)
         estimator: Estimator = lambda hits: grid.estimates(hits, trials)  # noqa: E731
         drawn = estimator(draw(counts, chances, resamples, np.random.default_rng(seed)))
-        ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage)
+        ends = _drawn_interval(drawn, estimate, counts, estimator, kind, coverage, grid.axis.least)
     if found is Finding.FOUND:
         # A function without a width is known at zero: there, what is bounded from below needs no smaller level.
         found = place(estimate, counts, from_zero=profile[0] > 0 and not model.shape.has_width)
+    if found is Finding.FOUND and model.shape.has_width:
+        found = _width_finding(model, counts, grid.best(counts) if parameters is None else parameters)
     return Threshold(found, estimate, *ends, model.criterion, method, kind, coverage, parameters)
+
+
+def _width_finding(model: Model, counts: Counts, best: Parameters) -> Finding:
+    """Tell whether answers bound the width of their function of largest likelihood from below."""
+    chances = model.hit_probability(counts.levels, best)
+    share = (chances - model.chance) / (1 - model.chance - best.lapse)
+    # Two parameters need two levels on the rise: where fewer are, each narrower function fits as well.
+    on_rise = counts.trials * np.minimum(share, 1 - share) > ON_RISE
+    return Finding.STEEPER if np.count_nonzero(on_rise) < 2 else Finding.FOUND
 
 
 def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -> list[float]:
@@ -141,7 +169,7 @@ def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -
     weights = grid.posteriors(counts.hits, counts.trials)[0]
     # Each point stands for its step, half of it on either side.
     summed = np.cumsum(weights) - 0.5 * weights
-    return np.exp(np.interp(shares, summed, np.log(grid.thresholds))).tolist()
+    return grid.axis.level(np.interp(shares, summed, grid.coordinates)).tolist()
 
 
 def _credible_interval(grid: Likelihood, counts: Counts, coverage: float) -> tuple[float, float]:
@@ -149,41 +177,41 @@ def _credible_interval(grid: Likelihood, counts: Counts, coverage: float) -> tup
     weights = grid.posteriors(counts.hits, counts.trials)[0]
     low, high = posterior_quantiles(grid, counts, [(1 - coverage) / 2, (1 + coverage) / 2])
     falls = weights[[0, -1]] < FALLEN * weights.max()
-    return low if falls[0] else 0.0, high if falls[1] else np.inf
+    return low if falls[0] else grid.axis.least, high if falls[1] else np.inf
 
 
 def _profile_interval(grid: Likelihood, counts: Counts, coverage: float) -> tuple[float, float]:
-    """Thresholds that a likelihood-ratio test does not reject; open where the grid ends before it does."""
+    """Return the ends of the thresholds whose profile log-likelihood is within half a quantile of chi-square of its
+    maximum; open where the grid ends before."""
     profile = grid.profiles(counts.hits, counts.trials)[0]
-    return profile_interval(grid.thresholds, profile, coverage)
-
-
-def profile_interval(
-    thresholds: Float[np.ndarray, "T"], profile: Float[np.ndarray, "T"], coverage: float
-) -> tuple[float, float]:
-    """Thresholds whose profile log-likelihood is within half a quantile of chi-square of its maximum."""
     margin = profile - profile.max() + 0.5 * chdtri(1, 1 - coverage)
     inside = np.flatnonzero(margin >= 0)
-    logs = np.log(thresholds)
+    along = grid.coordinates
 
     def crossing(k: int) -> float:
         share = margin[k] / (margin[k] - margin[k + 1])
-        return float(np.exp(logs[k] + share * (logs[k + 1] - logs[k])))
+        return float(grid.axis.level(along[k] + share * (along[k + 1] - along[k])))
 
-    low = 0.0 if inside[0] == 0 else crossing(int(inside[0]) - 1)
-    high = np.inf if inside[-1] == len(thresholds) - 1 else crossing(int(inside[-1]))
+    low = grid.axis.least if inside[0] == 0 else crossing(int(inside[0]) - 1)
+    high = np.inf if inside[-1] == len(along) - 1 else crossing(int(inside[-1]))
     return low, high
 
 
 def _drawn_interval(
-    drawn: Float[np.ndarray, "B"], estimate: float, counts: Counts, estimator: Estimator, kind: str, coverage: float
+    drawn: Float[np.ndarray, "B"],
+    estimate: float,
+    counts: Counts,
+    estimator: Estimator,
+    kind: str,
+    coverage: float,
+    least: float,
 ) -> tuple[float, float]:
     if kind == "bca" and np.isfinite(estimate):
         low, high = bca_interval(drawn, estimate, counts, estimator, coverage)
     else:
         low, high = percentile_interval(drawn, coverage)
     # Below all levels is as far as such a draw goes.
-    return max(low, 0.0), high if high > 0 else float(counts.levels[0])
+    return max(low, least), high if high > least else float(counts.levels[0])
 
 
 def _line(method: str, counts: Counts, model: Model) -> Estimator:

@@ -32,15 +32,15 @@ def by_likelihood(
     """Largest likelihood with profile intervals, and the posterior's median with credible ones, of 95 %."""
     grid = Likelihood(levels, model)
     counts = np.full(len(levels), float(trials))
-    where = np.log(truth)
+    where = float(grid.axis.coordinate(truth))
     profiles = grid.profiles(hits, counts)
-    at_truth = np.array([np.interp(where, np.log(grid.thresholds), profile) for profile in profiles])
+    at_truth = np.array([np.interp(where, grid.coordinates, profile) for profile in profiles])
     covered = 2 * (profiles.max(1) - at_truth) <= chdtri(1, 0.05)
     found = {"likelihood": summed(grid.peaks(profiles), covered, levels, truth)}
     weights = grid.posteriors(hits, counts)
     below = np.cumsum(weights, 1) - 0.5 * weights
-    medians = np.array([np.exp(np.interp(0.5, row, np.log(grid.thresholds))) for row in below])
-    at_truth = np.array([np.interp(where, np.log(grid.thresholds), row) for row in below])
+    medians = grid.axis.level(np.array([np.interp(0.5, row, grid.coordinates) for row in below]))
+    at_truth = np.array([np.interp(where, grid.coordinates, row) for row in below])
     found["posterior"] = summed(medians, np.abs(at_truth - 0.5) <= 0.475, levels, truth)
     return found
 

@@ -1,6 +1,7 @@
 """Grasp files as HDF5: the columns of [`columnar`][jaxgrasp.batch.columnar] as data sets of those names."""
 
 import math
+import os
 import zlib
 from pathlib import Path
 from typing import Any
@@ -73,8 +74,8 @@ class Hdf5Archive:
 
     def __init__(self, path: Path):
         h5py = hdf5_library()
-        if not path.exists():
-            raise FileNotFoundError(2, "No such file or directory", str(path))
+        # Of a file that is missing, or a loop of links, the system's own message is clearer than the library's.
+        os.stat(path)
         self.path = path
         try:
             self._file = h5py.File(path, "r")

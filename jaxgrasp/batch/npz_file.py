@@ -26,8 +26,11 @@ class NpzArchive:
         self.path = path
         try:
             self._archive = zipfile.ZipFile(path)
-        except FileNotFoundError:
-            raise
+        except OSError as error:
+            if error.errno is not None:
+                # That the file cannot be opened says nothing of its content: missing, a loop of links, no permission.
+                raise
+            raise GraspFileError(path, "it is not a complete .npz archive") from error
         except DAMAGE as error:
             raise GraspFileError(path, "it is not a complete .npz archive") from error
         members = self._archive.namelist()

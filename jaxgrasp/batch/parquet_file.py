@@ -5,6 +5,7 @@ Columns are those of [`columnar`][jaxgrasp.batch.columnar]: ``points`` and ``nor
 """
 
 import json
+import os
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -70,8 +71,9 @@ class ParquetArchive:
 
     def __init__(self, path: "Path | RemoteFile"):
         self._arrow = arrow_library()
-        if isinstance(path, Path) and not path.exists():
-            raise FileNotFoundError(2, "No such file or directory", str(path))
+        if isinstance(path, Path):
+            # Of a file that is missing, or a loop of links, the system's own message is clearer than the library's.
+            os.stat(path)
         self.path = path
         with opened_parquet(self.path) as file:
             ours = our_columns(path, file.schema_arrow.names)

@@ -1,5 +1,6 @@
 """What every ``jaxgrasp import`` does with its files: check the arguments, read each file, leave bad ones out."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
@@ -33,7 +34,11 @@ def check_import(arguments: ImportGrasps, *needed: Path) -> None:
         raise ValueError(f"out is {arguments.out}: expected a file that ends in .npz or .csv")
     for path in (*arguments.files, *needed):
         if not path.is_file():
-            raise ValueError(f"{path} is no file" if path.exists() else f"{path}: no such file")
+            try:
+                os.stat(path)
+            except FileNotFoundError:
+                raise ValueError(f"{path}: no such file") from None
+            raise ValueError(f"{path} is no file")
     check_writable(arguments.out.parent)
 
 

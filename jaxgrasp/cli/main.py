@@ -43,7 +43,7 @@ from jaxgrasp.cli.rank_arguments import Rank
 from jaxgrasp.cli.scene_arguments import Check, ReadyScenes, SceneCommand
 from jaxgrasp.cli.sensitivity_arguments import FollowSensitivity
 from jaxgrasp.cli.show_arguments import Show
-from jaxgrasp.cli.terminal import announce, show
+from jaxgrasp.cli.terminal import STANDARD_OUTPUT, announce, show
 from jaxgrasp.cli.view_arguments import View
 from jaxgrasp.files.printable import message_line
 
@@ -115,23 +115,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     arguments = sys.argv[1:] if arguments is None else arguments
-    if list(arguments) == ["--version"]:
-        show(f"jaxgrasp {version('jaxgrasp')}")
-        return 0
-    command = tyro.cli(Command, prog="jaxgrasp", args=arguments, registry=REGISTRY)
+    command: Any = None
     try:
+        if list(arguments) == ["--version"]:
+            show(f"jaxgrasp {version('jaxgrasp')}")
+            return 0
+        command = tyro.cli(Command, prog="jaxgrasp", args=arguments, registry=REGISTRY)
         return run(command)
     except BrokenPipeError:
         # Whoever read what is shown has enough of it; what is in files is whole.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _close_stdout()
         return 1
     except (ValueError, OSError, ImportError) as error:
+        if isinstance(error, OSError) and error.filename == STANDARD_OUTPUT:
+            _close_stdout()
         announce(f"jaxgrasp: {message_line(error)}")
         return 1
     except KeyboardInterrupt:
         kept = "; finished chunks are kept, --resume goes on with them" if isinstance(command, Evaluate) else ""
         announce(f"jaxgrasp: interrupted{kept}")
         return 130
+
+
+def _close_stdout() -> None:
+    """Send to nowhere what is still to be written, which would fail once more as the interpreter ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

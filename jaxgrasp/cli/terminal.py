@@ -7,6 +7,7 @@ from typing import Any
 
 from jaxgrasp.files.printable import printable_lines
 
+STANDARD_OUTPUT = "standard output"
 CLEARED = "\x1b[2J\x1b[3J\x1b[H"
 """Erases a screen and what scrolled off it, and goes to its first line."""
 
@@ -22,13 +23,19 @@ def announce(text: object) -> None:
 
 
 def _write(text: object, stream: Any) -> None:
-    """A line, around the bar of progress, where there is one."""
+    """Write a line, around the bar of progress, where there is one."""
     line = printable_lines(text)
-    if (bars := sys.modules.get("tqdm")) is not None:
-        bars.tqdm.write(line, file=stream)
-        stream.flush()
-    else:
-        print(line, file=stream, flush=True)
+    try:
+        if (bars := sys.modules.get("tqdm")) is not None:
+            bars.tqdm.write(line, file=stream)
+            stream.flush()
+        else:
+            print(line, file=stream, flush=True)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        # Of a full device the system names no file.
+        raise OSError(error.errno, error.strerror, STANDARD_OUTPUT if stream is sys.stdout else "stderr") from error
 
 
 def forget_typed_ahead(stream: Any) -> None:

@@ -14,6 +14,9 @@ def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
     The partial file has a random name, so that threads, processes and machines that write to one path at a time each
     write a file of their own; the last one to finish stays.
+
+    Raises:
+        OSError: where it cannot be written, by its own name: of a full device too, where the system names no file.
     """
     beside = path.with_name(f".{path.name}.{secrets.token_hex(8)}.partial")
     try:
@@ -22,6 +25,11 @@ def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(beside, path)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(beside)):
+            # Without a number it is a library's own; with another name it is of a file that is read on the way.
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         beside.unlink(missing_ok=True)
 

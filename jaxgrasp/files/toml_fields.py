@@ -11,6 +11,7 @@ from types import UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from jaxgrasp.files.file_numbers import HUGE
+from jaxgrasp.files.printable import shortened
 
 Made = TypeVar("Made")
 
@@ -69,7 +70,7 @@ def made_from(kind: type[Made], table: Any, where: str) -> Made:
 def number(name: str, value: Any) -> float:
     """A value as a number, NaN too; ValueError, by its name, for what is none."""
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > HUGE:
-        raise ValueError(f"{name} is {str(value)[:40]}: expected a number")
+        raise ValueError(f"{name} is {shortened(value)}: expected a number")
     return float(value)
 
 

@@ -101,7 +101,8 @@ def scene_path(given: str) -> Path:
     ready = ready_scenes()
     if given in ready and not Path(given).is_file():
         return ready[given]
-    if not Path(given).exists():
+    # A link that leads nowhere, or in a loop, is a file: reading it names the cause.
+    if not os.path.lexists(given):
         raise ValueError(f"scene is {given!r}: expected a TOML file, or one of {', '.join(ready)}")
     return Path(given)
 

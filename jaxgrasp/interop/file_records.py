@@ -105,7 +105,7 @@ def number(name: str, value: Any) -> float:
     try:
         return float(numbers(name, value, ()))
     except ValueError:
-        raise ValueError(f"{name} is {printable(str(value)[:40])}: expected a finite number") from None
+        raise ValueError(f"{name} is {shortened(value)}: expected a finite number") from None
 
 
 def positive(name: str, value: Any) -> float:

@@ -29,6 +29,7 @@ if _TYPE_CHECKING:
     from jaxgrasp.batch.contact_sets import ContactSets
     from jaxgrasp.batch.evaluation import Evaluation, evaluate
     from jaxgrasp.batch.file_error import GraspFileError
+    from jaxgrasp.batch.price import price_of_friction
     from jaxgrasp.batch.sources import load_grasps, save_grasps
     from jaxgrasp.force.certificate import verify_certificate
     from jaxgrasp.force.distribution import (
@@ -85,6 +86,7 @@ _HOME = {
     "least_squeeze_factor": "force.least_squeeze_factor",
     "load_grasps": "batch.sources",
     "multiplier_forces": "force.dual_function",
+    "price_of_friction": "batch.price",
     "pyramid_optimum": "force.pyramid",
     "reachable_wrench": "force.reachable",
     "save_grasps": "batch.sources",

@@ -27,7 +27,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 
 from jaxgrasp.batch.arrow import arrow_library, parquet_writer
-from jaxgrasp.batch.price import price_of_friction
+from jaxgrasp.batch.price import objective_gap
 from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.files.csv_rows import safe_cell
 from jaxgrasp.files.replace import replace_file
@@ -64,7 +64,7 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
         optimum = f"{name}-optimum"
         if optimum in methods:
             verdict = shard[f"{optimum}.verdict"]
-            price = price_of_friction(shard[f"{name}.objective"], shard[f"{optimum}.objective"], verdict)
+            price = objective_gap(shard[f"{name}.objective"], shard[f"{optimum}.objective"], verdict)
             columns[f"{name}.price"] = np.where(is_optimum(verdict), np.maximum(price, 0), np.nan).ravel()
     if "squeeze_factor" in shard:
         columns["squeeze_factor"] = shard["squeeze_factor"].ravel()

@@ -7,7 +7,7 @@ import numpy as np
 from jaxgrasp.batch.contact_sets import ContactSets
 from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.batch.histogram import LogHistogram
-from jaxgrasp.batch.price import price_of_friction
+from jaxgrasp.batch.price import objective_gap
 from jaxgrasp.batch.qualities import QualitySummary
 from jaxgrasp.batch.rankings import Ranked
 from jaxgrasp.batch.sources import OutwardNormals, outward_normals
@@ -178,7 +178,7 @@ def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> 
     """The comparison, and the price of every problem (-inf where there is no optimum to compare with)."""
     solved = is_optimum(optimum.verdict)
     already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
-    price = price_of_friction(closed.objective, optimum.objective, optimum.verdict)
+    price = objective_gap(closed.objective, optimum.objective, optimum.verdict)
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = _length_by_problem(sets, closed.forces, optimum.forces)
         distance = np.where(already, 0, apart / _length_by_problem(sets, optimum.forces))

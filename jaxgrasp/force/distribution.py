@@ -34,8 +34,8 @@ def closed_form(
     Args:
         grasp: contacts ``(..., n)``; leading axes broadcast against the wrench's.
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
-        sharing: the weights k: ``"uniform"`` for 1, method A (eq. 11); ``"squeeze"`` for s, method B
-            (eq. 15, Proposition 1); or an array ``(..., n)`` of weights, zero or more. A contact of
+        sharing: the weights k: ``"uniform"`` or ``"A"`` for 1, method A (eq. 11); ``"squeeze"`` or ``"B"`` for s,
+            method B (eq. 15, Proposition 1); or an array ``(..., n)`` of weights, zero or more. A contact of
             weight zero keeps its squeezing force, or the bound next to it.
         free: twists (linear, angular) about the frame's origin along which a guide lets the object move, as the
             columns of ``(..., 6, k)``, k from 1 to 6, of any size; ``None`` for an object that no guide holds. Only

@@ -1,6 +1,6 @@
 """The wrench closest to a given one that the contacts can exert."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from jax import Array
 from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import Verdict, is_held
+from jaxgrasp.model.solution import Verdict, is_held, verdict_names
 from jaxgrasp.numerics import ldl, vec3
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.no_derivative import refusing
@@ -53,6 +53,11 @@ class Reachable(NamedTuple):
     verdict: Int[Array, "*batch"]
     """Code of a [`jaxgrasp.Verdict`][]: that of the optimum where the wrench asked for is reachable; INFEASIBLE
     or NO_CONTACTS where it is not and this one is the closest; NOT_CONVERGED where that could not be shown."""
+
+    @property
+    def verdict_name(self) -> Any:
+        """Name of the verdict, such as ``"OPTIMAL"``; of a batch an array of names ``(*batch)``."""
+        return verdict_names(self.verdict)
 
 
 def reachable_wrench(

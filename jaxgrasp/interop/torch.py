@@ -20,12 +20,13 @@ from jax import Array
 
 from jaxgrasp.force import distribution, margin, slip
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.flatten import read_sharing_name
 from jaxgrasp.validation.optional_library import optional_library
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-Sharing = Literal["squeeze", "uniform"]
+Sharing = Literal["squeeze", "uniform", "A", "B"]
 
 
 class TensorForces(NamedTuple):
@@ -56,7 +57,7 @@ def constrained_optimum(
         friction, squeeze: ``(..., n)``, or one number for all; squeeze in [N].
         wrench: to exert ``(..., 6)`` [N, N.m].
         present: ``(..., n)``, 1 where there is a contact and 0 where not; all where not given.
-        sharing: ``"squeeze"`` is the paper's method B, ``"uniform"`` its method A.
+        sharing: ``"squeeze"`` or ``"B"`` is the paper's method B, ``"uniform"`` or ``"A"`` its method A.
 
     Raises:
         ImportError: without PyTorch.
@@ -178,8 +179,7 @@ def _check_alike(tensors: list[Tensor]) -> None:
 
 
 def _forces(method: str, sharing: str, *given: Any) -> tuple[Tensor, Tensor]:
-    if sharing not in ("squeeze", "uniform"):
-        raise ValueError(f"sharing is {sharing!r}: expected 'squeeze' or 'uniform'")
+    sharing = read_sharing_name(sharing)
     points, normals, friction, squeeze, wrench, present = given
     return _solver(method, sharing)(_grasp_tensors(points, normals, friction, squeeze, present), wrench)
 

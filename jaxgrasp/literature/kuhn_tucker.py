@@ -20,6 +20,7 @@ from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, facet_rows, normal_rows
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.problem.flatten import read_sharing_name
 from jaxgrasp.validation.checked import checked
 
 HOLDS = 1e-9
@@ -42,8 +43,8 @@ def kuhn_tucker(
     Args:
         grasp: contacts ``(..., n)``, concrete; leading axes broadcast against the wrench's.
         wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
-        sharing: the weights k: ``"uniform"`` for 1, F_2 (eq. 5), or ``"squeeze"`` for s, F_3 (eq. 13); a contact of
-            weight zero keeps its squeezing force.
+        sharing: the weights k: ``"uniform"`` or ``"A"`` for 1, F_2 (eq. 5), or ``"squeeze"`` or ``"B"`` for s, F_3
+            (eq. 13); a contact of weight zero keeps its squeezing force.
         sides: facets of each pyramid, 3 or more.
         pyramid: ``"inscribed"``, edges on the cone: forces are ones that friction allows; or ``"circumscribed"``,
             facets on the cone: forces may slip, by up to mu (1 / cos(pi / sides) - 1).
@@ -59,12 +60,11 @@ def kuhn_tucker(
         GraspError: for data that cannot be used, naming the entry.
     """
     check_pyramid(sides, pyramid)
-    if sharing not in ("squeeze", "uniform"):
-        raise ValueError(f"sharing is {sharing!r}: expected 'squeeze' or 'uniform'")
+    weights_name = read_sharing_name(sharing)
     if max_steps < 1:
         raise ValueError(f"max_steps is {max_steps}: expected 1 or more")
     given = read_input(grasp, wrench, throw=throw)
-    return solve_each(given, lambda problem: _solve(problem, sharing, sides, pyramid, max_steps))
+    return solve_each(given, lambda problem: _solve(problem, weights_name, sides, pyramid, max_steps))
 
 
 def _solve(problem: HostProblem, sharing: str, sides: int, pyramid: Pyramid, max_steps: int) -> HostResult:

@@ -34,7 +34,16 @@ class HeldObject(eqx.Module):
 class Held(HeldObject):
     """A rigid object and the contacts that hold it.
 
-    Friction, contributions, stiffness and depths are one number for each contact, or one for all.
+    Args:
+        points: positions of the contacts in the object's frame ``(n, 3)`` [m].
+        normals: directions into the object ``(n, 3)``, of any length.
+        friction: Coulomb coefficients ``(n,)`` or one for all [1].
+        contributions: shares c of the contacts in eq. 6 ``(n,)`` or one for all [1].
+        stiffness: stiffness K of eq. 6 ``(n,)`` or one for all [N/m].
+        depths: depths of penetration delta of eq. 6 ``(n,)`` or one for all [m].
+        mass: mass of the object [kg].
+        center_of_mass: in the object's frame ``(3,)`` [m].
+        inertia: moments of inertia about the centre of mass, in the object's axes ``(3, 3)`` [kg.m^2].
     """
 
     points: Float[AnyArray, "n 3"]
@@ -68,7 +77,17 @@ class Held(HeldObject):
 class HeldCylinder(HeldObject):
     """A solid cylinder about its frame's z axis, held by contacts on its side.
 
-    Friction, contributions, stiffness and depths are one number for each contact, or one for all.
+    Args:
+        radius: of the cylinder [m].
+        length: of the whole cylinder, centred at the origin [m]; only its inertia depends on it.
+        azimuths: angles of the contacts about the axis, from x to y ``(n,)`` [rad].
+        heights: positions of the contacts along the axis ``(n,)`` [m].
+        friction: Coulomb coefficients ``(n,)`` or one for all [1].
+        contributions: shares c of the contacts in eq. 6 ``(n,)`` or one for all [1].
+        stiffness: stiffness K of eq. 6 ``(n,)`` or one for all [N/m].
+        depths: depths of penetration delta of eq. 6 ``(n,)`` or one for all [m].
+        mass: mass of the object [kg].
+        center_of_mass: in the object's frame ``(3,)`` [m].
     """
 
     radius: Float[AnyArray, ""] | float

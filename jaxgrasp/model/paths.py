@@ -18,6 +18,11 @@ class Turn(eqx.Module):
     """Rotation about an axis through the origin, at a steady speed, there and, where it reverses, back again.
 
     At the instants where it reverses the speed jumps; the blow that this would take is left out.
+
+    Args:
+        axis: direction of the axis of rotation ``(3,)``, of any length.
+        speed: angular speed [rad/s].
+        reversal: time that it goes in one direction before it goes in the other [s]; ``None``: it never reverses.
     """
 
     axis: Float[AnyArray, "3"]
@@ -37,7 +42,13 @@ class Turn(eqx.Module):
 
 
 class Lift(eqx.Module):
-    """Straight along a direction, from rest to rest, smoothly."""
+    """Straight along a direction, from rest to rest, smoothly.
+
+    Args:
+        direction: direction of the lift ``(3,)``, of any length.
+        height: distance [m].
+        duration: time from rest to rest [s].
+    """
 
     direction: Float[AnyArray, "3"]
     """Direction of the lift, of any length."""
@@ -53,7 +64,13 @@ class Lift(eqx.Module):
 
 
 class Shake(eqx.Module):
-    """To and fro along a direction, as a sine."""
+    """To and fro along a direction, as a sine.
+
+    Args:
+        direction: direction of the shaking ``(3,)``, of any length.
+        amplitude: largest distance from the middle [m].
+        frequency: periods in a second [Hz].
+    """
 
     direction: Float[AnyArray, "3"]
     """Direction of the shaking, of any length."""

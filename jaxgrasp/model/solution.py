@@ -14,7 +14,7 @@ from jaxgrasp.model.batched import Batched
 class Verdict(IntEnum):
     """The outcome of one problem. The codes are stable in files.
 
-    ``Verdict(int(solution.verdict)).advice`` is a sentence to act on.
+    ``solution.verdict_name`` is its name, ``solution.advice`` a sentence to act on.
 
     Example:
         >>> from jaxgrasp import Verdict
@@ -92,6 +92,15 @@ def is_balanced(verdict: Any) -> Any:
     return is_held(verdict) | (verdict == Verdict.OUTSIDE_CONES)
 
 
+def verdict_names(codes: Any) -> Any:
+    """Return the name of a verdict's code; of an array of codes an array of names of the same shape."""
+    names = {int(verdict): verdict.name for verdict in Verdict}
+    array = np.asarray(codes)
+    if not array.ndim:
+        return names[int(array)]
+    return np.array([names[int(code)] for code in array.ravel()], object).astype(str).reshape(array.shape)
+
+
 class Route(IntEnum):
     """The phase that answered a problem, and so the cost of the answer. The codes are stable in files."""
 
@@ -130,7 +139,7 @@ class Solution(Batched):
     """Lagrange multiplier of G f = w about the frame's origin (eq. 8); of minimal norm, in the grasp's own
     centred and scaled coordinates, where it is not unique."""
     verdict: Int[Array, "*batch"]
-    """Code of a [`jaxgrasp.Verdict`][]."""
+    """Code of a [`jaxgrasp.Verdict`][]; ``verdict_name`` is its name."""
     residual: Float[Array, "*batch"]
     """What the forces miss of the wrench, as a part of it: |G f - w| / |w|, in the grasp's own centred and scaled
     coordinates. Where the forces are so much larger than the wrench that their own rounding hides it, a small part of
@@ -168,6 +177,11 @@ class Solution(Batched):
     sum of torque_max |e|."""
 
     @property
+    def verdict_name(self) -> Any:
+        """Name of the verdict, such as ``"OPTIMAL"``; of a batch an array of names ``(*batch)``."""
+        return verdict_names(self.verdict)
+
+    @property
     def advice(self) -> str:
         """A sentence to act on, about one problem: its verdict's, and how far a proof reaches."""
         if self.batch_shape:
@@ -187,7 +201,7 @@ class Solution(Batched):
     def __str__(self) -> str:
         """Verdicts, the largest force and residual, and of a single problem the advice, in a few lines."""
         shown = (self.forces, self.verdict, self.residual, self.objective, self.steps, self.route, self.force_bound)
-        if not all(map(_is_known, shown)):
+        if not all(map(is_known, shown)):
             return repr(self)
         contacts = f"{self.forces.shape[-2]} contacts"
         if not self.batch_shape:
@@ -211,7 +225,7 @@ class Solution(Batched):
         return f"largest force {forces.max():.4g} N, residual {np.asarray(self.residual)[answered].max():.1e}"
 
 
-def _is_known(array: object) -> bool:
+def is_known(array: object) -> bool:
     """Return whether an array's numbers can be read: it is not traced, not a shape alone, not deleted, and local."""
     if isinstance(array, jax.core.Tracer):
         return False

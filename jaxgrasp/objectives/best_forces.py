@@ -12,7 +12,7 @@ from jaxgrasp.model.arguments import check_arguments
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
-from jaxgrasp.model.solution import Solution, Verdict
+from jaxgrasp.model.solution import Solution, Verdict, verdict_names
 from jaxgrasp.numerics.no_derivative import nan_tangents_where, nondifferentiable_where, refusing
 from jaxgrasp.numerics.tiling import over_tiles
 from jaxgrasp.numerics.zero_tangent import zero_tangent
@@ -70,6 +70,11 @@ class BestForces(NamedTuple):
     """Proof where the verdict is INFEASIBLE, for [`jaxgrasp.verify_certificate`][]."""
     certificate_rates: Float[Array, "*batch j"] | None
     """Speeds of the joints that belong to the certificate; None where no torque is limited."""
+
+    @property
+    def verdict_name(self) -> Any:
+        """Name of the verdict, such as ``"OPTIMAL"``; of a batch an array of names ``(*batch)``."""
+        return verdict_names(self.verdict)
 
 
 @checked

@@ -16,17 +16,30 @@ from jaxgrasp.problem.batch_last import ProblemBatch, TorqueBounds
 from jaxgrasp.validation.values import check_numbers
 
 Sharing = str | AnyArray
+SHARINGS = {"squeeze": "squeeze", "uniform": "uniform", "A": "uniform", "B": "squeeze"}
+"""Names of sharings, the paper's methods among them, by the weights that they stand for."""
 
 
 def read_sharing(sharing: Sharing) -> tuple[str, AnyArray | None]:
-    """Return the name of a sharing, and its weights where they are an array."""
+    """Return the name of a sharing's weights, and the weights of one that is given as such."""
     if isinstance(sharing, str):
-        if sharing in ("squeeze", "uniform"):
-            return sharing, None
+        if sharing in SHARINGS:
+            return SHARINGS[sharing], None
     elif sharing is not None:
         check_numbers("sharing", sharing)
         return "given", sharing
-    raise ValueError(f"sharing is {sharing!r}: expected 'squeeze', 'uniform' or an array of weights")
+    raise ValueError(f"sharing is {sharing!r}: expected 'squeeze' or 'B', 'uniform' or 'A', or an array of weights")
+
+
+def read_sharing_name(sharing: str) -> str:
+    """Return the name of a sharing's weights, ``"squeeze"`` or ``"uniform"``, where an array would not do.
+
+    Raises:
+        ValueError: for a name that is none.
+    """
+    if not isinstance(sharing, str) or sharing not in SHARINGS:
+        raise ValueError(f"sharing is {sharing!r}: expected 'squeeze' or 'B', 'uniform' or 'A'")
+    return SHARINGS[sharing]
 
 
 def named_weights(grasp: Grasp, sharing: str, numpy: Any) -> AnyArray:

@@ -51,7 +51,15 @@ def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> Frict
 
 @dataclass(frozen=True)
 class Output:
-    """(grasp, wrench) -> one quantity by one method, for any leading axes; equal ones are compiled once.
+    """Function of (grasp, wrench) that returns one quantity by one method, for any leading axes.
+
+    Equal ones are compiled once.
+
+    Args:
+        quantity: ``"forces"`` ``(n, 3)`` [N]; ``"slip_angle"``, ``"stability_margin"`` or ``"friction_margin"``
+            ``(n,)`` [rad]; or ``"objective"``, one number, F_2 [N^2] (eq. 5) of A and F_3 [N] (eq. 13) of B.
+        method: ``"A"`` or ``"B"`` for the closed form, ``"A-optimum"`` or ``"B-optimum"`` for the constrained optimum
+            by the same sharing.
 
     Raises:
         ValueError: for a quantity or a method that is none.

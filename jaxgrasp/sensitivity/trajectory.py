@@ -14,6 +14,7 @@ from jax import Array
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.faults import entries as faults_in
 from jaxgrasp.model.grasp import Grasp
+from jaxgrasp.model.solution import is_known
 from jaxgrasp.model.task import Task
 from jaxgrasp.numerics.compiled_code import compile_quickly_options, traced_for_here
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
@@ -31,6 +32,8 @@ from jaxgrasp.sensitivity.naming import (
 )
 from jaxgrasp.validation.checked import checked
 
+MOST_SHOWN = 4
+"""Outputs, and parameters, that ``print`` shows."""
 OutputOf = Callable[[Grasp, Array], Any]
 
 
@@ -57,6 +60,33 @@ class SensitivityTrajectory(eqx.Module):
     """Nominal curves and their derivatives, of leading axis T: ``nominal`` (T, M) and ``derivatives`` (T, M, P)."""
     varied: dict[str, VariedCurves]
     """Varied curves, by the name of the parameter that was varied."""
+
+    @property
+    def curves(self) -> Float[Array, "T M"]:
+        """Nominal curves of the outputs over the times, one column for each of ``matrix.output_labels``."""
+        return self.matrix.nominal
+
+    def __str__(self) -> str:
+        """Times, the range of each output, and the parameters of most influence, in some ten lines."""
+        if not all(map(is_known, jax.tree.leaves(self))):
+            return repr(self)
+        times, curves = np.asarray(self.times), np.asarray(self.curves)
+        lines = [
+            f"SensitivityTrajectory of {curves.shape[1]} outputs by {len(self.matrix.parameters)} parameters, "
+            f"{len(times)} times from {times[0]:g} to {times[-1]:g} s"
+        ]
+        for label, entry, curve in list(zip(self.matrix.output_labels, self.matrix.outputs, curves.T))[:MOST_SHOWN]:
+            known = curve[~np.isnan(curve)]
+            extremes = f"{known.min():.4g} to {known.max():.4g}" if known.size else "none"
+            lines.append(f"  {label}: {extremes}{f' {entry.unit}' if entry.unit else ''}")
+        if curves.shape[1] > MOST_SHOWN:
+            lines.append(f"  ... {curves.shape[1] - MOST_SHOWN} more outputs")
+        strongest = [f"{one.label} {one.size:.3g}" for one in self.matrix.ranking()[:MOST_SHOWN]]
+        if strongest:
+            lines.append(f"  influence of parameters by their size: {', '.join(strongest)}")
+        for name, varied in self.varied.items():
+            lines.append(f"  varied: {name} = {', '.join(f'{value:g}' for value in np.asarray(varied.values))}")
+        return "\n".join(lines)
 
 
 @checked

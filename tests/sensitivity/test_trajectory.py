@@ -207,3 +207,15 @@ def test_tasks_that_return_something_else_are_said():
         try_out(lambda p, t: (grasp, wrench), lambda grasp, wrench: jnp.sum(wrench))
     with pytest.raises(ValueError, match=r"x is nan: expected a finite number"):
         sensitivity_trajectory(Task({"x": np.nan}, lambda p, t: (grasp, wrench)), TIMES, OUTPUTS["A"])
+
+
+def test_a_trajectory_prints_in_some_ten_lines():
+    """Of the paper's task with all of its parameters: ranges of its curves, and what moves them most."""
+    found = sensitivity_trajectory(cylinder_task(), TIMES, OUTPUTS["B"], BY, vary={"mass": (0.2, 0.4)})
+    np.testing.assert_array_equal(found.curves, found.matrix.nominal)
+    lines = str(found).splitlines()
+    assert len(lines) <= 12 and max(map(len, lines)) < 200
+    curve = np.asarray(found.curves[:, 0])
+    assert lines[1] == f"  slip_angle[0]: {curve.min():.4g} to {curve.max():.4g} rad"
+    assert found.matrix.ranking()[0].label in lines[-2] and lines[-1] == "  varied: mass = 0.2, 0.4"
+    assert "SensitivityTrajectory(" in jax.eval_shape(lambda one: one, found).__str__()

@@ -43,20 +43,21 @@ class LevelAxis:
         """Smallest level that there is: 0 or minus infinity, the end of an interval that is open below."""
         return 0.0 if self.is_logarithmic else -np.inf
 
-    def coordinate(self, level: Values) -> Values:
+    def coordinate(self, level: Values) -> Float[np.ndarray, "..."]:
         """Return the coordinates of levels."""
         levels = np.asarray(level, float)
-        return np.log(levels) if self.is_logarithmic else np.arcsinh((levels - self.origin) / self.unit)
+        return np.asarray(np.log(levels) if self.is_logarithmic else np.arcsinh((levels - self.origin) / self.unit))
 
-    def level(self, coordinate: Values) -> Values:
+    def level(self, coordinate: Values) -> Float[np.ndarray, "..."]:
         """Return the levels of coordinates."""
         coordinates = np.asarray(coordinate, float)
-        return np.exp(coordinates) if self.is_logarithmic else self.origin + self.unit * np.sinh(coordinates)
+        along = np.exp(coordinates) if self.is_logarithmic else self.origin + self.unit * np.sinh(coordinates)
+        return np.asarray(along)
 
-    def prior(self, coordinate: Values) -> Values:
+    def prior(self, coordinate: Values) -> Float[np.ndarray, "..."]:
         """Return the density, but for a factor, of a prior that is even in logarithms of levels or in levels."""
         coordinates = np.asarray(coordinate, float)
-        return np.ones_like(coordinates) if self.is_logarithmic else np.cosh(coordinates)
+        return np.asarray(np.ones_like(coordinates) if self.is_logarithmic else np.cosh(coordinates))
 
     @property
     def largest(self) -> float:

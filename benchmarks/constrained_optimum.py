@@ -13,6 +13,7 @@ one_thread()
 import argparse
 import json
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import jax
@@ -25,6 +26,7 @@ from jaxgrasp.testing import references as R
 
 SECTIONS = ("singles", "batches", "extras", "stress", "decisions", "gradients")
 NAME = "constrained_optimum"
+NO_PICTURE = "matplotlib is not installed, so the picture is left out: pip install 'jaxgrasp[bench]'"
 
 
 def measure(section: str, rivals: list[Rival], differentiators: list[Differentiator], quick: bool):
@@ -43,7 +45,7 @@ def measure(section: str, rivals: list[Rival], differentiators: list[Differentia
 def write(report: dict, out: Path) -> None:
     (out / f"{NAME}.json").write_text(json.dumps(report, indent=1) + "\n")
     (out / f"{NAME}.md").write_text(tables.page(report))
-    if "batches" in report and "singles" in report:
+    if "batches" in report and "singles" in report and find_spec("matplotlib"):
         plot.draw(report["singles"] + report["batches"], out / "time_error.png")
 
 
@@ -66,7 +68,8 @@ def main() -> None:
     differentiators, more = gradients.available()
     kept = options.out / f"{NAME}.json"
     report = json.loads(kept.read_text()) if options.only and kept.exists() else {}
-    report |= about(rivals, differentiators, missing + more)
+    no_picture = [] if find_spec("matplotlib") else [NO_PICTURE]
+    report |= about(rivals, differentiators, [*missing, *more, *no_picture])
     for line in report["missing"]:
         print(line)
     for section in options.only or SECTIONS:

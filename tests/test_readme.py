@@ -1,9 +1,12 @@
 """README and the pages of ``docs``: their Python runs as it stands, commands parse, and links lead somewhere."""
 
+import ast
+import inspect
 import re
 import shlex
 from pathlib import Path
 
+import nbformat
 import numpy as np
 import pytest
 import tyro
@@ -74,6 +77,40 @@ def test_the_commands_parse(page):
     lines = [shlex.split(line, comments=True) for text in blocks(page, "bash") for line in text.splitlines()]
     for _, *arguments in [line for line in lines if line[:1] == ["jaxgrasp"]]:
         tyro.cli(Command, args=arguments)
+
+
+CALL = re.compile(r"`(jaxgrasp\.[^`]*\([^`]*\))`")
+
+
+def inline_calls() -> list:
+    """Calls of the package that stand in the text of pages and notebooks, by the file."""
+    texts = {path: path.read_text() for path in (README, *DOCS)}
+    for path in sorted((*ROOT.glob("notebooks/*.ipynb"), *ROOT.glob("docs/**/*.ipynb"))):
+        texts[path] = "\n".join(cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "markdown")
+    return [
+        pytest.param(call, id=f"{path.stem}: {call}") for path, text in texts.items() for call in CALL.findall(text)
+    ]
+
+
+def check_call(code: str) -> None:
+    """Bind the arguments of a call, some of which its text may leave out, to what the package has by that name."""
+    call = ast.parse(code, mode="eval").body
+    assert isinstance(call, ast.Call)
+    function = eval(ast.unparse(call.func), {"jaxgrasp": jaxgrasp})
+    inspect.signature(function).bind_partial(*call.args, **{one.arg: one.value for one in call.keywords if one.arg})
+
+
+@pytest.mark.parametrize("call", inline_calls())
+def test_calls_in_the_text_fit_their_functions(call):
+    check_call(call)
+
+
+def test_a_call_of_an_unknown_argument_or_name_is_seen():
+    check_call("jaxgrasp.report.show('a.html', grasp, pose=placed)")
+    with pytest.raises(TypeError, match="placed"):
+        check_call("jaxgrasp.report.show('a.html', grasp, placed=placed)")
+    with pytest.raises(AttributeError):
+        check_call("jaxgrasp.report.shown('a.html')")
 
 
 @PAGES

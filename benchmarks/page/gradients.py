@@ -14,7 +14,8 @@ from benchmarks.rivals.registry import load
 from jaxgrasp.testing import references as R
 from jaxgrasp.testing.problem_data import Problems
 
-MODULES = {"by_diffcp": "diffcp", "by_cvxpylayers": "cvxpylayers"}
+MODULES = {"by_diffcp": ("diffcp",), "by_cvxpylayers": ("cvxpy", "cvxpylayers")}
+"""Files of differentiators, and the imports that each needs."""
 STEP = 1e-4
 """Relative step of the central differences: their own error is about its square."""
 

@@ -12,8 +12,8 @@ DECIDED = ("right", "wrong", "failed")
 
 
 def page(report: dict) -> str:
-    if "singles" in report and "batches" in report:
-        report = report | {"times": sorted(report["singles"] + report["batches"], key=lambda row: row["n"])}
+    if timed := report.get("singles", []) + report.get("batches", []):
+        report = report | {"times": sorted(timed, key=lambda row: row["n"])}
     parts = ["# The constrained optimum and its rivals", _preface(report)]
     sections: dict[str, Callable[[Any], str]] = {
         "times": _times,
@@ -102,7 +102,7 @@ def _times_of_size(n: int, rows: list[dict]) -> list[str]:
     lines = []
     for name in dict.fromkeys(row["method"] for row in rows):
         kinds = [cells.get((name, "single", kind)) for kind in ("closed form optimal", "cones active")]
-        row = cells.get((name, batches[0], None))
+        row = cells.get((name, batches[0], None)) if batches else None
         errors = ["median_force_error", "max_force_error", "max_excess", "max_gap", "max_backward_error"]
         shown = [NOTHING] * 7
         if row is not None:
@@ -110,7 +110,9 @@ def _times_of_size(n: int, rows: list[dict]) -> list[str]:
         times = [_micro(kind, 1) for kind in kinds]
         times += [_micro(cells.get((name, cell, None)), size) for cell, size in wanted.items()]
         lines.append([name, *times, *shown])
-    some = next(row for row in rows if row["cell"] != "single")
+    some = next((row for row in rows if row["cell"] != "single"), None)
+    if some is None:
+        return [f"### {n} contacts", "Single problems alone: errors are those of batches.", table(columns, lines)]
     chosen = ", ".join(f"{name} {count}" for name, count in some["references"].items())
     about = (
         f"Share with an active cone: {some['active_share']:.2f}. References: {chosen}; the worst of them proves itself "

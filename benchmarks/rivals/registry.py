@@ -21,15 +21,22 @@ MODULES = {
 """Files of this package, and the import that each needs."""
 
 
-def load(module: str, needs: str, attribute: str):
-    """An attribute of a rival's file, or the line that says why it is left out."""
+def load(module: str, needs: str | tuple[str, ...], attribute: str):
+    """Return an attribute of a rival's file, or the line that says why it is left out.
+
+    Args:
+        module: the file.
+        needs: imports of the extra ``bench`` that it needs.
+        attribute: of the file.
+    """
     try:
         return getattr(import_module(f"benchmarks.rivals.{module}"), attribute)
     except ModuleNotFoundError as error:
         # Any other missing import is a fault, and not to be hidden.
-        if (error.name or "").partition(".")[0] != needs:
+        library = (error.name or "").partition(".")[0]
+        if library not in ((needs,) if isinstance(needs, str) else needs):
             raise
-        return f"{needs} is not installed, so its rows are left out: pip install 'jaxgrasp[bench]'"
+        return f"{library} is not installed, so its rows are left out: pip install 'jaxgrasp[bench]'"
 
 
 def available(most: int | None = None) -> tuple[list[Rival], list[str]]:

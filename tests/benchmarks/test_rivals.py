@@ -1,12 +1,16 @@
 """Every rival solves ordinary problems; the judge alone says so, in extended precision."""
 
+import ast
+import json
+import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.page import decisions, gradients
+from benchmarks.page import decisions, gradients, tables
 from benchmarks.page.errors import best, measure
 from benchmarks.rivals import registry
 from benchmarks.rivals.interface import Prepared, Rival
@@ -14,6 +18,7 @@ from jaxgrasp.testing import problems as P
 from jaxgrasp.testing import references as R
 
 COUNT = 8
+ROOT = Path(__file__).parent.parent.parent
 IN_THE_TEST_EXTRA = ("by_closed_form", "by_jaxgrasp", "by_optimistix", "by_jaxopt", "by_clarabel")
 
 
@@ -139,3 +144,39 @@ def test_layers_find_the_same_derivatives(module):
         one for one in registry.load(module, gradients.MODULES[module], "DIFFERENTIATORS") if "1e-10" in one.name
     ]
     assert gradients.apart(tight.prepare(problem)(), expected).max() < 1e-3
+
+
+@pytest.mark.parametrize("module, needs", gradients.MODULES.items())
+def test_a_differentiator_without_its_libraries_is_one_line(monkeypatch, module, needs):
+    """Whichever of its libraries is missing, those that another of them brings too."""
+    monkeypatch.delitem(sys.modules, f"benchmarks.rivals.{module}", raising=False)
+    for library in needs:
+        monkeypatch.setitem(sys.modules, library, None)
+    line = registry.load(module, needs, "DIFFERENTIATORS")
+    assert re.fullmatch(r"\w+ is not installed, so its rows are left out: pip install 'jaxgrasp\[bench\]'", line)
+    assert line.split()[0] in needs
+
+
+@pytest.mark.parametrize("module, needs", [*registry.MODULES.items(), *gradients.MODULES.items()])
+def test_every_library_that_a_rival_imports_is_known(module, needs):
+    """From the files' text: an import beside those that the package itself needs would end in a traceback."""
+    tree = ast.parse((Path(registry.__file__).parent / f"{module}.py").read_text())
+    imported = {one.name for node in ast.walk(tree) if isinstance(node, ast.Import) for one in node.names}
+    imported |= {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
+    always = {"benchmarks", "jaxgrasp", "jax", "jaxtyping", "numpy", "scipy", "equinox", "optimistix", "lineax"}
+    others = {name.partition(".")[0] for name in imported} - always - sys.stdlib_module_names
+    assert others <= ({needs} if isinstance(needs, str) else set(needs))
+
+
+@pytest.mark.parametrize("sections", [("singles",), ("batches",), ("singles", "batches")])
+def test_a_page_of_some_sections_has_their_table(sections):
+    """As committed, but for the sections that were not asked for."""
+    report = json.loads((ROOT / "benchmarks" / "results" / "constrained_optimum.json").read_text())
+    kept = {
+        name: part for name, part in report.items() if name in (*sections, "machine", "missing", "extended_precision")
+    }
+    page = tables.page(kept)
+    assert "## Time and error on ordinary problems" in page
+    rows = [line for line in page.splitlines() if line.startswith("| jaxgrasp")]
+    names = {row["method"] for name in sections for row in report[name]}
+    assert len(rows) >= sum(name.startswith("jaxgrasp") for name in names) > 0

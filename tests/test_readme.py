@@ -72,6 +72,59 @@ def test_the_examples_run(page, ten_lines, capsys):
         assert said.startswith("STABLE")
 
 
+def tensors() -> dict:
+    """Names of the page's block on PyTorch."""
+    torch = pytest.importorskip("torch")
+    points = torch.tensor([[0.05, 0, 0], [-0.05, 0, 0], [0, 0.05, 0]], dtype=torch.float64, requires_grad=True)
+    normals = torch.nn.functional.normalize(-points.detach(), dim=-1)
+    wrench = torch.tensor([0.0, 0, 1, 0, 0, 0], dtype=torch.float64)
+    return {"points": points, "normals": normals, "friction": 0.6, "squeeze": 2.0, "wrench": wrench}
+
+
+def shadow_hand() -> dict:
+    """Names of the page's block on other hands."""
+    pytest.importorskip("mujoco")
+    from tests.interop.test_mujoco_hand import model_of
+
+    return {"jaxgrasp": jaxgrasp, "model": model_of("shadow")[0]}
+
+
+def two_blocks() -> dict:
+    """Names of the page's block on many objects: one on the other on a table, and a hand far away for two instants."""
+    from jaxgrasp.grip import Body
+    from jaxgrasp.hand import Pose, Posture
+    from tests.world.worlds import BLOCK, tower
+
+    world, state = tower([0.4, 0.2])
+    wrists = Pose(np.full((2, 3), 9.0), np.stack([np.eye(3)] * 2))
+    postures = Posture(wrists, np.zeros((2, len(world.scene.hand.joints))))
+    return {"Body": Body, "block": BLOCK, "scene": world.scene, "where": state.placed, "postures": postures}
+
+
+PREPARED = {
+    "from jaxgrasp.interop import torch": tensors,
+    "found = jaxgrasp.interop.hand_from_mujoco": shadow_hand,
+    "from jaxgrasp.world import": two_blocks,
+}
+"""What a block of Python needs that does not go on from its page, by how the block begins."""
+APART = [code for page in (README, *DOCS) for code in blocks(page, "py")]
+
+
+def test_every_block_that_stands_apart_is_prepared():
+    assert len(APART) == len(PREPARED)
+    for begin in PREPARED:
+        assert sum(code.startswith(begin) for code in APART) == 1, begin
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("begin", PREPARED)
+def test_the_blocks_that_stand_apart_run(begin):
+    """Those of extras, or of data that the page only names."""
+    (code,) = [one for one in APART if one.startswith(begin)]
+    names = PREPARED[begin]()
+    exec(compile(code, begin, "exec"), names)
+
+
 @PAGES
 def test_the_commands_parse(page):
     lines = [shlex.split(line, comments=True) for text in blocks(page, "bash") for line in text.splitlines()]

@@ -3,6 +3,7 @@
 import inspect
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -14,6 +15,19 @@ MADE = P.problems("ordinary", 3, 2, seed=1)
 GRASP = Grasp(MADE.points, MADE.normals, MADE.friction, MADE.squeeze)
 WRENCH, FORCES = MADE.wrench, MADE.squeeze[..., None] * MADE.normals
 BOTH = {"grasp": GRASP, "wrench": WRENCH}
+ZERO, CODES = jnp.zeros(2), jnp.zeros(2, int)
+ANSWER = jaxgrasp.Solution(
+    forces=jnp.asarray(FORCES),
+    multiplier=jnp.asarray(WRENCH),
+    verdict=CODES,
+    residual=ZERO,
+    objective=ZERO,
+    steps=CODES,
+    route=CODES,
+    rank=CODES,
+    certificate=jnp.asarray(WRENCH),
+    force_bound=ZERO,
+)
 CALLS: dict[str, dict] = {
     "best_forces": BOTH | {"objective": "least_norm"},
     "check_grasp": {"grasp": GRASP},
@@ -28,6 +42,7 @@ CALLS: dict[str, dict] = {
     "least_squeeze": BOTH,
     "least_squeeze_factor": BOTH,
     "multiplier_forces": {"grasp": GRASP, "multiplier": WRENCH},
+    "price_of_friction": {"closed": ANSWER, "optimum": ANSWER},
     "pyramid_optimum": BOTH,
     "reachable_wrench": BOTH,
     "slip_angle": {"grasp": GRASP, "forces": FORCES},

@@ -6,8 +6,10 @@ import numpy as np
 
 from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.solution import Solution, Verdict, is_optimum
+from jaxgrasp.validation.checked import checked
 
 
+@checked
 def price_of_friction(closed: Solution, optimum: Solution) -> Float[np.ndarray, "*batch"]:
     """Compute the share (F* - F) / F* of the optimum's objective that the closed form leaves out by ignoring friction.
 

@@ -105,7 +105,9 @@ def number(name: str, value: Any) -> float:
     try:
         return float(numbers(name, value, ()))
     except ValueError:
-        raise ValueError(f"{name} is {shortened(value)}: expected a finite number") from None
+        # Texts keep their quotes; arrays are shorter without their type.
+        shown = shortened(value) if isinstance(value, str | bytes) else printable(str(value)[:40])
+        raise ValueError(f"{name} is {shown}: expected a finite number") from None
 
 
 def positive(name: str, value: Any) -> float:

@@ -36,7 +36,7 @@ def test_what_is_left_out_is_the_papers_but_for_the_fingers():
         ('[stimulus]\nfingers = ["thumb"]', r"fingers\[0\] is 'thumb'"),
         ("[stimulus]\nfingers = []", "fingers is empty"),
         ('[stimulus]\nfingers = "index"', "fingers is 'index': expected a list"),
-        ('[session]\nreferences = [1, "2"]', r"session.references\[1\] is 2: expected a number"),
+        ('[session]\nreferences = [1, "2"]', r"session.references\[1\] is '2': expected a number"),
         ("[session]\nreferences = [nan]", r"session.references\[0\] is nan"),
         ("[session]\nfeedback = 1", "session.feedback is 1: expected true or false"),
         ("[session]\npractice = -1", "session: practice is -1: expected 0 or more"),

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 
+from jaxgrasp.interop.bounded_xml import read_xml
 from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mjcf_file import read_mjcf
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
@@ -82,11 +82,13 @@ def read_hand(
         path: of the file.
         wrist: name of the body that is the wrist; where not given, the last one that all joints hang on.
         locked, names: as [`jaxgrasp.interop.hand_from_mujoco`][] takes them.
-        keep_going: leave out shapes of a URDF whose mesh is missing, instead of stopping at the first.
+        keep_going: leave out shapes of a URDF that are missing or cannot touch, as
+            [`jaxgrasp.interop.hand_from_urdf`][] does, instead of stopping at the first.
 
     Raises:
         ImportError: without MuJoCo.
-        ValueError: for what is no URDF or MJCF, is not there, or holds no hand.
+        ValueError: for what is no URDF or MJCF, is not there, holds no hand, or is larger or nested more deeply than
+            [`jaxgrasp.interop.load_mjcf`][] allows.
         OSError: for a file that cannot be read.
     """
     mujoco, path = import_mujoco("read_hand"), Path(path)
@@ -111,12 +113,7 @@ def read_hand(
 
 
 def _format(path: Path) -> str:
-    if not path.is_file():
-        raise ValueError(f"path is {str(path)!r}: expected a URDF or MJCF file, but there is none")
-    try:
-        tag = ElementTree.fromstring(path.read_bytes()).tag
-    except (ElementTree.ParseError, RecursionError) as error:
-        raise ValueError(f"path is {str(path)!r}: expected a URDF or MJCF file, but it is no XML: {error}") from None
+    tag = read_xml(path, "a URDF or MJCF file").tag
     if tag not in FORMATS:
         raise ValueError(
             f"path is {str(path)!r}: expected a URDF or MJCF file, whose root is <robot> or <mujoco>, not <{tag}>"
@@ -126,7 +123,7 @@ def _format(path: Path) -> str:
 
 def _odd_limits(path: Path) -> Iterator[LeftOut]:
     """Limits of a URDF's joints that are none: MuJoCo drops those the wrong way round, and takes the effort's size."""
-    for joint in ElementTree.fromstring(path.read_bytes()).iter("joint"):
+    for joint in read_xml(path, "a URDF file").iter("joint"):
         limit = joint.find("limit")
         if limit is None:
             continue

@@ -1,8 +1,8 @@
 """MJCF files of hands as data sets carry them: made for older MuJoCos, and without all of their meshes.
 
 A hand needs joints and what touches. What only pictures and solvers need is left out where a file is not accepted as
-it is: options, sizes, textures, materials, and geoms whose mesh is not there; motors and tendons where that is not
-enough.
+it is: options, sizes, textures, materials, and geoms whose mesh is not there; inertias where that is not enough, and
+then motors and tendons.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+from jaxgrasp.interop.bounded_xml import read_xml
 from jaxgrasp.interop.left_out import LeftOut
+from jaxgrasp.interop.mjcf_bounds import check_bounds
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.validation.checked import checked
 
@@ -23,6 +25,9 @@ NEEDLESS = ("option", "size", "visual", "statistic", "sensor", "contact", "keyfr
 """Elements of a file that say nothing of joints and shapes."""
 MOTORS = ("actuator", "tendon", "equality")
 """Those that say how joints are driven and coupled: left out only where the file is not accepted with them."""
+
+REFUSALS = (ValueError, RuntimeError, MemoryError)
+"""Errors by which MuJoCo refuses a file: the second where it caught an exception that it does not know."""
 
 
 @checked
@@ -38,7 +43,9 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
 
     Raises:
         ImportError: without MuJoCo.
-        ValueError: for a file that is no model even so.
+        ValueError: for a file that is no model even so, and before MuJoCo sees it for one that makes more than 10,000
+            elements or 2,000 bodies, with replicates and included files, has height fields and textures of more than
+            2^25 cells together, is nested more than 200 deep, or attaches itself.
         OSError: for a file that cannot be read.
     """
     return read_mjcf(import_mujoco("load_mjcf"), Path(path), capsules)[0]
@@ -46,21 +53,22 @@ def load_mjcf(path: str | Path, *, capsules: bool = False) -> mujoco.MjModel:
 
 def read_mjcf(mujoco: Any, path: Path, capsules: bool = False) -> tuple[mujoco.MjModel, tuple[LeftOut, ...]]:
     """The model, and what was left out of it."""
-    text = path.read_bytes()
+    root = read_xml(path, "an MJCF file")
+    check_bounds(root, path)
     try:
         return _compiled(mujoco, mujoco.MjSpec.from_file(str(path)), capsules), ()
-    except ValueError as error:
+    except REFUSALS as error:
         refused = " ".join(str(error).split())
-    for needless in (NEEDLESS, (*NEEDLESS, *MOTORS)):
-        try:
-            root = ElementTree.fromstring(text)
-        except ElementTree.ParseError as error:
-            raise ValueError(f"{path} is no MJCF: {error}") from None
+    text = ElementTree.tostring(root)
+    for needless, has_masses in ((NEEDLESS, True), (NEEDLESS, False), ((*NEEDLESS, *MOTORS), False)):
+        root = ElementTree.fromstring(text)
         left_out = _strip(root, path.parent, needless, refused)
+        if not has_masses:
+            left_out = (*left_out, *_strip_inertias(root, refused))
         try:
             spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
             return _compiled(mujoco, spec, capsules), left_out
-        except ValueError as error:
+        except REFUSALS as error:
             said = " ".join(str(error).split())
     raise ValueError(f"{path} is no model that MuJoCo takes: {said}")
 
@@ -115,6 +123,20 @@ def _strip_geoms(root: ElementTree.Element, meshes: set[str]) -> Iterator[LeftOu
                 yield LeftOut(name, f"its mesh {mesh!r} is missing")
         for site in parent.findall("site"):
             parent.remove(site)
+
+
+def _strip_inertias(root: ElementTree.Element, refused: str) -> Iterator[LeftOut]:
+    """Take out inertias, of which a Hand has none, and take flat meshes for shells."""
+    taken = [(parent, one) for parent in root.iter() for one in parent.findall("inertial")]
+    for parent, inertial in taken:
+        parent.remove(inertial)
+    compiler = root.find("compiler")
+    compiler = ElementTree.SubElement(root, "compiler") if compiler is None else compiler
+    compiler.attrib.update(balanceinertia="true", boundmass="1e-9", boundinertia="1e-12", inertiafromgeom="true")
+    for mesh in root.iterfind("asset/mesh"):
+        mesh.set("inertia", "shell")
+    if taken:
+        yield LeftOut(f"inertias of {len(taken)} bodies", f"MuJoCo refuses the file as it is: {refused}")
 
 
 def _strip_motors(root: ElementTree.Element) -> Iterator[LeftOut]:

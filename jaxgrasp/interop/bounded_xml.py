@@ -1,0 +1,74 @@
+"""Reads XML of unknown origin, whose size and depth are bounded before a tree of it is built."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from jaxgrasp.files.printable import printable, shortened
+
+MOST_BYTES = 2**28
+"""Largest file that is read: vertices of meshes can stand in an MJCF file as text."""
+DEEPEST = 200
+"""Deepest nesting of elements that is read; Python writes a tree by recursion, and stops at about 1,000."""
+
+
+class _BoundedBuilder(ElementTree.TreeBuilder):
+    """Tree builder that stops at elements nested too deeply, and at a document type."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.depth = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ElementTree.Element:
+        """Open an element."""
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise ValueError(
+                f"element <{printable(tag)[:40]}> is nested {self.depth} deep: expected a depth of at most {DEEPEST}"
+            )
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        """Close an element."""
+        self.depth -= 1
+        return super().end(tag)
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """Refuse a document type: parsers differ in what its entities hide."""
+        raise ValueError(f"it has a document type, <!DOCTYPE {printable(name)[:40]} ...>: expected XML without")
+
+
+def read_xml(path: Path, expected: str) -> ElementTree.Element:
+    """Return the root element of an XML file.
+
+    Args:
+        path: of the file.
+        expected: kind of the file, for messages, such as ``a URDF file``.
+
+    Raises:
+        ValueError: for a path that is no regular file, a file of more than 256 MiB, and text that is no XML, is nested
+            more than 200 deep or has a document type.
+        OSError: for a file that cannot be read.
+    """
+    if not path.is_file():
+        raise ValueError(f"path is {shortened(str(path))}: expected {expected}, but there is none")
+    size = path.stat().st_size
+    if size > MOST_BYTES:
+        raise ValueError(f"path is {str(path)!r}: it has {size} bytes: expected {MOST_BYTES} at most")
+    parser = ElementTree.XMLParser(target=_BoundedBuilder())
+    text = path.read_bytes()
+    try:
+        parser.feed(text)
+        root = parser.close()
+    except ElementTree.ParseError as error:
+        hint = f"; {how_to_expand(path)}" if b"<xacro:" in text else ""
+        raise ValueError(f"path is {str(path)!r}: expected {expected}, but it is no XML: {error}{hint}") from None
+    except (ValueError, LookupError) as error:  # bounds of the builder, and encodings that expat does not know
+        raise ValueError(f"path is {str(path)!r}: expected {expected}: {error}") from None
+    assert isinstance(root, ElementTree.Element)
+    return root
+
+
+def how_to_expand(path: Path) -> str:
+    """Return the advice for a file with macros of ROS."""
+    target = path.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
+    return f"a xacro has to be expanded first: xacro {path.name} > {target}"

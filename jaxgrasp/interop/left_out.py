@@ -10,7 +10,7 @@ class LeftOut(NamedTuple):
     """What it is, with its name, such as ``geom 'shell' of body 'palm'``."""
     why: str
     missing: bool = False
-    """Whether it is a file that is not there."""
+    """True for a shape whose file is not there or which cannot touch: readers stop there unless ``keep_going``."""
 
     def __str__(self) -> str:
         return f"{self.part}: {self.why}"

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxgrasp.hand.mesh_shells import orient_shells
 from jaxgrasp.model.faults import entries
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
@@ -43,7 +44,7 @@ class MassProperties(NamedTuple):
 
 @checked
 def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
-    """A mesh from any file that trimesh reads.
+    """Return the mesh in any file that trimesh reads, checked by [`jaxgrasp.hand.check_mesh`][].
 
     Args:
         path: of an .obj, .stl, .ply, .off ... file.
@@ -51,27 +52,38 @@ def load_mesh(path: Path | str, scale: float = 1.0) -> Mesh:
 
     Raises:
         ImportError: without the extra `mesh`.
-        FileNotFoundError, ValueError: for a file that is not there, or holds no closed solid.
+        FileNotFoundError, ValueError: for a file that is not there, or holds no closed solid, or one whose
+            pieces overlap.
     """
     trimesh = _import_trimesh()
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file; expected a mesh")
     try:
-        loaded = trimesh.load_mesh(path)
+        loaded = trimesh.load_mesh(path, process=False)  # or it drops vertices that are no numbers
+        vertices, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces, int)
     except Exception as error:  # readers of many formats fail in as many ways
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from None
     if not (np.isfinite(scale) and scale > 0):
         raise ValueError(f"scale is {scale}: expected a positive number of metres for one unit of the file")
     try:
-        return check_mesh(Mesh(np.asarray(loaded.vertices, float) * scale, np.asarray(loaded.faces, int)))
+        return check_mesh(Mesh(vertices * scale, faces))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
 @checked
 def check_mesh(mesh: Mesh) -> Mesh:
-    """The mesh, wound outwards; ValueError unless it closes around a volume."""
+    """Return the mesh, wound outwards.
+
+    The winding of shells inside others is kept, so that a cavity stays one; a shell that lies in no other is turned
+    outwards together with all that lies in it.
+
+    Raises:
+        ImportError: without the extra `mesh`.
+        ValueError: for a mesh that does not close around a volume, has a vertex that is no finite number, an edge with
+            more than two faces, shells that overlap or touch, or a shell inside another that faces the same way.
+    """
     trimesh = _import_trimesh()
     vertices, faces = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
@@ -89,10 +101,8 @@ def check_mesh(mesh: Mesh) -> Mesh:
     if np.linalg.matrix_rank(vertices - vertices[0], tol=FLAT * np.ptp(vertices, axis=0).max()) < 3:
         raise ValueError("the mesh is flat: expected a solid, which can be touched")
     solid = trimesh.Trimesh(vertices, faces)  # merges vertices that formats like .stl repeat
-    if not solid.is_watertight:
-        edges = len(trimesh.grouping.group_rows(solid.edges_sorted, require_count=1))
-        raise ValueError(f"the mesh does not close: {edges} edges have a face on one side only; expected a solid")
-    solid.fix_normals()
+    vertices, faces = np.asarray(solid.vertices, float), np.asarray(solid.faces, int)
+    solid = trimesh.Trimesh(vertices, orient_shells(vertices, faces), process=False)
     if not solid.volume > FLAT * float(np.prod(solid.extents)):
         raise ValueError(f"the mesh has a volume of {solid.volume:.3g} m^3: expected a solid, which can be touched")
     return Mesh(np.asarray(solid.vertices, float), np.asarray(solid.faces, int))

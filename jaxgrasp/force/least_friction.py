@@ -141,7 +141,7 @@ def _at_once(first: Array, given: tuple[ProblemBatch, Array], found: _FoundFacto
     data, left = unit_weight.data, (total - held_total(problem))[None] / unit_weight.scaling.force_unit
     loaded = spatial.length(spatial.join(data.force, data.torque)) > 0
     searched = unit_weight.valid & loaded & (left > 0) & jnp.any(data.weights > 0, 0, keepdims=True)
-    best = least_friction_factor(data, jnp.where(searched, left, 1), ~(searched & found.unproven[None]), first)
+    best = least_friction_factor(unit_weight, jnp.where(searched, left, 1), ~(searched & found.unproven[None]), first)
     # At a boundary of what can be exerted no arithmetic tells whether forces exist: a little beyond they do.
     factor = jnp.log(best.factor) + jnp.where(best.spent, 0, _bracket_tolerance(total) / 2)
     factor = jnp.where(
@@ -226,6 +226,8 @@ def _nothing_seen(problem: ProblemBatch, total: Array) -> _FactorEvaluation:
 def _evaluate(problem: ProblemBatch, total: Array, factor: Array) -> _FactorEvaluation:
     scaled = _with_factor(problem, factor)
     needed, boundary = bounded_total(scaled)
+    # A total that is not proven is not known to be enough.
+    needed = jnp.where(jnp.isnan(needed), jnp.inf, needed)
     still = jax.tree.map(jnp.zeros_like, scaled)
     growing = eqx.tree_at(lambda p: p.friction, still, scaled.friction)
     finite = jnp.isfinite(needed) & (needed > 0)

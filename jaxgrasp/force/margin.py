@@ -136,10 +136,12 @@ class _Line(NamedTuple):
     """Wrenches load + theta ray."""
 
     unit_weight: UnitWeightProblem
+    direction: SpatialVec
+    """Direction of the line in the problem's axes and units, of the same size as the ray."""
     ray: SpatialVec
-    """Direction of the line, of length 1, or 0."""
+    """Direction of the line in the problem's coordinates, of length 1, or 0."""
     size: Array
-    """Length of the direction that the ray stands for."""
+    """Length in these of the direction that the ray stands for."""
     valid: Array
 
 
@@ -156,14 +158,15 @@ def _line(problem: ProblemBatch, direction: Array) -> _Line:
     limits = tolerances(direction.dtype)
     asked = jnp.sum(jnp.abs(direction.T), 0, keepdims=True)
     valid = unit_weight.valid & (asked <= limits.largest) & ((asked == 0) | (asked >= limits.smallest))
-    ray = wrench_to_scaled(jnp.where(valid, direction.T, 0), unit_weight.scaling)
+    plain = wrench_to_scaled(jnp.where(valid, direction.T, 0), unit_weight.scaling)
+    ray = unit_weight.coordinates.wrench(*spatial.parts(plain))
     size = spatial.length(ray)
-    return _Line(unit_weight, vec3.safe_divide(ray, size), size, valid)
+    return _Line(unit_weight, vec3.safe_divide(plain, size), vec3.safe_divide(ray, size), size, valid)
 
 
 def _end(line: _Line) -> _End:
     problem, metric = line.unit_weight, reach.identity(line.size)
-    never_fails = reach.nearest_wrench(with_wrench(problem, line.ray), metric, ~line.valid).reached
+    never_fails = reach.nearest_wrench(with_wrench(problem, line.direction), metric, ~line.valid).reached
     start, somewhere = reach.nearest_wrench(problem, metric, ~line.valid, line.ray)
     theta, path = reach.ray_search(problem, line.ray, start, never_fails | ~somewhere)
     theta = jnp.where(never_fails, jnp.inf, theta)

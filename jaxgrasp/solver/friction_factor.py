@@ -20,6 +20,8 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.quasiconvex import InteriorPoint, QuasiconvexProgram, Rows
 from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem.batch_last import ContactData
+from jaxgrasp.problem.coordinates import ScaledAxes
+from jaxgrasp.solver.dual import DualProblem
 
 LARGEST_FACTOR = 1e4
 """Shares beyond this, or below its inverse, are not looked for."""
@@ -44,33 +46,34 @@ class FrictionFactor(NamedTuple):
     """Whether the total is what holds the factor; else less friction would balance the load by no forces at all."""
 
 
-def least_friction_factor(data: ContactData, total: Array, frozen: Array, first: Array) -> FrictionFactor:
+def least_friction_factor(problem: DualProblem, total: Array, frozen: Array, first: Array) -> FrictionFactor:
     """Find the least factors of problems ``with_unit_weights``, whose normal forces may total ``total (1, B)`` > 0.
 
     Problems that are ``frozen (1, B)`` are left out. The search begins with a factor of ``first``, for small loads.
     """
-    program = _program(data, total)
+    assert isinstance(problem.coordinates, ScaledAxes)
+    program = _program(problem.data, problem.coordinates, total)
     state = quasiconvex.minimise(program, _start(program, frozen, first), _is_proven)
     return _to_factor(program, state)
 
 
 @fused_cpu_kernel
-def _program(data: ContactData, total: Array) -> QuasiconvexProgram:
+def _program(data: ContactData, coordinates: ScaledAxes, total: Array) -> QuasiconvexProgram:
     present = (data.weights > 0).astype(data.friction.dtype)
     zero = jnp.zeros_like(present)
     first, second = _tangents(data.normals)
 
     def rows(direction: Vec3, size: Array) -> Rows:
         linear = vec3.scale(size, direction)
-        return [*linear, *vec3.cross(data.points, linear)]
+        return [*linear, *vec3.times(coordinates.scales, vec3.cross(data.points, linear))]
 
     grown = [[*rows(data.normals, present), -present]]
     if data.spin_radius is not None:
         turning = vec3.scale(present * data.friction * data.spin_radius, data.normals)
-        grown.append([zero, zero, zero, *turning, zero])
+        grown.append([zero, zero, zero, *vec3.times(coordinates.scales, turning), zero])
     plain = [[*rows(tangent, present * data.friction), zero] for tangent in (first, second)]
-    load = [c / total for c in (*data.force, *data.torque)]
-    return QuasiconvexProgram(grown, plain, jnp.concatenate([*load, -jnp.ones_like(total)]), present)
+    load = coordinates.wrench(data.force, data.torque) / total
+    return QuasiconvexProgram(grown, plain, jnp.concatenate([load, -jnp.ones_like(total)]), present)
 
 
 def _tangents(normal: Vec3) -> tuple[Vec3, Vec3]:

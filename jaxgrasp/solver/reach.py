@@ -21,7 +21,7 @@ from jaxgrasp.numerics.fused_cpu_kernel import fused_cpu_kernel
 from jaxgrasp.numerics.iterate import iterate
 from jaxgrasp.numerics.ldl import Lower
 from jaxgrasp.numerics.shard_map_loop import varying_like
-from jaxgrasp.problem import spatial
+from jaxgrasp.problem import friction_cone, spatial
 from jaxgrasp.problem.batch_last import ContactData
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.problem.tolerances import tolerances
@@ -38,8 +38,11 @@ DAMPING_FACTOR = 4.0
 """Less damping after a step that was good, more after one that was not."""
 HIGHEST_DAMPING = 1e3
 """Relative to the largest curvature: no step that short is worth its time."""
-RAY_PENALTY = 1e-6
-"""Quadratic penalty in a ray search, in units of 1 / t: it only keeps Newton's matrix regular."""
+RIDGE, RIDGE_EXPONENT = 1e-6, 0.7
+"""Quadratic penalty in a search for theta or the least total, in units of 1 / t, at the most, and as an exponent of the
+machine epsilon: it only keeps Newton's matrix regular. It holds back multipliers that have far to go, and so leaves
+forces that miss their wrench: 1e-6 left one answer in six without a proof where friction was mixed or loads at their
+limit."""
 STRAIGHT_PATH = 1e-5
 """Bend of the path between two penalties, relative to the multiplier, that is none."""
 PENALTY_ERROR = 1e4
@@ -79,6 +82,8 @@ class PenaltyPath(NamedTuple):
     penalty_before: Array
     point_before: SpatialVec
     error_estimate: Array
+    ceiling: Array
+    """The least total of forces at any of the penalties, with what they miss of the load; infinite for a theta."""
     done: Array
 
 
@@ -92,6 +97,9 @@ class _Attempt(NamedTuple):
     error_estimate: Array
     far_enough: Array
     """Whether the penalty may be high enough."""
+    ceiling: Array
+    """The total of these forces, and what exerting the wrench that they miss would add at the most, by the multiplier;
+    infinite for a theta."""
 
 
 class NearestWrench(NamedTuple):
@@ -106,6 +114,11 @@ class NearestWrench(NamedTuple):
 def largest_multiplier(dtype: np.dtype) -> float:
     """Return the size at which a multiplier that runs off is stopped: its rounding equals the penalty's error there."""
     return float(jnp.finfo(dtype).eps ** -0.55)
+
+
+def ridge(dtype: np.dtype) -> float:
+    """Return the ridge penalty of a precision, in units of 1 / t."""
+    return min(RIDGE, float(jnp.finfo(dtype).eps) ** RIDGE_EXPONENT)
 
 
 def identity(like: Array) -> Lower:
@@ -131,7 +144,8 @@ def nearest_wrench(
         if plane is not None:
             residual = _in_plane(plane, residual)
         far = spatial.length(point) >= largest_multiplier(zero.dtype)
-        return _Attempt(point, zero[:1], zero[:1] + 1, spatial.inner(residual, solve_by(metric, residual)), far)
+        missed = spatial.inner(residual, solve_by(metric, residual))
+        return _Attempt(point, zero[:1], zero[:1] + 1, missed, far, zero[:1] + jnp.inf)
 
     path = _follow(zero, frozen, attempt)
     settled = spatial.length(path.point) <= 2 * spatial.length(path.point_before)
@@ -148,7 +162,7 @@ def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen:
 
     def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
         predicted = predicted + (penalty - spatial.inner(ray, predicted)) * ray
-        term = QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, ray)
+        term = QuadraticPenalty(ridge(start.dtype) / penalty, predicted, metric, ray)
         point = maximise(problem, term, penalty, predicted, done)
         residual = wrench_residual(problem, point)
         # load - G f is -theta ray. Along the multiplier neither its rounding nor what else is missed shows.
@@ -156,35 +170,58 @@ def ray_search(problem: DualProblem, ray: SpatialVec, start: SpatialVec, frozen:
         size = 1 + jnp.abs(theta)
         aside = spatial.length(_in_plane(ray, residual)) * spatial.length(point) / penalty
         enough = penalty >= size * largest_multiplier(start.dtype)
-        return _Attempt(point, theta, size, (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2, enough)
+        error_estimate = (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2
+        return _Attempt(point, theta, size, error_estimate, enough, jnp.full_like(theta, jnp.inf))
 
     path = _follow(start, frozen, attempt)
     return path.estimate, path
 
 
-def least_normal_force(data: ContactData, frozen: Array) -> tuple[Array, PenaltyPath]:
+def least_normal_force(problem: DualProblem, frozen: Array) -> tuple[Array, PenaltyPath]:
     """Find the least total of normal forces that exert the load, and the multipliers of its bound, scaled by the cost.
 
     Problems that have no forces at all should be ``frozen``.
     """
+    data, coordinates = problem.data, problem.coordinates
     zero = varying_like(jnp.zeros((6, frozen.shape[-1]), data.squeeze.dtype), data)
     metric = identity(zero[:1])
 
     def attempt(penalty: Array, predicted: SpatialVec, done: Array) -> _Attempt:
-        problem = dual.plain_problem(with_normal_cost(data, penalty))
-        term = QuadraticPenalty(RAY_PENALTY / penalty, predicted, metric, None)
-        point = maximise(problem, term, penalty, predicted, done)
-        forces = dual.candidate_forces(problem, point).forces
-        residual = dual.residual(problem, forces)
+        costly = dual.PlainProblem(with_normal_cost(data, penalty), coordinates)
+        term = QuadraticPenalty(ridge(zero.dtype) / penalty, predicted, metric, None)
+        point = maximise(costly, term, penalty, predicted, done)
+        forces = dual.candidate_forces(costly, point).forces
+        residual = dual.residual(costly, forces)
         # What is missed of the load would have to be pushed too, along the multiplier.
-        total = dual.total_normal_force(data, forces) + spatial.inner(point, residual) / penalty
+        pressed = dual.total_normal_force(data, forces)
+        total = pressed + spatial.inner(point, residual) / penalty
         size = 1 + total
         aside = spatial.length(residual) * spatial.length(point) / penalty
         enough = penalty >= size * largest_multiplier(zero.dtype)
-        return _Attempt(point, total, size, (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2, enough)
+        error_estimate = (aside / size) ** 2 + PENALTY_ERROR * (size / penalty) ** 2
+        return _Attempt(point, total, size, error_estimate, enough, pressed + aside)
 
     path = _follow(zero, frozen, attempt)
     return path.estimate, path
+
+
+def floor(problem: DualProblem, path: PenaltyPath) -> Array:
+    """Return the largest total that the multipliers of a path prove to be needed ``(1, B)``; -inf where none is.
+
+    Normal forces that add up to T do at most the work T max_i (v_n + mu |v_t|)_i along a twist, and have to do that of
+    the load. Two twists are tried: that of the last penalty, and its limit by the secant.
+    """
+    data, load = problem.data, dual.required_wrench(problem)
+    last = vec3.safe_divide(path.point, path.penalty)
+    before = vec3.safe_divide(path.point_before, path.penalty_before)
+    share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
+    best = jnp.full_like(path.penalty, -jnp.inf)
+    for twist in (last, last + share * (last - before)):
+        velocity = dual.contact_velocities(problem, twist)
+        rates = jnp.where(data.weights > 0, friction_cone.work_per_normal_force(velocity, data.cone), 0)
+        rate, work = jnp.max(rates, 0, keepdims=True), spatial.inner(load, twist)
+        best = jnp.fmax(best, jnp.where(rate > 0, work / jnp.where(rate > 0, rate, 1), jnp.where(work > 0, jnp.inf, 0)))
+    return best
 
 
 def with_normal_cost(data: ContactData, normal_cost: Array) -> ContactData:
@@ -214,10 +251,12 @@ def _follow(start: SpatialVec, frozen: Array, attempt: Callable[[Array, SpatialV
             penalty_before=jnp.where(better, path.penalty, path.penalty_before),
             point_before=jnp.where(better, path.point, path.point_before),
             error_estimate=jnp.where(better, error_estimate, path.error_estimate),
+            ceiling=jnp.where(path.done, path.ceiling, jnp.fmin(path.ceiling, tried.ceiling)),
             done=path.done | (better & tried.far_enough & straight) | (penalty >= highest),
         )
 
-    path = varying_like(PenaltyPath(zero, start, zero, zero, start, zero + jnp.inf, frozen), start, frozen)
+    endless = zero + jnp.inf
+    path = varying_like(PenaltyPath(zero, start, zero, zero, start, endless, endless, frozen), start, frozen)
     _, path = lax.while_loop(
         lambda carry: ~jnp.all(carry[1].done), rise, (jnp.asarray(PENALTY_FACTOR, zero.dtype), path)
     )

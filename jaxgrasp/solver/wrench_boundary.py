@@ -14,18 +14,19 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.problem import contact_vec, spatial
 from jaxgrasp.problem.batch_last import ContactData, ProblemBatch, squeezing_forces, to_batch_last
 from jaxgrasp.problem.contact_vec import ContactVec
-from jaxgrasp.problem.coordinates import Coordinates, plain_axes
-from jaxgrasp.problem.scaling import Scaling, scale_in_principal_axes
+from jaxgrasp.problem.coordinates import ScaledAxes
+from jaxgrasp.problem.metric import whitening_scales
+from jaxgrasp.problem.scaling import Scaling, inertia, scale_in_principal_axes
 from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, reach
-from jaxgrasp.solver.dual import PlainProblem
 
 
 class UnitWeightProblem(NamedTuple):
     """Problems with weight 1 or 0 for every contact and no squeeze: questions of what is reachable."""
 
     data: ContactData
-    coordinates: Coordinates
+    coordinates: ScaledAxes
+    """Whitened: a torque about a line that the contacts nearly lie on counts as much as those across it."""
     scaling: Scaling
     valid: Array
 
@@ -46,7 +47,7 @@ class BoundaryPoint(NamedTuple):
 
 
 class _SupportingTwist(NamedTuple):
-    """The hyperplane that bounds what is in reach, by its normal, and the forces that lie on it."""
+    """The hyperplane that bounds what is in reach, by its normal in coordinates, and the forces that lie on it."""
 
     normal: SpatialVec
     normal_force: Array
@@ -60,12 +61,22 @@ def with_unit_weights(batch: ProblemBatch) -> UnitWeightProblem:
     weights = adjustable.astype(data.weights.dtype)
     data = data._replace(weights=weights, squeeze=jnp.where(adjustable, 0, data.squeeze))
     data, scaling = scale_in_principal_axes(data)
-    problem = UnitWeightProblem(data, plain_axes(data.force.x), scaling, valid & scaling.sound)
-    return with_wrench(problem, dual.residual(problem, squeezing_forces(data)))
+    problem = UnitWeightProblem(data, _whitened_axes(data, scaling), scaling, valid & scaling.sound)
+    return with_wrench(problem, dual.residual(dual.plain_problem(data), squeezing_forces(data)))
+
+
+def _whitened_axes(data: ContactData, scaling: Scaling) -> ScaledAxes:
+    """Return coordinates in which G G^T is the identity, but for axes about which no contact has a lever.
+
+    Without them what is missed of a small torque about a line near all contacts passes for rounding of the wrench,
+    though only enormous forces balance it. Axes without a lever stay as they are: what is asked about them is missed.
+    """
+    scales = whitening_scales(inertia(data), scaling)
+    return ScaledAxes(Vec3(*(jnp.where(s > 0, s, 1) for s in scales)))
 
 
 def with_wrench(problem: UnitWeightProblem, wrench: SpatialVec) -> UnitWeightProblem:
-    """Return the problems under another wrench, without squeeze."""
+    """Return the problems under another wrench, in their axes and units, without squeeze."""
     force, torque = spatial.parts(wrench)
     data = problem.data
     return problem._replace(data=data._replace(squeeze=0 * data.squeeze, force=force, torque=torque))
@@ -81,8 +92,8 @@ def boundary_point(
     """
     share = vec3.safe_divide(path.penalty_before, path.penalty - path.penalty_before)
     last_values, then = (
-        _supporting_twist(last, path.point, path.penalty),
-        _supporting_twist(before, path.point_before, path.penalty_before),
+        _supporting_twist(unit_weight._replace(data=last), path.point, path.penalty),
+        _supporting_twist(unit_weight._replace(data=before), path.point_before, path.penalty_before),
     )
     normal = last_values.normal + share * (last_values.normal - then.normal)
     normal_force = last_values.normal_force + share * (last_values.normal_force - then.normal_force)
@@ -91,7 +102,7 @@ def boundary_point(
     )
     scaling, ones = unit_weight.scaling, jnp.ones_like(size)
     assert scaling.axes is not None
-    linear, angular = spatial.parts(vec3.safe_divide(normal, size))
+    linear, angular = unit_weight.coordinates.twist(vec3.safe_divide(normal, size))
     linear = vec3.rotate_back(scaling.axes, linear)
     angular = vec3.rotate_back(scaling.axes, vec3.scale(1 / scaling.length, angular))
     return BoundaryPoint(
@@ -105,8 +116,8 @@ def boundary_point(
     )
 
 
-def _supporting_twist(data: ContactData, point: SpatialVec, penalty: Array) -> _SupportingTwist:
-    best = dual.candidate_forces(PlainProblem(data, plain_axes(penalty)), point)
+def _supporting_twist(problem: UnitWeightProblem, point: SpatialVec, penalty: Array) -> _SupportingTwist:
+    data, best = problem.data, dual.candidate_forces(problem, point)
     split = best.split
     used = jnp.where(split.inside, vec3.safe_divide(split.size, data.friction * split.along), 1)
     normal_force = vec3.dot(best.forces.linear, data.normals)

@@ -29,7 +29,7 @@ def test_a_pinch_by_soft_fingers_shares_its_friction_between_lift_and_turning():
     def search(batch, total):
         problem = with_unit_weights(batch)
         return least_friction_factor(
-            problem.data, total / problem.scaling.force_unit, jnp.zeros((1, count), bool), jnp.asarray(10.0)
+            problem, total / problem.scaling.force_unit, jnp.zeros((1, count), bool), jnp.asarray(10.0)
         )
 
     found = jax.jit(search)(batch, jnp.asarray(total)[None])

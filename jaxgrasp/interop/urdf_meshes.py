@@ -82,7 +82,7 @@ class UrdfMeshes:
             factors = []
         if len(factors) != 3 or not all(np.isfinite(factors)) or 0 in factors:
             return f"its scale is {scale!r}: expected three numbers other than zero"
-        fault = "MuJoCo does not read the format"
+        fault: str | None = "MuJoCo does not read the format"
         if str(file) not in self.converted:
             if file.suffix.lower() in OWN_FORMATS:
                 fault = self._compiled(factors, file, None)

@@ -22,7 +22,7 @@ def check_command(arguments: CheckHand) -> int:
     for title, notes in (("left out or changed", set(read.left_out) - set(missing)), ("missing", missing)):
         for note in (one for one in read.left_out if one in notes):
             show(f"{title}: {printable(note)}")
-    used = sum(joint.use == USED for joint in read.joints)
+    used = sum(joint.use.startswith(USED) for joint in read.joints)
     show(f"{used} of {len(read.joints)} joints used, {len(read.links)} links can touch, {len(missing)} meshes missing")
     return int(bool(missing) and read.format == "URDF")
 

@@ -116,7 +116,8 @@ def _preshape(task: FingertipTask, flexion: float, bend: float, thumb: dict[int,
         angles[joint] = angle
     for joint, angle in bends.items():
         angles[joint] += np.sign(task.way.closed[joint] - task.way.open[joint]) * np.radians(angle)
-    return np.clip(angles, np.asarray(task.hand.lower), np.asarray(task.hand.upper))
+    angles = np.clip(angles, np.asarray(task.hand.lower), np.asarray(task.hand.upper))
+    return angles if task.hand.coupling is None else np.asarray(task.hand.coupling.angles(angles))
 
 
 def _thumbs(task: FingertipTask) -> list[dict[int, float]]:
@@ -137,6 +138,8 @@ def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, 
     def read(angles: Array, placed: Pose, unknowns: Array) -> tuple[Array, Pose]:
         # A sine keeps within the limits whatever the unknowns are.
         turned = angles.at[free].set(middle + half * jnp.sin(unknowns[:-6]))
+        if task.hand.coupling is not None:
+            turned = task.hand.coupling.angles(turned)
         shift, turn = unknowns[-6:-3], unknowns[-3:]
         return turned, Pose(placed.origin + SHIFT * shift, rotation_by(turn) @ placed.rotation)
 

@@ -16,13 +16,14 @@ from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Plane, Shape, Shifted, 
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.hand.to_grasp import grasp_from_contacts, link_contributions
 from jaxgrasp.hand.world import rigid_body, spring_wrench, world_contacts
-from jaxgrasp.model.hand import Hand, HandFrames, Link, Pose, Posture, Spheres
+from jaxgrasp.model.hand import Coupling, Hand, HandFrames, Link, Pose, Posture, Spheres
 
 __all__ = [
     "Box",
     "Capsule",
     "ClosingWay",
     "Contacts",
+    "Coupling",
     "Cylinder",
     "Hand",
     "HandFrames",

@@ -32,8 +32,9 @@ def close_hand(
     """Turn the joints until the links press into the object.
 
     All joints turn together, each by its share of the way. A joint stops where a link that it carries has reached
-    the depth, or at its limit; those beyond it go on, so that a finger wraps around what it meets. A hand that starts
-    inside the object stays there: [`jaxgrasp.hand.check_clear`][] finds out.
+    the depth, or at its limit; those beyond it go on, so that a finger wraps around what it meets. Joints that are
+    coupled (``Hand.coupling``) go and stop together, from where the law has those that follow others. A hand that
+    starts inside the object stays there: [`jaxgrasp.hand.check_clear`][] finds out.
 
     Args:
         hand: one for all postures.
@@ -50,16 +51,21 @@ def close_hand(
     Returns:
         The closed posture, and its contacts.
     """
-    moves = jnp.asarray(ancestry(hand))
     start = jnp.asarray(posture.angles)
-    towards = flexed(hand, start) if towards is None else towards
-    stride = (jnp.asarray(towards) - start) / steps
+    towards = flexed(hand, start) if towards is None else jnp.asarray(towards)
+    moves, coupling = jnp.asarray(ancestry(hand)), hand.coupling
+    if coupling is None:
+        stride = (towards - start) / steps
+    else:
+        # Independent joints stop, for a link that any of their followers carries, and take these with them.
+        start, moves = coupling.angles(start), moves @ (jnp.asarray(coupling.matrix) != 0).astype(float) > 0
+        stride = (towards - start)[..., list(coupling.independent)] / steps
 
     def look(angles: Array) -> Contacts:
         return find_contacts(hand, Posture(posture.wrist, angles), shape, placed)
 
     pairs = _pairs(hand) if fingers_apart else np.zeros((0, 2), int)
-    carried = jnp.asarray(np.asarray(ancestry(hand))[pairs].any(1))
+    carried = moves[pairs].any(1)
     at_first = _overlaps(hand, Posture(posture.wrist, start), pairs)
 
     def advance(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
@@ -70,9 +76,10 @@ def close_hand(
         if len(pairs):
             met = _overlaps(hand, Posture(posture.wrist, angles), pairs) > jnp.maximum(at_first, 0)
             free = free & ~jnp.any(carried & met[..., None], -2)
-        return (angles + jnp.where(free, stride, 0), free), None
+        taken = jnp.where(free, stride, 0)
+        return (angles + (taken if coupling is None else taken @ jnp.asarray(coupling.matrix).T), free), None
 
-    (angles, _), _ = lax.scan(advance, (start, jnp.ones(start.shape, bool)), length=steps)
+    (angles, _), _ = lax.scan(advance, (start, jnp.ones(stride.shape, bool)), length=steps)
     return Posture(posture.wrist, angles), look(angles)
 
 

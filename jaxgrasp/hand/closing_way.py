@@ -70,7 +70,10 @@ def closing_way(
     for joint in _thumbs_last(hand).tolist():
         end[joint] = _nearer(hand, start, joint, _knuckles(hand, frames, fingers).mean(0))
     frame = _frame(hand, frames, fingers, np.sign(end - start))
-    return ClosingWay(start, _changed(hand, "closed", end, closed), frame, _seat(hand, frames, fingers, palm, frame))
+    end = _changed(hand, "closed", end, closed)
+    if hand.coupling is not None:
+        start, end = (np.asarray(hand.coupling.angles(angles)) for angles in (start, end))
+    return ClosingWay(start, end, frame, _seat(hand, frames, fingers, palm, frame))
 
 
 def _changed(hand: Hand, field: str, angles: np.ndarray, given: Mapping[str, float] | None) -> np.ndarray:

@@ -17,13 +17,15 @@ def torque_limits(
     """The limits that a hand's joints set to the forces of a posture's contacts.
 
     The torques are those that the contact forces put on the joints; what lifts the hand's own links is not in them.
+    Where joints follow others (``Hand.coupling``), the limits are those of the I independent joints: a motor holds the
+    torques of all joints that it moves, by the transposed coupling matrix.
 
     Args:
         hand: whose joints hold.
         posture: any leading axes.
         contacts: of that posture, in the world, one for each link.
         torque_max: of each joint [N.m, or N of those that slide], inf where there is none; the hand's own where not
-            given.
+            given. Entries of joints that follow others do not count.
 
     Returns:
         For [`jaxgrasp.constrained_optimum`][] and its like, of the grasp that
@@ -40,7 +42,7 @@ def torque_limits(
     if jnp.shape(largest) != (count,):
         raise ValueError(f"torque_max has shape {jnp.shape(largest)}: expected ({count},), one for each joint")
     jacobian = contact_jacobian(hand, pose_hand(hand, posture), contacts.points)
-    return Limits(
-        torque_map=jacobian,
-        torque_max=jnp.broadcast_to(jnp.asarray(largest, jacobian.dtype), (*jacobian.shape[:-3], count)),
-    )
+    bounds = jnp.asarray(largest, jacobian.dtype)
+    if hand.coupling is not None:
+        jacobian, bounds = hand.coupling.torques(jacobian), bounds[jnp.asarray(hand.coupling.independent)]
+    return Limits(torque_map=jacobian, torque_max=jnp.broadcast_to(bounds, (*jacobian.shape[:-3], *bounds.shape)))

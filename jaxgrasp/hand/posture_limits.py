@@ -57,8 +57,12 @@ def check_pose(name: str, pose: Pose) -> None:
 
 @checked
 def clamp_posture(hand: Hand, posture: Posture) -> Posture:
-    """The posture with every angle brought within its limits; what is not a number stays."""
-    return Posture(posture.wrist, jnp.clip(jnp.asarray(posture.angles), hand.lower, hand.upper))
+    """Return the posture with every angle brought within its limits; what is not a number stays.
+
+    Joints that follow others (``Hand.coupling``) are put where the law has them.
+    """
+    angles = jnp.clip(jnp.asarray(posture.angles), hand.lower, hand.upper)
+    return Posture(posture.wrist, angles if hand.coupling is None else hand.coupling.angles(angles))
 
 
 @checked

@@ -16,6 +16,7 @@ from jaxgrasp.interop.mjcf_file import read_mjcf
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.interop.mujoco_hand import MujocoHand, collides, hand_from_mujoco
 from jaxgrasp.interop.urdf_hand import compile_urdf
+from jaxgrasp.model.hand import Hand
 from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ class JointEntry:
     torque_max: float
     """[N.m], or [N] of one that slides; inf where it is not known."""
     use: str
-    """``used``, or why not."""
+    """``used``, followed by the joint that it follows where there is such, or why not."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +164,17 @@ def _carrying_all(mujoco: Any, model: mujoco.MjModel, path: Path) -> str:
     return model.body(max(set.intersection(*(_carriers(model, body) for body in moved)))).name
 
 
+def _following(hand: Hand) -> Iterator[tuple[str, str]]:
+    """Yield the joints that follow others, and which."""
+    coupling = hand.coupling
+    if coupling is None:
+        return
+    for joint, row in enumerate(np.asarray(coupling.matrix)):
+        if joint not in coupling.independent:
+            leaders = [hand.joints[coupling.independent[i]] for i in np.flatnonzero(row)]
+            yield hand.joints[joint], f"follows {' and '.join(map(repr, leaders))}" if leaders else "held in place"
+
+
 class _Account:
     """What became of the parts of a model."""
 
@@ -173,6 +185,7 @@ class _Account:
         hand = found.hand
         known = [np.inf] * len(hand.joints) if hand.torque_max is None else np.asarray(hand.torque_max).tolist()
         self.torques = dict(zip(hand.joints, known, strict=True))
+        self.followed = dict(_following(hand))
 
     def joint(self, joint: int) -> JointEntry:
         model, name = self.model, self.model.joint(joint).name
@@ -184,6 +197,8 @@ class _Account:
             use = f"locked at {self.locked[name]:g}"
         elif name not in self.torques:
             use = "not below the wrist"
+        elif name in self.followed:
+            use = f"{USED}, {self.followed[name]}"
         return JointEntry(name, kind, limits, self.torques.get(name, np.inf), use)
 
     def link(self, link: int) -> LinkEntry:

@@ -1,53 +1,198 @@
-"""Joints that a MuJoCo model lets move together alone: URDF's ``mimic``, equalities, and tendons over several."""
+"""Joints of a MuJoCo model that follow others: URDF's ``mimic``, equalities of joints and tendons, and tight tendons.
+
+Each is a linear equation of the joints' positions. Those of the joints of a hand are solved for the joints that follow,
+and become the Hand's coupling; what is not linear, or reaches beyond the hand, is named instead.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from jaxgrasp.interop.left_out import LeftOut
 
 if TYPE_CHECKING:
     import mujoco
 
+TIGHT = 0.1
+"""Share of the way that its joints could move a tendon, below which the tendon's range makes it rigid."""
+NEGLIGIBLE = 1e-9
+"""Share of an equation's largest coefficient that counts as zero."""
 
-def couplings(mujoco: Any, model: mujoco.MjModel, joints: list[int]) -> tuple[LeftOut, ...]:
-    """The couplings that one of these joints has a part in, the first of the same joints; a Hand has none of them."""
-    found: dict[tuple[int, ...], str] = {}
-    for coupled, by in (*_of_equalities(mujoco, model), *_of_tendons(mujoco, model)):
-        if set(coupled) & set(joints):
-            found.setdefault(tuple(coupled), by)
-    return tuple(
-        LeftOut(f"coupling of {_listed(model, coupled)}", f"{by}; here each moves by itself")
-        for coupled, by in found.items()
-    )
+
+class Equation(NamedTuple):
+    """Linear equation of joint positions: sum of coefficient x position = constant."""
+
+    coefficients: dict[int, float]
+    """By the id of the joint; the first is that which follows, where the model says so."""
+    constant: float
+    fault: str
+    """Why it is no linear equation; empty where it is."""
+    cause: str
+    """What of the model ties them."""
+
+
+class LinearLaw(NamedTuple):
+    """Positions of some joints by those of the independent ones among them."""
+
+    matrix: np.ndarray
+    """``(J, I)``"""
+    offset: np.ndarray
+    """``(J,)``"""
+    independent: np.ndarray
+    """``(I,)`` indices into the joints."""
+
+
+def couplings(
+    mujoco: Any, model: mujoco.MjModel, joints: list[int], locked: dict[str, float]
+) -> tuple[LinearLaw, tuple[LeftOut, ...]]:
+    """Return the law of these joints, and the couplings that are not in it.
+
+    Args:
+        mujoco: the module.
+        model: the compiled model.
+        joints: ids of the hand's joints.
+        locked: positions of joints that stay, by name.
+    """
+    fixed = {model.joint(name).id: position for name, position in locked.items()}
+    law = _Solver(joints, _motorised(mujoco, model))
+    left_out, seen = [], set()
+    for equation in (*_of_equalities(mujoco, model), *_of_tendons(mujoco, model)):
+        tied = tuple(equation.coefficients)
+        if not set(tied) & set(joints) or tied in seen:
+            continue
+        seen.add(tied)
+        fault = equation.fault or law.add(equation, fixed)
+        if fault:
+            reason = f"{equation.cause}; {fault}: here each moves by itself"
+            left_out.append(LeftOut(f"coupling of {_listed(model, tied)}", reason))
+    return law.result(), tuple(left_out)
+
+
+class _Solver:
+    """Elimination of the joints that follow."""
+
+    def __init__(self, joints: list[int], motorised: set[int]) -> None:
+        self.joints, self.motorised = joints, motorised
+        self.matrix, self.offset = np.eye(len(joints)), np.zeros(len(joints))
+        self.is_independent = np.ones(len(joints), bool)
+
+    def add(self, equation: Equation, fixed: dict[int, float]) -> str:
+        """Solve an equation for one of its joints; return why it cannot be, or nothing."""
+        row, rest = np.zeros(len(self.joints)), equation.constant
+        for joint, coefficient in equation.coefficients.items():
+            if joint in self.joints:
+                row[self.joints.index(joint)] += coefficient
+            elif joint in fixed:
+                rest -= coefficient * fixed[joint]
+            else:
+                return "it reaches a joint that is not the hand's"
+        over_independent, rest = row @ self.matrix, rest - float(row @ self.offset)
+        least = NEGLIGIBLE * np.abs(row).max()
+        if np.abs(over_independent).max() <= least:
+            return "" if abs(rest) <= 1e-6 * np.abs(row).max() else "it contradicts the other couplings"
+        pivot = self._follower(equation, over_independent, least)
+        way = -over_independent / over_independent[pivot]
+        way[pivot] = 0
+        # Put the solved joint into the positions of all that hang on it.
+        self.offset += self.matrix[:, pivot] * (rest / over_independent[pivot])
+        self.matrix += np.outer(self.matrix[:, pivot], way)
+        self.matrix[:, pivot] = 0
+        self.is_independent[pivot] = False
+        return ""
+
+    def _follower(self, equation: Equation, row: np.ndarray, least: float) -> int:
+        """Choose the joint to solve for: that of the model, one without a motor, or that of the largest coefficient."""
+        usable = [i for i in np.flatnonzero(np.abs(row) > least).tolist() if self.is_independent[i]]
+        first = next(iter(equation.coefficients))
+        for i in usable:
+            if self.joints[i] == first and first not in self.motorised:
+                return i
+        idle = [i for i in usable if self.joints[i] not in self.motorised]
+        return max(idle or usable, key=lambda i: (self.joints[i] == first, abs(row[i])))
+
+    def result(self) -> LinearLaw:
+        independent = np.flatnonzero(self.is_independent)
+        return LinearLaw(self.matrix[:, independent], self.offset, independent)
+
+
+def tightened_limits(law: LinearLaw, limits: np.ndarray) -> np.ndarray:
+    """``(J, 2)`` Limits at which no joint that follows one other passes its own; as they were where none are left."""
+    limits = limits.copy()
+    for row, offset, own in zip(law.matrix, law.offset, limits.copy(), strict=True):
+        columns = np.flatnonzero(row)
+        if len(columns) != 1:
+            continue
+        joint = law.independent[columns[0]]
+        reach = np.sort((own - offset) / row[columns[0]])
+        low, high = max(limits[joint, 0], reach[0]), min(limits[joint, 1], reach[1])
+        if low < high:
+            limits[joint] = low, high
+    return limits
+
+
+def _motorised(mujoco: Any, model: mujoco.MjModel) -> set[int]:
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    return {int(model.actuator_trnid[i, 0]) for i in range(model.nu) if model.actuator_trntype[i] in kinds}
 
 
 def _listed(model: mujoco.MjModel, joints: tuple[int, ...]) -> str:
     return " and ".join(repr(model.joint(joint).name) for joint in joints)
 
 
-def _of_equalities(mujoco: Any, model: mujoco.MjModel) -> list[tuple[list[int], str]]:
-    found = []
+def _of_equalities(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
+    """Yield those of joints and of tendons: y - y0 = a0 + a1 (x - x0) + ... to the fourth power."""
     for i in range(model.neq):
-        first, second = int(model.eq_obj1id[i]), int(model.eq_obj2id[i])
+        if not model.eq_active0[i]:
+            continue
+        first, second, factors = int(model.eq_obj1id[i]), int(model.eq_obj2id[i]), model.eq_data[i, :5]
+        fault = "the law is not linear" if second >= 0 and np.any(factors[2:]) else ""
+        slope = float(factors[1]) if second >= 0 else 0.0
         if model.eq_type[i] == int(mujoco.mjtEq.mjEQ_JOINT):
             other = "a fixed place" if second < 0 else repr(model.joint(second).name)
-            joints = [first] if second < 0 else [first, second]
-            found.append((joints, f"the file has {model.joint(first).name!r} follow {other}"))
+            cause = f"the file has {model.joint(first).name!r} follow {other}"
+            references = [float(model.qpos0[model.jnt_qposadr[joint]]) for joint in (first, second) if joint >= 0]
+            coefficients = {first: 1.0} | ({second: -slope} if second >= 0 else {})
+            constant = references[0] + float(factors[0]) - slope * (references[1] if second >= 0 else 0)
+            yield Equation(coefficients, constant, fault, cause)
         elif model.eq_type[i] == int(mujoco.mjtEq.mjEQ_TENDON):
-            both = [joint for tendon in (first, second) if tendon >= 0 for joint in _joints(mujoco, model, tendon)]
-            found.append((both, "an equality of tendons ties them"))
-    return found
+            terms = [(first, 1.0), *([(second, -slope)] if second >= 0 else [])]
+            coefficients = {}
+            for tendon, factor in terms:
+                for joint, coefficient in _levers(mujoco, model, tendon).items():
+                    coefficients[joint] = coefficients.get(joint, 0.0) + factor * coefficient
+                if not _is_fixed(mujoco, model, tendon):
+                    fault = "a tendon of it is no fixed one"
+            constant = float(factors[0]) + sum(f * float(model.tendon_length0[tendon]) for tendon, f in terms)
+            yield Equation(coefficients, constant, fault, "an equality of tendons ties them")
 
 
-def _of_tendons(mujoco: Any, model: mujoco.MjModel) -> list[tuple[list[int], str]]:
-    """Fixed tendons over several joints whose length is limited."""
-    each = ((i, _joints(mujoco, model, i)) for i in range(model.ntendon) if model.tendon_limited[i])
-    return [(joints, f"the tendon {model.tendon(i).name!r} ties them") for i, joints in each if len(joints) > 1]
+def _of_tendons(mujoco: Any, model: mujoco.MjModel) -> Iterator[Equation]:
+    """Yield fixed tendons over several joints whose length is limited."""
+    for i in range(model.ntendon):
+        levers = _levers(mujoco, model, i)
+        if not model.tendon_limited[i] or len(levers) < 2:
+            continue
+        low, high = map(float, model.tendon_range[i])
+        travel = sum(abs(c) * float(np.ptp(model.jnt_range[j])) for j, c in levers.items() if model.jnt_limited[j])
+        fault = "" if high - low <= TIGHT * travel else "its range lets them move apart"
+        yield Equation(levers, (low + high) / 2, fault, f"the tendon {model.tendon(i).name!r} ties them")
 
 
-def _joints(mujoco: Any, model: mujoco.MjModel, tendon: int) -> list[int]:
-    """Those that a fixed tendon goes over."""
+def _is_fixed(mujoco: Any, model: mujoco.MjModel, tendon: int) -> bool:
     first = int(model.tendon_adr[tendon])
-    wraps = range(first, first + int(model.tendon_num[tendon]))
-    return [int(model.wrap_objid[w]) for w in wraps if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+    kinds = model.wrap_type[first : first + int(model.tendon_num[tendon])]
+    return bool(np.all(kinds == int(mujoco.mjtWrap.mjWRAP_JOINT)))
+
+
+def _levers(mujoco: Any, model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+    """Return the joints that a fixed tendon goes over, and its length for a unit of their way."""
+    levers: dict[int, float] = {}
+    first = int(model.tendon_adr[tendon])
+    for wrap in range(first, first + int(model.tendon_num[tendon])):
+        if model.wrap_type[wrap] == int(mujoco.mjtWrap.mjWRAP_JOINT):
+            joint = int(model.wrap_objid[wrap])
+            levers[joint] = levers.get(joint, 0.0) + float(model.wrap_prm[wrap])
+    return levers

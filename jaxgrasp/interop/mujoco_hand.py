@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxgrasp.interop.left_out import LeftOut
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
-from jaxgrasp.interop.mujoco_couplings import couplings
+from jaxgrasp.interop.mujoco_couplings import couplings, tightened_limits
 from jaxgrasp.interop.mujoco_motors import largest_torques
-from jaxgrasp.model.hand import Hand, Link, padded
+from jaxgrasp.model.hand import Coupling, Hand, Link, padded
 from jaxgrasp.validation.checked import checked
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class MujocoHand:
     """Collision geoms that are no sphere, capsule, cylinder, ellipsoid or box, and so touch nothing here; of a URDF
     that was read with ``keep_going``, links' meshes that are missing too."""
     coupled: tuple[LeftOut, ...] = ()
-    """Couplings of joints, such as URDF's ``mimic``, which a Hand does not have: its joints move each by itself."""
+    """Couplings of joints that are not in the Hand's: not linear, loose, or with joints that are not the hand's."""
 
 
 @dataclass
@@ -78,7 +78,9 @@ def hand_from_mujoco(
 
     Returns:
         The Hand: every joint below the wrist that is not locked, and a link for every body with collision geoms.
-        Its largest torques are those of the motors, as far as the model limits them.
+        Its largest torques are those of the motors, as far as the model limits them. Joints that follow others by
+        URDF's ``mimic``, a linear equality, or a fixed tendon whose range is a tenth of its way at most, are the
+        Hand's ``coupling``; limits of the joints that they follow are such that none passes its own.
 
     Raises:
         ImportError: without MuJoCo.
@@ -172,7 +174,10 @@ def _finish(
     slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
     # Limits that the model does not have are a whole turn.
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.pi, np.pi])
-    torque_max = largest_torques(mujoco, model, joints)
+    law, not_coupled = couplings(mujoco, model, tree.joints, tree.locked)
+    limits = tightened_limits(law, limits)
+    torque_max = largest_torques(mujoco, model, joints, law)
+    is_coupled = len(law.independent) < len(joints)
     hand = Hand(
         jnp.array(tree.origins),
         jnp.array(tree.rests),
@@ -185,6 +190,7 @@ def _finish(
         tuple(links),
         tuple(model.joint(j).name for j in joints[slides]),
         None if np.isinf(torque_max).all() else jnp.array(torque_max),
+        Coupling(jnp.array(law.matrix), jnp.array(law.offset), tuple(law.independent.tolist())) if is_coupled else None,
     )
     return MujocoHand(
         hand=hand,
@@ -195,7 +201,7 @@ def _finish(
         positions=np.array([carriers[body].position for body in kept]),
         rotations=np.array([carriers[body].rotation for body in kept]),
         left_out=tuple(left_out),
-        coupled=couplings(mujoco, model, tree.joints),
+        coupled=not_coupled,
     )
 
 

@@ -7,14 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxgrasp.interop.mujoco_couplings import LinearLaw
+
 if TYPE_CHECKING:
     import mujoco
 
 UNLIMITED = np.array([-np.inf, np.inf])
 
 
-def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray) -> np.ndarray:
+def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray, law: LinearLaw) -> np.ndarray:
     """``(J,)`` The torque [N.m], or force [N], that each of these joints can exert both ways; inf where not known.
+
+    A motor that drives a joint which follows another counts at that other one, by its lever there; inf of joints that
+    follow others, whose own limits are not those of a motor.
 
     A motor's range is its ``forcerange``, or else what its ``ctrlrange`` makes of a plain motor; times its gear. The
     ranges of a joint's motors add up, and the joint's own ``actuatorfrcrange``, which a URDF's ``effort`` becomes,
@@ -22,15 +27,22 @@ def largest_torques(mujoco: Any, model: mujoco.MjModel, joints: np.ndarray) -> n
     Not known is a joint without a motor, one whose motor is of another kind or has no limit, and one that is driven one
     way alone: a bound has to be right for both.
     """
-    ranges, driven = np.zeros((model.njnt, 2)), np.zeros(model.njnt, bool)
+    own_joints = joints[law.independent]
+    ranges, driven = np.zeros((len(own_joints), 2)), np.zeros(len(own_joints), bool)
     for motor in range(model.nu):
+        levers = np.zeros(model.njnt)
         for joint, lever in _levers(mujoco, model, motor):
-            driven[joint] = True
-            ranges[joint] += _times(lever, _range(mujoco, model, motor))
+            levers[joint] += lever
+        driven |= ((levers[joints] != 0)[:, None] & (law.matrix != 0)).any(0)
+        # By virtual work: the way of the motor for a unit of the way of the independent joint.
+        for i, lever in enumerate(levers[joints] @ law.matrix):
+            ranges[i] += _times(float(lever), _range(mujoco, model, motor))
     ranges[~driven] = UNLIMITED
-    own = np.where(model.jnt_actfrclimited.astype(bool)[:, None], model.jnt_actfrcrange, UNLIMITED)
+    own = np.where(model.jnt_actfrclimited.astype(bool)[:, None], model.jnt_actfrcrange, UNLIMITED)[own_joints]
     low, high = np.maximum(ranges[:, 0], own[:, 0]), np.minimum(ranges[:, 1], own[:, 1])
-    return np.where((low < 0) & (high > 0), np.minimum(-low, high), np.inf)[joints]
+    largest = np.full(len(joints), np.inf)
+    largest[law.independent] = np.where((low < 0) & (high > 0), np.minimum(-low, high), np.inf)
+    return largest
 
 
 def _times(lever: float, reach: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxgrasp.model.arrays import AnyArray, Float
 
@@ -50,6 +51,28 @@ def padded(rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> Spheres:
     return Spheres(jnp.asarray(centers), jnp.asarray(sizes))
 
 
+class Coupling(eqx.Module):
+    """Linear law by which all joints follow some of them: angles = matrix @ independent angles + offset.
+
+    By virtual work the torque that acts along an independent joint, with all that follow it, is the transposed matrix
+    times the joints' torques.
+    """
+
+    matrix: Float[AnyArray, "J I"]
+    offset: Float[AnyArray, "J"]
+    """[rad], or [m] of joints that slide."""
+    independent: tuple[int, ...] = eqx.field(static=True)
+    """Joints that follow no other, in order; each is its own column of the matrix."""
+
+    def angles(self, angles: Float[AnyArray, "*batch J"]) -> Float[Array, "*batch J"]:
+        """Return angles of all joints, of which those that follow others are what the law makes them."""
+        return jnp.asarray(angles)[..., list(self.independent)] @ jnp.asarray(self.matrix).T + self.offset
+
+    def torques(self, torques: Float[AnyArray, "*batch J"]) -> Float[Array, "*batch I"]:
+        """Return what torques of all joints are along the independent ones [N.m, or N of those that slide]."""
+        return jnp.asarray(torques) @ jnp.asarray(self.matrix)
+
+
 class Hand(eqx.Module):
     """A tree of joints that grows from the wrist (source: sections II-B and II-G.2); without any, one rigid body.
 
@@ -76,7 +99,10 @@ class Hand(eqx.Module):
     """Names of those joints that slide; the others are hinges."""
     torque_max: Float[AnyArray, "J"] | None = None
     """Largest torque of each joint, in either direction [N.m, or N of those that slide]; inf of those of which it is
-    not known, and None where it is of none."""
+    not known, and None where it is of none. Of a joint that others follow it is what the motors of all of them can do
+    along it; of a joint that follows others it is inf."""
+    coupling: Coupling | None = None
+    """Law of the joints that follow others; None where each moves by itself."""
 
     @property
     def slides(self) -> np.ndarray:

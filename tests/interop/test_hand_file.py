@@ -62,10 +62,12 @@ def test_every_part_of_a_urdf_is_accounted_for(folder):
     assert list(by_name) == ["elbow", "knuckle", "end"]
     assert by_name["elbow"].use == "not below the wrist" and by_name["elbow"].limits is None
     assert by_name["knuckle"].torque_max == 2 and by_name["knuckle"].limits == (0, 1.5)
-    assert by_name["end"].torque_max == np.inf and by_name["end"].use == "used"
+    assert by_name["end"].torque_max == np.inf and by_name["end"].use == "used, follows 'knuckle'"
     assert [(link.name, link.shapes) for link in read.links] == [(n, ("box",)) for n in ("palm", "finger", "tip")]
     said = parts(read)
-    assert "coupling of 'end' and 'knuckle': the file has 'end' follow 'knuckle'; here each moves by itself" in said
+    assert "coupling" not in said
+    assert read.found.hand.coupling.independent == (0,)
+    np.testing.assert_allclose(read.found.hand.coupling.matrix, [[1], [0.5]])
     assert "body 'sensor': it has no shape that can touch" in said
     assert "box 'geom 0' of body 'arm': not below the wrist" in said
     missing = [note for note in read.left_out if note.missing]
@@ -78,7 +80,7 @@ def test_a_missing_mesh_stops_a_reader_unless_it_may_go_on(folder):
         hand_from_urdf("claw.urdf", "palm")
     found = hand_from_urdf("claw.urdf", "palm", keep_going=True)
     assert found.left_out == ("mesh 'claw.stl' of link 'finger'",)
-    assert [note.part for note in found.coupled] == ["coupling of 'end' and 'knuckle'"]
+    assert found.coupled == () and found.hand.coupling is not None
 
 
 def test_the_wrist_is_the_last_body_that_all_joints_hang_on(folder):
@@ -173,7 +175,8 @@ def test_a_data_sets_shadow_hand_keeps_its_torques():
     read = read_hand(path)
     known = {joint.name: joint.torque_max for joint in read.joints}
     assert known["robot0:FFJ2"] == 0.9 and known["robot0:FFJ0"] == np.inf
-    assert sum(note.part.startswith("coupling") for note in read.left_out) == 4
+    follows = {joint.name: joint.use for joint in read.joints if "follows" in joint.use}
+    assert follows == {f"robot0:{f}FJ0": f"used, follows 'robot0:{f}FJ1'" for f in "FMRL"}
 
 
 def test_limits_that_contradict_themselves_are_said(folder):

@@ -113,7 +113,7 @@ def test_what_is_wrong_with_the_command_is_said_in_one_line(folder, capsys):
     (folder / "cube.stl").write_text("solid nothing\nendsolid nothing\n")
     for hand, mesh, said in (
         ("nowhere.xml", "cube.stl", "nowhere.xml: no such file"),
-        ("broken.xml", "cube.stl", "broken.xml is no MJCF"),
+        ("broken.xml", "cube.stl", "expected an MJCF file, but it is no XML"),
         ("hand.xml", "cube.stl", "cube.stl"),
     ):
         assert main(["import", "dexgraspnet", "some.npy", "--hand", hand, "--object", mesh]) == 1

@@ -4,6 +4,11 @@ In cones that are narrower by an angle m each, forces within their limits exert 
 That falls with m, and where it falls through 1 is the margin: a root, each look at which is a cone program. Where m
 passes the friction angle of a contact, that contact has to be unloaded, and what can be exerted may jump: then that
 angle is the margin. Contacts without friction have no margin to lose, and stay.
+
+It may jump elsewhere too: where narrower cones leave the wrench out of reach of forces of any size, what is exerted
+falls as a root of the distance does, and then at once to nothing, so that close by no program is solved to a proof.
+There the search goes on by another question, whose answer rises in proportion: by how much forces that exert the
+wrench have to leave their narrower cones.
 """
 
 from functools import partial
@@ -41,6 +46,8 @@ WHOLE_WRENCH_EXPONENT = 0.5
 """An exponent of the machine epsilon: as near to the whole wrench is all of it, since limits may leave no more room."""
 SOUND_EXPONENT = 0.45
 """By how much forces may miss the wrench or their limits, as an exponent of the machine epsilon."""
+CLOSE = 4.0
+"""Times ``APART_EXPONENT``'s angle: sides of the root that are farther apart are looked for by the second question."""
 JUMP = 1e-4
 """More than this beyond the wrench, on the root's near side, is a jump."""
 NORMAL_FORCE_CAP = 1e3
@@ -51,11 +58,13 @@ class _MarginEvaluation(NamedTuple):
     """What cones narrower by some angle exert."""
 
     times: Array
-    """Multiple of the wrench that is exerted by forces that were found ``(B,)``."""
+    """Multiple of the wrench that is exerted by forces that were found ``(B,)``; 1 by the second question."""
     most: Array
     """Multiple of the wrench that no forces exceed."""
+    excess: Array
+    """How far each force is out of its cone, by the second question, as a normal force; 0 by the first."""
     slope: Array
-    """Derivative of that multiple by the angle."""
+    """Derivative of that multiple, or of minus the excess, by the angle."""
     y: Array
     multipliers: Multipliers
     residual: Array
@@ -149,24 +158,32 @@ def _inside(y: Array) -> Array:
     )
 
 
-def _look(whole: ConeProblem, margin: Array) -> _MarginEvaluation:
+def _look(whole: ConeProblem, margin: Array, relaxed: Array) -> _MarginEvaluation:
+    """Solve for the largest multiple of the wrench, or where ``relaxed (B,)`` for the least excess at the wrench."""
     conic = _narrowed(whole, margin)
     size, _, n, c = conic.columns.shape
-    inequalities = _inequalities(conic)
-    equations = jnp.concatenate([conic.columns.reshape(size, 6, n * c), -conic.right[..., None]], -1)
-    aim = jnp.zeros((size, conic.width + 1), conic.right.dtype).at[:, -1].set(-1)
-    cones = (friction_cones(conic, 1), as_cones(inequalities))
-    best = cone_program.solve(ConeProgram(absent(conic, 1), aim, equations, jnp.zeros_like(conic.right), cones))
+    inequalities = _inequalities(conic, relaxed)
+    # The last variable is the multiple, or the excess.
+    last = jnp.where(relaxed[:, None], 0, -conic.right)
+    equations = jnp.concatenate([conic.columns.reshape(size, 6, n * c), last[..., None]], -1)
+    right = jnp.where(relaxed[:, None], conic.right, 0)
+    aim = jnp.zeros((size, conic.width + 1), conic.right.dtype).at[:, -1].set(jnp.where(relaxed, 1, -1))
+    cones = friction_cones(conic, 1)
+    widened = jnp.where(relaxed[:, None] & conic.present, -1, 0)
+    cones = cones._replace(rows=cones.rows.at[:, :, 0, -1].set(widened))
+    best = cone_program.solve(ConeProgram(absent(conic, 1), aim, equations, right, (cones, as_cones(inequalities))))
     bounds = inequality_multipliers(inequalities, best.duals[-1])
-    enough = bounds.pop("enough")[:, 0]
+    enough = jnp.where(relaxed, 0, bounds.pop("enough")[:, 0])
+    del bounds["positive"]
     multipliers = Multipliers(-best.equality, bounds)
     y = jnp.where(conic.present[..., None], best.point[:, :-1].reshape(size, n, c), 0)
-    times, most = best.point[:, -1], _most(conic, multipliers, enough)
+    times, most = jnp.where(relaxed, 1, best.point[:, -1]), _most(conic, multipliers, enough)
+    excess = jnp.where(relaxed, best.point[:, -1], 0)
     if conic.normal_min is not None:
         # A contact that is gone cannot press as it must.
         lacking = jnp.any(whole.present & ~conic.present & (conic.normal_min > 0), -1)
         times, most = jnp.where(lacking, 0, times), jnp.where(lacking, 0, most)
-    return _MarginEvaluation(times, most, _slope(whole, conic, multipliers, y), y, multipliers, best.residual)
+    return _MarginEvaluation(times, most, excess, _slope(whole, conic, multipliers, y), y, multipliers, best.residual)
 
 
 def _slope(whole: ConeProblem, conic: ConeProblem, multipliers: Multipliers, y: Array) -> Array:
@@ -177,14 +194,17 @@ def _slope(whole: ConeProblem, conic: ConeProblem, multipliers: Multipliers, y: 
     return jnp.sum(jnp.where(conic.present & (whole.friction > 0), pays * shrinks, 0), -1)
 
 
-def _inequalities(conic: ConeProblem) -> Inequalities:
-    """Limits; least normal forces, like the wrench, as many times as they are exerted."""
+def _inequalities(conic: ConeProblem, relaxed: Array) -> Inequalities:
+    """Limits; least normal forces, like the wrench, as many times as they are exerted. An excess is not negative."""
     found = limits_of(conic, 1)
     if conic.normal_min is not None:
         rows, ends = found["normal_min"]
-        found["normal_min"] = rows.at[..., -1].set(conic.normal_min), 0 * ends
+        fixed = relaxed[:, None]
+        rows = rows.at[..., -1].set(jnp.where(fixed, 0, conic.normal_min))
+        found["normal_min"] = rows, jnp.where(fixed, ends, 0)
     last = jnp.zeros((conic.right.shape[0], 1, conic.width + 1), conic.right.dtype).at[..., -1].set(1)
-    found["enough"] = last, jnp.full_like(conic.right[:, :1], ENOUGH)
+    found["enough"] = last, jnp.where(relaxed[:, None], jnp.inf, jnp.full_like(conic.right[:, :1], ENOUGH))
+    found["positive"] = -last, jnp.where(relaxed[:, None], 0, jnp.full_like(conic.right[:, :1], jnp.inf))
     return found
 
 
@@ -207,6 +227,8 @@ class _State(NamedTuple):
     """The smallest that is known not to."""
     proven: Array
     """The smallest that is proven not to."""
+    relaxed: Array
+    """Whether the second question is asked."""
     here: Array
     """Where to look next."""
     root: Array
@@ -223,8 +245,9 @@ def _bracket(conic: ConeProblem) -> _State:
     """Two angles a little apart, between which the wrench gets out of reach, and what was seen at the smaller."""
     whole = widest(conic)
     zero = 0 * whole
-    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, conic, zero))
-    start = _State(_angles(conic), zero, whole, whole, zero, zero, zero.astype(jnp.int32), nothing, nothing.multipliers)
+    nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(_look, conic, zero, zero > 0))
+    phase = zero.astype(jnp.int32)
+    start = _State(_angles(conic), zero, whole, whole, zero > 0, zero, zero, phase, nothing, nothing.multipliers)
 
     state = _looked(conic, start, FIRST)
     return over_chosen(partial(_looked, count=STEPS), conic, state, state.phase < OVER, LEFT)
@@ -235,7 +258,7 @@ def _looked(conic: ConeProblem, state: _State, count: int) -> _State:
 
     def step(carry):
         done, state = carry
-        moved = _step(state, _look(conic, state.here))
+        moved = _step(state, _look(conic, state.here, state.relaxed))
         return done + 1, merged(state.phase == OVER, state, moved)
 
     state = varying_like(state, conic)
@@ -253,18 +276,23 @@ def _halved(angles: Array, low: Array, high: Array) -> Array:
 
 
 def _step(state: _State, seen: _MarginEvaluation) -> _State:
-    """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out."""
+    """Newton's step for the logarithm, which is nearly straight over most of the way; halves where that leads out.
+
+    An excess is itself nearly straight, beyond the root; before it, it is 0.
+    """
     apart = _apart(state.here)
     eps = float(jnp.finfo(state.here.dtype).eps)
-    holds = (seen.times >= 1 - eps**WHOLE_WRENCH_EXPONENT) & (seen.residual <= eps**SOUND_EXPONENT)
+    whole = (seen.times >= 1 - eps**WHOLE_WRENCH_EXPONENT) & (seen.excess <= eps**WHOLE_WRENCH_EXPONENT)
+    holds = whole & (seen.residual <= eps**SOUND_EXPONENT)
     best = holds & (state.here >= state.low)
     low = jnp.where(best, state.here, state.low)
     high = jnp.where(holds, state.high, jnp.minimum(state.here, state.high))
     proves = (seen.most < 1 - eps**WHOLE_WRENCH_EXPONENT) & (state.here <= state.proven)
     proven = jnp.where(proves, state.here, state.proven)
-    falls = (seen.times > LITTLE) & (seen.slope < 0)
+    falls = (seen.times > LITTLE) & (seen.slope < 0) & (~state.relaxed | ~whole)
     rate = jnp.where(falls, seen.slope, -1) / jnp.where(falls, seen.times, 1)
-    led = state.here - jnp.log(jnp.where(falls, seen.times, 1)) / rate
+    # Times is 1 where an excess is asked for, and the excess 0 where it is not.
+    led = state.here + (seen.excess - jnp.log(jnp.where(falls, seen.times, 1))) / rate
     inside = falls & (led > low) & (led < high)
     near = falls & (jnp.abs(led - state.here) <= apart / 4)
     there = jnp.where(near, state.here, jnp.where(inside, led, _halved(state.angles, low, high)))
@@ -277,4 +305,8 @@ def _step(state: _State, seen: _MarginEvaluation) -> _State:
     sides = jnp.where(phase == 1, jnp.maximum(root - apart, low), jnp.minimum(root + far, jnp.max(state.angles, -1)))
     here = jnp.where(phase == 0, there, sides)
     kept, beyond = merged(best, seen, state.kept), merged(proves, seen.multipliers, state.beyond)
-    return _State(state.angles, low, high, jnp.maximum(proven, low), here, root, phase, kept, beyond)
+    # The second question begins beyond the root, from where the excess leads to it.
+    again = (phase == OVER) & ~state.relaxed & (proven - low > CLOSE * apart)
+    phase, here, high = (jnp.where(again, new, old) for new, old in ((0, phase), (proven, here), (proven, high)))
+    proven = jnp.maximum(proven, low)
+    return _State(state.angles, low, high, proven, state.relaxed | again, here, root, phase, kept, beyond)

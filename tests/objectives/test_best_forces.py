@@ -135,8 +135,23 @@ def test_the_margin_of_a_pinch_is_known_however_tight_its_limits_are(least, most
     margin = np.arctan(0.5) - np.arctan(np.linalg.norm(wrench[:, 1:3], axis=1) / 4)
     assert np.allclose(found.value, margin, atol=1e-6)
     assert (found.bound >= margin - 1e-9).all()
-    # Without any room nothing is proven, and it says so.
-    assert (found.verdict == (Verdict.OPTIMAL if least < most else Verdict.NOT_CONVERGED)).all()
+    assert (found.verdict == Verdict.OPTIMAL).all() and (found.bound <= margin + 1e-5).all()
+
+
+@pytest.mark.parametrize("kind", in_turns(("ordinary", "near_collinear", "limit_99"), ("ordinary",)))
+def test_the_largest_margin_is_found_where_nothing_is_exerted_beyond_it(kind):
+    """Without other limits: narrower cones exert more than the wrench up to an angle, and beyond it nothing."""
+    made = made_of(kind, limited=True)
+    loose = made._replace(
+        normal_min=np.zeros_like(made.normal_min),
+        normal_max=np.full_like(made.normal_max, 20.0),
+        torque_max=np.full_like(made.torque_max, np.inf),
+    )
+    found = solve(loose, "largest_margin")
+    some = found.verdict != Verdict.INFEASIBLE
+    assert some.sum() > COUNT / 2
+    assert (found.verdict == Verdict.OPTIMAL)[some].mean() >= (1 if kind == "ordinary" else 0.9)
+    assert (found.bound - found.value)[found.verdict == Verdict.OPTIMAL].max() < 3e-6
 
 
 def test_a_padded_pinch_of_soft_fingers_is_solved():

@@ -242,7 +242,7 @@ def worst(values: np.ndarray, where: np.ndarray) -> float | None:
     return float(values[where].max()) if where.any() else None
 
 
-def torque_error(case: Case, found: jaxgrasp.grip.Tick) -> float | None:
+def torque_error(case: Case, found: jaxgrasp.grip.StepResult) -> float | None:
     """Against the contacts' Jacobian, relative to each pose's largest torque; None where no pose has one."""
     hand = case.scene.hand
     frames = jaxgrasp.hand.pose_hand(hand, case.posture)

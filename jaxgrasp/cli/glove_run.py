@@ -26,8 +26,7 @@ from jaxgrasp.glove.network.link import NetworkLink
 from jaxgrasp.glove.network.link_key import VARIABLE, load_key
 from jaxgrasp.glove.other_devices.alignment import Alignment, at_home, load_alignment
 from jaxgrasp.glove.other_devices.tracker import Tracker
-from jaxgrasp.grip.human_scale import beyond_human
-from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, load_scene, scene_path
+from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, beyond_human, load_scene, scene_path
 from jaxgrasp.lab.grasp_and_lift import Story, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import HandHaptics, Haptics, pose_at, run_loop
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -216,7 +215,7 @@ def _feed(arguments: Run, haptics: Haptics | WorldHaptics, made: GrippedScene) -
     things = 1
     if isinstance(haptics, WorldHaptics):
         shown |= {"world": haptics.world, "state": haptics.state}
-        things = len(haptics.world.things)
+        things = len(haptics.world.bodies)
     more = Carried.size(things, len(made.scene.hand.links))
     with compiling("the page"):
         feed = ViewFeed(len(haptics.model.joints), more, shown, (arguments.view_port,))

@@ -15,13 +15,11 @@ from jaxgrasp.cli.machine import compiling, provenance, set_up_jax
 from jaxgrasp.cli.sampled_times import sampled_times
 from jaxgrasp.cli.terminal import announce, show
 from jaxgrasp.files.replace import check_writable, replace_file
-from jaxgrasp.grip.carry import Instant, carry, stacked
-from jaxgrasp.grip.human_scale import beyond_human, too_strong
-from jaxgrasp.grip.lifting import lift_and_turn
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene import Scene
 from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry, TableEntry
-from jaxgrasp.grip.scene_file import SceneFile, load_scene, scene_path
+from jaxgrasp.grip.scene_file import SceneFile, beyond_human, load_scene, scene_path, too_strong
+from jaxgrasp.grip.simulation import Record, lift_and_turn, simulate, stacked
 from jaxgrasp.hand.grip_type import GripType, grip_type
 from jaxgrasp.interop.mujoco_contacts import import_mujoco
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -78,7 +76,7 @@ def grip_command(arguments: Grip) -> int:
     dt = float(times[1] - times[0])
     with compiling("both laws, and what the object does"):
         if world is None:
-            record, others = stacked(carry(made.scene, postures, made.placed, dt, law=made.law)), None
+            record, others = stacked(simulate(made.scene, postures, made.placed, dt, law=made.law)), None
         else:
             record, others = carried_world(world, postures, dt, made.law)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -116,7 +114,7 @@ def _words(kind: GripType) -> str:
     return kind.name.lower().replace("_", " ")
 
 
-def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Instant) -> dict[str, AnyArray]:
+def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Record) -> dict[str, AnyArray]:
     """Everything over time in arrays."""
     ticks = record.tick
     moments = ticks.assessment.moments
@@ -141,7 +139,7 @@ def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Instant) 
         "hold": record.hold,
         "touches": ticks.assessment.touches,
         "disagrees": ticks.assessment.disagrees,
-        "missed": record.missed,
+        "missed": record.wrench_residual,
         "torques": ticks.torques,
         "grip_type": grip_type(hand, postures, ticks.contacts),
         "joints": np.array(hand.joints),
@@ -203,7 +201,7 @@ def _in_units(name: str, value: object) -> str:
     return f"{shown} {unit}".strip()
 
 
-def _summary(hand: Hand, times: np.ndarray, record: Instant) -> dict:
+def _summary(hand: Hand, times: np.ndarray, record: Record) -> dict:
     ticks = record.tick
     holds = Counter(Hold(code).name for code in np.asarray(record.hold).tolist())
     worst = np.unravel_index(np.argmin(ticks.torques), ticks.torques.shape)
@@ -221,7 +219,7 @@ def _summary(hand: Hand, times: np.ndarray, record: Instant) -> dict:
     }
 
 
-def _unbalanced(record: Instant) -> dict:
+def _unbalanced(record: Record) -> dict:
     """How much of the squeezing forces nothing balances, at first."""
     grasp = jax.tree.map(lambda x: x[0], record.tick.grasp)
     pressed = np.asarray(grasp.squeeze) * np.asarray(grasp.present)

@@ -54,7 +54,8 @@ class Grip:
     step: float = 0.02
     """Time from one instant to the next [s]."""
     law: Literal["closed-form", "optimum"] = "optimum"
-    """Which forces decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.carry's default."""
+    """Which forces decide whether the object slips; the paper's are the closed form, jaxgrasp.grip.simulate's
+    default."""
     report: bool = True
     """Write grip.html, grip.png and grip_forces.png beside the results (needs the extra `report`)."""
     out: Path = Path("jaxgrasp-grip")

@@ -5,16 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxgrasp.cli.terminal import show
-from jaxgrasp.grip.carry import Instant, stacked
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile
+from jaxgrasp.grip.simulation import Record, stacked
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Posture
-from jaxgrasp.world.engines import EngineName, engine_of
 from jaxgrasp.world.many_bodies import World, WorldState
 from jaxgrasp.world.physics import Engine
-from jaxgrasp.world.world_carry import world_carry
 from jaxgrasp.world.world_file import world_of
+from jaxgrasp.world.world_simulation import EngineName, engine_of, simulate_world
 
 STAYED = 1e-3
 """What went less far than that stayed where it was [m]."""
@@ -48,11 +47,11 @@ def moved_world(file: SceneFile, made: GrippedScene, engine: EngineName | None) 
     return MovedWorld(world, state, engine_of(name, world, state), name)
 
 
-def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> tuple[Instant, OthersRecord]:
+def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> tuple[Record, OthersRecord]:
     """The gripped object's record, and the others'."""
     count = len(moved.world.others)
     show(f"{count} more object{'' if count == 1 else 's'}, moved by the engine {moved.name}")
-    instants = world_carry(moved.world, moved.engine, postures, moved.state, dt, law=law)
+    instants = simulate_world(moved.world, moved.engine, postures, moved.state, dt, law=law)
     record = stacked([instant.gripped for instant in instants])
     states, loads = stacked([(instant.state, instant.loads) for instant in instants])
     exerted, points = stacked([(one.share.by_hand, one.share.touches.contacts.points) for one in instants])
@@ -63,7 +62,7 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
         "others_points": points[:, 1:],
         "loads_by_table": loads.by_table,
         "loads_by_obstacles": loads.by_obstacles,
-        "loads_by_things": loads.by_things,
+        "loads_by_things": loads.by_bodies,
     }
     if exerted.moments is not None:
         columns["others_moments"] = exerted.moments[:, 1:]

@@ -1,12 +1,12 @@
-"""The grasp over time: whether it holds, and what the object does."""
+"""Grasps over time: whether a grasp holds, and how the object moves."""
 
-from jaxgrasp.grip.carry import Instant, carry
 from jaxgrasp.grip.monitor import Assessment, Hold, Touch, monitor
 from jaxgrasp.grip.motion import Body
 from jaxgrasp.grip.power_grip import power_grip
 from jaxgrasp.grip.precision_grip import precision_grip
 from jaxgrasp.grip.scene import Obstacle, Scene
-from jaxgrasp.grip.tick import Tick, observe
+from jaxgrasp.grip.simulation import Record, simulate
+from jaxgrasp.grip.tick import StepResult, observe
 from jaxgrasp.hand.balanced_contributions import balanced_contributions
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.model.held import Held, HeldCylinder
@@ -23,17 +23,17 @@ __all__ = [
     "Held",
     "HeldCylinder",
     "Hold",
-    "Instant",
+    "Record",
     "Lift",
     "Obstacle",
     "Scene",
     "Shake",
     "Task",
-    "Tick",
+    "StepResult",
     "Touch",
     "Turn",
     "balanced_contributions",
-    "carry",
+    "simulate",
     "carrying",
     "contributions_of",
     "grip_type",

@@ -1,7 +1,7 @@
-"""Whether a grasp holds: the paper's conditions (2) and (3), monitored on closed form and optimum.
+"""Monitoring of a grasp by the paper's conditions (2) and (3), on closed form and optimum.
 
-The paper applies the closed form and watches whether it slips. Where it does although other forces would hold, the
-grasp was given up too early: the two laws disagree, and that is said.
+The paper applies the closed form and monitors its slip. Where it slips although other forces would hold, the grasp was
+given up too early: the two laws disagree, and the result says so.
 """
 
 from enum import IntEnum
@@ -15,7 +15,7 @@ from jax import Array
 
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.slip import spin_force
-from jaxgrasp.grip.slipping import Exerted, applied_forces
+from jaxgrasp.grip.contact_forces import ContactForces, applied_forces
 from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_held
@@ -26,18 +26,18 @@ Law = Literal["closed-form", "optimum"]
 
 
 class Hold(IntEnum):
-    """What becomes of the object. The codes are stable in files."""
+    """State of the grip on the object. The codes are stable in files."""
 
     STABLE = 0
     """Every contact obeys (2) and (3), and together they balance the wrench."""
     SLIPPING = 1
-    """The applied law breaks a condition, or balances nothing."""
+    """The applied law breaks a condition, or balances no wrench."""
     LOST = 2
-    """Nothing touches."""
+    """No contact is present."""
 
 
 class Touch(IntEnum):
-    """What a contact does under the applied law. The codes are stable in files."""
+    """State of a contact under the applied law. The codes are stable in files."""
 
     HOLDS = 0
     SLIDES = 1
@@ -48,7 +48,7 @@ class Touch(IntEnum):
 
 
 class Assessment(eqx.Module):
-    """One instant of a grasp, or a batch of them."""
+    """Assessment of one instant of a grasp, or of a batch of them."""
 
     closed: Solution
     optimum: Solution
@@ -57,17 +57,17 @@ class Assessment(eqx.Module):
     touches: Int[Array, "*batch n"]
     """Codes of a [`jaxgrasp.grip.Touch`][], by the applied law."""
     forces: Float[Array, "*batch n 3"]
-    """Contact forces by the applied law, on the object [N]; zero where the object is lost. Where they balance nothing
-    their derivative is that of forces that stay as they are."""
+    """Contact forces by the applied law, on the object [N]; zero where the object is lost. Where they balance no wrench
+    their derivative is zero, as of constant forces."""
     moments: Float[Array, "*batch n"] | None
-    """What soft fingers exert about their normals, likewise [N.m]; None where all contacts are hard."""
+    """Moments of soft fingers about their normals, likewise [N.m]; None where all contacts are hard."""
     disagrees: Array
-    """``(...)`` Whether the closed form slips while the optimum shows forces that hold."""
+    """``(...)`` True where the closed form slips while the optimum shows forces that hold."""
 
     @property
-    def exerted(self) -> Exerted:
-        """Forces and moments by the applied law."""
-        return Exerted(self.forces, self.moments)
+    def exerted(self) -> ContactForces:
+        """Return forces and moments by the applied law."""
+        return ContactForces(self.forces, self.moments)
 
 
 @checked
@@ -79,57 +79,57 @@ def monitor(
     free: Float[AnyArray, "*#batch 6 k"] | None = None,
     law: Law = "closed-form",
 ) -> Assessment:
-    """Whether a grasp is stable, slipping or lost, and why.
+    """Decide whether a grasp is stable, slipping or lost, and which contacts break which condition.
 
     Args:
         grasp: contacts ``(..., n)``.
-        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
+        wrench: wrench required of the contacts ``(..., 6)`` [N, N.m].
         sharing: as for [`jaxgrasp.closed_form`][].
-        free: of an object that a guide holds, the twists left to it, as for [`jaxgrasp.closed_form`][].
-        law: which forces the hand applies: the closed form, as in the paper, or the optimum (the default of the
+        free: motion basis of an object on a guide, as for [`jaxgrasp.closed_form`][].
+        law: force law of the hand: the closed form, as in the paper, or the optimum (the default of the
             command ``jaxgrasp grip``). The closed form often slips where other forces would hold.
 
     Returns:
-        An Assessment: what becomes of the object, what each contact does, and whether the two laws disagree.
+        An Assessment: state of the grip and of each contact, and whether the two laws disagree.
 
     Raises:
-        ValueError: for another law, or as [`jaxgrasp.closed_form`][] does.
+        ValueError: for an unknown law, or as [`jaxgrasp.closed_form`][] does.
     """
     name, weights = read_sharing(sharing)
-    return _assessed(grasp, wrench, weights, free, sharing=name, law=law)
+    return _monitored(grasp, wrench, weights, free, sharing=name, law=law)
 
 
 @partial(jax.jit, static_argnames=("sharing", "law"))
-def _assessed(
+def _monitored(
     grasp: Grasp, wrench: AnyArray, weights: AnyArray | None, free: AnyArray | None, *, sharing: str, law: Law
 ) -> Assessment:
     closed, optimum = closed_form_and_optimum(grasp, wrench, sharing if weights is None else weights, free=free)
-    return judged(grasp, closed, optimum, law)
+    return assess(grasp, closed, optimum, law)
 
 
-def judged(grasp: Grasp, closed: Solution, optimum: Solution, law: Law) -> Assessment:
-    """What both answers say of a grasp."""
+def assess(grasp: Grasp, closed: Solution, optimum: Solution, law: Law) -> Assessment:
+    """Combine closed form and optimum of a grasp into an Assessment by the applied law."""
     applied = closed if law == "closed-form" else optimum
     normals = jnp.asarray(grasp.normals)
-    there = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
-    # What cannot be told from the data is not lost: the verdicts say INVALID_DATA.
-    lost = ~jnp.any(there, -1) & (closed.verdict != Verdict.INVALID_DATA)
-    holds = is_held(applied.verdict)
+    is_present = jnp.ones(normals.shape[:-1], bool) if grasp.present is None else jnp.asarray(grasp.present) > 0.5
+    # Invalid data do not count as lost: the verdicts say INVALID_DATA.
+    lost = ~jnp.any(is_present, -1) & (closed.verdict != Verdict.INVALID_DATA)
+    is_holding = is_held(applied.verdict)
     exerted = applied_forces(applied)
-    state = jnp.where(lost, Hold.LOST, jnp.where(holds, Hold.STABLE, Hold.SLIPPING))
+    state = jnp.where(lost, Hold.LOST, jnp.where(is_holding, Hold.STABLE, Hold.SLIPPING))
     return Assessment(
         closed=closed,
         optimum=optimum,
         hold=state.astype(jnp.int32),
-        touches=_touches(grasp, applied, there, holds),
+        touches=_touches(grasp, applied, is_present, is_holding),
         forces=exerted.forces,
         moments=exerted.moments,
         disagrees=is_held(optimum.verdict) & ~is_held(closed.verdict),
     )
 
 
-def _touches(grasp: Grasp, applied: Solution, there: Array, holds: Array) -> Array:
-    """Which condition each contact breaks; none does in a distribution that was found to hold."""
+def _touches(grasp: Grasp, applied: Solution, is_present: Array, is_holding: Array) -> Array:
+    """Determine the condition that each contact breaks; none in a distribution that holds."""
     forces = applied.forces
     along = jnp.sum(forces * grasp.normals, -1)
     across = jnp.linalg.norm(forces - along[..., None] * grasp.normals, axis=-1)
@@ -137,5 +137,5 @@ def _touches(grasp: Grasp, applied: Solution, there: Array, holds: Array) -> Arr
     if spin is not None:
         across = jnp.sqrt(across**2 + spin**2)
     broken = jnp.where(along < 0, Touch.PULLS, jnp.where(across > grasp.friction * along, Touch.SLIDES, Touch.HOLDS))
-    touches = jnp.where(holds[..., None], Touch.HOLDS, broken)
-    return jnp.where(there, touches, Touch.ABSENT).astype(jnp.int32)
+    touches = jnp.where(is_holding[..., None], Touch.HOLDS, broken)
+    return jnp.where(is_present, touches, Touch.ABSENT).astype(jnp.int32)

@@ -1,6 +1,6 @@
-"""How bodies move from one instant to the next: rigid motions, their fit to contacts, and what gravity does.
+"""Rigid motions of bodies from one instant to the next: their fit to contacts, and their rest on a table.
 
-Quasi-static: a held object goes where its contacts go; only a slipping or a free one has an inertia of its own.
+Quasi-static: a held object follows its contacts; only a slipping or a free object moves by its own inertia.
 """
 
 from typing import NamedTuple
@@ -17,21 +17,22 @@ from jaxgrasp.numerics.rotation import cross_matrix, rotation_by
 from jaxgrasp.numerics.vec3 import Vec3
 
 PAD = 2e-3
-"""Half the width of what a contact holds on to [m]: a fingertip turns what it touches, if only a little."""
+"""Half the width of the pad that a contact holds [m]: a fingertip turns the object a little."""
 
 
 class Body(eqx.Module):
-    """A rigid object, its centre of mass at its frame's origin."""
+    """A rigid object with its centre of mass at its frame's origin."""
 
     shape: Shape
-    """About the centre of mass: [`jaxgrasp.hand.Shifted`][] where that is not its middle."""
+    """Shape about the centre of mass: use [`jaxgrasp.hand.Shifted`][] where that is not its middle."""
     mass: float | AnyArray
     """[kg]"""
     inertia: Float[AnyArray, "3 3"] | None = None
-    """About the centre of mass, along the frame's axes [kg.m^2]; of uniform density where not given."""
+    """Inertia tensor about the centre of mass, along the frame's axes [kg.m^2]; that of uniform density where not
+    given."""
 
     def inertia_matrix(self) -> Float[Array, "3 3"]:
-        """About the centre of mass, along the frame's axes [kg.m^2]."""
+        """Return the inertia tensor about the centre of mass, along the frame's axes [kg.m^2]."""
         if self.inertia is not None:
             return jnp.asarray(self.inertia)
         moments = jnp.stack(jnp.broadcast_arrays(*self.shape._moments()))
@@ -39,7 +40,7 @@ class Body(eqx.Module):
 
 
 class Motion(NamedTuple):
-    """Velocity of a body: of its origin, and about it, in the world."""
+    """Velocity of a body in the world: of its origin, and angular."""
 
     linear: Array
     """[m/s]"""
@@ -48,26 +49,27 @@ class Motion(NamedTuple):
 
 
 def spatial_inertia(body: Body, rotation: Float[AnyArray, "3 3"]) -> Float[Array, "6 6"]:
-    """Mass, and moments about the body's origin along the world's axes [kg, kg.m^2]."""
+    """Return mass and inertia tensor about the body's origin, along the world's axes [kg, kg.m^2]."""
     turned = rotation @ body.inertia_matrix() @ rotation.T
     zero = jnp.zeros((3, 3))
     return jnp.block([[body.mass * jnp.eye(3), zero], [zero, turned]])
 
 
 def guide_at(guide: Float[AnyArray, "6 k"], origin: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 6 k"]:
-    """A guide's twists about the world's origin as ones about another point, along the same axes."""
+    """Shift a guide's twists from the world's origin to another reference point, along the same axes."""
     linear, angular = jnp.asarray(guide)[:3], jnp.asarray(guide)[3:]
     moved = linear + jnp.cross(angular, jnp.asarray(origin)[..., None], axis=-2)
     return jnp.concatenate([moved, jnp.broadcast_to(angular, moved.shape)], -2)
 
 
 def mobility(body: Body, placed: Pose, guide: AnyArray | None) -> Float[Array, "6 6"]:
-    """What a unit of impulse about the body's origin gives it in motion [1/kg, 1/(kg.m), 1/(kg.m^2)]."""
+    """Compute the motion for a unit of impulse about the body's origin, M^-1 [1/kg, 1/(kg.m), 1/(kg.m^2)]; with a guide
+    F (F' M F)^+ F'."""
     inertia = spatial_inertia(body, placed.rotation)
     if guide is None:
         return jnp.linalg.inv(inertia)
     free = guide_at(guide, placed.origin)
-    # By the energy of each, so that their sizes do not matter.
+    # Twists are scaled to unit energy, so that their lengths do not matter.
     size = jnp.sqrt(jnp.diagonal(free.T @ inertia @ free))
     free = free / jnp.where(size > 0, size, 1)
     return free @ jnp.linalg.pinv(free.T @ inertia @ free, hermitian=True) @ free.T
@@ -76,16 +78,16 @@ def mobility(body: Body, placed: Pose, guide: AnyArray | None) -> Float[Array, "
 def follow(
     before: HandFrames, after: HandFrames, points: Float[AnyArray, "L 3"], weights: Float[AnyArray, "L"], placed: Pose
 ) -> Pose:
-    """Where an object goes that is held: the rigid motion that comes closest to that of its contacts.
+    """Compute the later pose of a held object: the rigid motion closest to that of its contacts.
 
-    Least squares over the contacts, by their weights; each counts as a small pad, which goes with its link.
+    Weighted least squares over the contacts; each is a small pad that moves with its link.
 
     Args:
-        before: of the hand's frames.
-        after: of the hand's frames, an instant later.
-        points: where each link touches, before [m].
-        weights: 0 for links that do not touch.
-        placed: where the object stood.
+        before: frames of the hand.
+        after: frames of the hand, an instant later.
+        points: contact point of each link, before [m].
+        weights: weight of each link; 0 without contact.
+        placed: pose of the object, before.
     """
     return _fit(*_pads(before, after, points, weights), placed)
 
@@ -99,21 +101,22 @@ def follow_along(
     placed: Pose,
     dt: float | AnyArray,
 ) -> Motion:
-    """The motion of an object along its guide that comes closest to that of its contacts, fitted as by ``follow``."""
+    """Compute the motion of an object along its guide that is closest to that of its contacts, fitted as by
+    ``follow``."""
     old, new, share = _pads(before, after, points, weights)
     free = guide_at(guide, placed.origin)
     arms = (old - placed.origin)[:, :, None]
     velocities = (free[:3] + jnp.cross(free[None, 3:], arms, axis=1)) * jnp.sqrt(share)[:, None, None]
-    wanted = (new - old) * jnp.sqrt(share)[:, None] / dt
+    targets = (new - old) * jnp.sqrt(share)[:, None] / dt
     size = jnp.linalg.norm(free, axis=0)
     size = jnp.where(size > 0, size, 1)
-    along = jnp.linalg.lstsq((velocities / size).reshape(-1, free.shape[1]), wanted.reshape(-1))[0]
+    along = jnp.linalg.lstsq((velocities / size).reshape(-1, free.shape[1]), targets.reshape(-1))[0]
     twist = free @ (along / size)
     return Motion(twist[:3], twist[3:])
 
 
 def _pads(before: HandFrames, after: HandFrames, points: AnyArray, weights: AnyArray) -> tuple[Array, Array, Array]:
-    """Points of each contact's pad before and after, and what each counts."""
+    """Return the points of each contact's pad before and after, and their weights."""
     turns = after.links.rotation @ before.links.rotation.swapaxes(-1, -2)
     pads = PAD * jnp.concatenate([jnp.eye(3), -jnp.eye(3)])
     old = jnp.asarray(points)[:, None] + pads
@@ -123,7 +126,7 @@ def _pads(before: HandFrames, after: HandFrames, points: AnyArray, weights: AnyA
 
 
 def _fit(old: Array, new: Array, share: Array, placed: Pose) -> Pose:
-    """Kabsch's rotation between two clouds of points, applied to a pose."""
+    """Apply Kabsch's rotation between two clouds of points to a pose."""
     middle, goal = share @ old, share @ new
     left, _, right = jnp.linalg.svd((new - goal).T @ (share[:, None] * (old - middle)))
     # The nearest proper rotation, never a reflection.
@@ -132,46 +135,47 @@ def _fit(old: Array, new: Array, share: Array, placed: Pose) -> Pose:
 
 
 def motion_between(before: Pose, after: Pose, dt: float | AnyArray) -> Motion:
-    """The steady motion that leads from one pose to the other in ``dt`` seconds."""
+    """Compute the steady motion that leads from one pose to the other in ``dt`` seconds."""
     turn = after.rotation @ before.rotation.T
     twice_sine = jnp.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     size = jnp.linalg.norm(twice_sine)
     angle = jnp.arctan2(size, jnp.trace(turn) - 1)
-    # Of a small turn the angle is the sine.
+    # For a small turn the angle equals the sine; the double where keeps the derivative finite at none.
     factor = jnp.where(size > 0, angle / jnp.where(size > 0, size, 1), 0.5)
     return Motion(jnp.asarray(after.origin - before.origin) / dt, factor * twice_sine / dt)
 
 
 def moved(placed: Pose, motion: Motion, dt: float | AnyArray, guide: AnyArray | None = None) -> Pose:
-    """A pose after ``dt`` seconds of a steady motion: a free body's centre goes straight on, a guided body goes on with
-    one twist, by which it never leaves its guide."""
+    """Integrate a pose over ``dt`` seconds of a steady motion: a free body's centre moves on a straight line, a guided
+    body moves by one twist, along which it never leaves its guide."""
     turn = rotation_by(motion.angular * dt)
     if guide is None:
         return Pose(placed.origin + motion.linear * dt, turn @ placed.rotation)
     screw = jnp.zeros((4, 4)).at[:3, :3].set(cross_matrix(motion.angular))
-    way = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)[:3, 3]
-    return Pose(placed.origin + way, turn @ placed.rotation)
+    shift = jax.scipy.linalg.expm(screw.at[:3, 3].set(motion.linear) * dt)[:3, 3]
+    return Pose(placed.origin + shift, turn @ placed.rotation)
 
 
 def rest_on(
     table: Pose, shape: Shape, placed: Pose, motion: Motion, before: Pose | None = None
 ) -> tuple[Pose, Motion, Array]:
-    """An object lifted out of the table's half space, and whether it had to be; what stands on a table has stopped.
+    """Lift an object out of the table's half space; return its pose, its motion, and whether it stands. Standing
+    objects are at rest.
 
-    One that a guide holds cannot be lifted: where it would go deeper than ``before``, it stays there.
+    A guided object cannot be lifted: where it would go deeper than ``before``, it stays at that pose.
     """
     up = jnp.asarray(table.rotation)[:, 2]
     height = height_above(table, shape, placed)
     if before is None:
         stands = height <= 0
-        there = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
+        pose = Pose(placed.origin - jnp.minimum(height, 0) * up, placed.rotation)
     else:
         stands = (height <= 0) & (height < height_above(table, shape, before))
-        there = jax.tree.map(lambda was, now: jnp.where(stands, was, now), before, placed)
-    return there, Motion(*(jnp.where(stands, 0, part) for part in motion)), stands
+        pose = jax.tree.map(lambda old, new: jnp.where(stands, old, new), before, placed)
+    return pose, Motion(*(jnp.where(stands, 0, part) for part in motion)), stands
 
 
 def height_above(table: Pose, shape: Shape, placed: Pose) -> Array:
-    """Height of an object's lowest point above a table [m]."""
+    """Compute the height of an object's lowest point above a table [m]."""
     up = jnp.asarray(table.rotation)[:, 2]
     return jnp.asarray(placed.origin - table.origin) @ up - shape._support(Vec3(*(-up @ placed.rotation)))

@@ -1,4 +1,4 @@
-"""A power grip: the hand laid on an object, and closed around it."""
+"""Power grip: the hand is laid on an object, and closed around it."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,18 +18,18 @@ ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 
 
 def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None = None) -> tuple[Posture, Pose]:
-    """An open hand, its palm on an object below it: wrist at the world's origin, palm down.
+    """Place an open hand with its palm on an object below it: wrist at the world's origin, palm down.
 
     The object lies under the knuckles, its z axis across the palm.
 
     Args:
         hand: a human hand, or one whose fingers have names.
-        shape: of the object.
-        depth: at which the palm presses into it [m].
-        way: in which the hand closes; its own where not given.
+        shape: shape of the object.
+        depth: depth of the palm in the object [m].
+        way: closing kinematics of the hand; found from its joints where not given.
 
     Raises:
-        TypeError: for what is no hand, or no shape.
+        TypeError: for a hand or shape of another type.
         ValueError: for a hand without palm and fingers, a shape of no volume, or a depth below zero.
     """
     way = closing_way(hand) if way is None else way
@@ -46,18 +46,19 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None
 def power_grip(
     hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None = None
 ) -> tuple[Posture, Pose, Contacts]:
-    """A hand closed on an object that lies in its palm.
+    """Close a hand on an object that lies in its palm.
 
-    What is too thick or too thin for the hand is closed on as far as it goes: [`jaxgrasp.grip.grip_type`][] tells.
+    On an object that is too thick or too thin the hand closes as far as possible: check with
+    [`jaxgrasp.grip.grip_type`][].
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named.
-        shape: of the object; its z axis goes across the palm.
-        depth: at which links press into it [m].
-        way: in which the hand closes, from [`jaxgrasp.hand.closing_way`][]; as that finds it where not given.
+        shape: shape of the object; its z axis lies across the palm.
+        depth: depth of the links in the object [m].
+        way: closing kinematics, from [`jaxgrasp.hand.closing_way`][]; found by it where not given.
 
     Returns:
-        The posture, its wrist at the world's origin and its palm down; where the object lies in the world; and the
+        The posture, with the wrist at the world's origin and the palm down; the object's pose in the world; and the
         contacts.
 
     Raises:
@@ -69,7 +70,7 @@ def power_grip(
     way = closing_way(hand) if way is None else way
     posture, placed = lay_on(hand, shape, depth, way)
     if not is_human(hand):
-        # Whether its thumb is out of the way depends on what the caller said of it.
+        # The thumb of another hand is clear of the object only if the caller's open angles put it aside.
         check_clear(hand, posture, shape, placed, depth + ROUNDING)
     closed, contacts = close_hand(
         hand, posture, shape, placed, depth, towards=jnp.asarray(way.closed), fingers_apart=True

@@ -1,65 +1,244 @@
-"""A precision grip: fingertips alone hold an object, the thumb opposite the others."""
+"""Precision grip: fingertips alone hold an object, the thumb opposite the others, found by least squares."""
 
-from itertools import product
+from collections.abc import Sequence
+from itertools import combinations, product
+from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.grip.fingertips import (
-    APART,
-    CLEARANCE,
-    COUPLING,
-    FingertipTask,
-    Misses,
-    fingertip_task,
-    misses,
-    tip_ends,
-    weighed,
-)
 from jaxgrasp.hand.closing_way import ClosingWay, closing_way
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.human_hand import is_human
-from jaxgrasp.hand.kinematics import pose_hand
-from jaxgrasp.hand.shapes import Shape, check_shape
+from jaxgrasp.hand.kinematics import ancestry, pose_hand
+from jaxgrasp.hand.shapes import Shape, check_shape, signed_distance
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.numerics.least_squares import least_squares
 from jaxgrasp.numerics.rotation import rotation_by
 from jaxgrasp.validation.checked import checked
 
+CLEARANCE = 2e-3
+"""Distance of all links but the fingertips from the object [m]."""
+APART = 1e-3
+"""Distance of fingertips from each other [m]."""
+OPPOSED = 0.5
+"""Least cosine of the angle between a finger's normal and the line to the thumb."""
+PULP = 0.7
+"""Least cosine of the angle between a contact's normal and the outward direction of the finger's palmar side."""
+COUPLING = 2 / 3
+"""Flexion of a finger's last joint by that of the previous joint, as tendons couple them (Rijpkema and Girard 1991)."""
+
+
+class FingertipTask(eqx.Module):
+    """Fingertips that are to touch an object, with their depth and joints."""
+
+    hand: Hand
+    shape: Shape
+    depth: float | AnyArray
+    """[m]"""
+    closing: ClosingWay
+    """Closing kinematics of the hand."""
+    pulps: AnyArray
+    """``(n, 3)`` Outward direction of each fingertip's palmar side, in its link's frame."""
+    sides: AnyArray
+    """``(n, 3)`` Sideways direction of each fingertip, in its link's frame."""
+    fingers: tuple[str, ...] = eqx.field(static=True)
+    """Names of the fingers, the thumb first."""
+    tips: tuple[int, ...] = eqx.field(static=True)
+    """Links of the fingertips."""
+    joints: tuple[int, ...] = eqx.field(static=True)
+    """Joints that move the fingertips."""
+    flexions: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """Joints that close each finger, from the palm outwards."""
+
+    @property
+    def wrist(self) -> Pose:
+        """Return the wrist's pose at the world's origin, palm down."""
+        return Pose(jnp.zeros(3), jnp.asarray(self.closing.frame).T)
+
+    @property
+    def abductions(self) -> list[int]:
+        """Return the fingers' joints that do not flex them."""
+        flexing = {joint for chain in self.flexions for joint in chain}
+        thumb = set(np.flatnonzero(ancestry(self.hand)[self.tips[0]]).tolist())
+        return [joint for joint in self.joints if joint not in flexing | thumb]
+
+    def bent(self, angles: AnyArray, joints: Sequence[int]) -> AnyArray:
+        """Return the flexion of joints from their open angles [rad]."""
+        at = np.array(joints)
+        ranges = jnp.asarray(self.closing.closed)[at] - jnp.asarray(self.closing.open)[at]
+        return jnp.sign(ranges) * (angles[..., at] - jnp.asarray(self.closing.open)[at])
+
+
+def fingertip_task(
+    hand: Hand, shape: Shape, depth: float, fingers: tuple[str, ...], closing: ClosingWay
+) -> FingertipTask:
+    """Build the task of a hand's fingertips, the thumb's first.
+
+    Raises:
+        ValueError: for a hand that lacks one of these fingertips, or joints that bend it.
+    """
+    names, moves = [(link.finger, link.phalanx) for link in hand.links], ancestry(hand)
+    lacking = [finger for finger in fingers if (finger, "distal") not in names]
+    if lacking:
+        raise ValueError(f"hand has no link {lacking[0]} distal: expected links named as name_fingers does")
+    tips = [names.index((finger, "distal")) for finger in fingers]
+    closing = np.asarray(closing.closed) != np.asarray(closing.open)
+    flexions = tuple(tuple(np.flatnonzero(moves[tip] & closing).tolist()) for tip in tips)
+    for finger, chain in zip(fingers, flexions, strict=True):
+        if len(chain) < 2:
+            raise ValueError(f"{finger} has {len(chain)} joints that close it: expected two at least")
+    still = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(closing.open))
+    frames = jax.device_get(pose_hand(hand, still))
+    last = np.array([chain[-1] for chain in flexions])
+    turned, axes = frames.links.rotation[tips], frames.axes[last]
+    ends = frames.links.origin[tips] + np.einsum("tij,tj->ti", turned, tip_ends(hand, tips))
+    signs = np.sign(np.asarray(closing.closed) - np.asarray(closing.open))[last]
+    towards = signs[:, None] * np.cross(axes, ends - frames.joints.origin[last])
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    directions = [np.einsum("tij,ti->tj", turned, direction) for direction in (towards, axes)]
+    joints = tuple(np.flatnonzero(moves[tips].any(0)).tolist())
+    return FingertipTask(
+        hand, shape, depth, closing, directions[0], directions[1], fingers, tuple(tips), joints, flexions
+    )
+
+
+def tip_ends(hand: Hand, tips: list[int]) -> np.ndarray:
+    """Return the centres ``(n, 3)`` of the spheres at the ends of links, in their frames."""
+    centers, radii = np.asarray(hand.skin.centers)[tips], np.asarray(hand.skin.radii)[tips]
+    ends = np.argmax(np.where(radii > 0, np.linalg.norm(centers, axis=-1), -1), -1)
+    return centers[np.arange(len(tips)), ends]
+
+
+class Misses(NamedTuple):
+    """Residuals of the demands of a precision grip; zero where a demand is met."""
+
+    depth: AnyArray
+    """``(n,)`` Depth of each fingertip beyond the required one [m]."""
+    facing: AnyArray
+    """``(2, 3)`` Thumb's normal less the direction from the thumb to the fingers, and the fingers' mean normal less the
+    opposite direction."""
+    opposing: AnyArray
+    """``(n - 1,)`` Amount by which each finger's cosine is below ``OPPOSED``."""
+    intrusion: AnyArray
+    """``(L - n,)`` Amount by which the other links come closer to the object than ``CLEARANCE`` [m]."""
+    overlap: AnyArray
+    """``(n (n - 1) / 2,)`` Amount by which two fingertips come closer than ``APART`` [m]."""
+    pulp: AnyArray
+    """``(n,)`` Amount by which the cosine is below ``PULP``."""
+    side: AnyArray
+    """``(n,)`` Sideways component of the normals."""
+    coupling: AnyArray
+    """``(n - 1,)`` Flexion of the last joints beyond the ``COUPLING`` [rad]."""
+    spread: AnyArray
+    """Abduction of the fingers [rad]: of all joints that do not close them."""
+
+
+WEIGHED = {
+    "depth": 5e-5,
+    "facing": 0.03,
+    "opposing": 0.03,
+    "intrusion": 2e-4,
+    "overlap": 2e-4,
+    "pulp": 0.3,
+    "side": 3.0,
+    "coupling": 3.0,
+    "spread": 1.5,
+}
+"""Unit of each residual: a unit of one counts as much as a unit of another. Depths are met, comfort is a preference."""
+
+
+def misses(task: FingertipTask, angles: Array, placed: Pose) -> Misses:
+    """Compute the residuals of the demands, with the wrist at the world's origin, palm down.
+
+    A fingertip without contact counts by its sphere nearest to the object; a fingertip in contact by the mean of its
+    overlaps, as in [`jaxgrasp.hand.find_contacts`][].
+    """
+    hand, tips = task.hand, np.array(task.tips)
+    others = np.setdiff1d(np.arange(len(hand.links)), tips)
+    links = pose_hand(hand, Posture(task.wrist, angles)).links
+    centers = jnp.einsum("lij,lmj->lmi", links.rotation, hand.skin.centers) + links.origin[:, None]
+    local = (centers - placed.origin) @ placed.rotation
+    distances, out = signed_distance(task.shape, local)
+    depths = hand.skin.radii - distances
+    weights = _weights(depths[tips])
+    points = jnp.einsum("tm,tmi->ti", weights, (local - distances[..., None] * out)[tips]) @ placed.rotation.T
+    normals = -_unit(jnp.einsum("tm,tmi->ti", weights, out[tips])) @ placed.rotation.T
+    along = _unit(jnp.mean(points[1:], 0) - points[0])
+    turned = links.rotation[tips]
+    before, ends = zip(*(chain[-2:] for chain in task.flexions[1:]), strict=True)
+    return Misses(
+        depth=jnp.sum(weights * depths[tips], -1) - task.depth,
+        facing=jnp.stack([normals[0] - along, _unit(jnp.mean(normals[1:], 0)) + along]),
+        opposing=jnp.maximum(OPPOSED + normals[1:] @ along, 0),
+        intrusion=jnp.maximum(jnp.max(depths[others], -1) + CLEARANCE, 0),
+        overlap=jnp.maximum(APART - _gaps(centers[tips], hand.skin.radii[tips]), 0),
+        pulp=jnp.maximum(PULP - jnp.einsum("tij,tj,ti->t", turned, task.pulps, normals), 0),
+        side=jnp.einsum("tij,tj,ti->t", turned, task.sides, normals),
+        coupling=task.bent(angles, ends) - COUPLING * task.bent(angles, before),
+        spread=(angles - jnp.asarray(task.closing.open))[np.array(task.abductions, int)],
+    )
+
+
+def weighed(residuals: Misses) -> Array:
+    """Concatenate all residuals into one vector, in units of equal weight."""
+    return jnp.concatenate([jnp.ravel(getattr(residuals, name)) / unit for name, unit in WEIGHED.items()])
+
+
+def _weights(depths: Array) -> Array:
+    """Return the weights of a row's spheres in its contact; without contact the nearest sphere alone counts."""
+    square = jnp.maximum(depths, 0) ** 2
+    total = jnp.sum(square, -1, keepdims=True)
+    nearest = jax.nn.one_hot(jnp.argmax(depths, -1), depths.shape[-1], dtype=depths.dtype)
+    return jnp.where(total > 0, square / jnp.where(total > 0, total, 1), nearest)
+
+
+def _gaps(centers: Array, radii: Array) -> Array:
+    """Compute the least distances between the skins of every two rows of spheres ``(n, m, 3)``."""
+    first, second = np.array(list(combinations(range(len(centers)), 2))).T
+    between = jnp.linalg.norm(centers[first][:, :, None] - centers[second][:, None], axis=-1)
+    return jnp.min(between - radii[first][:, :, None] - radii[second][:, None], (1, 2))
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / jnp.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 PRESHAPES = ((25.0, 45.0, 65.0), (25.0, 50.0))
-"""Angles from which the fingers' first and second flexion set out, in all combinations [degrees]."""
+"""Start angles of the fingers' first and second flexion, in all combinations [degrees]."""
 THUMB_ABDUCTIONS = (30.0, 50.0)
-"""Those of a human thumb's abduction [degrees]."""
+"""Start angles of a human thumb's abduction [degrees]."""
 THUMB_WAYS = (0.5, 1.0)
-"""How far another hand's thumb is on its way round, but for its last two joints."""
+"""Start positions of another hand's thumb, as a share of its closing motion, without its last two joints."""
 THUMB_FLEXION = 20.0
 """Flexion of the thumb's last two joints at the start [degrees]."""
 STEPS = 60
 SHIFT = 0.05
-"""A way of the object that counts as much as a radian of a joint [m]."""
+"""Shift of the object that counts as much as a radian of a joint [m]."""
 EASE = 0.02
-"""Weight of the way from the start, which decides what nothing else does."""
+"""Weight of the distance from the start, which decides where the demands do not."""
 OFF_DEPTH = 0.1
-"""By how much a depth may miss the wanted one, as a share of it."""
+"""Allowed error of a depth, as a share of it."""
 OFF_LINE = 0.2
-"""By how much unit normals may miss the line from the thumb to the fingers; friction 0.5 allows 0.46 rad."""
+"""Allowed error of unit normals from the line between thumb and fingers; friction 0.5 allows 0.46 rad."""
 
 
 @checked
 def precision_grip(
     hand: Hand, shape: Shape, fingers: int = 3, depth: float = 1e-3, way: ClosingWay | None = None
 ) -> tuple[Posture, Pose, Contacts]:
-    """A hand that holds an object by its fingertips: posture, the object's place, and the contacts.
+    """Find a posture that holds an object by its fingertips, with the object's pose and the contacts.
 
-    Joint angles within their limits and the object's pose are found together, by least squares from several
-    preshapes: each fingertip presses to the wanted depth, the other links and fingertips stay clear, and the thumb's
-    normal and the others' mean are opposed along the line between them, so that their friction cones hold that line:
-    Nguyen's condition of force closure (IJRR 7(3):3-16, 1988) for the thumb and one finger in place of the others.
-    Fingers that take no part are straight. Wrist at the world's origin, palm down; the object's z axis lies about
+    Joint angles within their limits and the object's pose are solved for together, by least squares from several
+    preshapes: each fingertip presses to the required depth, the other links and fingertips stay clear, and the thumb's
+    normal and the mean of the others are opposed along the line between them, so that their friction cones contain that
+    line: Nguyen's condition of force closure (IJRR 7(3):3-16, 1988) for the thumb and one finger that stands for the
+    others. Unused fingers are straight. The wrist is at the world's origin, palm down; the object's z axis lies about
     across the palm, its x axis about from the thumb to the fingers.
 
     Hands of 0.16 to 0.21 m reach round objects of 15 to 35 mm radius and boxes as thick, pressed 0.3 to 3 mm deep.
@@ -67,14 +246,14 @@ def precision_grip(
 
     Args:
         hand: a human hand, or one whose links [`jaxgrasp.hand.name_fingers`][] has named, with a thumb.
-        shape: of the object.
-        fingers: that touch, with the thumb: 3 (thumb, index, middle), 4, or 5.
-        depth: at which each fingertip presses into it [m].
-        way: in which the hand closes, from [`jaxgrasp.hand.closing_way`][]; as that finds it where not given.
+        shape: shape of the object.
+        fingers: number of fingers that touch, with the thumb: 3 (thumb, index, middle), 4, or 5.
+        depth: depth of each fingertip in the object [m].
+        way: closing kinematics, from [`jaxgrasp.hand.closing_way`][]; found by it where not given.
 
     Raises:
         ValueError: for a hand without palm and these fingers, another number of fingers, a shape of no volume, and an
-            object that this hand does not hold so; the message names what was not reached.
+            object that this hand does not hold so; the message names the unmet demands.
     """
     way = closing_way(hand) if way is None else way
     check_shape(shape)
@@ -83,60 +262,62 @@ def precision_grip(
     if not (np.isfinite(depth) and depth > 0):
         raise ValueError(f"depth is {depth}: expected a positive number of metres")
     task = fingertip_task(hand, shape, depth, FINGERS[:fingers], way)
-    angles, placed, missed = _solve(task, *_preshapes(task))
-    _check_reached(task, jax.device_get(missed))
+    angles, placed, residuals = _solve(task, *_preshapes(task))
+    _check_reached(task, jax.device_get(residuals))
     posture = Posture(task.wrist, angles)
     return posture, placed, find_contacts(hand, posture, shape, placed)
 
 
 def _preshapes(task: FingertipTask) -> tuple[np.ndarray, Pose]:
-    """Angles ``(S, J)`` to set out from, the object midway between thumb and fingers."""
+    """Return start angles ``(S, J)``, and the object's start pose midway between thumb and fingers."""
     bends = product(*PRESHAPES, _thumbs(task))
-    whole = np.array([_preshape(task, flexion, bend, thumb) for flexion, bend, thumb in bends])
-    posture, tips = Posture(task.wrist, whole), list(task.tips)
+    angles = np.array([_preshape(task, flexion, bend, thumb) for flexion, bend, thumb in bends])
+    posture, tips = Posture(task.wrist, angles), list(task.tips)
     links = jax.device_get(pose_hand(task.hand, posture).links)
     ends = np.einsum("stij,tj->sti", links.rotation[:, tips], tip_ends(task.hand, tips)) + links.origin[:, tips]
     thumb, others = ends[:, 0], ends[:, 1:].mean(1)
     x = others - thumb
     x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    # As much across the palm, towards the little finger of a right hand, as the line between them allows.
+    # z is the direction across the palm, towards the little finger of a right hand, made orthogonal to x.
     z = x[:, 1:2] * x - np.array([0.0, 1.0, 0.0])
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
-    return whole, Pose((thumb + others) / 2, np.stack([x, np.cross(z, x), z], -1))
+    return angles, Pose((thumb + others) / 2, np.stack([x, np.cross(z, x), z], -1))
 
 
 def _preshape(task: FingertipTask, flexion: float, bend: float, thumb: dict[int, float]) -> np.ndarray:
-    """``(J,)`` Angles with fingers bent that far [degrees], and the thumb's joints where they are said to be."""
+    """Return angles ``(J,)`` with fingers bent by these amounts [degrees], and the thumb's joints at these angles
+    [rad]."""
     bends = dict.fromkeys(task.flexions[0][-2:], THUMB_FLEXION)
     for chain in task.flexions[1:]:
         first, *middle, last = chain
         bends |= {first: flexion, last: COUPLING * bend, **dict.fromkeys(middle, bend)}
-    angles = np.asarray(task.way.open).copy()
+    angles = np.asarray(task.closing.open).copy()
     for joint, angle in thumb.items():
         angles[joint] = angle
     for joint, angle in bends.items():
-        angles[joint] += np.sign(task.way.closed[joint] - task.way.open[joint]) * np.radians(angle)
+        angles[joint] += np.sign(task.closing.closed[joint] - task.closing.open[joint]) * np.radians(angle)
     angles = np.clip(angles, np.asarray(task.hand.lower), np.asarray(task.hand.upper))
     return angles if task.hand.coupling is None else np.asarray(task.hand.coupling.angles(angles))
 
 
 def _thumbs(task: FingertipTask) -> list[dict[int, float]]:
-    """Angles of the thumb's first joints to set out from [rad]."""
+    """Return start angles of the thumb's first joints [rad]."""
     if is_human(task.hand):
         return [{task.hand.joints.index("thumb abduction"): float(np.radians(a))} for a in THUMB_ABDUCTIONS]
     first = task.flexions[0][:-2]
-    ways = np.asarray(task.way.closed) - np.asarray(task.way.open)
-    return [{joint: float(task.way.open[joint] + share * ways[joint]) for joint in first} for share in THUMB_WAYS]
+    ranges = np.asarray(task.closing.closed) - np.asarray(task.closing.open)
+    return [{joint: float(task.closing.open[joint] + share * ranges[joint]) for joint in first} for share in THUMB_WAYS]
 
 
 @jax.jit
 def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, Pose, Misses]:
-    """The best end of all starts: angles, the object's pose, and what is still missing."""
+    """Minimise the residuals from all starts; return the best angles, the object's pose, and the remaining
+    residuals."""
     free = np.array(task.joints)
     middle, half = (task.hand.upper + task.hand.lower)[free] / 2, (task.hand.upper - task.hand.lower)[free] / 2
 
     def read(angles: Array, placed: Pose, unknowns: Array) -> tuple[Array, Pose]:
-        # A sine keeps within the limits whatever the unknowns are.
+        # Angles are sines of the unknowns, which keeps them within the limits.
         turned = angles.at[free].set(middle + half * jnp.sin(unknowns[:-6]))
         if task.hand.coupling is not None:
             turned = task.hand.coupling.angles(turned)
@@ -150,30 +331,30 @@ def _solve(task: FingertipTask, angles: AnyArray, placed: Pose) -> tuple[Array, 
         def residuals(unknowns: Array) -> Array:
             return jnp.append(weighed(misses(task, *read(angles, placed, unknowns))), EASE * (unknowns - start))
 
-        found = least_squares(residuals, start, STEPS)
-        return found.cost, read(angles, placed, found.point)
+        result = least_squares(residuals, start, STEPS)
+        return result.cost, read(angles, placed, result.point)
 
     costs, ends = jax.vmap(search)(jnp.asarray(angles), jax.tree.map(jnp.asarray, placed))
     turned, pose = jax.tree.map(lambda x: x[jnp.nanargmin(costs)], ends)
     return turned, pose, misses(task, turned, pose)
 
 
-def _check_reached(task: FingertipTask, missed: Misses) -> None:
-    """Raise ValueError with what a grip lacks, the first thing of each kind."""
+def _check_reached(task: FingertipTask, residuals: Misses) -> None:
+    """Raise ValueError that names the unmet demands, the first of each type."""
     links = [link.name for link in task.hand.links]
     tips = [links[i] for i in task.tips]
     others = [name for i, name in enumerate(links) if i not in task.tips]
     lacking = [
         f"{name} is {1e3 * abs(off):.1f} mm too {'deep' if off > 0 else 'far'}"
-        for name, off in zip(tips, missed.depth, strict=True)
+        for name, off in zip(tips, residuals.depth, strict=True)
         if not abs(off) <= OFF_DEPTH * task.depth
     ]
     lacking += [
-        f"{name} is in the way" for name, near in zip(others, missed.intrusion, strict=True) if near >= CLEARANCE
+        f"{name} is in the way" for name, near in zip(others, residuals.intrusion, strict=True) if near >= CLEARANCE
     ]
-    if not missed.overlap.max() <= 2 * APART:
+    if not residuals.overlap.max() <= 2 * APART:
         lacking.append("fingertips have no room beside each other")
-    if not max(*np.linalg.norm(missed.facing, axis=-1), *missed.opposing) <= OFF_LINE:
+    if not max(*np.linalg.norm(residuals.facing, axis=-1), *residuals.opposing) <= OFF_LINE:
         lacking.append("the thumb does not come to face the fingers")
     if lacking:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""What stays the same while a hand handles an object: both of them, the laws of their contacts, and the world."""
+"""A scene: hand, object, the laws of their contacts, table, guide and obstacles, all constant over time."""
 
 from dataclasses import replace
 
@@ -16,46 +16,47 @@ from jaxgrasp.numerics.rotation import rotation_by
 
 
 class ObstaclePath(eqx.Module):
-    """Where an obstacle is over time: at a steady speed from each place to the next, at rest before the first and after
+    """Path of an obstacle over time: at constant speed from each point to the next, at rest before the first and after
     the last."""
 
     times: Float[AnyArray, "K"]
     """Ascending [s]; a scene begins at 0."""
     shifts: Float[AnyArray, "K 3"]
-    """Way of its frame's origin, along the world's axes [m]."""
+    """Shift of its frame's origin, along the world's axes [m]."""
     turns: Float[AnyArray, "K 3"]
-    """About its frame's origin: an axis in the world, as long as the angle [rad]."""
+    """Rotation vector about its frame's origin, along the world's axes [rad]."""
 
     def moved(self, placed: Pose, time: Float[AnyArray, ""] | float) -> Pose:
-        """Where it is at a time, if ``placed`` without any shift or turn."""
-        each = jnp.concatenate([jnp.asarray(self.shifts), jnp.asarray(self.turns)], -1)
-        there = jax.vmap(lambda way: jnp.interp(time, jnp.asarray(self.times), way), 1)(each)
-        return Pose(placed.origin + there[:3], rotation_by(there[3:]) @ placed.rotation)
+        """Return the pose at a time, of an obstacle that is at ``placed`` without shift or turn."""
+        columns = jnp.concatenate([jnp.asarray(self.shifts), jnp.asarray(self.turns)], -1)
+        pose_change = jax.vmap(lambda column: jnp.interp(time, jnp.asarray(self.times), column), 1)(columns)
+        return Pose(placed.origin + pose_change[:3], rotation_by(pose_change[3:]) @ placed.rotation)
 
 
 class Obstacle(eqx.Module):
-    """What stands in the way of object and hand, or moves there along a path whatever it meets.
+    """A solid in the way of object and hand, at rest or on a prescribed path.
 
-    A hand that holds the object may press it in, against springs (eq. 1); what moves by itself is stopped at once. Let
-    it be thicker than twice as far as a hand presses, since contacts leave by the nearest face.
+    A hand that holds the object may press it in, against springs (eq. 1); a free object is stopped at once. Make it
+    thicker than twice the depth to which a hand presses, since contacts are resolved through the nearest face.
     """
 
     shape: Shape
     """An exact shape, or a tree."""
     placed: Pose
     stiffness: float | AnyArray
-    """K of eq. 1 [N/m], of each part of the outline that touches: four, where a box stands on a plane."""
+    """K of eq. 1 [N/m], of each part of the outline in contact: four, where a box stands on a plane."""
     friction: float | AnyArray = 0.0
-    """Coulomb's coefficient between it and an object that a hand holds; what moves by itself slides along it freely, as
-    all does in the paper's world. It rubs against sliding, and holds nothing that rests: in full above a few mm/s."""
+    """Coulomb's coefficient between the obstacle and an object that a hand holds; a free object slides along it without
+    friction, as in the paper's world. It resists sliding, in full above a few mm/s, and does not hold an object at
+    rest."""
     damping: float | AnyArray = 0.0
-    """By which each part of the outline is resisted as it goes deeper [N.s/m]; it never pulls."""
+    """Damping of each part of the outline as it goes deeper [N.s/m]; it never pulls."""
     path: ObstaclePath | None = None
-    """Where it goes; it stays where not given."""
+    """Path of a moving obstacle; None for one at rest."""
     motion: Motion | None = None
-    """How it moves, of one that moves: as ``at_time`` finds it."""
+    """Velocity of a moving obstacle, as set by ``at_time``."""
     touches_hand: bool = eqx.field(static=True, default=True)
-    """Whether the hand's own links are stopped by it, or go through."""
+    """True if the hand's own links are stopped by it; False if they pass through."""
 
 
 class Scene(eqx.Module):
@@ -64,40 +65,42 @@ class Scene(eqx.Module):
     hand: Hand
     body: Body
     table: Pose
-    """In the world: its top is the xy plane of this frame; the half space below is solid."""
+    """Pose of the table in the world: its top is the xy plane of this frame; the half space below is solid."""
     friction: float | AnyArray
     stiffness: float | AnyArray
     """K of eq. 6 [N/m]"""
     contributions: Float[AnyArray, "L"]
-    """c of eq. 6, of each link."""
+    """c of eq. 6, for each link."""
     gravity: Float[AnyArray, "3"]
     """[m/s^2]"""
     guide: Float[AnyArray, "6 k"] | None = None
-    """Twists (linear, angular) about the world's origin, along which alone a guide lets the object move, such as
-    ``np.eye(6)[:, 2:3]`` for a vertical rail; ``None`` for an object that moves freely."""
+    """Twists (linear, angular) about the world's origin that a guide leaves to the object, such as ``np.eye(6)[:,
+    2:3]`` for a vertical rail; ``None`` for a free object."""
     obstacles: tuple[Obstacle, ...] = ()
     outline: Hand | None = None
-    """The object's parts that meet obstacles: ``rigid_body(sphere_tree(shape))``; needed where there are any. Its balls
-    lie inside the object, so that it sinks in by what they leave out."""
+    """Parts of the object that meet obstacles: ``rigid_body(sphere_tree(shape))``; required with obstacles. Its balls
+    lie inside the object, so that it sinks in by the part that they leave out."""
     table_friction: float | AnyArray = 0.5
     """Coulomb's coefficient between the object and the table."""
     table_touches_hand: bool = eqx.field(static=True, default=False)
-    """Whether the hand's own links are stopped by the table, or go through: fingers around what lies on a table would
-    be in it."""
+    """True if the hand's own links are stopped by the table; False if they pass through: fingers around an object on a
+    table would be inside it."""
     torsion: float | AnyArray | None = None
-    """Torsional friction of the hand's contacts with the object [m]; all are hard where not given. Table and obstacles
-    are hard always."""
+    """Torsional friction of the hand's contacts with the object [m]; None for hard contacts. Contacts with table and
+    obstacles are hard always."""
 
 
 def at_time(scene: Scene, time: Float[AnyArray, ""] | float) -> Scene:
-    """The scene with its obstacles where they are at a time, and as they move [s]."""
+    """Return the scene with its obstacles at their poses and velocities at a time [s]."""
     if all(obstacle.path is None for obstacle in scene.obstacles):
         return scene
-    return eqx.tree_at(lambda s: s.obstacles, scene, tuple(_obstacle_at(one, time) for one in scene.obstacles))
+    return eqx.tree_at(
+        lambda s: s.obstacles, scene, tuple(_obstacle_at(obstacle, time) for obstacle in scene.obstacles)
+    )
 
 
 def obstacles_now(scene: Scene, time: float) -> tuple[Obstacle, ...]:
-    """The obstacles of a scene where they are at a time, and as they move [s]; of those that move in NumPy."""
+    """Return the obstacles of a scene at their poses and velocities at a time [s]; moving ones as NumPy arrays."""
     if all(obstacle.path is None for obstacle in scene.obstacles):
         return scene.obstacles
     return jax.device_get(_obstacles_at(scene.obstacles, time))
@@ -105,31 +108,32 @@ def obstacles_now(scene: Scene, time: float) -> tuple[Obstacle, ...]:
 
 @jax.jit
 def _obstacles_at(obstacles: tuple[Obstacle, ...], time: AnyArray | float) -> tuple[Obstacle, ...]:
-    return tuple(_obstacle_at(one, time) for one in obstacles)
+    return tuple(_obstacle_at(obstacle, time) for obstacle in obstacles)
 
 
 def _obstacle_at(obstacle: Obstacle, time: Float[AnyArray, ""] | float) -> Obstacle:
-    """An obstacle where it is at a time, and as it moves [s]."""
+    """Return an obstacle at its pose and velocity at a time [s]."""
     if (path := obstacle.path) is None:
         return obstacle
-    now = jnp.asarray(time, float)
-    there, going = jax.jvp(lambda when: path.moved(obstacle.placed, when), (now,), (jnp.ones_like(now),))
-    spin = going.rotation @ there.rotation.T
-    motion = Motion(going.origin, jnp.array([spin[2, 1], spin[0, 2], spin[1, 0]]))
-    # It is there: asked for another time, it would go the way once more.
-    return replace(obstacle, placed=there, motion=motion, path=None)
+    instant = jnp.asarray(time, float)
+    pose, rate = jax.jvp(lambda when: path.moved(obstacle.placed, when), (instant,), (jnp.ones_like(instant),))
+    spin = rate.rotation @ pose.rotation.T
+    motion = Motion(rate.origin, jnp.array([spin[2, 1], spin[0, 2], spin[1, 0]]))
+    # Without its path: evaluated at another time, the shift would be applied twice.
+    return replace(obstacle, placed=pose, motion=motion, path=None)
 
 
 def check_scene(scene: Scene) -> None:
-    """Raise ValueError where a guide is none, or obstacles lack what they need; what is traced is not checked."""
+    """Raise ValueError for an invalid guide, and for obstacles without the object's outline; traced values are not
+    checked."""
     if scene.guide is not None and not isinstance(scene.guide, jax.core.Tracer):
         guide = np.asarray(scene.guide)
         if guide.ndim != 2 or guide.shape[0] != 6 or not 1 <= guide.shape[1] <= 6:
             raise ValueError(f"guide has shape {guide.shape}: expected (6, k), a column for each of 1 to 6 twists")
-        for fault in entries("guide", guide, ~np.isfinite(guide), "a finite number"):
-            raise ValueError(str(fault))
+        for issue in entries("guide", guide, ~np.isfinite(guide), "a finite number"):
+            raise ValueError(str(issue))
         if not guide.any():
-            raise ValueError("guide is all zeros: expected a twist in one of its columns at least")
+            raise ValueError("guide is all zeros: expected a nonzero twist in at least one column")
     _check_not_negative("table_friction", scene.table_friction, "0 or more")
     if scene.torsion is not None:
         _check_not_negative("torsion", scene.torsion, "0 or more [m]")
@@ -141,8 +145,8 @@ def check_scene(scene: Scene) -> None:
         if obstacle.path is not None and not isinstance(obstacle.path.times, jax.core.Tracer):
             _check_ascending(f"obstacles[{k}].path.times", np.asarray(obstacle.path.times))
     if scene.obstacles and not isinstance(scene.outline, Hand):
-        given = None if scene.outline is None else f"a {type(scene.outline).__name__}"
-        raise ValueError(f"outline is {given}: with obstacles expected rigid_body(sphere_tree(shape)) of the object")
+        outline = None if scene.outline is None else f"a {type(scene.outline).__name__}"
+        raise ValueError(f"outline is {outline}: with obstacles expected rigid_body(sphere_tree(shape)) of the object")
 
 
 def _check_ascending(name: str, times: np.ndarray) -> None:
@@ -154,5 +158,5 @@ def _check_not_negative(name: str, value: AnyArray | float, expected: str) -> No
     if isinstance(value, jax.core.Tracer):
         return
     numbers = np.asarray(value)
-    for fault in entries(name, numbers, ~(np.isfinite(numbers) & (numbers >= 0)), expected):
-        raise ValueError(str(fault))
+    for issue in entries(name, numbers, ~(np.isfinite(numbers) & (numbers >= 0)), expected):
+        raise ValueError(str(issue))

@@ -1,4 +1,4 @@
-"""The tables of a scene file, each checked as it is made."""
+"""Tables of a scene file as dataclasses that validate their fields."""
 
 import math
 from dataclasses import dataclass, field
@@ -23,37 +23,37 @@ from jaxgrasp.validation.fields import check_directions, check_finite, check_not
 
 @dataclass(frozen=True)
 class HandEntry:
-    """The table ``[hand]``: a human hand by its sizes, or one out of a file."""
+    """Table ``[hand]``: a human hand by its sizes, or a hand from a file."""
 
     length: float = LENGTH
-    """From the wrist to the middle finger's tip, of a human hand [m]."""
+    """Length from the wrist to the middle finger's tip, of a human hand [m]."""
     breadth: float | None = None
-    """Across the knuckles, of a human hand [m]; in proportion where not given."""
+    """Breadth across the knuckles, of a human hand [m]; in proportion to the length where not given."""
     side: Literal["right", "left"] = "right"
-    """Which hand, of a human one."""
+    """Side of a human hand."""
     file: str | None = None
-    """A URDF or MJCF file, from the scene's own folder (the extra ``hands``)."""
+    """A URDF or MJCF file, relative to the scene's own folder (the extra ``hands``)."""
     wrist: str | None = None
-    """Body of the file that is the wrist; where not given, the last one that all joints hang on."""
+    """Body of the file that is the wrist; where not given, the last body that carries all joints."""
     links: dict[str, str] = field(default_factory=dict)
-    """Finger and phalanx of the file's links whose names do not tell, such as ``"index distal"``."""
+    """Finger and phalanx of links that are not recognised by name, such as ``"index distal"``."""
     open: dict[str, float] = field(default_factory=dict)
-    """Angles of the file's joints where the hand is open, as of a thumb opposite the fingers [rad]; 0 of the others."""
+    """Angles of the file's joints of the open hand, as of a thumb opposite the fingers [rad]; 0 for all others."""
     closed: dict[str, float] = field(default_factory=dict)
-    """Angles of the file's joints where they end as the hand closes [rad]; the limit that flexes, of the others."""
+    """Angles of the file's joints of the closed hand [rad]; the limit that flexes, for all others."""
 
     def __post_init__(self) -> None:
         check_positive(self, "length", "breadth")
         for key in ("wrist", "links", "open", "closed"):
             if self.file is None and getattr(self, key):
                 raise ValueError(f"{key} is {getattr(self, key)!r}: expected none of a human hand, which has no file")
-        for link, said in self.links.items():
-            if len(said.split()) != 2:
-                raise ValueError(f"links[{link!r}] is {said!r}: expected a finger and a phalanx, as in 'index distal'")
+        for link, label in self.links.items():
+            if len(label.split()) != 2:
+                raise ValueError(f"links[{link!r}] is {label!r}: expected a finger and a phalanx, as in 'index distal'")
 
     def names(self) -> dict[str, tuple[str, str]]:
-        """Finger and phalanx by link, as [`jaxgrasp.hand.name_fingers`][] takes them."""
-        return {link: (said.split()[0], said.split()[1]) for link, said in self.links.items()}
+        """Return finger and phalanx by link, as [`jaxgrasp.hand.name_fingers`][] takes them."""
+        return {link: (label.split()[0], label.split()[1]) for link, label in self.links.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +62,7 @@ class SolidEntry:
 
     shape: Literal["cylinder", "sphere", "capsule", "box"] = "cylinder"
     radius: float = 0.03
-    """[m]; of a box half the edge."""
+    """[m]; for a box half the edge."""
     height: float = 0.12
     """Height of a cylinder, of a capsule's straight part, or of a box [m]."""
     size: tuple[float, ...] | None = None
@@ -78,7 +78,7 @@ class SolidEntry:
             raise ValueError(f"size is {list(self.size)}: expected three positive numbers [m]")
 
     def solid(self) -> Shape:
-        """The shape."""
+        """Build the shape."""
         if self.shape == "sphere":
             return Sphere(self.radius)
         if self.shape == "box":
@@ -88,27 +88,27 @@ class SolidEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectEntry(SolidEntry):
-    """The table ``[object]``: a solid, of uniform density where nothing else is said."""
+    """Table ``[object]``: a solid, of uniform density unless mass properties are given."""
 
     mesh: str | None = None
-    """File of a closed surface, from the scene's own folder, instead of a shape; its longest axis goes across the
-    palm. Its balls stand for it (the extra ``mesh``)."""
+    """File of a closed surface, relative to the scene's own folder, instead of a shape; its longest axis lies across
+    the palm. Balls represent it (the extra ``mesh``)."""
     scale: float = 1.0
-    """Metres of a unit of the mesh's."""
+    """Metres per unit of the mesh."""
     mass: float = 0.15
     """[kg]"""
     centre_of_mass: tuple[float, ...] | None = None
-    """In the shape's frame, or the mesh file's [m]; where not given, that of a uniform density."""
+    """Centre of mass in the shape's frame, or the mesh file's [m]; that of uniform density where not given."""
     inertia: tuple[float, ...] | None = None
-    """About the centre of mass, along the axes of that frame [kg.m^2]: xx, yy, zz, and xy, xz, yz where they are not
-    zero; where not given, that of a uniform density about its own centre."""
+    """Inertia tensor about the centre of mass, along the axes of that frame [kg.m^2]: xx, yy, zz, and xy, xz, yz where
+    they are not zero; that of uniform density about its own centre where not given."""
     friction: float = 0.6
     """Coulomb's coefficient between hand and object."""
     stiffness: float = 400.0
     """K of eq. 6 [N/m]."""
     torsion: float = 0.0
-    """Torsional friction of soft fingers on it [m]: the moment about a contact's normal that a newton of normal force
-    holds; 0 for hard ones."""
+    """Torsional friction of soft fingers on it [m]: moment about a contact's normal for each newton of normal force; 0
+    for hard contacts."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,12 +119,12 @@ class ObjectEntry(SolidEntry):
             _check_inertia(self.inertia)
 
     def solid(self) -> Shape:
-        """The object's shape; of a mesh its balls, in the frame of its principal axes."""
+        """Build the object's shape; for a mesh its balls, in the frame of its principal axes."""
         return self.body()[0].shape
 
     def body(self) -> tuple[Body, np.ndarray]:
-        """The object about its shape's own origin, of a mesh in the frame of its principal axes; and where its centre
-        of mass is there [m]."""
+        """Build the object about its shape's own origin, for a mesh in the frame of its principal axes; and return its
+        centre of mass in that frame [m]."""
         if self.mesh is None:
             shape, frame = super().solid(), Pose(np.zeros(3), np.eye(3))
         else:
@@ -134,7 +134,7 @@ class ObjectEntry(SolidEntry):
         inertia = None if self.inertia is None else back @ _inertia_matrix(self.inertia) @ back.T
         if self.centre_of_mass is None:
             return Body(shape, self.mass, inertia), np.zeros(3)
-        # About another place the shape's own moments are not the object's.
+        # About another reference point the moments of the shape differ from those of the object.
         inertia = uniform.inertia_matrix() if inertia is None else inertia
         return Body(shape, self.mass, inertia), back @ (np.array(self.centre_of_mass) - np.asarray(frame.origin))
 
@@ -145,7 +145,7 @@ def _inertia_matrix(numbers: tuple[float, ...]) -> np.ndarray:
 
 
 def _check_inertia(numbers: tuple[float, ...]) -> None:
-    """Raise ValueError for what no solid has: none of its principal moments exceeds the sum of the others."""
+    """Raise ValueError for an impossible inertia tensor: no principal moment may exceed the sum of the other two."""
     if len(numbers) not in (3, 6) or not np.all(np.isfinite(numbers)):
         raise ValueError(f"inertia is {list(numbers)}: expected xx, yy, zz, or these and xy, xz, yz [kg.m^2]")
     least, middle, most = np.linalg.eigvalsh(_inertia_matrix(numbers))
@@ -158,37 +158,37 @@ def _check_inertia(numbers: tuple[float, ...]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedEntry(SolidEntry):
-    """A shape that stands in the world."""
+    """A shape at a pose in the world."""
 
     at: tuple[float, ...]
-    """Place of its centre, from the object's at first, along the world's axes [m]."""
+    """Position of its centre, relative to the object's at the start, along the world's axes [m]."""
     turn: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """Turn of the shape: an axis in the world, as long as the angle [rad]."""
+    """Rotation vector of the shape, along the world's axes [rad]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_vectors(self, "at", "turn")
 
     def rotation(self) -> Array:
-        """Its axes in the world, as columns."""
+        """Return the shape's axes in the world, as columns."""
         return rotation_by(jnp.array(self.turn))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleEntry(PlacedEntry):
-    """A table ``[[obstacle]]``: what stands or moves in the way of object and hand."""
+    """Table ``[[obstacle]]``: a solid at rest or on a path, in the way of object and hand."""
 
     stiffness: float = 2000.0
-    """K of eq. 1, of each part of the object that touches [N/m]."""
+    """K of eq. 1, for each part of the object in contact [N/m]."""
     friction: float = 0.0
-    """Coulomb's coefficient between it and a held object that slides along it."""
+    """Coulomb's coefficient between the obstacle and a held object that slides along it."""
     damping: float = 0.0
-    """By which each part of the object is resisted as it goes deeper [N.s/m]."""
+    """Damping of each part of the object as it goes deeper [N.s/m]."""
     path: tuple[tuple[float, ...], ...] = ()
-    """Where it goes, whatever it meets: rows of a time [s], its way from ``at`` by then along the world's axes [m], and
-    if it turns, an axis as long as the angle [rad]; straight from each to the next."""
+    """Path of a moving obstacle: rows of a time [s], its shift from ``at`` by then along the world's axes [m], and if
+    it turns, a rotation vector [rad]; linear in between."""
     touches_hand: bool = True
-    """Whether the hand is stopped by it too, or goes through."""
+    """True if it stops the hand too; False if the hand passes through."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -200,7 +200,7 @@ class ObstacleEntry(PlacedEntry):
                 raise ValueError(f"path[{k}] begins at {row[0]:g} s: expected later than {self.path[k - 1][0]:g} s")
 
     def moves(self) -> ObstaclePath | None:
-        """Its path, if it has one."""
+        """Build the obstacle's path; None for one at rest."""
         if not self.path:
             return None
         rows = jnp.array([(*row, 0.0, 0.0, 0.0)[:7] for row in self.path])
@@ -209,11 +209,11 @@ class ObstacleEntry(PlacedEntry):
 
 @dataclass(frozen=True, kw_only=True)
 class OtherEntry(ObjectEntry, PlacedEntry):
-    """A table ``[[other]]``: a further object, which moves by what hand, table and objects do to it."""
+    """Table ``[[other]]``: a further object, moved by its contacts with hand, table and objects."""
 
     rubbing: float = 0.5
-    """Coulomb's coefficient between it and the table or another object; of two objects the larger counts, and the
-    table's friction is that of the gripped one."""
+    """Coulomb's coefficient between it and the table or another object; of two objects the larger counts. The friction
+    in table ``[table]`` is that of the gripped object."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -222,15 +222,15 @@ class OtherEntry(ObjectEntry, PlacedEntry):
 
 @dataclass(frozen=True, kw_only=True)
 class GuideEntry:
-    """The table ``[guide]``: what the object cannot leave."""
+    """Table ``[guide]``: a joint that restricts the object's motion."""
 
     kind: Literal["slide", "hinge", "screw"]
     axis: tuple[float, ...]
-    """Along which, or about which, it moves in the world; of any length."""
+    """Axis of the motion in the world; of any length."""
     through: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """A point of the axis, from the object's centre at first, along the world's axes [m]."""
+    """A point of the axis, relative to the object's centre at the start, along the world's axes [m]."""
     pitch: float = 0.0
-    """Way along the axis with a radian of turn, of a screw [m/rad]."""
+    """Travel of a screw along the axis for a radian of turn [m/rad]."""
 
     def __post_init__(self) -> None:
         check_directions(self, "axis")
@@ -240,7 +240,7 @@ class GuideEntry:
             raise ValueError(f"pitch is {self.pitch}: expected none of a {self.kind}")
 
     def twists(self, centre: np.ndarray) -> np.ndarray:
-        """``(6, 1)``: the twist about the world's origin, for an object whose centre is there at first."""
+        """Return the twist ``(6, 1)`` about the world's origin, for an object whose centre starts at ``centre``."""
         axis = np.array(self.axis) / np.abs(self.axis).max()
         axis = axis / np.linalg.norm(axis)
         if self.kind == "slide":
@@ -251,16 +251,16 @@ class GuideEntry:
 
 @dataclass(frozen=True)
 class GripEntry:
-    """The table ``[grip]``: how the hand is closed at first."""
+    """Table ``[grip]``: the initial grip of the hand."""
 
     kind: Literal["power", "precision-3", "precision-4", "precision-5"] = "power"
-    """All of the hand, or as many fingertips."""
+    """Power grip of the whole hand, or a precision grip of that many fingertips."""
     depth: float = 1e-3
-    """How far the links press into the object [m]."""
+    """Depth of the links in the object [m]."""
     contributions: Literal["table", "balanced"] = "table"
-    """Contributions of the links: the paper's Table I, or the nearest to it by which the squeezing forces balance."""
+    """Contributions of the links: the paper's Table I, or the closest to it whose squeezing forces balance."""
     law: Law = "optimum"
-    """Which forces the hand applies."""
+    """Force law of the hand."""
 
     def __post_init__(self) -> None:
         check_positive(self, "depth")
@@ -268,14 +268,15 @@ class GripEntry:
 
 @dataclass(frozen=True)
 class TableEntry:
-    """The table ``[table]``: what the object stands on at first."""
+    """Table ``[table]``: the support of the object at the start."""
 
     below: float = 0.0
-    """How far below the object's lowest place it is [m]."""
+    """Height of the object's lowest point above the table [m]."""
     friction: float = 0.5
     """Coulomb's coefficient between object and table."""
     touches_hand: bool = False
-    """Whether the hand is stopped by it too, or goes through: fingers around what lies on a table would be in it."""
+    """True if the table stops the hand too; False if it passes through: fingers around an object on a table would be
+    inside it."""
 
     def __post_init__(self) -> None:
         check_not_negative(self, "below", "friction")
@@ -283,7 +284,7 @@ class TableEntry:
 
 @dataclass(frozen=True)
 class WorldEntry:
-    """The table ``[world]``."""
+    """Table ``[world]``: gravity."""
 
     gravity: tuple[float, ...] = tuple(GRAVITY)
     """[m/s^2]"""

@@ -1,4 +1,4 @@
-"""A scene in a TOML file: a hand, what it grips and how, what that stands on, meets and is guided by, and the world."""
+"""A scene in a TOML file: a hand, its object and grip, and table, obstacles, guide and world around them."""
 
 import os
 from dataclasses import dataclass, field, fields, replace
@@ -43,12 +43,22 @@ from jaxgrasp.validation.checked import checked
 Entry = TypeVar("Entry")
 LONGEST_NAME = 200
 APART = 1e-5
-"""How deep an obstacle may be in the object at first [m]: rounding."""
+"""Tolerance for an obstacle's depth in the object at the start [m]: rounding."""
+LENGTHS = (0.12, 0.25)
+"""Lengths of hands, from a small child's to the largest adult's, from the wrist to the middle finger's tip [m]."""
+RADII = (0.002, 0.12)
+"""Radii of objects, from a pencil lead's to a basketball's, which the largest hands hold [m]."""
+MASSES = (0.001, 20.0)
+"""[kg]"""
+DEPTHS = (0.0, 0.01)
+"""Depths of contacts: the pulp of a fingertip yields by at most half of that [m]."""
+TORQUE = 10.0
+"""Torque above the strength of finger joints in flexion, some 5 N.m at the knuckles [N.m]."""
 
 
 @dataclass(frozen=True)
 class SceneFile:
-    """What a file says; what it leaves out is the cylinder of ``jaxgrasp glove run``."""
+    """Contents of a scene file; defaults are the cylinder of ``jaxgrasp glove run``."""
 
     name: str = "a cylinder on a table"
     hand: HandEntry = field(default_factory=HandEntry)
@@ -61,23 +71,25 @@ class SceneFile:
     other: tuple[OtherEntry, ...] = ()
 
     def tables(self) -> dict[str, dict[str, Any]]:
-        """What each table says, by its name; what is not given is left out."""
+        """Return the fields of each table, by its name, without those that are not set."""
         named = {name: getattr(self, name) for name in (*TABLES, "guide")}
         for kind in ("obstacle", "other"):
             named |= {f"{kind}[{k}]": entry for k, entry in enumerate(getattr(self, kind))}
-        said = {name: vars(entry).items() for name, entry in named.items() if entry is not None}
-        return {name: {key: value for key, value in entry if value is not None} for name, entry in said.items()}
+        fields_by_table = {name: vars(entry).items() for name, entry in named.items() if entry is not None}
+        return {
+            name: {key: value for key, value in entry if value is not None} for name, entry in fields_by_table.items()
+        }
 
 
 class GrippedScene(NamedTuple):
-    """A scene, and how its hand and object stand at first."""
+    """A scene with the initial posture of its hand and pose of its object."""
 
     scene: Scene
     closed: Posture
     open: Float[AnyArray, "J"]
     """Angles of the open hand [rad]."""
     placed: Pose
-    """Where the object's centre of mass is, and its axes."""
+    """Position of the object's centre of mass, and its axes."""
     contacts: Contacts
     kind: GripType
     law: Law
@@ -87,94 +99,95 @@ TABLES = {"hand": HandEntry, "object": ObjectEntry, "grip": GripEntry, "table": 
 
 
 def ready_scenes() -> dict[str, Path]:
-    """The files that come with the package, by their names."""
+    """Return the scene files of the package, by name."""
     folder = Path(str(files("jaxgrasp").joinpath("data", "scenes")))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def scene_path(given: str) -> Path:
-    """The file that a name or a path means.
+def scene_path(name_or_path: str) -> Path:
+    """Find the scene file for a name or a path.
 
     Raises:
-        ValueError: for what is neither a file nor the name of a ready scene.
+        ValueError: for a name that is neither a file nor a ready scene.
     """
     ready = ready_scenes()
-    if given in ready and not Path(given).is_file():
-        return ready[given]
+    if name_or_path in ready and not Path(name_or_path).is_file():
+        return ready[name_or_path]
     # A link that leads nowhere, or in a loop, is a file: reading it names the cause.
-    if not os.path.lexists(given):
-        raise ValueError(f"scene is {given!r}: expected a TOML file, or one of {', '.join(ready)}")
-    return Path(given)
+    if not os.path.lexists(name_or_path):
+        raise ValueError(f"scene is {name_or_path!r}: expected a TOML file, or one of {', '.join(ready)}")
+    return Path(name_or_path)
 
 
 @checked
 def load_scene(path: str | os.PathLike) -> SceneFile:
-    """The scene in a TOML file.
+    """Read a scene from a TOML file.
 
     Raises:
-        ValueError: for a file that is no TOML, keys that are unknown, and values that no scene has, by table and key.
+        ValueError: for a file that is not TOML, unknown keys, and invalid values, by table and key.
         OSError: for a file that cannot be read.
     """
-    given = load_toml(Path(path))
-    known = [one.name for one in fields(SceneFile)]
-    for key in given:
-        if key not in known:
-            raise ValueError(f"{path} has {key!r}{nearest(key, known)}")
-    name = given.get("name", SceneFile.name)
+    contents = load_toml(Path(path))
+    field_names = [entry.name for entry in fields(SceneFile)]
+    for key in contents:
+        if key not in field_names:
+            raise ValueError(f"{path} has {key!r}{nearest(key, field_names)}")
+    name = contents.get("name", SceneFile.name)
     if not isinstance(name, str):
         raise ValueError(f"name is {name!r}: expected text")
     if len(name) > LONGEST_NAME:
         raise ValueError(f"name has {len(name)} characters: expected {LONGEST_NAME} at most")
-    found = SceneFile(
+    scene = SceneFile(
         name,
-        **{key: made_from(kind, given.get(key, {}), key) for key, kind in TABLES.items()},
-        guide=made_from(GuideEntry, given["guide"], "guide") if "guide" in given else None,
-        obstacle=_each(ObstacleEntry, given, "obstacle"),
-        other=_each(OtherEntry, given, "other"),
+        **{key: made_from(kind, contents.get(key, {}), key) for key, kind in TABLES.items()},
+        guide=made_from(GuideEntry, contents["guide"], "guide") if "guide" in contents else None,
+        obstacle=_entries(ObstacleEntry, contents, "obstacle"),
+        other=_entries(OtherEntry, contents, "other"),
     )
     folder = Path(path).parent
     mesh, hand = (
-        _existing(*one, folder) for one in (("object.mesh", found.object.mesh), ("hand.file", found.hand.file))
+        _existing_path(*entry, folder) for entry in (("object.mesh", scene.object.mesh), ("hand.file", scene.hand.file))
     )
     others = tuple(
-        replace(entry, mesh=_existing(f"other[{k}].mesh", entry.mesh, folder)) for k, entry in enumerate(found.other)
+        replace(entry, mesh=_existing_path(f"other[{k}].mesh", entry.mesh, folder))
+        for k, entry in enumerate(scene.other)
     )
-    return replace(found, object=replace(found.object, mesh=mesh), hand=replace(found.hand, file=hand), other=others)
+    return replace(scene, object=replace(scene.object, mesh=mesh), hand=replace(scene.hand, file=hand), other=others)
 
 
-def _each(kind: type[Entry], given: dict[str, Any], name: str) -> tuple[Entry, ...]:
-    """The entries of an array of tables; none where it is not given."""
-    tables = given.get(name, [])
+def _entries(kind: type[Entry], contents: dict[str, Any], name: str) -> tuple[Entry, ...]:
+    """Read the entries of an array of tables; none where it is absent."""
+    tables = contents.get(name, [])
     if not isinstance(tables, list):
         raise ValueError(f"{name} is {tables!r}: expected tables [[{name}]]")
-    return tuple(made_from(kind, one, f"{name}[{k}]") for k, one in enumerate(tables))
+    return tuple(made_from(kind, table, f"{name}[{k}]") for k, table in enumerate(tables))
 
 
-def _existing(name: str, given: str | None, folder: Path) -> str | None:
-    """Path of a file that an entry names, if it names one."""
-    if given is None:
+def _existing_path(name: str, file_name: str | None, folder: Path) -> str | None:
+    """Return the path of a file that an entry names, or None; raise ValueError if it does not exist."""
+    if file_name is None:
         return None
-    path = folder / given
+    path = folder / file_name
     try:
-        there = path.is_file()
+        is_present = path.is_file()
     except OSError:
-        there = False
-    if not there:
-        raise ValueError(f"{name} is {given[:80]!r}: there is no such file")
+        is_present = False
+    if not is_present:
+        raise ValueError(f"{name} is {file_name[:80]!r}: there is no such file")
     return str(path)
 
 
 @checked
 def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
-    """The hand closed on the object, which stands on the table.
+    """Close the hand on the object, which stands on the table.
 
     Args:
-        file: what the scene is.
-        hand: the one in the file that the scene names; a human one where it names none.
+        file: contents of the scene file.
+        hand: hand from the file that the scene names; None for a human hand.
 
     Raises:
-        ValueError: for a mesh that is no closed surface, a hand without palm and fingers, an object that the hand
-            cannot grip so, and an obstacle that begins inside the object.
+        ValueError: for a mesh that is not a closed surface, a hand without palm and fingers, an object that the hand
+            cannot grip, and an obstacle that begins inside the object.
         ImportError: for a mesh without the extra `mesh`.
     """
     if (hand is None) != (file.hand.file is None):
@@ -183,20 +196,20 @@ def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
         hand = human_hand(file.hand.length, file.hand.breadth, file.hand.side)
     else:
         hand = name_fingers(hand, file.hand.names())
-    way = closing_way(hand, open=file.hand.open, closed=file.hand.closed)
+    closing = closing_way(hand, open=file.hand.open, closed=file.hand.closed)
     body, centre = file.object.body()
-    closed, placed, contacts = _closed(file.grip, hand, body.shape, way)
+    closed, placed, contacts = _closed(file.grip, hand, body.shape, closing)
     kind = GripType(int(grip_type(hand, closed, contacts)))
     contributions = contributions_of(hand, kind)
     if file.grip.contributions == "balanced":
         contributions = balanced_contributions(contacts, contributions, placed.origin)
     origin = jnp.asarray(placed.origin)
     placed = Pose(origin, jnp.asarray(placed.rotation))
-    obstacles, outline = _in_the_way(file, body.shape, placed)
+    obstacles, outline = _obstacles(file, body.shape, placed)
     ground = Pose(jnp.zeros(3), jnp.eye(3))
     top = height_above(ground, body.shape, placed) - file.table.below
     if centre.any():
-        body, placed, outline = _about(centre, body, placed, outline)
+        body, placed, outline = _about_centre_of_mass(centre, body, placed, outline)
     scene = Scene(
         hand=hand,
         body=body,
@@ -212,24 +225,26 @@ def gripped_scene(file: SceneFile, hand: Hand | None = None) -> GrippedScene:
         table_touches_hand=file.table.touches_hand,
         torsion=file.object.torsion or None,
     )
-    return GrippedScene(scene, closed, jnp.asarray(way.open), placed, contacts, kind, file.grip.law)
+    return GrippedScene(scene, closed, jnp.asarray(closing.open), placed, contacts, kind, file.grip.law)
 
 
-def _about(centre: np.ndarray, body: Body, placed: Pose, outline: Hand | None) -> tuple[Body, Pose, Hand | None]:
-    """An object whose frame's origin is its centre of mass, where that is given in the frame that it had."""
-    there = Pose(placed.origin + placed.rotation @ centre, placed.rotation)
+def _about_centre_of_mass(
+    centre: np.ndarray, body: Body, placed: Pose, outline: Hand | None
+) -> tuple[Body, Pose, Hand | None]:
+    """Move the frame of an object to its centre of mass, which is given in the former frame."""
+    shifted_pose = Pose(placed.origin + placed.rotation @ centre, placed.rotation)
     shifted = Body(Shifted(body.shape, *(-centre).tolist()), body.mass, body.inertia)
     if outline is not None:
         outline = eqx.tree_at(lambda hand: hand.skin.centers, outline, outline.skin.centers - centre)
-    return shifted, there, outline
+    return shifted, shifted_pose, outline
 
 
-def _in_the_way(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obstacle, ...], Hand | None]:
-    """The obstacles in the world, and the object's outline that meets them; none where there are none."""
+def _obstacles(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obstacle, ...], Hand | None]:
+    """Build the obstacles in the world, and the outline of the object; nothing where there are none."""
     if not file.obstacle:
         return (), None
     outline = rigid_body(shape if isinstance(shape, SphereTree) else sphere_tree(shape))
-    found = []
+    obstacles = []
     for k, entry in enumerate(file.obstacle):
         at = Pose(placed.origin + jnp.array(entry.at), entry.rotation())
         solid = entry.solid()
@@ -237,11 +252,36 @@ def _in_the_way(file: SceneFile, shape: Shape, placed: Pose) -> tuple[tuple[Obst
         if inside > APART:
             raise ValueError(f"obstacle[{k}] begins {1000 * inside:.3g} mm deep in the object: expected it outside")
         laws = (entry.stiffness, entry.friction, entry.damping)
-        found.append(Obstacle(solid, at, *laws, entry.moves(), touches_hand=entry.touches_hand))
-    return tuple(found), outline
+        obstacles.append(Obstacle(solid, at, *laws, entry.moves(), touches_hand=entry.touches_hand))
+    return tuple(obstacles), outline
 
 
-def _closed(grip: GripEntry, hand: Hand, shape: Shape, way: ClosingWay) -> tuple[Posture, Pose, Contacts]:
+def _closed(grip: GripEntry, hand: Hand, shape: Shape, closing: ClosingWay) -> tuple[Posture, Pose, Contacts]:
     if grip.kind == "power":
-        return power_grip(hand, shape, grip.depth, way)
-    return precision_grip(hand, shape, int(grip.kind.removeprefix("precision-")), grip.depth, way)
+        return power_grip(hand, shape, grip.depth, closing)
+    return precision_grip(hand, shape, int(grip.kind.removeprefix("precision-")), grip.depth, closing)
+
+
+def beyond_human(file: SceneFile) -> list[str]:
+    """Return a warning for each size of a scene that is out of human scale."""
+    entry = file.object
+    radius = max(entry.size) / 2 if entry.size else entry.radius
+    sizes = [
+        ("the hand's length", file.hand.length, LENGTHS, "m"),
+        ("the object's mass", entry.mass, MASSES, "kg"),
+        ("the depth to which the links press", file.grip.depth, DEPTHS, "m"),
+    ]
+    if entry.mesh is None:
+        sizes.append(("the object's radius or half its edge", radius, RADII, "m"))
+    return [
+        f"WARNING: {what} is {value:g} {unit}, out of human scale, {low:g} to {high:g} {unit}: is it in {unit}?"
+        for what, value, (low, high), unit in sizes
+        if not low <= value <= high
+    ]
+
+
+def too_strong(torque: float) -> list[str]:
+    """Return a warning for a torque above the strength of finger joints [N.m]."""
+    if torque <= TORQUE:
+        return []
+    return [f"WARNING: no finger's joint gives {torque:.3g} N.m, {TORQUE:g} N.m at most: are sizes in m, masses in kg?"]

@@ -1,8 +1,7 @@
-"""Whether a hand holds an object, alone and with the table that it may stand on.
+"""Support of an object by the table beside the hand.
 
-The table's contacts and the hand's are one problem. The table pushes and rubs as the hand does, only that it means to
-exert nothing, and gives whatever the object asks for: the hand is left with its squeezing. As the object leaves the
-table, that support fades.
+Contacts of table and hand are one problem. The table presses and rubs as the hand does, but without squeezing forces,
+and takes up whatever load remains: the hand keeps its squeezing. As the object leaves the table, the support fades.
 """
 
 from dataclasses import replace
@@ -15,9 +14,9 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.force.distribution import closed_form, closed_form_and_optimum
-from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
+from jaxgrasp.grip.contact_forces import ContactForces, applied_forces, cut_to_cones, resultant
+from jaxgrasp.grip.monitor import Assessment, Hold, Law, assess
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.slipping import Exerted, applied_forces, cut_to_cones, resultant
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.hand import Pose
@@ -26,43 +25,45 @@ from jaxgrasp.numerics.tiling import beside
 from jaxgrasp.numerics.vec3 import Vec3
 
 FADE = 1e-3
-"""Height at which nothing is left of the support [m]: skin and felt give by about as much, and what is felt does not
-jump."""
+"""Height at which the support has faded to zero [m]: skin and felt give by about as much, and torques do not jump."""
 TILT = 5e-3
-"""By how much the four directions lean away from straight down, in which the object reaches furthest: on a flat face
-they find its corners, on a round one four places half a hundredth of its radius off the lowest."""
+"""Tilt of the four directions of support against straight down: on a flat face they find its corners, on a round face
+four points half a hundredth of its radius off the lowest."""
 QUARTERS = 0.4 + np.pi / 2 * np.arange(4)
-"""Where they lean; along no edge of an object whose edges lie along the table's axes."""
+"""Azimuths of that tilt [rad]; along no edge of an object whose edges are parallel to the table's axes."""
 READINESS = 100.0
-"""Weight of each of the table's contacts, in units of what the hand's have together: what the object asks for, the hand
-carries to a four-hundredth. A hundred times as much takes four times as many steps to find."""
+"""Weight of each of the table's contacts, in units of the sum over the hand's: the hand carries a four-hundredth of the
+load. A hundred times the weight takes four times as many solver steps."""
 SLACK = 0.02
-"""Part of the load that friction at the table takes up beside, where closed-form forces are cut to their own."""
+"""Part of the load that friction at the table takes up in addition, where closed-form forces are cut to their friction.
+"""
 STANDING = 0.95
-"""Share of the support at which an object counts as standing: its lowest place is known to a twentieth of ``FADE``."""
+"""Share of the support at which an object counts as standing: its lowest point is known to a twentieth of ``FADE``."""
 
 
 class TableSupport(NamedTuple):
-    """What a table does to an object."""
+    """Load of the table on an object, and the hand's forces beside it."""
 
     wrench: Float[Array, "*batch 6"]
-    """About the object's centre [N, N.m], of an object that stands."""
-    exerted: Exerted
-    """What the hand exerts beside that, by the law that is asked for."""
+    """Wrench of the table about the object's centre [N, N.m], of an object that stands."""
+    exerted: ContactForces
+    """Forces of the hand in addition, by the applied law."""
     share: Float[Array, "*batch"]
-    """How much of the support there is: 1 for an object that stands, 0 for one clear of the table or not to be held."""
+    """Share of the support: 1 for an object that stands, 0 for an object that is clear of the table or that cannot be
+    held."""
 
 
 def support_points(scene: Scene, placed: Pose) -> tuple[Float[Array, "*batch 4 3"], Float[Array, "*batch 4"]]:
-    """Where an object meets the table first, from its centre along the world's axes, and how high that is [m]."""
+    """Compute the first contact points of an object with the table, from its centre along the world's axes, and their
+    heights [m]."""
     east, north, up = jnp.asarray(scene.table.rotation).T
     leaning = TILT * (np.cos(QUARTERS)[:, None] * east + np.sin(QUARTERS)[:, None] * north) - up
     turn = jnp.asarray(placed.rotation)
     ahead = jnp.einsum("...ji,kj->...ki", turn, leaning)
     directions = Vec3(*(ahead[..., i] for i in range(3)))
-    # The place that reaches furthest in a direction is the derivative of how far that is.
-    own = jax.grad(lambda directions: jnp.sum(scene.body.shape._support(directions)))(directions)
-    points = jnp.einsum("...ij,...kj->...ki", turn, jnp.stack(own, -1))
+    # The support point in a direction is the gradient of the support function.
+    local_points = jax.grad(lambda directions: jnp.sum(scene.body.shape._support(directions)))(directions)
+    points = jnp.einsum("...ij,...kj->...ki", turn, jnp.stack(local_points, -1))
     above = jnp.asarray(placed.origin) - scene.table.origin
     return points, (above[..., None, :] + points) @ up
 
@@ -77,20 +78,21 @@ def held_beside_table(
     free: Float[AnyArray, "*#batch 6 k"] | None,
     law: Law,
 ) -> tuple[Assessment, TableSupport]:
-    """Whether the hand alone holds an object, what the table carries, and what that leaves to the hand.
+    """Assess the hand alone, and compute the table's support and the hand's forces beside it.
 
-    What the hand alone does not hold does not go with it: then the table is asked whether the object can stay where it
-    is. The three questions, the hand alone and the table's two, are one batch: one solver is compiled for them. Where
-    the object is clear of the table its two have no contacts, which costs next to nothing.
+    An object that the hand alone does not hold does not follow it: then the second problem with the table decides
+    whether it can stay at its pose. The three problems, the hand alone and two with the table, are one batch, so that
+    one solver is compiled for them. Where the object is clear of the table these two have no contacts, which costs next
+    to nothing.
 
     Args:
-        scene: whose table and friction count.
-        placed: where the object stands.
-        grasp: of the hand, about the object's centre, along the world's axes.
-        wrench: that hand and table are to exert together about that centre [N, N.m].
-        inertial: what of it accelerates the object.
-        free: of a guide, as for [`jaxgrasp.closed_form`][].
-        law: which forces the hand applies.
+        scene: scene with its table and friction.
+        placed: pose of the object.
+        grasp: grasp of the hand, about the object's centre, along the world's axes.
+        wrench: wrench required of hand and table together about that centre [N, N.m].
+        inertial: part of it that accelerates the object.
+        free: motion basis of a guide, as for [`jaxgrasp.closed_form`][].
+        law: force law of the hand.
     """
     batch, links = grasp.points.shape[:-2], grasp.points.shape[-2]
     points, heights = support_points(scene, placed)
@@ -99,41 +101,41 @@ def held_beside_table(
     still = wrench - inertial
     near = jnp.any(shares > 0, -1, keepdims=True)
     moves = jnp.any(inertial != 0, -1, keepdims=True)
-    alone, own = _with_table(scene, grasp, points, jnp.zeros_like(shares), wrench, jnp.ones_like(near))
+    alone, squeezing = _with_table(scene, grasp, points, jnp.zeros_like(shares), wrench, jnp.ones_like(near))
     going, ready = _with_table(scene, grasp, points, shares, wrench, near)
     staying, steady = _with_table(scene, grasp, points, shares, still, near & moves)
     all_three = jax.tree.map(lambda *parts: jnp.stack(parts), alone, going, staying)
-    wrenches, weights = jnp.stack([wrench, wrench, still]), jnp.stack([own, ready, steady])
+    wrenches, weights = jnp.stack([wrench, wrench, still]), jnp.stack([squeezing, ready, steady])
     closed, optimum = closed_form_and_optimum(all_three, wrenches, weights, free=free)
-    assessment = judged(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
+    assessment = assess(grasp, _of_hand(closed, links), _of_hand(optimum, links), law)
     stays = (assessment.hold != Hold.STABLE)[..., None] & moves
     with_table = jax.tree.map(lambda parts: jnp.where(beside(stays[..., 0], parts[1]), parts[2], parts[1]), optimum)
     borne = jnp.where(stays, still, wrench)
     return assessment, _supported(grasp, points, shares, borne, with_table, free, law)
 
 
-def _of_hand(three: Solution, links: int) -> Solution:
-    """The hand's own answer among the three."""
-    first = jax.tree.map(lambda x: x[0], three)
-    own = _by_hand(Exerted(first.forces, first.moments), links)
-    return replace(first, forces=own.forces, moments=own.moments)
+def _of_hand(solutions: Solution, links: int) -> Solution:
+    """Return the hand's part of the first of three solutions."""
+    first = jax.tree.map(lambda x: x[0], solutions)
+    forces_of_hand = _by_hand(ContactForces(first.forces, first.moments), links)
+    return replace(first, forces=forces_of_hand.forces, moments=forces_of_hand.moments)
 
 
-def _by_hand(exerted: Exerted, links: int) -> Exerted:
-    """What the hand's own contacts exert, which are the first."""
+def _by_hand(exerted: ContactForces, links: int) -> ContactForces:
+    """Select the forces of the hand's contacts, which come first."""
     moments = exerted.moments
-    return Exerted(exerted.forces[..., :links, :], None if moments is None else moments[..., :links])
+    return ContactForces(exerted.forces[..., :links, :], None if moments is None else moments[..., :links])
 
 
 def _supported(
-    grasp: Grasp, points: Array, shares: Array, wrench: Array, found: Solution, free: AnyArray | None, law: Law
+    grasp: Grasp, points: Array, shares: Array, wrench: Array, solution: Solution, free: AnyArray | None, law: Law
 ) -> TableSupport:
-    """What the table carries by a solution of hand and table together, as far as it does."""
+    """Extract the table's support from a solution of hand and table together."""
     links = grasp.points.shape[-2]
-    applied = applied_forces(found)
+    applied = applied_forces(solution)
     exerted = _by_hand(applied, links)
     reaction = resultant(points, applied.forces[..., links:, :])
-    rests = is_held(found.verdict)
+    rests = is_held(solution.verdict)
     if law == "closed-form":
         left = wrench - reaction
         exerted = cut_to_cones(grasp, applied_forces(closed_form(grasp, left, free=free)))
@@ -143,9 +145,9 @@ def _supported(
 
 
 def _with_table(
-    scene: Scene, grasp: Grasp, points: Array, shares: Array, wrench: AnyArray, asked: Array
+    scene: Scene, grasp: Grasp, points: Array, shares: Array, wrench: AnyArray, is_relevant: Array
 ) -> tuple[Grasp, Array]:
-    """Contacts of hand and table together, none where nothing is ``asked``, and their weights."""
+    """Join the contacts of hand and table, absent where ``is_relevant`` is false, and return their weights too."""
     up = jnp.asarray(scene.table.rotation)[:, 2]
     assert grasp.present is not None
     squeeze = jnp.sum(jnp.asarray(grasp.squeeze) * grasp.present, -1)
@@ -161,6 +163,6 @@ def _with_table(
         None if grasp.torsion is None else jnp.zeros_like(shares),
     )
     axis = shares.ndim - 1
-    both = jax.tree.map(lambda own, table: jnp.concatenate([own, table], axis), grasp, of_table)
-    both = replace(both, present=jnp.where(asked, both.present, 0))
-    return both, jnp.concatenate([jnp.asarray(grasp.squeeze), ready], axis)
+    joined = jax.tree.map(lambda of_hand, table: jnp.concatenate([of_hand, table], axis), grasp, of_table)
+    joined = replace(joined, present=jnp.where(is_relevant, joined.present, 0))
+    return joined, jnp.concatenate([jnp.asarray(grasp.squeeze), ready], axis)

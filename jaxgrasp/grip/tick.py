@@ -6,11 +6,11 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
+from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
 from jaxgrasp.grip.monitor import Assessment, Hold, Law
 from jaxgrasp.grip.motion import Motion, guide_at
 from jaxgrasp.grip.obstacles import hand_torques, world_wrench
 from jaxgrasp.grip.scene import Scene, at_time, check_scene
-from jaxgrasp.grip.slipping import Exerted, cut_to_cones
 from jaxgrasp.grip.table_support import STANDING, held_beside_table
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
@@ -23,59 +23,59 @@ from jaxgrasp.validation.checked import checked
 
 
 class Touches(NamedTuple):
-    """What a hand touches. Any leading axes."""
+    """Contacts of a hand with the object and its surroundings. Any leading axes."""
 
     contacts: Contacts
-    """With the object, in the world."""
+    """Contacts with the object, in the world."""
     grasp: Grasp
-    """Grasp of these, in a frame at the object's centre, along the world's axes."""
+    """Grasp of these contacts, in a frame at the object's centre, along the world's axes."""
     blocked: Float[Array, "*batch J"]
-    """Torques on the joints by the table and obstacles that the hand itself touches [N.m]."""
+    """Joint torques from the table and obstacles that the hand itself touches [N.m]."""
 
 
-class Tick(eqx.Module):
-    """One instant: what touches, which forces act, and whether they hold. Any leading axes."""
+class StepResult(eqx.Module):
+    """Contacts, forces, assessment and joint torques of one instant. Any leading axes."""
 
     contacts: Contacts
     grasp: Grasp
-    """In a frame at the object's centre, along the world's axes."""
+    """Grasp in a frame at the object's centre, along the world's axes."""
     stiffness: Float[Array, "*batch L"]
-    """Effective stiffness of each contact, c K of eq. 6 [N/m], by which its squeezing force grows as the hand presses;
-    0 where nothing touches."""
+    """Effective stiffness of each contact, c K of eq. 6 [N/m], by which its squeezing force grows with depth; 0 without
+    contact."""
     wrench: Float[Array, "*batch 6"]
-    """What hand and table must exert about that centre [N, N.m]."""
+    """Wrench required of hand and table about that centre [N, N.m]."""
     inertial: Float[Array, "*batch 6"]
-    """What of it accelerates the object."""
+    """Part of the wrench that accelerates the object."""
     assessment: Assessment
-    """What the hand alone is worth, as if the object were clear of the table."""
+    """Assessment of the hand alone, as if the object were clear of the table."""
     support: Float[Array, "*batch 6"]
-    """What of the wrench the table exerts [N, N.m]; zero where the object is clear of it."""
+    """Part of the wrench that the table exerts [N, N.m]; zero where the object is clear of it."""
     rests: Bool[Array, "*batch"]
-    """Whether the object stands on the table and stays there, though the hand alone does not hold it."""
+    """True if the object stands on the table and stays there, though the hand alone does not hold it."""
     exerted: Float[Array, "*batch L 3"]
-    """What the hand exerts on the object [N]: beside the support, the applied law's forces where it holds or the object
-    rests; where it slips, each of them cut to its friction. Where no allowed forces hold,
-    [`jaxgrasp.reachable_wrench`][] has those that come closest."""
+    """Forces of the hand on the object [N]: beside the support, the applied law's forces where it holds or the object
+    rests; each cut to its friction where it slips. Where no allowed forces hold, [`jaxgrasp.reachable_wrench`][] has
+    the closest feasible ones."""
     moments: Float[Array, "*batch L"] | None
-    """What soft fingers exert about their normals with that [N.m]; None where all contacts are hard."""
+    """Moments of soft fingers about their normals, with these forces [N.m]; None where all contacts are hard."""
     torques: Float[Array, "*batch J"]
-    """On the joints, by what the contacts exert [N.m], those with table and obstacles too: negative where they resist a
-    positive angle."""
+    """Joint torques from all contacts [N.m], those with table and obstacles too: negative where they resist a positive
+    angle."""
     blocked: Float[Array, "*batch J"]
-    """What of them is by table and obstacles [N.m]."""
+    """Part of the torques from table and obstacles [N.m]."""
 
     @property
     def slips(self) -> Bool[Array, "*batch"]:
-        """Whether the object slips through the hand, and does not rest on the table."""
+        """Return whether the object slips through the hand, and does not rest on the table."""
         return (self.assessment.hold == Hold.SLIPPING) & ~self.rests
 
     @property
-    def by_hand(self) -> Exerted:
-        """Forces and moments of the hand."""
-        return Exerted(self.exerted, self.moments)
+    def by_hand(self) -> ContactForces:
+        """Return forces and moments of the hand."""
+        return ContactForces(self.exerted, self.moments)
 
-    def left_by(self, exerted: Exerted) -> Float[Array, "*batch 6"]:
-        """What the hand's forces and moments and the table's support leave of the wrench [N, N.m]."""
+    def left_by(self, exerted: ContactForces) -> Float[Array, "*batch 6"]:
+        """Compute the part of the wrench that the hand's forces and moments and the table's support leave [N, N.m]."""
         return self.wrench - self.support - exerted.wrench(self.grasp)
 
 
@@ -89,39 +89,40 @@ def observe(
     law: Law = "closed-form",
     time: Float[AnyArray, ""] | float = 0.0,
     motion: Motion | None = None,
-) -> Tick:
-    """One tick of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
+) -> StepResult:
+    """Compute one instant of the paper's loop: posture to contacts, forces by method B and its optimum, joint torques.
 
     Args:
         scene: hand, object, and the laws of their contacts.
-        posture: of the hand; any leading axes.
-        placed: where the object stands; leading axes that broadcast.
+        posture: posture of the hand; any leading axes.
+        placed: pose of the object; leading axes that broadcast.
         inertial: wrench about the object's centre that accelerates it, beside its weight [N, N.m]; none at rest.
-        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
-        time: at which obstacles are where their paths have them [s].
-        motion: of the object, which obstacles with friction or damping resist; at rest where not given.
+        law: force law of the hand, as for [`jaxgrasp.grip.monitor`][].
+        time: time at which the paths of obstacles are evaluated [s].
+        motion: motion of the object, which obstacles with friction or damping resist; at rest where not given.
 
     Returns:
-        A Tick: its contacts in the world, its grasp and wrench about the object's centre, along the world's axes.
+        A StepResult, with contacts in the world, its grasp and wrench about the object's centre, along the world's
+        axes.
 
     Raises:
-        ValueError: for a guide that is none, and obstacles without the object's outline.
+        ValueError: for an invalid guide, and obstacles without the object's outline.
     """
     check_scene(scene)
     scene = at_time(scene, time)
-    touches = touched(scene, posture, placed)
-    return assessed(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion)
+    touches = find_touches(scene, posture, placed)
+    return assess_touches(scene, pose_hand(scene.hand, posture), placed, touches, inertial, law, motion)
 
 
-def touched(scene: Scene, posture: Posture, placed: Pose) -> Touches:
-    """What the hand touches, with obstacles as they are in the scene."""
+def find_touches(scene: Scene, posture: Posture, placed: Pose) -> Touches:
+    """Find the contacts of the hand, with obstacles at their poses in the scene."""
     contacts = find_contacts(scene.hand, posture, scene.body.shape, placed)
     origin = placed.origin
     grasp = grasp_about(origin, contacts, scene.friction, scene.stiffness, scene.contributions, scene.torsion)
     return Touches(contacts, grasp, hand_torques(scene, posture))
 
 
-def assessed(
+def assess_touches(
     scene: Scene,
     frames: HandFrames,
     placed: Pose,
@@ -129,8 +130,8 @@ def assessed(
     inertial: Float[AnyArray, "*#batch 6"] | None,
     law: Law,
     motion: Motion | None,
-) -> Tick:
-    """What contacts are worth, once they are known."""
+) -> StepResult:
+    """Compute forces, assessment and joint torques for detected contacts."""
     contacts, grasp, blocked = touches
     weight = weight_wrench(scene.body.mass, jnp.zeros(3), scene.gravity)
     wrench = jnp.broadcast_to(weight, (*contacts.tests.shape, 6))
@@ -141,18 +142,18 @@ def assessed(
     free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
     assessment, table = held_beside_table(scene, placed, grasp, wrench, inertial, free, law=law)
     slips = assessment.hold == Hold.SLIPPING
-    alone = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
-    # It stays on the table, unless the hand that does not hold it pulls it up by more than its weight, if askew.
+    hand_forces = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
+    # The object stays on the table, unless the hand that does not hold it lifts it by more than its weight, if askew.
     up = jnp.asarray(scene.table.rotation)[:, 2]
-    lifts = slips & (jnp.sum(alone.forces, -2) @ up > (wrench - inertial)[..., :3] @ up)
+    lifts = slips & (jnp.sum(hand_forces.forces, -2) @ up > (wrench - inertial)[..., :3] @ up)
     share = jnp.where(lifts, 0, table.share)
-    exerted = alone.towards(table.exerted, share)
+    exerted = hand_forces.towards(table.exerted, share)
     couples = exerted.couples(grasp)
     torques = joint_torques(scene.hand, frames, contacts.points, exerted.forces, couples) + blocked
     rests = slips & (share > STANDING)
     support = share[..., None] * table.wrench
     stiffness = contacts.present * scene.contributions * scene.stiffness
-    return Tick(
+    return StepResult(
         contacts=contacts,
         grasp=grasp,
         stiffness=stiffness,

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.carry import stacked
 from jaxgrasp.grip.monitor import Hold
 from jaxgrasp.grip.scene_file import GrippedScene
-from jaxgrasp.grip.tick import Tick, observe
+from jaxgrasp.grip.simulation import stacked
+from jaxgrasp.grip.tick import StepResult, observe
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Pose, Posture
-from jaxgrasp.world.hand_share import cut_share, touched_things
+from jaxgrasp.world.hand_share import cut_share, find_touches
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 
 CLEAR = 1.0
@@ -91,7 +91,7 @@ class _Grips(NamedTuple):
 def _of_one(made: GrippedScene, angles: Float[np.ndarray, "P J"]) -> _Grips:
     wrist = jax.tree.map(lambda x: jnp.broadcast_to(x, (len(angles), *jnp.shape(x))), made.closed.wrist)
     placed = Pose(*(jnp.broadcast_to(x, (len(angles), *x.shape)) for x in (made.placed.origin, made.placed.rotation)))
-    tick: Tick = jax.device_get(observe(made.scene, Posture(wrist, angles), placed, law=made.law))
+    tick: StepResult = jax.device_get(observe(made.scene, Posture(wrist, angles), placed, law=made.law))
     present = np.asarray(tick.contacts.present)
     squeeze = np.sum(np.asarray(tick.grasp.squeeze) * present, -1)
     return _Grips(tick.torques[0], present.sum(-1), squeeze, np.asarray(tick.assessment.hold) == Hold.STABLE)
@@ -102,7 +102,7 @@ def _of_several(made: GrippedScene, angles: Float[np.ndarray, "P J"], world: Wor
     shares = []
     for each in angles:
         posture = Posture(made.closed.wrist, jnp.asarray(each))
-        touches = touched_things(clear, posture, placed)
+        touches = find_touches(clear, posture, placed)
         shares.append(cut_share(clear, posture, placed, touches, jnp.asarray(weights), law=made.law))
     share = stacked(shares)
     present = np.asarray(share.touches.contacts.present)

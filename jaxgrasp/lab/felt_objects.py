@@ -17,7 +17,7 @@ from jaxtyping import Bool
 from jaxgrasp.force.distribution import closed_form
 from jaxgrasp.glove.loop.exchange import TorqueLaw
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.slipping import applied_forces
+from jaxgrasp.grip.contact_forces import applied_forces
 from jaxgrasp.hand.human_hand import LEAVES, human_hand, open_angles
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope

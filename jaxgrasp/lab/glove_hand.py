@@ -11,13 +11,13 @@ import numpy as np
 from jax import Array, lax
 
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.carry import closest_to
+from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import Scene
-from jaxgrasp.grip.slipping import Exerted
-from jaxgrasp.grip.tick import Tick, observe
+from jaxgrasp.grip.simulation import closest_forces
+from jaxgrasp.grip.tick import StepResult, observe
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import Hand, Pose, Posture
@@ -69,7 +69,7 @@ class Felt(NamedTuple):
     """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
     slope: Float[Array, "channels channels"]
     """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
-    exerted: Exerted
+    exerted: ContactForces
     """What the contacts exert on the object, of which the torques are."""
 
 
@@ -109,7 +109,7 @@ def felt(
     motion: Motion | None = None,
     *,
     law: Law,
-) -> tuple[Felt, Tick]:
+) -> tuple[Felt, StepResult]:
     """Torques as by ``resistance`` with their exact derivative, and the instant that they are of.
 
     ``motion`` is the object's, which obstacles with friction or damping resist.
@@ -118,7 +118,7 @@ def felt(
     fixed forces.
     """
 
-    def both(angles: Array) -> tuple[Array, tuple[Array, Tick]]:
+    def both(angles: Array) -> tuple[Array, tuple[Array, StepResult]]:
         tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law, motion=motion)
         torques = worn.resisting(tick.torques)
         return torques, (torques, tick)
@@ -135,10 +135,10 @@ def felt(
 
 
 def _by_closest_forces(
-    scene: Scene, worn: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: Tick
-) -> tuple[Array, Array, Exerted]:
+    scene: Scene, worn: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: StepResult
+) -> tuple[Array, Array, ContactForces]:
     """Torques, their slope, and what the contacts exert."""
-    exerted, _ = closest_to(scene, tick, placed)
+    exerted, _ = closest_forces(scene, tick, placed)
     couples = exerted.couples(tick.grasp)
 
     def torques_at(angles: Array) -> Array:

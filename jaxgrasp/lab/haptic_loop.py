@@ -14,9 +14,9 @@ from jax import Array
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.tick_times import TickTimes
 from jaxgrasp.glove.model import GloveModel
-from jaxgrasp.grip.carry import Instant, set_down
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, check_scene
+from jaxgrasp.grip.simulation import Record, initial_state
 from jaxgrasp.hand.grip_type import GripType
 from jaxgrasp.lab.flat_program import Leaves
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand
@@ -144,7 +144,7 @@ class Haptics(HandHaptics):
         check_scene(self.scene)
         self._worn = glove_hand(self.scene.hand, self.model, self.others)
         self._program = HapticTick(self.scene, self._worn, self.law, self.follows)
-        self._begin = self._program.start(set_down(self.scene, self.placed))
+        self._begin = self._program.start(initial_state(self.scene, self.placed))
         self._leaves = self._program.begun(self._begin)
         self._passed: Leaves | None = None
 
@@ -152,7 +152,7 @@ class Haptics(HandHaptics):
         """Another scene of the same kind, its object at rest there; nothing is compiled for other numbers."""
         self.scene, self.placed = scene, placed
         self._program = HapticTick(scene, self._worn, self.law, self.follows)
-        self._leaves = self._program.begun(self._begin._replace(carried=set_down(scene, placed)))
+        self._leaves = self._program.begun(self._begin._replace(carried=initial_state(scene, placed)))
         self._passed, self._before = None, None
 
     @property
@@ -178,13 +178,13 @@ class Haptics(HandHaptics):
         return Followed(there, inertial[None], np.asarray(contributions), float(time), self.grip)
 
     @property
-    def instant(self) -> Instant | None:
+    def instant(self) -> Record | None:
         """Record of the last tick but one: contacts, forces, hold."""
         if self._passed is None:
             return None
         placed, tick, stands, exerted, missed = self._program.become(self._passed)
         hold = Hold(int(tick.assessment.hold))
-        return Instant(placed, tick, hold, bool(stands), exerted.forces, missed, exerted.moments)
+        return Record(placed, tick, hold, bool(stands), exerted.forces, missed, exerted.moments)
 
     @property
     def grip(self) -> GripType | None:
@@ -231,7 +231,7 @@ def run_loop(
     rate: float,
     goes_on: Callable[[float], bool],
 ) -> TickTimes:
-    """Tick at a steady rate for as long as it goes on; how punctual it was.
+    """StepResult at a steady rate for as long as it goes on; how punctual it was.
 
     Args:
         tick: the law at a time, angles and the wrist's pose, such as a warmed-up ``Haptics.tick``.

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxgrasp.grip.carry import CarryState, go_on, led_tick, missed_by
+from jaxgrasp.grip.contact_forces import ContactForces
 from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, at_time
-from jaxgrasp.grip.slipping import Exerted
-from jaxgrasp.grip.tick import Tick, Touches, touched
+from jaxgrasp.grip.simulation import SimulationState, integrate, step_and_motion, wrench_residual
+from jaxgrasp.grip.tick import StepResult, Touches, find_touches
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.flat_program import FlatProgram, Leaves
 from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
@@ -28,14 +28,14 @@ from jaxgrasp.model.hand import HandFrames, Pose
 class HapticState(NamedTuple):
     """What a tick leaves to the next."""
 
-    carried: CarryState
+    carried: SimulationState
     frames: HandFrames
     """The hand's frames, as the glove read it."""
     touches: Touches
     """What the hand touches in those frames, the object and all else where they now are."""
     inertial: Float[Array, "6"]
     """Wrench that accelerates the object, as it is felt [N, N.m]."""
-    exerted: Exerted
+    exerted: ContactForces
     """What is felt of the object."""
     grip: FollowedGrip | None
     """Where contributions follow the grip."""
@@ -46,9 +46,9 @@ class Passed(NamedTuple):
 
     placed: Pose
     """Where it was."""
-    tick: Tick
+    tick: StepResult
     stands: Array
-    exerted: Exerted
+    exerted: ContactForces
     missed: Float[Array, "6"]
 
 
@@ -62,17 +62,17 @@ class HapticTick:
         self._leaves = tuple(map(jnp.asarray, leaves))
         self._law = law
 
-    def start(self, carried: CarryState) -> HapticState:
+    def start(self, carried: SimulationState) -> HapticState:
         """Before the first tick, of which no earlier one is known: nothing touches yet."""
         scene, worn, tables = jax.tree.unflatten(self._structure, self._leaves)
         grip = None if tables is None else first_grip(scene.contributions)
 
         def at_first() -> tuple[HandFrames, Touches]:
             posture = worn.posture(jnp.zeros(len(worn.places)), carried.placed)
-            return pose_hand(scene.hand, posture), touched(scene, posture, carried.placed)
+            return pose_hand(scene.hand, posture), find_touches(scene, posture, carried.placed)
 
         frames, touches = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
-        exerted = Exerted(touches.contacts.points, touches.grasp.torsion)
+        exerted = ContactForces(touches.contacts.points, touches.grasp.torsion)
         return HapticState(carried, frames, touches, jnp.zeros(6), exerted, grip)
 
     def begun(self, state: HapticState) -> Leaves:
@@ -153,18 +153,18 @@ def _tick(
 
 def _since(
     scene: Scene, state: HapticState, frames: HandFrames, passed: Array, kept: Array, law: Law
-) -> tuple[Passed, CarryState, Array]:
+) -> tuple[Passed, SimulationState, Array]:
     """What became of the object since the last tick, where it is, and what accelerates it, as it is felt.
 
     By the optimum, where no allowed forces took the object along, the contacts exerted what was felt of them.
     """
     carried = state.carried
     now = at_time(scene, carried.time)
-    tick, led = led_tick(now, passed, carried, state.touches, state.frames, frames, law)
-    hold, exerted, missed = tick.assessment.hold, tick.by_hand, missed_by(tick)
+    tick, led = step_and_motion(now, passed, carried, state.touches, state.frames, frames, law)
+    hold, exerted, missed = tick.assessment.hold, tick.by_hand, wrench_residual(tick)
     if law == "optimum":
         missed = jnp.where(tick.slips, tick.left_by(state.exerted), missed)
         exerted = state.exerted.where(tick.slips, exerted)
     become = Passed(carried.placed, tick, carried.stands, exerted, missed)
     inertial = jnp.where(hold == Hold.LOST, 0, kept * state.inertial + (1 - kept) * tick.inertial)
-    return become, go_on(scene, passed, carried, led, missed, hold, tick.rests), inertial
+    return become, integrate(scene, passed, carried, led, missed, hold, tick.rests), inertial

@@ -20,7 +20,7 @@ from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
-from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, pressing_torques, touched_things
+from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, find_touches, pressing_torques
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 from jaxgrasp.world.physics import Engine, HandMove, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
@@ -173,7 +173,7 @@ def _feel(
 
     def both(angles: Array) -> tuple[Array, tuple[Array, HandShare]]:
         posture = worn.posture(angles, wrist_pose)
-        share = cut_share(world, posture, placed, touched_things(world, posture, placed), wrench, law=law)
+        share = cut_share(world, posture, placed, find_touches(world, posture, placed), wrench, law=law)
         torques = worn.resisting(share.torques)
         return torques, (torques, share)
 

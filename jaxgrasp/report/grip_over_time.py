@@ -5,9 +5,9 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from jaxgrasp.force.slip import friction_margin
-from jaxgrasp.grip.carry import Instant
 from jaxgrasp.grip.monitor import Hold, Touch
 from jaxgrasp.grip.scene import Scene
+from jaxgrasp.grip.simulation import Record
 from jaxgrasp.hand.kinematics import ancestry, pose_hand
 from jaxgrasp.model.hand import Hand, Posture
 from jaxgrasp.report.look import counted
@@ -73,7 +73,7 @@ class History:
         return replace(self, **{name: array[chosen] for name, array in over_time.items()})
 
 
-def history(scene: Scene, postures: Posture, times: np.ndarray, record: Instant) -> History:
+def history(scene: Scene, postures: Posture, times: np.ndarray, record: Record) -> History:
     """What a hand went through, with postures and the stacked record of the same T instants."""
     ticks = record.tick
     margins = np.asarray(friction_margin(ticks.grasp, ticks.assessment.forces, ticks.assessment.moments))

@@ -11,8 +11,7 @@ from jaxgrasp.batch.evaluation import evaluate
 from jaxgrasp.batch.reasons import HELD, Reason
 from jaxgrasp.batch.worst import case_title, cases_of
 from jaxgrasp.force.distribution import closed_form, constrained_optimum
-from jaxgrasp.grip.monitor import Assessment, Law
-from jaxgrasp.grip.monitor import judged as assess
+from jaxgrasp.grip.monitor import Assessment, Law, assess
 from jaxgrasp.model.arrays import AnyArray
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits

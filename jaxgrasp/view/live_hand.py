@@ -13,12 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.grip.carry import CarryState, closest_to, go_on, led_tick, missed_by, set_down
 from jaxgrasp.grip.monitor import Law
 from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.grip.scene_file import GrippedScene
-from jaxgrasp.grip.tick import Tick, observe, touched
+from jaxgrasp.grip.simulation import (
+    SimulationState,
+    closest_forces,
+    initial_state,
+    integrate,
+    step_and_motion,
+    wrench_residual,
+)
+from jaxgrasp.grip.tick import StepResult, find_touches, observe
 from jaxgrasp.hand.kinematics import pose_hand
 from jaxgrasp.lab.haptic_loop import Followed
 from jaxgrasp.model.arrays import AnyArray
@@ -37,7 +44,7 @@ class LiveHand(LiveScene):
         super().__init__(made, law)
         self.others = []
         self._scene = numbers_as_arrays(made.scene)
-        self._carried: CarryState | None = None
+        self._carried: SimulationState | None = None
         self._before: Posture | None = None
 
     def look(self, controls: Controls) -> Seen:
@@ -65,20 +72,20 @@ class LiveHand(LiveScene):
         scene, posture = scene_with(self._scene, controls), self._posture(controls)
         carried, before = self._carried, self._before
         if carried is None or before is None:
-            carried, before = set_down(scene, self._placed(controls)), posture
+            carried, before = initial_state(scene, self._placed(controls)), posture
         dt = counted(dt)
         frames, tick, led, judged = _programs().step(scene, dt, carried, before, posture, law=self.law)
-        missed = missed_by(tick)
+        missed = wrench_residual(tick)
         if self.law == "optimum" and bool(tick.slips):
-            missed = closest_to(scene, tick, carried.placed)[1]
-        self._carried = go_on(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
+            missed = closest_forces(scene, tick, carried.placed)[1]
+        self._carried = integrate(scene, dt, carried, led, missed, tick.assessment.hold, tick.rests)
         self._before = posture
         return self._seen(carried.placed, frames, tick, judged, float(carried.time))
 
     def start_again(self) -> None:
         self._carried = self._before = None
 
-    def _seen(self, placed: Pose, frames: HandFrames, tick: Tick, judged: Judged, time: float) -> Seen:
+    def _seen(self, placed: Pose, frames: HandFrames, tick: StepResult, judged: Judged, time: float) -> Seen:
         fetched = jax.device_get((frames.links, placed, tick, judged))
         links, placed, tick, judged = jax.tree.map(np.asarray, fetched)
         return Seen(
@@ -109,16 +116,16 @@ def _programs() -> _Programs:
 
 def _look(
     scene: Scene, posture: Posture, placed: Pose, inertial: AnyArray, time: Array, *, law: Law
-) -> tuple[HandFrames, Tick, Judged]:
+) -> tuple[HandFrames, StepResult, Judged]:
     tick = observe(scene, posture, placed, inertial, law=law, time=time)
     return pose_hand(scene.hand, posture), tick, judged_by_both(tick.grasp, tick.assessment)
 
 
 def _step(
-    scene: Scene, dt: Array | float, carried: CarryState, before: Posture, posture: Posture, *, law: Law
-) -> tuple[HandFrames, Tick, Motion, Judged]:
+    scene: Scene, dt: Array | float, carried: SimulationState, before: Posture, posture: Posture, *, law: Law
+) -> tuple[HandFrames, StepResult, Motion, Judged]:
     """An instant with the hand where it was, and the motion that its way to a posture asks of the object."""
     now, later = (pose_hand(scene.hand, each) for each in (before, posture))
     scene = at_time(scene, carried.time)
-    tick, led = led_tick(scene, dt, carried, touched(scene, before, carried.placed), now, later, law)
+    tick, led = step_and_motion(scene, dt, carried, find_touches(scene, before, carried.placed), now, later, law)
     return now, tick, led, judged_by_both(tick.grasp, tick.assessment)

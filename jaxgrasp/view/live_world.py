@@ -19,7 +19,7 @@ from jaxgrasp.report.surfaces import pose_matrix, shape_surface
 from jaxgrasp.view.live_scene import Controls, LiveScene, counted, scene_with
 from jaxgrasp.view.seen import Judged, PosedHand, Seen, judged_by_both, numbers_as_arrays
 from jaxgrasp.view.standing_surfaces import moving_poses
-from jaxgrasp.world.hand_share import HandShare, ThingTouches, cut_share, touched_things
+from jaxgrasp.world.hand_share import BodyTouches, HandShare, cut_share, find_touches
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 from jaxgrasp.world.physics import HandMove, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
@@ -109,7 +109,7 @@ class LiveWorld(LiveScene):
         wrench: AnyArray,
         time: float,
         frames: HandFrames,
-        touches: ThingTouches,
+        touches: BodyTouches,
     ) -> Seen:
         """Contacts and forces with the object that the hand squeezes most, and the torques of all."""
         found = _programs().share(world, posture, placed, touches, jnp.asarray(wrench), time, law=self.law)
@@ -146,12 +146,12 @@ def _programs() -> _Programs:
     return _Programs(jit_here(_touch), jit_here(_share, static_argnames="law"))
 
 
-def _touch(world: World, posture: Posture, placed: Pose) -> tuple[HandFrames, ThingTouches]:
-    return pose_hand(world.scene.hand, posture), touched_things(world, posture, placed)
+def _touch(world: World, posture: Posture, placed: Pose) -> tuple[HandFrames, BodyTouches]:
+    return pose_hand(world.scene.hand, posture), find_touches(world, posture, placed)
 
 
 def _share(
-    world: World, posture: Posture, placed: Pose, touches: ThingTouches, wrench: AnyArray, time: AnyArray, *, law: Law
+    world: World, posture: Posture, placed: Pose, touches: BodyTouches, wrench: AnyArray, time: AnyArray, *, law: Law
 ) -> tuple[HandShare, Judged]:
     share = cut_share(world.at_time(time), posture, placed, touches, wrench, law=law)
     return share, judged_by_both(share.touches.grasp, share.assessment)

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxgrasp.force.slip import friction_margin
-from jaxgrasp.grip.monitor import Assessment, Law, Touch, judged
+from jaxgrasp.grip.monitor import Assessment, Law, Touch, assess
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.solution import Solution, Verdict, is_balanced
 
@@ -109,4 +109,4 @@ def judged_by_both(grasp: Grasp, assessment: Assessment) -> Judged:
     """The friction margins of both laws, and what contacts do by the closed form."""
     closed, optimum = assessment.closed, assessment.optimum
     margins = [friction_margin(grasp, answer.forces, answer.moments) for answer in (closed, optimum)]
-    return Judged((margins[0], margins[1]), judged(grasp, closed, optimum, "closed-form").touches)
+    return Judged((margins[0], margins[1]), assess(grasp, closed, optimum, "closed-form").touches)

@@ -1,13 +1,14 @@
-"""A world of many bodies: a hand among objects that touch one another, by an engine of ours or by MuJoCo's."""
+"""Worlds of many bodies: a hand among objects that touch one another, simulated by the package's own engine or by
+MuJoCo."""
 
-from jaxgrasp.world.hand_share import HandShare, ThingTouches
-from jaxgrasp.world.many_bodies import Thing, World, WorldState, at_rest
+from jaxgrasp.world.hand_share import BodyTouches, HandShare
+from jaxgrasp.world.many_bodies import RigidBody, World, WorldState, at_rest
 from jaxgrasp.world.mujoco_engine import MujocoEngine
 from jaxgrasp.world.physics import Engine, HandMove, Loads, Step
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 from jaxgrasp.world.standing import Standing, stands
-from jaxgrasp.world.world_carry import WorldInstant, world_carry
 from jaxgrasp.world.world_file import world_of
+from jaxgrasp.world.world_simulation import WorldRecord, simulate_world
 
 __all__ = [
     "Engine",
@@ -18,14 +19,14 @@ __all__ = [
     "QuasiStaticEngine",
     "Standing",
     "Step",
-    "Thing",
-    "ThingTouches",
+    "RigidBody",
+    "BodyTouches",
     "World",
-    "WorldInstant",
+    "WorldRecord",
     "WorldState",
     "at_rest",
     "stands",
-    "world_carry",
+    "simulate_world",
     "world_of",
 ]
 

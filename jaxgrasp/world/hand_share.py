@@ -1,4 +1,5 @@
-"""What a hand exerts on every object that it touches, by the package's own laws, and what its joints feel of it all."""
+"""Forces of a hand on every object that it touches, by the package's own force laws, and the joint torques from
+them."""
 
 from functools import partial
 
@@ -10,10 +11,10 @@ from jax import Array
 
 from jaxgrasp.force.distribution import closed_form_and_optimum
 from jaxgrasp.force.reachable import reachable_wrench
-from jaxgrasp.grip.monitor import Assessment, Hold, Law, judged
+from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
+from jaxgrasp.grip.monitor import Assessment, Hold, Law, assess
 from jaxgrasp.grip.motion import guide_at, spatial_inertia
 from jaxgrasp.grip.obstacles import hand_torques
-from jaxgrasp.grip.slipping import Exerted, cut_to_cones
 from jaxgrasp.hand.detection import Contacts, find_contacts
 from jaxgrasp.hand.kinematics import joint_torques, pose_hand
 from jaxgrasp.hand.shapes import Shape
@@ -25,100 +26,100 @@ from jaxgrasp.model.hand import Hand, Pose, Posture
 from jaxgrasp.world.many_bodies import World
 
 
-class ThingTouches(eqx.Module):
-    """Where a hand touches each of N objects."""
+class BodyTouches(eqx.Module):
+    """Contacts of a hand with each of N objects, and the Grasps that they form."""
 
     contacts: Contacts
-    """``(N, L)``: of the hand's links with each object."""
+    """``(N, L)``: contacts of the hand's links with each object."""
     grasp: Grasp
-    """``(N, L)``: about each object's centre, along the world's axes."""
+    """``(N, L)``: Grasp about each object's centre, along the world's axes."""
     stiffness: Float[Array, "N L"]
-    """Effective stiffness of each contact, c K of eq. 6 [N/m]; 0 where nothing touches."""
+    """Effective stiffness of each contact, c K of eq. 6 [N/m]; 0 without contact."""
 
 
 class HandShare(eqx.Module):
-    """What a hand exerts on each of N objects at one instant."""
+    """Forces of a hand on each of N objects at one instant, and the joint torques from them."""
 
-    touches: ThingTouches
+    touches: BodyTouches
     wrench: Float[Array, "N 6"]
-    """What the hand is to exert on each object about its centre [N, N.m]: what gives it its motion, less its weight and
-    what the others exert."""
+    """Wrench required of the hand on each object about its centre [N, N.m]: rate of momentum, less weight and the loads
+    by the other bodies."""
     assessment: Assessment
     exerted: Float[Array, "N L 3"]
-    """What it exerts [N]: the law's forces where they hold; of an object that slips by the closed form, each as far as
-    its friction goes, by the optimum those that come closest; none on what it does not touch."""
+    """Contact forces on the objects [N]: the law's forces where they hold. On a slipping object, by the closed form
+    each force is cut to its friction, by the optimum the closest feasible forces act; zero without contact."""
     moments: Float[Array, "N L"] | None
-    """What soft fingers exert about their normals with that [N.m]; None where all contacts are hard."""
-    missed: Float[Array, "N 6"]
-    """What the hand leaves of the wrench of objects that slip [N, N.m]."""
+    """Moments of soft fingers about their normals [N.m]; None where all contacts are hard."""
+    wrench_residual: Float[Array, "N 6"]
+    """Part of the wrench that the hand does not exert on slipping objects [N, N.m]; zero for all others."""
     torques: Float[Array, "J"]
-    """On the joints, by objects, table and obstacles [N.m]: negative where they resist a positive angle."""
+    """Joint torques from objects, table and obstacles [N.m]: negative where they resist a positive angle."""
     blocked: Float[Array, "J"]
-    """What of them is by table and obstacles, where the hand itself touches them [N.m]."""
+    """Part of the torques from table and obstacles that the hand itself touches [N.m]."""
 
     @property
-    def by_hand(self) -> Exerted:
-        """Forces and moments of the hand on each object."""
-        return Exerted(self.exerted, self.moments)
+    def by_hand(self) -> ContactForces:
+        """Return forces and moments of the hand on each object."""
+        return ContactForces(self.exerted, self.moments)
 
 
 @jax.jit
-def touched_things(world: World, posture: Posture, placed: Pose) -> ThingTouches:
-    """Contacts of the hand with each object ``(N,)``, and their Grasps."""
-    things, hand = world.things, world.scene.hand
-    contacts = _contacts(hand, posture, [thing.body.shape for thing in things], placed)
+def find_touches(world: World, posture: Posture, placed: Pose) -> BodyTouches:
+    """Find the contacts of the hand with each object ``(N,)``, and build their Grasps."""
+    members, hand = world.bodies, world.scene.hand
+    contacts = _contacts(hand, posture, [member.body.shape for member in members], placed)
     friction, stiffness = (
-        jnp.stack([jnp.asarray(getattr(thing, name), contacts.depths.dtype) for thing in things])[:, None]
+        jnp.stack([jnp.asarray(getattr(member, name), contacts.depths.dtype) for member in members])[:, None]
         for name in ("friction", "stiffness")
     )
     contributions = jnp.asarray(world.scene.contributions)
     torsion = None
     if world.is_soft:
-        own = [0.0 if thing.torsion is None else thing.torsion for thing in things]
-        torsion = jnp.stack([jnp.asarray(each, contacts.depths.dtype) for each in own])[:, None]
+        torsions = [0.0 if member.torsion is None else member.torsion for member in members]
+        torsion = jnp.stack([jnp.asarray(value, contacts.depths.dtype) for value in torsions])[:, None]
     grasp = grasp_about(placed.origin, contacts, friction, stiffness, contributions, torsion)
-    return ThingTouches(contacts, grasp, contacts.present * stiffness * contributions)
+    return BodyTouches(contacts, grasp, contacts.present * stiffness * contributions)
 
 
 def _contacts(hand: Hand, posture: Posture, shapes: list[Shape], placed: Pose) -> Contacts:
-    """One search for all exact shapes of a kind; a tree has its own."""
+    """Find contacts with one batched search for all exact shapes of a type, and one search for each tree."""
     kinds: dict[object, list[int]] = {}
     for n, shape in enumerate(shapes):
         kinds.setdefault(n if isinstance(shape, SphereTree) else type(shape), []).append(n)
-    found, order = [], []
+    parts, order = [], []
     for members in kinds.values():
         first = shapes[members[0]]
-        alike = (
+        stacked_shape = (
             first
             if isinstance(first, SphereTree)
             else jax.tree.map(lambda *sizes: jnp.stack(sizes), *(jax.tree.map(jnp.asarray, shapes[n]) for n in members))
         )
         index = np.array(members)
-        there = Pose(jnp.asarray(placed.origin)[index], jnp.asarray(placed.rotation)[index])
-        found.append(find_contacts(hand, posture, alike, there))
+        poses = Pose(jnp.asarray(placed.origin)[index], jnp.asarray(placed.rotation)[index])
+        parts.append(find_contacts(hand, posture, stacked_shape, poses))
         order += members
-    together = jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)
-    return jax.tree.map(lambda part: part[np.argsort(order)], together)
+    joined = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    return jax.tree.map(lambda part: part[np.argsort(order)], joined)
 
 
 def hand_share(
     world: World,
     posture: Posture,
     placed: Pose,
-    touches: ThingTouches,
+    touches: BodyTouches,
     wrench: Float[AnyArray, "N 6"],
     *,
     law: Law,
 ) -> HandShare:
-    """What the hand exerts on each object.
+    """Compute the forces that the hand exerts on each object by a force law.
 
     Args:
         world: hand and objects.
-        posture: of the hand.
-        placed: where the objects are ``(N,)``.
-        touches: of the hand there, from ``touched_things``.
-        wrench: what the hand is to exert on each [N, N.m].
-        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
+        posture: posture of the hand.
+        placed: poses of the objects ``(N,)``.
+        touches: contacts of the hand at these poses, from ``find_touches``.
+        wrench: wrench required of the hand on each object [N, N.m].
+        law: force law of the hand, as for [`jaxgrasp.grip.monitor`][].
     """
     share = cut_share(world, posture, placed, touches, jnp.asarray(wrench), law=law)
     if law == "optimum" and bool(jnp.any(share.assessment.hold == Hold.SLIPPING)):
@@ -128,54 +129,56 @@ def hand_share(
 
 @partial(jax.jit, static_argnames="law")
 def cut_share(
-    world: World, posture: Posture, placed: Pose, touches: ThingTouches, wrench: Array, *, law: Law
+    world: World, posture: Posture, placed: Pose, touches: BodyTouches, wrench: Array, *, law: Law
 ) -> HandShare:
-    """As ``hand_share``, but that what slips is cut to its friction by either law."""
+    """Compute as ``hand_share`` does, but cut the forces on a slipping object to its friction, whichever the law."""
     grasp = touches.grasp
     closed, optimum = closed_form_and_optimum(grasp, wrench, free=_free(world, placed))
-    assessment = judged(grasp, closed, optimum, law)
+    assessment = assess(grasp, closed, optimum, law)
     slips = assessment.hold == Hold.SLIPPING
     exerted = cut_to_cones(grasp, assessment.exerted).where(slips, assessment.exerted)
-    return _felt(world, posture, touches, wrench, assessment, exerted, hand_torques(world.scene, posture))
+    return _complete_share(world, posture, touches, wrench, assessment, exerted, hand_torques(world.scene, posture))
 
 
 @jax.jit
 def closest_share(world: World, posture: Posture, placed: Pose, share: HandShare) -> HandShare:
-    """The forces that come closest to what no allowed ones exert, by how what is missed moves the object."""
-    inertia = jnp.stack([spatial_inertia(thing.body, placed.rotation[n]) for n, thing in enumerate(world.things)])
+    """Replace the forces on slipping objects by the feasible ones whose wrench residual moves the object least."""
+    inertia = jnp.stack([spatial_inertia(member.body, placed.rotation[n]) for n, member in enumerate(world.bodies)])
     touches = share.touches
     closest = reachable_wrench(touches.grasp, share.wrench, inertia=inertia, free=_free(world, placed))
     slips = share.assessment.hold == Hold.SLIPPING
-    exerted = Exerted(closest.forces, closest.moments).where(slips, share.by_hand)
-    return _felt(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
+    exerted = ContactForces(closest.forces, closest.moments).where(slips, share.by_hand)
+    return _complete_share(world, posture, touches, share.wrench, share.assessment, exerted, share.blocked)
 
 
-def _felt(
+def _complete_share(
     world: World,
     posture: Posture,
-    touches: ThingTouches,
+    touches: BodyTouches,
     wrench: Array,
     assessment: Assessment,
-    exerted: Exerted,
+    exerted: ContactForces,
     blocked: Array,
 ) -> HandShare:
+    """Add wrench residual and joint torques to the forces on all objects."""
     torques = pressing_torques(world, posture, touches, exerted) + blocked
     slips = (assessment.hold == Hold.SLIPPING)[:, None]
-    missed = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
-    return HandShare(touches, wrench, assessment, *exerted, missed, torques, blocked)
+    residual = jnp.where(slips, wrench - exerted.wrench(touches.grasp), 0)
+    return HandShare(touches, wrench, assessment, *exerted, residual, torques, blocked)
 
 
-def pressing_torques(world: World, posture: Posture, touches: ThingTouches, exerted: Exerted) -> Array:
-    """Torques on the joints by what the hand exerts on all objects [N.m]."""
+def pressing_torques(world: World, posture: Posture, touches: BodyTouches, exerted: ContactForces) -> Array:
+    """Compute the joint torques from the forces on all objects [N.m], summed over the objects."""
     hand, couples = world.scene.hand, exerted.couples(touches.grasp)
     return jnp.sum(joint_torques(hand, pose_hand(hand, posture), touches.contacts.points, exerted.forces, couples), 0)
 
 
 def _free(world: World, placed: Pose) -> Array | None:
-    """Twists left to each object: of the gripped one those of its guide, of the others all."""
+    """Return the motion basis of each object, the guide's twists for the gripped object and all six for every other;
+    None without a guide."""
     guide = world.scene.guide
     if guide is None:
         return None
-    own = guide_at(guide, placed.origin[0])
-    every = jnp.broadcast_to(jnp.eye(6), (len(world.others), 6, 6))
-    return jnp.concatenate([jnp.pad(own, ((0, 0), (0, 6 - own.shape[1])))[None], every])
+    guide_twists = guide_at(guide, placed.origin[0])
+    all_twists = jnp.broadcast_to(jnp.eye(6), (len(world.others), 6, 6))
+    return jnp.concatenate([jnp.pad(guide_twists, ((0, 0), (0, 6 - guide_twists.shape[1])))[None], all_twists])

@@ -1,4 +1,4 @@
-"""The model that MuJoCo's engine moves: what of a world becomes which of its bodies, geoms and pairs."""
+"""The MuJoCo model of a world: bodies, geoms and pairs for its hand, objects, table, obstacles and guide."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from jaxgrasp.grip.scene import Obstacle
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.hand import Pose
-from jaxgrasp.world.many_bodies import Masses, Thing, World
+from jaxgrasp.world.many_bodies import Masses, RigidBody, World
 from jaxgrasp.world.physics import HAND, OBSTACLES, TABLE
 
 if TYPE_CHECKING:
     import mujoco
 
 UNMOVED = 1e3
-"""Mass of a link's body [kg]: a newton in a step of a millisecond makes it a micrometre a second slower. More of it
-would hide the objects' own inertia from the solver's tolerance."""
+"""Mass of a link's body [kg]: a newton in a step of a millisecond changes its speed by a micrometre per second. A
+larger mass would hide the objects' own inertia from the solver's tolerance."""
 RIGID = (0.004, 1.0)
 """Time constant [s] and damping ratio of contacts among objects, and with the table."""
 IMPEDANCE = 0.9
-"""MuJoCo's share of a spring's constraint that is met at once."""
+"""MuJoCo's impedance of spring contacts: the share of a constraint that is satisfied at once."""
 DAMPING = 1.0
 """Damping ratio of springs, for the object's own mass."""
 STICKING = (0.002, 1.0)
-"""Time constant [s] and damping ratio by which friction at the hand stops sliding."""
+"""Time constant [s] and damping ratio of friction at the hand."""
 RATIO = 10.0
-"""How much stiffer friction is than what presses: by less, what is held creeps."""
+"""Stiffness of friction relative to the normal direction: with less, held objects creep."""
 
 
 STRAIGHT = 1e-12
@@ -36,21 +36,21 @@ STRAIGHT = 1e-12
 
 
 class WorldModel(NamedTuple):
-    """A compiled model, and where things are in it."""
+    """A compiled MuJoCo model, with the indices of the world's bodies in it."""
 
     model: mujoco.MjModel
     owners: np.ndarray
-    """``(ngeom,)``: which object a geom belongs to; -1 of the hand, -2 of the table, -3 of obstacles."""
+    """``(ngeom,)``: index of the object of each geom; -1 for the hand, -2 for the table, -3 for obstacles."""
     links: np.ndarray
-    """``(ngeom,)``: which link a geom is of; -1 for others."""
+    """``(ngeom,)``: index of the link of each geom; -1 for others."""
     pair_links: np.ndarray
-    """``(npair,)``: the link of each pair; -1 of those of obstacles."""
-    pair_things: np.ndarray
-    """``(npair,)``: the object of each pair."""
+    """``(npair,)``: index of the link of each pair; -1 for those of obstacles."""
+    pair_bodies: np.ndarray
+    """``(npair,)``: index of the object of each pair."""
     bodies: np.ndarray
     """``(N,)``: ids of the objects' bodies."""
     guide: Guide | None
-    """That of the first object."""
+    """Guide of the first object."""
 
 
 class Guide(NamedTuple):
@@ -59,21 +59,21 @@ class Guide(NamedTuple):
     axis: np.ndarray
     """``(3,)`` unit."""
     point: np.ndarray
-    """``(3,)``: one that a hinge or screw goes through [m]."""
+    """``(3,)``: a point on the axis of a hinge or screw [m]."""
     slides: bool
     turns: bool
     pitch: float
-    """Way along the axis for a radian of a screw [m]."""
+    """Travel along the axis for a radian of a screw [m]."""
 
 
 def read_guide(guide: np.ndarray) -> Guide:
-    """What the one twist ``(6, 1)`` about the world's origin is.
+    """Classify the one twist ``(6, 1)`` about the world's origin as a slide, a hinge or a screw.
 
     Raises:
-        ValueError: for more than one.
+        ValueError: for more than one twist.
     """
     if guide.shape[1] != 1:
-        raise ValueError(f"guide has {guide.shape[1]} twists: expected one, as of a slide, a hinge or a screw")
+        raise ValueError(f"guide has {guide.shape[1]} twists: expected one: that of a slide, a hinge or a screw")
     along, about = guide[:3, 0], guide[3:, 0]
     speed, turning = np.linalg.norm(along), np.linalg.norm(about)
     if turning == 0:
@@ -83,23 +83,24 @@ def read_guide(guide: np.ndarray) -> Guide:
 
 
 def world_model(mujoco: Any, world: World, weights: Masses, placed: Pose) -> WorldModel:
-    """Build and compile it, with objects where they stand at first.
+    """Build and compile the model, with objects at their initial poses.
 
     Raises:
-        ValueError: for shapes that MuJoCo's model does not have here, and a guide of more than one twist.
+        ValueError: for shapes that the model does not support, and a guide of more than one twist.
     """
-    building = _Building(mujoco, world)
-    building.add_table()
+    builder = _ModelBuilder(mujoco, world)
+    builder.add_table()
     for k, obstacle in enumerate(world.scene.obstacles):
-        building.add_obstacle(k, obstacle)
-    for n, thing in enumerate(world.things):
-        building.add_thing(n, thing, weights, Pose(placed.origin[n], placed.rotation[n]))
-    building.add_hand()
-    return building.compiled()
+        builder.add_obstacle(k, obstacle)
+    for n, rigid_body in enumerate(world.bodies):
+        builder.add_rigid_body(n, rigid_body, weights, Pose(placed.origin[n], placed.rotation[n]))
+    builder.add_hand()
+    return builder.compile()
 
 
-class _Building:
-    """Bodies, geoms and pairs as they are added; names say whose they are."""
+class _ModelBuilder:
+    """Builder that adds bodies, geoms and pairs to a MuJoCo specification, and records the owner of each geom by
+    name."""
 
     def __init__(self, mujoco: Any, world: World):
         self.mujoco, self.world = mujoco, world
@@ -109,13 +110,13 @@ class _Building:
         spec.option.impratio = RATIO
         spec.option.tolerance = 1e-13
         self.guide = None if world.scene.guide is None else read_guide(np.asarray(world.scene.guide, float))
-        self.whose: dict[str, tuple[int, int]] = {}
+        self.owners: dict[str, tuple[int, int]] = {}
         self.pairs: list[tuple[int, int]] = []
         self.geoms: list[list[str]] = []
 
     def add_table(self) -> None:
         table = self.world.scene.table
-        self.whose["table"] = (TABLE, -1)
+        self.owners["table"] = (TABLE, -1)
         self.spec.worldbody.add_geom(
             name="table",
             type=self.mujoco.mjtGeom.mjGEOM_PLANE,
@@ -134,10 +135,10 @@ class _Building:
                 name=f"obstacle {k}", pos=np.asarray(origin, float), quat=self._quaternion(rotation)
             )
         else:
-            body = self._add_led(f"obstacle {k}")
+            body = self._add_kinematic_body(f"obstacle {k}")
         self._add_geoms(body, f"obstacle {k}", obstacle.shape, (OBSTACLES, -1), contype=0, conaffinity=0)
 
-    def add_thing(self, n: int, thing: Thing, weights: Masses, placed: Pose) -> None:
+    def add_rigid_body(self, n: int, rigid_body: RigidBody, weights: Masses, placed: Pose) -> None:
         body = self.spec.worldbody.add_body(
             name=f"thing {n}",
             pos=np.asarray(placed.origin, float),
@@ -151,41 +152,44 @@ class _Building:
             self._add_guide(body, self.guide, placed)
         else:
             body.add_freejoint()
-        friction = [float(thing.rubbing), 0, 0]
-        names = self._add_geoms(body, f"thing {n}", thing.body.shape, (n, -1), friction=friction, solref=RIGID)
+        friction = [float(rigid_body.rubbing), 0, 0]
+        names = self._add_geoms(body, f"thing {n}", rigid_body.body.shape, (n, -1), friction=friction, solref=RIGID)
         self.geoms.append(names)
         for k, obstacle in enumerate(self.world.scene.obstacles):
             spring = spring_solref(float(obstacle.stiffness), weights.mass[n])
-            for name in (own for own in self.whose if own.startswith(f"obstacle {k} ")):
-                for own in names:
-                    self._add_pair(name, own, (-1, n), condim=1, solref=spring)
+            for obstacle_geom in (geom for geom in self.owners if geom.startswith(f"obstacle {k} ")):
+                for geom in names:
+                    self._add_pair(obstacle_geom, geom, (-1, n), condim=1, solref=spring)
 
     def add_hand(self) -> None:
         hand = self.world.scene.hand
         for link, (centers, radii) in enumerate(zip(hand.skin.centers, hand.skin.radii, strict=True)):
-            body = self._add_led(f"link {link}")
+            body = self._add_kinematic_body(f"link {link}")
             for ball in np.flatnonzero(np.asarray(radii) > 0):
                 name = f"link {link} {ball}"
-                self.whose[name] = (HAND, link)
+                self.owners[name] = (HAND, link)
                 self._add_ball(body, name, centers[ball], radii[ball], contype=0, conaffinity=0)
-                for n, thing in enumerate(self.world.things):
-                    torsion = float(thing.torsion or 0)
-                    rubs = {"condim": 4 if torsion else 3, "friction": [float(thing.friction)] * 2 + [torsion, 0, 0]}
-                    for own in self.geoms[n]:
-                        self._add_pair(name, own, (link, n), solreffriction=STICKING, **rubs)
+                for n, member in enumerate(self.world.bodies):
+                    torsion = float(member.torsion or 0)
+                    friction = {
+                        "condim": 4 if torsion else 3,
+                        "friction": [float(member.friction)] * 2 + [torsion, 0, 0],
+                    }
+                    for geom in self.geoms[n]:
+                        self._add_pair(name, geom, (link, n), solreffriction=STICKING, **friction)
 
-    def compiled(self) -> WorldModel:
+    def compile(self) -> WorldModel:
         model = self.spec.compile()
         owners, links = (
-            np.array([self.whose[model.geom(g).name][part] for g in range(model.ngeom)]) for part in (0, 1)
+            np.array([self.owners[model.geom(g).name][part] for g in range(model.ngeom)]) for part in (0, 1)
         )
-        # The compiler keeps the order of pairs.
-        pair_links, pair_things = np.array(self.pairs, int).reshape(-1, 2).T
+        # The compiler preserves the order of pairs.
+        pair_links, pair_bodies = np.array(self.pairs, int).reshape(-1, 2).T
         bodies = np.array([model.body(f"thing {n}").id for n in range(len(self.geoms))])
-        return WorldModel(model, owners, links, pair_links, pair_things, bodies, self.guide)
+        return WorldModel(model, owners, links, pair_links, pair_bodies, bodies, self.guide)
 
-    def _add_led(self, name: str) -> Any:
-        """A body whose motion is prescribed."""
+    def _add_kinematic_body(self, name: str) -> Any:
+        """Add a body whose motion is prescribed."""
         body = self.spec.worldbody.add_body(
             name=name, mass=UNMOVED, inertia=[UNMOVED] * 3, ipos=[0, 0, 0], explicitinertial=True, gravcomp=1
         )
@@ -193,7 +197,7 @@ class _Building:
         return body
 
     def _add_guide(self, body: Any, guide: Guide, placed: Pose) -> None:
-        """Joints in the body's own frame; those of a screw are tied."""
+        """Add the guide's joints in the body's own frame; those of a screw are coupled."""
         kinds, axis = self.mujoco.mjtJoint, placed.rotation.T @ guide.axis
         point = placed.rotation.T @ (guide.point - placed.origin)
         if guide.slides:
@@ -210,23 +214,23 @@ class _Building:
                 solref=RIGID,
             )
 
-    def _add_pair(self, one: str, other: str, whose: tuple[int, int], **kwargs: Any) -> None:
+    def _add_pair(self, first: str, second: str, link_and_body: tuple[int, int], **kwargs: Any) -> None:
         name = f"pair {len(self.pairs)}"
-        self.spec.add_pair(name=name, geomname1=one, geomname2=other, solimp=IMPEDANCES, **kwargs)
-        self.pairs.append(whose)
+        self.spec.add_pair(name=name, geomname1=first, geomname2=second, solimp=IMPEDANCES, **kwargs)
+        self.pairs.append(link_and_body)
 
-    def _add_geoms(self, body: Any, name: str, shape: Shape, whose: tuple[int, int], **kwargs: Any) -> list[str]:
-        """The geoms of an exact shape, or of a tree's balls; their names."""
+    def _add_geoms(self, body: Any, name: str, shape: Shape, owner: tuple[int, int], **kwargs: Any) -> list[str]:
+        """Add the geom of an exact shape, or those of a tree's balls; return their names."""
         if isinstance(shape, SphereTree):
             centers, radii = np.asarray(shape.balls.centers), np.asarray(shape.balls.radii)
             names = [f"{name} {ball}" for ball in range(len(radii))]
-            for each, center, radius in zip(names, centers, radii, strict=True):
-                self._add_ball(body, each, center, radius, **kwargs)
+            for ball_name, center, radius in zip(names, centers, radii, strict=True):
+                self._add_ball(body, ball_name, center, radius, **kwargs)
         else:
             kind, size = primitive(self.mujoco, shape)
             names = [f"{name} 0"]
             body.add_geom(name=names[0], type=kind, size=size, condim=3, **kwargs)
-        self.whose |= dict.fromkeys(names, whose)
+        self.owners |= dict.fromkeys(names, owner)
         return names
 
     def _add_ball(self, body: Any, name: str, center: Any, radius: Any, **kwargs: Any) -> None:
@@ -243,10 +247,11 @@ IMPEDANCES = (IMPEDANCE, IMPEDANCE, 0.001, 0.5, 2.0)
 
 
 def spring_solref(stiffness: Any, mass: Any) -> np.ndarray:
-    """MuJoCo's direct numbers ``(..., 2)`` for a contact that presses by a stiffness [N/m] an object of a mass [kg].
+    """Return MuJoCo's direct solref numbers ``(..., 2)`` for a contact of a stiffness [N/m] on an object of a mass
+    [kg].
 
-    What MuJoCo calls stiffness and damping are accelerations; its regularisation, for a body that is alone against what
-    does not move (1 - d) / (d m), makes forces of them.
+    MuJoCo's stiffness and damping are accelerations; its regularisation, (1 - d) / (d m) for a single body against a
+    fixed one, turns them into forces.
     """
     share = (1 - IMPEDANCE) / np.asarray(mass, float)
     damping = 2 * DAMPING * np.sqrt(np.asarray(stiffness, float) * mass)

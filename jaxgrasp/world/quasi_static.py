@@ -1,9 +1,9 @@
-"""A world by our own engine: one cone program a step, over all contacts of all objects with hand, table and each other.
+"""Quasi-static engine: one cone program a step, over all contacts of all objects with hand, table and each other.
 
-It is for what rests, is held, or moves slowly. Contacts bounce nothing; those of the hand and of obstacles are springs,
-those among objects and with the table are rigid; what slides hovers by its friction times its way in a step. Of solids
-the convex hull touches the others, and the places at which it does so are those at the beginning of a step, so that
-what is faster than its own size in a step passes through another.
+It is made for objects that rest, are held, or move slowly. Contacts do not bounce; those of the hand and of obstacles
+are springs, those among objects and with the table are rigid; a sliding body hovers by its friction times its travel in
+a step. Contacts are those of convex hulls at the beginning of a step, so that a body that moves by more than its own
+size in a step passes through another.
 """
 
 import jax
@@ -24,73 +24,71 @@ from jaxgrasp.world.impulse_program import (
     loads_of,
     mobilities_of,
 )
-from jaxgrasp.world.led_bodies import Motions, led, link_motion
-from jaxgrasp.world.many_bodies import World, WorldState, masses
+from jaxgrasp.world.many_bodies import Motions, World, WorldState, integrate_poses, link_motion, masses
 from jaxgrasp.world.physics import HandMove, Step
-from jaxgrasp.world.solids import solid_of
-from jaxgrasp.world.touching_solids import MANY
+from jaxgrasp.world.solids import MANY, solid_of
 
 AHEAD = 2e-3
-"""How far apart solids are that count as meeting in a step, besides their way in it [m]."""
+"""Largest gap of solids that count as meeting in a step, beyond their travel in it [m]."""
 SLACK = 1e-5
-"""How deep rigid solids may be in one another before they are pushed out [m]."""
+"""Depth of penetration that rigid solids keep, without correction [m]."""
 PUSHED_OUT = 0.2
-"""What of it is undone in a step."""
+"""Share of the deeper penetration that is corrected in a step."""
 
 
 class QuasiStaticEngine:
-    """Our own answer to how a world goes on: without memory, and without any extra."""
+    """The package's own engine, without internal state and without any extra."""
 
     def __init__(self, world: World, state: WorldState):
-        """Remember what stays the same.
+        """Store the world, and check that its shapes are supported.
 
         Args:
-            world: what that is.
-            state: where its objects are at first.
+            world: world to move.
+            state: state of its objects at the start.
 
         Raises:
-            ValueError: for shapes that no object has.
+            ValueError: for shapes that are unbounded or not supported.
         """
         self.world = world
-        self._masses = masses(world.things)
+        self._masses = masses(world.bodies)
         world_contact_list(world, state.placed, 0.0)
 
     def step(self, state: WorldState, hand: HandMove, dt: float) -> Step:
-        """The world a step later; see [`jaxgrasp.world.Engine`][]."""
+        """Move the world by one step; see [`jaxgrasp.world.Engine`][]."""
         world, placed = self.world, state.placed
         links, motion = link_motion(hand.now, hand.later, dt)
-        fast = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(world.scene.gravity)
+        top_speed = np.linalg.norm(state.motion.linear, axis=1).max() + dt * np.linalg.norm(world.scene.gravity)
         obstacles = obstacles_now(world.scene, state.time)
-        fast += max(map(_speed, obstacles), default=0.0)
+        top_speed += max(map(_speed, obstacles), default=0.0)
         contacts = together(
-            world_contact_list(world, placed, AHEAD + 2 * fast * dt, obstacles),
+            world_contact_list(world, placed, AHEAD + 2 * top_speed * dt, obstacles),
             hand_contact_list(world, hand.contacts, links, motion),
         )
         mobilities = mobilities_of(world, self._masses, placed)
-        alone = self._alone(state, mobilities, dt)
-        seen = jacobian(contacts, placed.origin)
-        impulses = _impulses(contacts, seen, alone, mobilities, dt)
-        velocity = alone + np.einsum("nij,nj->ni", mobilities, impulses.on_things)
-        new = Motions(velocity[:, :3], velocity[:, 3:])
-        after = WorldState(self._moved(placed, new, dt), new, state.time + dt)
+        free_motion = self._free_motion(state, mobilities, dt)
+        contact_rows = jacobian(contacts, placed.origin)
+        impulses = _impulses(contacts, contact_rows, free_motion, mobilities, dt)
+        velocity = free_motion + np.einsum("nij,nj->ni", mobilities, impulses.on_bodies)
+        motion_after = Motions(velocity[:, :3], velocity[:, 3:])
+        after = WorldState(self._moved(placed, motion_after, dt), motion_after, state.time + dt)
         gained = (self._masses.momentum(after) - self._masses.momentum(state)) / dt
-        loads = loads_of(contacts, seen, placed, impulses.along / dt)
+        loads = loads_of(contacts, contact_rows, placed, impulses.along / dt)
         return Step(after, loads, gained, impulses.solved)
 
     def warm_up(self) -> None:
-        """Compile whatever a step may need, which otherwise is done when it first does."""
+        """Compile all programs that a step may need, before its first call."""
         world = self.world
-        things, links, obstacles = len(world.things), len(world.scene.hand.links), len(world.scene.obstacles)
-        patches = things * (things - 1) // 2 + things * (1 + obstacles)
-        compile_programs(things, things * links + MANY * patches, world.is_soft)
+        n_bodies, n_links, n_obstacles = len(world.bodies), len(world.scene.hand.links), len(world.scene.obstacles)
+        n_manifolds = n_bodies * (n_bodies - 1) // 2 + n_bodies * (1 + n_obstacles)
+        compile_programs(n_bodies, n_bodies * n_links + MANY * n_manifolds, world.is_soft)
 
-    def _alone(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
-        """How objects would move after a step if nothing touched them: they keep their momentum, but for gravity."""
+    def _free_motion(self, state: WorldState, mobilities: np.ndarray, dt: float) -> Float[np.ndarray, "N 6"]:
+        """Compute the velocities after a step without contacts: momentum plus gravity, v = M^-1 (p + m g dt)."""
         weights = self._masses
         momentum = weights.momentum(state)
         momentum[:, :3] += dt * weights.mass[:, None] * np.asarray(self.world.scene.gravity)
-        turned = led(state.placed, state.motion, dt).rotation
-        alone = np.concatenate(
+        turned = integrate_poses(state.placed, state.motion, dt).rotation
+        velocities = np.concatenate(
             [
                 momentum[:, :3] / weights.mass[:, None],
                 np.linalg.solve(weights.turned(turned), momentum[:, 3:, None])[..., 0],
@@ -98,24 +96,24 @@ class QuasiStaticEngine:
             1,
         )
         if self.world.scene.guide is not None:
-            alone[0] = mobilities[0] @ momentum[0]
-        return alone
+            velocities[0] = mobilities[0] @ momentum[0]
+        return velocities
 
     def _moved(self, placed: Pose, motion: Motions, dt: float) -> Pose:
-        after = led(placed, motion, dt)
+        poses = integrate_poses(placed, motion, dt)
         guide = self.world.scene.guide
         if guide is not None:
             first = Motion(jnp.asarray(motion.linear[0]), jnp.asarray(motion.angular[0]))
-            there = jax.device_get(_led_along(Pose(placed.origin[0], placed.rotation[0]), first, dt, guide))
-            after.origin[0], after.rotation[0] = there.origin, there.rotation
-        return after
+            pose = jax.device_get(_moved_along_guide(Pose(placed.origin[0], placed.rotation[0]), first, dt, guide))
+            poses.origin[0], poses.rotation[0] = pose.origin, pose.rotation
+        return poses
 
 
-_led_along = jax.jit(moved)
+_moved_along_guide = jax.jit(moved)
 
 
 def _speed(obstacle: Obstacle) -> float:
-    """How fast any part of an obstacle moves at most [m/s]."""
+    """Bound the speed of any part of an obstacle [m/s]."""
     if obstacle.motion is None:
         return 0.0
     turning = np.linalg.norm(obstacle.motion.angular) * solid_of(obstacle.shape, obstacle.placed).extent()
@@ -123,12 +121,13 @@ def _speed(obstacle: Obstacle) -> float:
 
 
 def _impulses(
-    contacts: ContactList, seen: ContactRows, alone: np.ndarray, mobilities: np.ndarray, dt: float
+    contacts: ContactList, jac: ContactRows, free_motion: np.ndarray, mobilities: np.ndarray, dt: float
 ) -> Impulses:
-    approach = np.einsum("minj,nj->mi", seen.rows, alone) - seen.seen(contacts.carried, contacts.turning)
+    approach = np.einsum("minj,nj->mi", jac.rows, free_motion) - jac.project(contacts.carried, contacts.turning)
     spring = np.isfinite(contacts.stiffness)
-    # A spring's push is that of its end; what is rigid closes its gap at most, and is pushed out slowly.
+    # Springs push by their length at the end of the step. Rigid contacts close their gap at most; penetration is
+    # corrected slowly.
     rigid = np.where(contacts.gaps > 0, contacts.gaps, PUSHED_OUT * np.minimum(contacts.gaps + SLACK, 0))
     approach[:, 0] += np.where(spring, contacts.gaps, rigid) / dt
     giving = np.where(spring, 1 / (contacts.stiffness * dt**2), 0)
-    return least_constraint(seen.rows, contacts.friction, mobilities, approach, giving)
+    return least_constraint(jac.rows, contacts.friction, mobilities, approach, giving)

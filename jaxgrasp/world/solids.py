@@ -1,75 +1,101 @@
-"""Convex solids in the world, in NumPy: how far they reach in a direction, and with which of their places."""
+"""Convex solids in NumPy: their support functions, and the contact manifold of two of them, or of one with a table.
+
+The plane between two solids is that of the largest gap over the directions that can be optimal: normals of faces, cross
+products of edges, and directions towards corners, axes and balls. The manifold is the intersection of the features that
+the two solids reach it with.
+"""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxgrasp.hand.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from jaxgrasp.hand.sphere_tree import SphereTree
+from jaxgrasp.model.arrays import Float
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.numerics.centring import tangents
 
 FLAT = 1e-4
-"""How much less far than the furthest a place may reach and still touch with it [m]: a face that lies nearly flat on
-another touches with all of it."""
+"""Tolerance of the support feature: points that reach less far than the furthest by at most that belong to it [m]. A
+face that lies nearly flat on another touches with all of it."""
 SIDES = 16
-"""Corners for which a cylinder's round face counts."""
+"""Corners of the polygon that stands for a cylinder's round face."""
 CORNERS = np.array(list(np.ndindex(2, 2, 2))) - 0.5
+THIN = 1e-6
+"""Half the width given to a line or a point [m]."""
+SAME = 1e-5
+"""Distance below which points coincide [m]."""
+MANY = 8
+"""Largest number of points of a manifold."""
+SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+CLOSEST = 8
+"""Number of the shortest vectors between two solids that are candidate directions."""
+STARTS = 4
+"""Number of the best directions that are improved, where there is a rim."""
+STEPS = 0.2 * 0.7 ** np.arange(24)
+"""Step lengths of the improvement of a direction."""
+TIE = 1e-9
+"""Margin by which the gap across two edges must exceed that of a face [m]."""
 
 
 class Solid(ABC):
-    """A convex solid that stands somewhere."""
+    """A convex solid at a pose."""
 
     has_rim = False
-    """Whether it has an edge that is not straight."""
+    """True if the solid has a curved edge."""
 
     def __init__(self, placed: Pose):
         self.origin = np.asarray(placed.origin, float)
         self.rotation = np.asarray(placed.rotation, float)
 
     def feature(self, direction: np.ndarray) -> np.ndarray:
-        """``(k, 3)``: its places in the world that reach furthest, corners of a face, ends of an edge, or one."""
-        return self.origin + self._own_feature(direction @ self.rotation) @ self.rotation.T
+        """Return the support feature ``(k, 3)`` in the world: corners of a face, ends of an edge, or one point."""
+        return self.origin + self._local_feature(direction @ self.rotation) @ self.rotation.T
 
     @abstractmethod
-    def _own_feature(self, direction: np.ndarray) -> np.ndarray:
-        """What it says, in its own frame."""
+    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
+        """Return the support feature in the solid's own frame."""
 
     @abstractmethod
     def reach(self, directions: np.ndarray) -> np.ndarray:
-        """How far it reaches from its origin along directions ``(n, 3)`` in the world [m]."""
+        """Return the support function from the origin along directions ``(n, 3)`` in the world [m]."""
 
     @abstractmethod
     def extent(self) -> float:
-        """Radius of a ball about its origin that holds it [m]."""
+        """Return the radius of a ball about the origin that encloses the solid [m]."""
 
     def axes(self) -> np.ndarray:
-        """``(n, 3)``: normals of its flat faces, which are directions of its edges too."""
+        """Return the normals ``(n, 3)`` of flat faces, which are directions of edges too."""
         return np.zeros((0, 3))
 
     @abstractmethod
     def places(self) -> np.ndarray:
-        """``(n, 3)``: where in the world it may come close to another: corners, or centres of what is round."""
+        """Return points ``(n, 3)`` in the world that may be closest to another solid: corners, or centres of round
+        parts."""
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
-        """``(n, 3)``: its places in the world next to others; of what is round all over, those in its middle."""
-        return self.origin + self._own_nearest((points - self.origin) @ self.rotation) @ self.rotation.T
+        """Return the points ``(n, 3)`` of the solid closest to given points in the world; for a round solid, points of
+        its core."""
+        return self.origin + self._local_nearest((points - self.origin) @ self.rotation) @ self.rotation.T
 
     @abstractmethod
-    def _own_nearest(self, points: np.ndarray) -> np.ndarray:
-        """What it says, in its own frame."""
+    def _local_nearest(self, points: np.ndarray) -> np.ndarray:
+        """Return the closest points in the solid's own frame."""
 
 
 class BallSolid(Solid):
-    """A hull of balls: a sphere, a capsule, or a tree's."""
+    """Convex hull of balls: a sphere, a capsule, or a tree's balls."""
 
     def __init__(self, placed: Pose, centers: np.ndarray, radii: np.ndarray):
         super().__init__(placed)
         self._centers, self._radii = centers, radii
 
-    def _own_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
         along = self._centers @ direction + self._radii
-        there = along >= along.max() - FLAT
-        return self._centers[there] + self._radii[there, None] * direction
+        is_support = along >= along.max() - FLAT
+        return self._centers[is_support] + self._radii[is_support, None] * direction
 
     def reach(self, directions: np.ndarray) -> np.ndarray:
         return (directions @ self.rotation @ self._centers.T + self._radii).max(1)
@@ -80,19 +106,19 @@ class BallSolid(Solid):
     def places(self) -> np.ndarray:
         return self.origin + self._centers @ self.rotation.T
 
-    def _own_nearest(self, points: np.ndarray) -> np.ndarray:
+    def _local_nearest(self, points: np.ndarray) -> np.ndarray:
         away = np.linalg.norm(points[:, None] - self._centers, axis=-1) - self._radii
         return self._centers[np.argmin(away, 1)]
 
 
 class BoxSolid(Solid):
-    """A box of these edges."""
+    """A box with these edges [m]."""
 
     def __init__(self, placed: Pose, edges: np.ndarray):
         super().__init__(placed)
         self._corners = CORNERS * edges
 
-    def _own_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
         along = self._corners @ direction
         return self._corners[along >= along.max() - FLAT]
 
@@ -108,12 +134,12 @@ class BoxSolid(Solid):
     def places(self) -> np.ndarray:
         return self.origin + self._corners @ self.rotation.T
 
-    def _own_nearest(self, points: np.ndarray) -> np.ndarray:
+    def _local_nearest(self, points: np.ndarray) -> np.ndarray:
         return np.clip(points, self._corners[0], self._corners[-1])
 
 
 class RoundSolid(Solid):
-    """What is round about its own z: a cylinder or a capsule."""
+    """A solid of revolution about its own z axis: a cylinder or a capsule."""
 
     def __init__(self, placed: Pose, radius: float, height: float):
         super().__init__(placed)
@@ -127,9 +153,9 @@ class RoundSolid(Solid):
 
 
 class CapsuleSolid(RoundSolid):
-    """A capsule, whose straight part is of this height."""
+    """A capsule whose straight part has this height [m]."""
 
-    def _own_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
         ends = np.array([[0, 0, -self._half], [0, 0, self._half]])
         along = ends @ direction
         return ends[along >= along.max() - FLAT] + self._radius * direction
@@ -140,16 +166,16 @@ class CapsuleSolid(RoundSolid):
     def extent(self) -> float:
         return self._radius + self._half
 
-    def _own_nearest(self, points: np.ndarray) -> np.ndarray:
+    def _local_nearest(self, points: np.ndarray) -> np.ndarray:
         return np.clip(points, [0, 0, -self._half], [0, 0, self._half])
 
 
 class CylinderSolid(RoundSolid):
-    """A cylinder of this height."""
+    """A cylinder of this height [m]."""
 
     has_rim = True
 
-    def _own_feature(self, direction: np.ndarray) -> np.ndarray:
+    def _local_feature(self, direction: np.ndarray) -> np.ndarray:
         across = np.linalg.norm(direction[:2])
         end = np.array([0, 0, np.copysign(self._half, direction[2])])
         if 2 * self._radius * across < FLAT:
@@ -161,23 +187,23 @@ class CylinderSolid(RoundSolid):
         return (rim + end)[None]
 
     def reach(self, directions: np.ndarray) -> np.ndarray:
-        own = directions @ self.rotation
-        return self._radius * np.linalg.norm(own[:, :2], axis=1) + self._half * np.abs(own[:, 2])
+        local = directions @ self.rotation
+        return self._radius * np.linalg.norm(local[:, :2], axis=1) + self._half * np.abs(local[:, 2])
 
     def extent(self) -> float:
         return float(np.hypot(self._radius, self._half))
 
-    def _own_nearest(self, points: np.ndarray) -> np.ndarray:
+    def _local_nearest(self, points: np.ndarray) -> np.ndarray:
         across = np.linalg.norm(points[:, :2], axis=1, keepdims=True)
         inward = np.minimum(1, self._radius / np.maximum(across, self._radius))
         return np.concatenate([points[:, :2] * inward, np.clip(points[:, 2:], -self._half, self._half)], 1)
 
 
 def solid_of(shape: Shape, placed: Pose) -> Solid:
-    """A shape where it stands; of a tree the hull of its balls.
+    """Build the solid of a shape at a pose; for a tree the convex hull of its balls.
 
     Raises:
-        ValueError: for a shape without an end, or of another kind.
+        ValueError: for an unbounded shape, or one of another type.
     """
     if isinstance(shape, Box):
         return BoxSolid(placed, np.array([float(edge) for edge in (shape.length, shape.width, shape.height)]))
@@ -190,3 +216,161 @@ def solid_of(shape: Shape, placed: Pose) -> Solid:
     if isinstance(shape, SphereTree):
         return BallSolid(placed, np.asarray(shape.balls.centers, float), np.asarray(shape.balls.radii, float))
     raise ValueError(f"a solid is a {type(shape).__name__}: expected a Sphere, Box, Cylinder, Capsule or SphereTree")
+
+
+class ContactManifold(NamedTuple):
+    """Contact points, normal and gap between two solids."""
+
+    points: Float[np.ndarray, "m 3"]
+    """Contact points, in the plane between the solids [m]."""
+    normal: Float[np.ndarray, "3"]
+    """Unit normal, from the second solid into the first."""
+    gap: float
+    """Gap between the solids [m]; negative for penetration."""
+
+
+def table_manifold(solid: Solid, table: Pose) -> ContactManifold:
+    """Compute the contact manifold of a solid and the half space below a table's top."""
+    up = np.asarray(table.rotation, float)[:, 2]
+    points = solid.feature(-up)
+    heights = (points - np.asarray(table.origin)) @ up
+    return ContactManifold(_outermost(points - heights[:, None] * up, up), up, float(heights.min()))
+
+
+def manifold_between(first: Solid, second: Solid, within: float) -> ContactManifold | None:
+    """Compute the contact manifold of two solids; None for solids that are apart, or further than ``within`` [m]."""
+    offset = first.origin - second.origin
+    if np.linalg.norm(offset) > first.extent() + second.extent() + within:
+        return None
+    normal, gap = _furthest_apart(first, second)
+    if gap > within:
+        return None
+    plane = _across(normal)
+    features = first.feature(-normal) @ plane, second.feature(normal) @ plane
+    shared = _shared(*features)
+    if not len(shared):
+        if gap > 0:
+            return None
+        # Deep penetration with round sides: the plane is not exactly tangent to them.
+        shared = min(features, key=len).mean(0, keepdims=True)
+    height = normal @ second.origin + second.reach(normal[None])[0] + gap / 2
+    return ContactManifold(_outermost(shared @ plane.T + height * normal, normal), normal, gap)
+
+
+def _furthest_apart(first: Solid, second: Solid) -> tuple[np.ndarray, float]:
+    """Find the direction in which the gap between two solids is largest, and that gap.
+
+    For flat faces and straight edges it is among the candidate directions; for a rim it is improved from there.
+    """
+
+    def gaps(directions: np.ndarray) -> np.ndarray:
+        return directions @ (first.origin - second.origin) - first.reach(-directions) - second.reach(directions)
+
+    directions, handicap = _directions(first, second)
+    values = gaps(directions) - handicap
+    order = np.argsort(-values)
+    normal, gap = directions[order[0]], float(values[order[0]])
+    if not (first.has_rim or second.has_rim) or handicap[order[0]] == 0:
+        return normal, gap
+    climbed = [_climb(gaps, directions[start]) for start in order[:STARTS]]
+    return max(climbed, key=lambda result: result[1])
+
+
+def _climb(gaps: Callable[[np.ndarray], np.ndarray], normal: np.ndarray) -> tuple[np.ndarray, float]:
+    """Improve a direction by pattern search; return it with its larger gap."""
+    gap = float(gaps(normal[None])[0])
+    for k, size in enumerate(STEPS):
+        # The compass turns at each step, since the gap function has ridges.
+        around = normal + size * _compass(float(k)) @ _across(normal).T
+        around /= np.linalg.norm(around, axis=1, keepdims=True)
+        further = gaps(around)
+        if further.max() > gap:
+            normal, gap = around[np.argmax(further)], float(further.max())
+    return normal, gap
+
+
+def _directions(first: Solid, second: Solid) -> tuple[np.ndarray, np.ndarray]:
+    """List unit directions from the second to the first solid as candidates, and the handicap of each [m]."""
+    faces = np.concatenate([first.axes(), second.axes()])
+    edges = np.cross(first.axes()[:, None], second.axes()).reshape(-1, 3)
+    places, other_places = first.places(), second.places()
+    offsets = _shortest(places - second.nearest(places)), _shortest(first.nearest(other_places) - other_places)
+    candidates = np.concatenate([faces, -faces, edges, -edges, *offsets])
+    length = np.linalg.norm(candidates, axis=1)
+    handicap = np.where(np.arange(len(candidates)) < 2 * len(faces), 0, TIE)
+    sound = length > SAME
+    return candidates[sound] / length[sound, None], handicap[sound]
+
+
+def _compass(offset: float) -> np.ndarray:
+    """Return the directions ``(8, 2)`` of a regular compass in the plane, turned by an angle [rad]."""
+    angles = offset + np.pi / 4 * np.arange(MANY)
+    return np.stack([np.cos(angles), np.sin(angles)], 1)
+
+
+def _shortest(vectors: np.ndarray) -> np.ndarray:
+    """Select the shortest ones of vectors from one solid to another."""
+    return vectors[np.argsort(np.linalg.norm(vectors, axis=1))[:CLOSEST]]
+
+
+def _across(normal: np.ndarray) -> np.ndarray:
+    """Return unit vectors ``(3, 2)`` in the plane of a normal, as columns."""
+    return np.stack(tangents(normal, np), 1)
+
+
+def _shared(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Clip two convex polygons in the plane against each other (Sutherland-Hodgman): corners ``(m, 2)`` of their
+    intersection."""
+    figure = _hull(first)
+    fence = _hull(second)
+    for start, end in zip(fence, np.roll(fence, -1, 0), strict=True):
+        edge = end - start
+        inside = edge[0] * (figure[:, 1] - start[1]) - edge[1] * (figure[:, 0] - start[0])
+        following, next_inside = np.roll(figure, -1, 0), np.roll(inside, -1)
+        corners = []
+        for corner, next_corner, depth, next_depth in zip(figure, following, inside, next_inside, strict=True):
+            if depth >= 0:
+                corners.append(corner)
+            if (depth >= 0) != (next_depth >= 0):
+                corners.append(corner + depth / (depth - next_depth) * (next_corner - corner))
+        if not corners:
+            return np.zeros((0, 2))
+        figure = np.array(corners)
+    return figure
+
+
+def _hull(places: np.ndarray) -> np.ndarray:
+    """Return the convex hull ``(m, 2)`` of points, widened by ``THIN``, counterclockwise."""
+    wide = (places[:, None] + THIN * SQUARE).reshape(-1, 2)
+    middle = wide.mean(0)
+    return wide[_convex_order(wide)] if len(places) > 1 else middle + THIN * SQUARE
+
+
+def _convex_order(places: np.ndarray) -> np.ndarray:
+    """Return the indices of the corners of the convex hull of points (Andrew's monotone chain)."""
+    order = np.lexsort((places[:, 1], places[:, 0]))
+
+    def chain(indices: np.ndarray) -> list[int]:
+        hull: list[int] = []
+        for index in indices:
+            while len(hull) > 1 and _turn(places[hull[-2]], places[hull[-1]], places[index]) <= 0:
+                hull.pop()
+            hull.append(int(index))
+        return hull[:-1]
+
+    return np.array(chain(order) + chain(order[::-1]))
+
+
+def _turn(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> float:
+    edge, next_edge = second - first, third - first
+    return float(edge[0] * next_edge[1] - edge[1] * next_edge[0])
+
+
+def _outermost(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Merge coincident points of a manifold; of more than ``MANY`` select those furthest out in as many directions."""
+    coincides = np.linalg.norm(points[:, None] - points, axis=-1) < SAME
+    # The mean of coincident points: a ball that is supported a micrometre beside its lowest point rolls.
+    points = np.array([points[coincides[k]].mean(0) for k in np.unique(np.argmax(coincides, 1))])
+    if len(points) <= MANY:
+        return points
+    return points[np.unique(np.argmax(points @ _across(normal) @ _compass(0.2).T, 0))]

@@ -1,4 +1,4 @@
-"""Whether a stack stands as it is: one balance of forces over all its objects, with what proves the answer."""
+"""Stability of a stack: one balance of forces over all its objects, with a proof of the result."""
 
 from typing import NamedTuple
 
@@ -14,106 +14,122 @@ from jaxgrasp.world.many_bodies import World, masses
 from jaxgrasp.world.physics import Loads
 
 TOUCHING = 1e-4
-"""Solids no further apart than that touch [m]."""
+"""Largest gap of solids in contact [m]."""
 BALANCED = 1e-9
-"""Part of free fall, by its energy, that may be left where forces are shown to hold: rounding."""
+"""Largest residual of forces that hold, as a part of free fall by its energy: rounding."""
 NEARLY = 1e-2
-"""Part of free fall below which forces close by are looked for that leave nothing."""
+"""Residual below which balanced forces are searched nearby, as a part of free fall."""
 FALLING = 1e-4
-"""The part above which what is left proves a fall: an interior point ends at the root of its gap."""
+"""Residual above which a fall is proved, as a part of free fall: an interior point ends at the root of its gap."""
 HARDLY = (1e-3, 0.0)
-"""Parts of the largest force below which contacts are first taken to press not at all."""
+"""Parts of the largest force below which normal forces are set to zero, in the order of the attempts."""
 INSIDE = 1e-9
-"""Part of the largest force by which one may be out of its cone: rounding."""
+"""Tolerance of the friction cones, as a part of the largest force: rounding."""
 
 
 class Standing(NamedTuple):
-    """Whether N objects can stay where they are, at rest."""
+    """Result of ``stands``: whether N objects at rest can stay at rest, and the proof."""
 
     stands: bool
-    """Whether forces in all friction cones hold all of them: then these are such forces, to rounding."""
+    """True if forces in all friction cones hold all objects; ``forces`` are then such forces, to rounding."""
     proved: bool
-    """Whether that is proved, by these forces or by the certificate; if not, it could not be decided."""
+    """True if the result is proved, by these forces or by the certificate; False if it is undecided."""
     contacts: ContactList
     forces: Float[np.ndarray, "m 3"]
-    """On the first object of each contact [N]: those that leave least, by how what is left would move the objects."""
+    """Forces on the first object of each contact [N]: those of least residual, by the motion that it gives to the
+    objects."""
     loads: Loads
     left: Float[np.ndarray, "N 6"]
-    """What they leave of each object's weight, about its centre [N, N.m]: nothing of one that stands."""
+    """Residual of the balance of each object, about its centre [N, N.m]: zero for a stack that stands."""
     certificate: Float[np.ndarray, "N 6"]
-    """How what is left sets the objects in motion [m/s^2, rad/s^2]. Where they do not stand it proves so: gravity works
-    along this motion, and no contact can work against it (Farkas' lemma)."""
+    """Acceleration of the objects by the residual [m/s^2, rad/s^2]. For a stack that does not stand it is the proof:
+    gravity works along this motion, and no contact can work against it (Farkas' lemma)."""
     moments: Float[np.ndarray, "m"] | None = None
-    """About the normals of soft fingers, on the first object [N.m]; None where all fingers are hard."""
+    """Moments about the normals of soft fingers, on the first object [N.m]; None where all fingers are hard."""
 
 
 @checked
 def stands(world: World, placed: Pose, contacts: Contacts | None = None) -> Standing:
-    """Whether objects that lean on one another, on the table, on obstacles, and on a hand stay at rest.
+    """Decide whether objects that lean on one another, on the table, on obstacles, and on a hand stay at rest.
 
-    Friction is Coulomb's and what touches is rigid: that forces hold is necessary for a stack to stand, and that nature
-    chooses such forces is assumed. Of all that hold, those of the least squares are shown.
+    Friction is Coulomb's and contacts are rigid. The existence of holding forces is necessary for a stack to stand;
+    that nature selects such forces is assumed. The result has those of least squares.
 
     Args:
-        world: the objects, and what stands around them.
-        placed: where they are ``(N,)``.
-        contacts: of a hand with them ``(N, L)``, which then helps with whatever its friction allows.
+        world: the objects, table, obstacles and hand.
+        placed: poses of the objects ``(N,)``.
+        contacts: contacts of a hand with them ``(N, L)``, which then helps as far as its friction allows.
 
     Returns:
-        A Standing: whether they stay, what each contact carries, and what proves that they do not.
+        A Standing: whether they stay, the force of each contact, and the proof.
 
     Raises:
-        ValueError: for shapes that no object has.
+        ValueError: for shapes that are unbounded or not supported.
     """
-    weights, scene = masses(world.things), world.scene
+    weights, scene = masses(world.bodies), world.scene
     placed = Pose(np.asarray(placed.origin, float), np.asarray(placed.rotation, float))
-    found = world_contact_list(world, placed, TOUCHING)
+    contact_list = world_contact_list(world, placed, TOUCHING)
     if contacts is not None:
-        found = together(found, hand_contact_list(world, contacts, *still_links(scene.hand)))
+        contact_list = together(contact_list, hand_contact_list(world, contacts, *still_links(scene.hand)))
     pull = np.zeros((len(weights.mass), 6))
     pull[:, :3] = weights.mass[:, None] * np.asarray(scene.gravity)
-    agile = mobilities_of(world, weights, placed)
-    seen = jacobian(found, placed.origin)
-    rows = seen.rows
-    falling = np.einsum("nij,nj->ni", agile, pull)
-    approach = np.einsum("minj,nj->mi", rows, falling)
-    answer = least_constraint(rows, found.friction, agile, approach, np.zeros(len(found.first)))
-    own = answer.along
+    mobilities = mobilities_of(world, weights, placed)
+    contact_rows = jacobian(contact_list, placed.origin)
+    rows = contact_rows.rows
+    free_fall = np.einsum("nij,nj->ni", mobilities, pull)
+    approach = np.einsum("minj,nj->mi", rows, free_fall)
+    impulses = least_constraint(rows, contact_list.friction, mobilities, approach, np.zeros(len(contact_list.first)))
+    components = impulses.along
 
     def share_left(forces: np.ndarray) -> float:
-        """What they leave of free fall; by energy, since what a guide carries works nowhere."""
+        """Return the residual of the balance as a part of free fall, by energy: loads that a guide carries do no
+        work."""
         left = pull + np.einsum("minj,mi->nj", rows, forces)
-        return float(np.sqrt(max(0.0, np.einsum("ni,nij,nj", left, agile, left) / np.sum(pull * falling))))
+        return float(np.sqrt(max(0.0, np.einsum("ni,nij,nj", left, mobilities, left) / np.sum(pull * free_fall))))
 
-    share = share_left(own)
+    share = share_left(components)
     if share < NEARLY:
-        for least in HARDLY:
-            closer = _balanced(rows, agile, np.where(own[:, :1] >= least * own.max(initial=0), own, 0), falling)
-            if _allowed(closer, found.friction) and share_left(closer) <= BALANCED:
-                own, share = closer, share_left(closer)
+        for threshold in HARDLY:
+            closer = _balanced(
+                rows,
+                mobilities,
+                np.where(components[:, :1] >= threshold * components.max(initial=0), components, 0),
+                free_fall,
+            )
+            if _allowed(closer, contact_list.friction) and share_left(closer) <= BALANCED:
+                components, share = closer, share_left(closer)
                 break
-    left = pull + np.einsum("minj,mi->nj", rows, own)
-    certificate = np.einsum("nij,nj->ni", agile, left)
-    loads = loads_of(found, seen, placed, own)
+    left = pull + np.einsum("minj,mi->nj", rows, components)
+    certificate = np.einsum("nij,nj->ni", mobilities, left)
+    loads = loads_of(contact_list, contact_rows, placed, components)
     rests = bool(share <= BALANCED)
-    proved = rests or (answer.solved and bool(share >= FALLING))
-    return Standing(rests, proved, found, seen.forces(own), loads, left, certificate, seen.moments(own))
+    proved = rests or (impulses.solved and bool(share >= FALLING))
+    return Standing(
+        rests,
+        proved,
+        contact_list,
+        contact_rows.forces(components),
+        loads,
+        left,
+        certificate,
+        contact_rows.moments(components),
+    )
 
 
-def _balanced(rows: np.ndarray, agile: np.ndarray, forces: np.ndarray, falling: np.ndarray) -> np.ndarray:
-    """Forces ``(m, d)`` close to others that nearly balance, which do so to rounding if any that are as large do.
+def _balanced(rows: np.ndarray, mobilities: np.ndarray, forces: np.ndarray, free_fall: np.ndarray) -> np.ndarray:
+    """Correct nearly balanced forces ``(m, d)`` by the least change that balances them to rounding.
 
-    The least change, of each contact in units of its normal force: what does not press stays so.
+    The change of each contact is measured in units of its normal force, so that contacts without force keep none.
     """
     sizes = np.repeat(np.maximum(forces[:, 0], 0), forces.shape[1])
-    moves = np.einsum("nij,mknj->nimk", agile, rows).reshape(falling.size, -1)
-    left = falling.ravel() + moves @ forces.ravel()
+    moves = np.einsum("nij,mknj->nimk", mobilities, rows).reshape(free_fall.size, -1)
+    left = free_fall.ravel() + moves @ forces.ravel()
     change, *_ = np.linalg.lstsq(moves * sizes, -left, rcond=None)
     return forces + (sizes * change).reshape(forces.shape)
 
 
 def _allowed(forces: np.ndarray, friction: np.ndarray) -> bool:
-    """Whether forces by the rows of their contacts are in their cones."""
+    """Return whether forces in the rows of their contacts are in their friction cones."""
     across = np.linalg.norm(forces[:, 1:], axis=1)
     rounding = INSIDE * np.abs(forces).max(initial=0)
     return bool(np.all((forces[:, 0] >= -rounding) & (across <= friction * forces[:, 0] + rounding)))

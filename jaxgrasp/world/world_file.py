@@ -1,4 +1,4 @@
-"""The world of a scene file: the gripped object and all others, where they stand at first."""
+"""The world of a scene file: the gripped object and all others, at their initial poses."""
 
 from itertools import chain
 from typing import NamedTuple
@@ -13,13 +13,12 @@ from jaxgrasp.hand.shapes import Shape, signed_distance
 from jaxgrasp.hand.sphere_tree import SphereTree
 from jaxgrasp.model.hand import Pose
 from jaxgrasp.validation.checked import checked
-from jaxgrasp.world.many_bodies import Thing, World, WorldState, at_rest
-from jaxgrasp.world.solids import solid_of
-from jaxgrasp.world.touching_solids import patch_between, table_patch
+from jaxgrasp.world.many_bodies import RigidBody, World, WorldState, at_rest
+from jaxgrasp.world.solids import manifold_between, solid_of, table_manifold
 
 
 class _Named(NamedTuple):
-    """A solid that stands somewhere, and what the file calls it."""
+    """A shape at a pose, with its name in the file."""
 
     name: str
     shape: Shape
@@ -28,15 +27,15 @@ class _Named(NamedTuple):
 
 @checked
 def world_of(file: SceneFile, made: GrippedScene) -> tuple[World, WorldState]:
-    """The world of a scene file, at rest.
+    """Build the world of a scene file, at rest.
 
     Args:
-        file: whose further objects count.
-        made: its hand closed on the gripped object.
+        file: scene file with the further objects.
+        made: scene with its hand closed on the gripped object.
 
     Raises:
-        ValueError: for a mesh that is no closed surface, and an object that begins inside another, the table or an
-            obstacle: it says how deep.
+        ValueError: for a mesh that is not a closed surface, and an object that begins inside another, the table or an
+            obstacle; the message has the depth.
         ImportError: for a mesh without the extra `mesh`.
     """
     _check_plain(file)
@@ -47,31 +46,33 @@ def world_of(file: SceneFile, made: GrippedScene) -> tuple[World, WorldState]:
     ]
     gripped = _Named("the object", made.scene.body.shape, Pose(origin, np.asarray(made.placed.rotation, float)))
     obstacles = [_Named(f"obstacle[{k}]", o.shape, o.placed) for k, o in enumerate(at_time(made.scene, 0.0).obstacles)]
-    for k, one in enumerate(others):
-        deep = -table_patch(solid_of(one.shape, one.placed), made.scene.table).gap
-        _refuse(one.name, deep, "the table")
-        for other in chain([gripped], others[:k], obstacles):
-            _refuse(one.name, _depth(one, other), other.name)
-    things = [
-        Thing(Body(one.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing, entry.torsion or None)
-        for one, entry in zip(others, file.other, strict=True)
+    for k, entry_solid in enumerate(others):
+        depth = -table_manifold(solid_of(entry_solid.shape, entry_solid.placed), made.scene.table).gap
+        _refuse(entry_solid.name, depth, "the table")
+        for neighbour in chain([gripped], others[:k], obstacles):
+            _refuse(entry_solid.name, _depth(entry_solid, neighbour), neighbour.name)
+    rigid_bodies = [
+        RigidBody(
+            Body(entry_solid.shape, entry.mass), entry.friction, entry.stiffness, entry.rubbing, entry.torsion or None
+        )
+        for entry_solid, entry in zip(others, file.other, strict=True)
     ]
-    everything = [gripped, *others]
-    placed = Pose(*(np.stack([getattr(one.placed, part) for one in everything]) for part in ("origin", "rotation")))
-    return World(made.scene, tuple(things)), at_rest(placed)
+    solids = [gripped, *others]
+    placed = Pose(*(np.stack([getattr(solid.placed, part) for solid in solids]) for part in ("origin", "rotation")))
+    return World(made.scene, tuple(rigid_bodies)), at_rest(placed)
 
 
 def _check_plain(file: SceneFile) -> None:
-    """Raise ValueError for what moves one object alone."""
+    """Raise ValueError for fields that apply to a single object only."""
     named = {"object": file.object} | {f"other[{k}]": entry for k, entry in enumerate(file.other)}
     for name, entry in named.items():
         for key in ("centre_of_mass", "inertia"):
-            if (given := getattr(entry, key)) is not None:
-                raise ValueError(f"{name}.{key} is {list(given)}: expected a uniform density among several objects")
+            if (value := getattr(entry, key)) is not None:
+                raise ValueError(f"{name}.{key} is {list(value)}: among several objects expected a uniform density")
     for k, obstacle in enumerate(file.obstacle):
         for key in ("friction", "damping"):
-            if given := getattr(obstacle, key):
-                raise ValueError(f"obstacle[{k}].{key} is {given}: expected none among several objects")
+            if value := getattr(obstacle, key):
+                raise ValueError(f"obstacle[{k}].{key} is {value}: among several objects expected none")
 
 
 def _refuse(name: str, depth: float, other: str) -> None:
@@ -79,24 +80,24 @@ def _refuse(name: str, depth: float, other: str) -> None:
         raise ValueError(f"{name} begins {1000 * depth:.3g} mm deep in {other}: expected it outside")
 
 
-def _depth(one: _Named, other: _Named) -> float:
-    """How deep solids are in one another [m], below zero for those that are apart; of trees by their balls."""
-    if not isinstance(one.shape, SphereTree):
-        if isinstance(other.shape, SphereTree):
-            return _depth(other, one)
-        patch = patch_between(solid_of(one.shape, one.placed), solid_of(other.shape, other.placed), 0.0)
+def _depth(first: _Named, second: _Named) -> float:
+    """Compute the depth of penetration of two solids [m], negative for separated ones; for trees by their balls."""
+    if not isinstance(first.shape, SphereTree):
+        if isinstance(second.shape, SphereTree):
+            return _depth(second, first)
+        patch = manifold_between(solid_of(first.shape, first.placed), solid_of(second.shape, second.placed), 0.0)
         return -np.inf if patch is None else -patch.gap
-    centers, radii = _balls(one.shape, one.placed)
-    if isinstance(other.shape, SphereTree):
-        its, sizes = _balls(other.shape, other.placed)
-        apart = np.array([np.min(np.linalg.norm(center - its, axis=1) - sizes) for center in centers])
+    centers, radii = _balls(first.shape, first.placed)
+    if isinstance(second.shape, SphereTree):
+        other_centers, sizes = _balls(second.shape, second.placed)
+        distances = np.array([np.min(np.linalg.norm(center - other_centers, axis=1) - sizes) for center in centers])
     else:
-        own = (centers - np.asarray(other.placed.origin)) @ np.asarray(other.placed.rotation)
-        apart = np.asarray(signed_distance(other.shape, jnp.asarray(own))[0])
-    return float(np.max(radii - apart))
+        local_centers = (centers - np.asarray(second.placed.origin)) @ np.asarray(second.placed.rotation)
+        distances = np.asarray(signed_distance(second.shape, jnp.asarray(local_centers))[0])
+    return float(np.max(radii - distances))
 
 
 def _balls(tree: SphereTree, placed: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """Centres in the world, and radii."""
+    """Return the centres of a tree's balls in the world, and their radii."""
     centers = np.asarray(tree.balls.centers) @ np.asarray(placed.rotation).T + np.asarray(placed.origin)
     return centers, np.asarray(tree.balls.radii)

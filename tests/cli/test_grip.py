@@ -10,10 +10,10 @@ import pytest
 from jaxgrasp.cli.grip import _write_report
 from jaxgrasp.cli.grip_arguments import Grip
 from jaxgrasp.cli.main import main
-from jaxgrasp.grip import Body, GripType, Hold, Instant, Scene, contributions_of, observe
-from jaxgrasp.grip.carry import stacked
+from jaxgrasp.grip import Body, GripType, Hold, Record, Scene, contributions_of, observe
 from jaxgrasp.grip.power_grip import lay_on
 from jaxgrasp.grip.scene_file import SceneFile
+from jaxgrasp.grip.simulation import stacked
 from jaxgrasp.hand import Pose, Sphere, human_hand
 from jaxgrasp.report import bundle
 from jaxgrasp.report.grip_over_time import history
@@ -80,7 +80,7 @@ def test_what_is_not_installed_is_said_in_a_line_each(folder, capsys, monkeypatc
     table = Pose(np.array([0.0, 0, -0.5]), np.eye(3))
     scene = Scene(hand, Body(shape, 0.4), table, 0.6, 1e3, np.ones(len(hand.links)), np.array([0.0, 0, -9.81]))
     tick = observe(scene, posture, placed)
-    record = [Instant(placed, tick, Hold(int(tick.assessment.hold)), False, tick.exerted, np.zeros(6))]
+    record = [Record(placed, tick, Hold(int(tick.assessment.hold)), False, tick.exerted, np.zeros(6))]
     postures = jax.tree.map(lambda x: x[None], posture)
     _write_report(Grip(out=folder), SceneFile(), scene, history(scene, postures, np.zeros(1), stacked(record)))
     lines = capsys.readouterr().out.splitlines()

@@ -2,9 +2,8 @@
 
 import pytest
 
-from jaxgrasp.grip.human_scale import TORQUE, beyond_human, too_strong
 from jaxgrasp.grip.scene_entries import GripEntry, HandEntry, ObjectEntry
-from jaxgrasp.grip.scene_file import SceneFile, load_scene, ready_scenes, scene_path
+from jaxgrasp.grip.scene_file import TORQUE, SceneFile, beyond_human, load_scene, ready_scenes, scene_path, too_strong
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.grip.falling import spun
 from jaxgrasp.grip.motion import Body, Motion, follow, motion_between, moved, rest_on, spatial_inertia
+from jaxgrasp.grip.simulation import integrate_spin
 from jaxgrasp.hand import Box, Capsule, Cylinder, Pose, Posture, Sphere, human_hand, pose_hand, signed_distance
 from jaxgrasp.numerics.vec3 import Vec3
 from tests.hand.hands import random_posture, rotations
@@ -88,7 +88,7 @@ def test_a_body_of_any_inertia_keeps_its_momentum_and_gains_no_energy():
     def spun_for(step: float, count: int) -> tuple:
         def go(_, state: tuple) -> tuple:
             turn, now = state
-            after = spun(body, turn, now, step)
+            after = integrate_spin(body, turn, now, step)
             return moved(Pose(jnp.zeros(3), turn), Motion(jnp.zeros(3), after), step).rotation, after
 
         turn, after = jax.lax.fori_loop(0, count, go, (jnp.eye(3), jnp.asarray(spin)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.grip import Body, Obstacle, Scene, carry, observe
+from jaxgrasp.grip import Body, Obstacle, Scene, observe, simulate
 from jaxgrasp.grip.motion import Motion
 from jaxgrasp.grip.obstacles import hand_torques, world_wrench
 from jaxgrasp.grip.scene import ObstaclePath, at_time
@@ -93,7 +93,7 @@ def test_what_is_let_go_is_lifted_by_a_platform_and_falls_as_it_drops_away(outli
         np.array([0.0, 0.2, 0.6, 0.601]), np.array([[0, 0, z] for z in (0, 0, 0.1, -1.0)]), np.zeros((4, 3))
     )
     board = Obstacle(Box(0.3, 0.3, 0.02), Pose(jnp.array([0.0, 0, -0.036]), jnp.eye(3)), 2e3, path=top)
-    record = carry(scene(outline, board), without_hand(160), WORLD, DT)
+    record = simulate(scene(outline, board), without_hand(160), WORLD, DT)
     heights = np.array([instant.placed.origin[2] for instant in record])
     times = DT * np.arange(160)
     risen = (times > 0.25) & (times < 0.59)

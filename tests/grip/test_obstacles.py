@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.grip import Body, Hold, Obstacle, Scene, carry, observe
-from jaxgrasp.grip.falling import spun
+from jaxgrasp.grip import Body, Hold, Obstacle, Scene, observe, simulate
 from jaxgrasp.grip.motion import spatial_inertia
+from jaxgrasp.grip.simulation import integrate_spin
 from jaxgrasp.hand import (
     Box,
     Plane,
@@ -65,7 +65,7 @@ def test_what_falls_on_obstacles_gains_no_energy_and_goes_no_deeper(outline, slo
     ramp = Obstacle(Box(0.3, 0.3, 0.02), Pose(jnp.array([0.0, 0, -0.05]), jnp.asarray(turned(0, slope, 0))), 2e3)
     post = Obstacle(Sphere(0.05), Pose(jnp.array([0.2, 0.02, -0.16]), jnp.eye(3)), 2e3)
     start = Pose(jnp.array([0.0, 0.01, 0.06]), jnp.asarray(turned(20, 10, 5)))
-    record = carry(scene(outline, ramp, post), without_hand(150), start, DT)
+    record = simulate(scene(outline, ramp, post), without_hand(150), start, DT)
     assert {instant.hold for instant in record} == {Hold.LOST}
     energy = energies(record)
     scale = MASS * 9.81 * 0.36
@@ -87,7 +87,7 @@ def test_what_falls_on_obstacles_gains_no_energy_and_goes_no_deeper(outline, slo
 def test_a_thin_board_stops_it_too(outline, start):
     """From whatever height, and so at whatever place of a step it comes to the board."""
     board = Obstacle(Box(0.3, 0.3, 0.002), Pose(jnp.array([0.0, 0, -0.1]), jnp.eye(3)), 2e3)
-    record = carry(scene(outline, board), without_hand(90), Pose(jnp.array([0.0, 0.0, start]), jnp.eye(3)), DT)
+    record = simulate(scene(outline, board), without_hand(90), Pose(jnp.array([0.0, 0.0, start]), jnp.eye(3)), DT)
     assert float(record[-1].placed.origin[2]) == pytest.approx(-0.099 + 0.025, abs=1.5e-3) and record[-1].stands
 
 
@@ -105,7 +105,7 @@ def test_a_hand_that_presses_it_down_is_pressed_back(outline):
     origin = np.stack([0 * down, 0 * down, -down], -1)
     rotation = np.broadcast_to(np.asarray(opened.wrist.rotation), (count, 3, 3))
     postures = Posture(Pose(origin, rotation), np.broadcast_to(np.asarray(closed.angles), (count, 2)))
-    record = carry(scene(outline, board, floor=-5.0), postures, placed, DT, law="optimum")
+    record = simulate(scene(outline, board, floor=-5.0), postures, placed, DT, law="optimum")
     assert {instant.hold for instant in record} == {Hold.STABLE}
     # Steady motion from the second instant on.
     for instant, depth in list(zip(record, down, strict=True))[1:-1]:
@@ -120,7 +120,7 @@ def test_on_a_rail_a_stop_holds_it(outline):
     """Fig. 8's bar: what is let go comes down along its rail, and stays on the bar."""
     bar = Obstacle(Box(0.15, 0.02, 0.02), Pose(jnp.array([0.0, 0, -0.05]), jnp.eye(3)), 2e3)
     start = Pose(jnp.array([0.005, 0.0, 0.02]), jnp.eye(3))
-    record = carry(scene(outline, bar, guide=np.eye(6)[:, 2:3]), without_hand(60), start, DT)
+    record = simulate(scene(outline, bar, guide=np.eye(6)[:, 2:3]), without_hand(60), start, DT)
     places = np.array([instant.placed.origin for instant in record])
     np.testing.assert_array_equal(places[:, :2], [[0.005, 0]] * 60)
     assert places[-1, 2] == pytest.approx(-0.04 + 0.025, abs=1e-3) and record[-1].stands
@@ -131,7 +131,7 @@ def test_a_spin_in_the_air_loses_energy_but_hardly():
     """An implicit step of Euler's equations; momentum stays but for the same error."""
     turn, spin = turned(10, 20, 30), np.array([3.0, -2.0, 5.0])
     inertia = np.asarray(spatial_inertia(BODY, turn))[3:, 3:]
-    after = np.asarray(spun(BODY, turn, spin, 1e-3))
+    after = np.asarray(integrate_spin(BODY, turn, spin, 1e-3))
     energy, kept = spin @ inertia @ spin, after @ inertia @ after
     assert energy * (1 - 1e-4) < kept <= energy
     np.testing.assert_allclose(inertia @ (after - spin), -1e-3 * np.cross(spin, inertia @ spin), rtol=0.02)
@@ -170,4 +170,4 @@ def test_obstacles_need_an_outline(outline, unchecked):
     said = "outline is None: with obstacles expected rigid_body", "outline is a SphereTree", "obstacles is a Obstacle"
     for world, words in zip(given, said, strict=True):
         with pytest.raises(ValueError, match=words):
-            carry(world, without_hand(2), Pose(np.zeros(3), np.eye(3)), DT)
+            simulate(world, without_hand(2), Pose(np.zeros(3), np.eye(3)), DT)

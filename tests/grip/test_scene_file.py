@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.grip import Body, GripType, carry, observe, power_grip
-from jaxgrasp.grip.carry import stacked
-from jaxgrasp.grip.lifting import lift_and_turn
+from jaxgrasp.grip import Body, GripType, observe, power_grip, simulate
 from jaxgrasp.grip.scene_entries import GuideEntry, TableEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene, load_scene, ready_scenes
+from jaxgrasp.grip.simulation import lift_and_turn, stacked
 from jaxgrasp.grip.table_support import support_points
 from jaxgrasp.hand import Cylinder, closing_way
 from jaxgrasp.lab.loaded_scene import loaded_scene
@@ -157,7 +156,7 @@ def test_a_handle_turns_about_its_hinge_and_goes_nowhere_else(folder):
     made = gripped_scene(file)
     times = np.linspace(0, 1, 21)
     postures = lift_and_turn(made.closed, times, lift=0.02, turn=0.1, axis=np.array([1.0, 0.0, 0.0]))
-    record = stacked(carry(made.scene, postures, made.placed, 0.05, law="optimum"))
+    record = stacked(simulate(made.scene, postures, made.placed, 0.05, law="optimum"))
     end = np.einsum("ji,j->i", np.asarray(made.placed.rotation), np.array(file.guide.through))
     there = record.placed.origin + np.einsum("tij,j->ti", record.placed.rotation, end)
     np.testing.assert_allclose(there, np.broadcast_to(there[0], there.shape), atol=1e-9)

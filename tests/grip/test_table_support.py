@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.grip import Hold, observe
-from jaxgrasp.grip.carry import advance, set_down
+from jaxgrasp.grip.simulation import advance, initial_state
 from jaxgrasp.grip.table_support import FADE, support_points
 from jaxgrasp.hand import Box, Cylinder, Sphere, pose_hand
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene
@@ -119,7 +119,7 @@ def test_what_a_hand_does_not_hold_rests_where_it_can(scene):
         asked = eqx.tree_at(
             lambda s: (s.body.mass, s.stiffness, s.gravity, s.table_friction), made, (10.0, 40.0, gravity, friction)
         )
-        instant, there = advance(asked, 0.01, set_down(asked, placed), closed, frames, frames, law="closed-form")
+        instant, there = advance(asked, 0.01, initial_state(asked, placed), closed, frames, frames, law="closed-form")
         assert instant.hold == Hold.SLIPPING and bool(instant.tick.rests) == rests
         way = np.linalg.norm(np.asarray(there.placed.origin) - np.asarray(placed.origin))
         assert (way == 0) == rests

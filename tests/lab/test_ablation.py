@@ -59,7 +59,7 @@ def test_among_several_objects_each_is_carried_by_the_hand_alone():
 
 def test_two_objects_at_one_place_are_twice_the_loss(made):
     """Each is touched as the one is alone, and weighs as much: twice the torques and contacts, shares as they were."""
-    own = World(made.scene).things[0]
+    own = World(made.scene).bodies[0]
     state = at_rest(Pose(*(np.stack([part, part]) for part in (made.placed.origin, made.placed.rotation))))
     alone = {one.joint: one for one in joint_losses(made, MODEL)}
     for one in joint_losses(made, MODEL, (World(made.scene, (own,)), state)):

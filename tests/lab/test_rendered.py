@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from jaxgrasp.grip import Hold, monitor, observe
-from jaxgrasp.grip.slipping import Exerted, cut_to_cones, resultant
-from jaxgrasp.grip.tick import touched
+from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones, resultant
+from jaxgrasp.grip.tick import find_touches
 from jaxgrasp.hand import Posture
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.lab.followed_grip import BLEND, STEADY, first_grip, grip_tables, next_grip
@@ -95,10 +95,13 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
     weight = np.append(-scene[0].body.mass * np.asarray(scene[0].gravity), np.zeros(3))
     gained = np.asarray(haptics.instant.tick.inertial)
     assert gained[2] > 0.1 * weight[2]
-    contacts, grasp, _ = touched(scene[0], posture, haptics.placed)
+    contacts, grasp, _ = find_touches(scene[0], posture, haptics.placed)
     felt, at_rest = (
         by_work(
-            scene[0].hand, posture, np.asarray(contacts.points), np.asarray(cut_to_cones(grasp, Exerted(forces)).forces)
+            scene[0].hand,
+            posture,
+            np.asarray(contacts.points),
+            np.asarray(cut_to_cones(grasp, ContactForces(forces)).forces),
         )
         for forces in (closed_by_numpy(grasp, weight + gained), closed_by_numpy(grasp, weight))
     )
@@ -109,7 +112,7 @@ def test_a_lifted_object_is_felt_with_its_inertia(scene):
 def test_what_is_felt_balances_what_moves_by_the_optimum(scene):
     haptics, torques, heights, angles = lifted(scene, "optimum")
     posture, gained, wrench = last_instant(scene, haptics, heights, angles, 12)
-    contacts, grasp, _ = touched(scene[0], posture, haptics.placed)
+    contacts, grasp, _ = find_touches(scene[0], posture, haptics.placed)
     held = observe(
         scene[0],
         posture,
@@ -121,7 +124,7 @@ def test_what_is_felt_balances_what_moves_by_the_optimum(scene):
     forces = np.asarray(held.exerted)
     # Judged by their own laws: they balance mass and acceleration, and stay inside the cones.
     np.testing.assert_allclose(np.asarray(resultant(grasp.points, forces)), wrench, atol=1e-8)
-    np.testing.assert_allclose(cut_to_cones(grasp, Exerted(forces)).forces, forces, atol=1e-9)
+    np.testing.assert_allclose(cut_to_cones(grasp, ContactForces(forces)).forces, forces, atol=1e-9)
     assert gained[2] == pytest.approx(UP, rel=1e-6)
     expected = by_work(scene[0].hand, posture, np.asarray(contacts.points), forces)
     np.testing.assert_allclose(np.abs(torques[-1]), np.abs(expected), atol=1e-6)
@@ -150,9 +153,9 @@ def test_what_slips_is_felt_no_firmer_than_its_friction(scene, law):
     instant = haptics.instant
     assert instant.hold == Hold.SLIPPING
     grasp = instant.tick.grasp
-    np.testing.assert_allclose(cut_to_cones(grasp, Exerted(instant.exerted)).forces, instant.exerted, atol=1e-7)
+    np.testing.assert_allclose(cut_to_cones(grasp, ContactForces(instant.exerted)).forces, instant.exerted, atol=1e-7)
     left = np.asarray(instant.tick.wrench) - np.asarray(resultant(grasp.points, instant.exerted))
-    np.testing.assert_allclose(instant.missed, left, atol=1e-6)
+    np.testing.assert_allclose(instant.wrench_residual, left, atol=1e-6)
     assert np.linalg.norm(left[:3]) > 1.0
 
 
@@ -161,7 +164,7 @@ def test_by_the_closed_form_slips_what_the_optimum_holds(scene):
     rng = np.random.default_rng(0)
     found = 0
     made, closed, placed = scene
-    contacts, grasp, _ = touched(made, closed, placed)
+    contacts, grasp, _ = find_touches(made, closed, placed)
     weight = np.append(-made.body.mass * np.asarray(made.gravity), np.zeros(3))
     for _ in range(200):
         wrench = weight + rng.normal(size=6) * (2, 2, 2, 0.02, 0.02, 0.02)
@@ -270,4 +273,4 @@ def test_a_grip_that_comes_and_goes_is_no_new_one(scene):
 def made_contacts(scene, share: float):
     """Of the hand closed by a share of its angles."""
     made, closed, placed = scene
-    return touched(made, Posture(closed.wrist, share * jnp.asarray(closed.angles)), placed)[0]
+    return find_touches(made, Posture(closed.wrist, share * jnp.asarray(closed.angles)), placed)[0]

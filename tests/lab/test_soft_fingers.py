@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxgrasp.grip import Body, Hold, Scene, carry, observe
+from jaxgrasp.grip import Body, Hold, Scene, observe, simulate
+from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones
 from jaxgrasp.grip.scene_entries import GripEntry, ObjectEntry
 from jaxgrasp.grip.scene_file import SceneFile, gripped_scene
-from jaxgrasp.grip.slipping import Exerted, cut_to_cones
 from jaxgrasp.hand import Box, Hand, Link, Pose, Posture
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.model.grasp import Grasp
@@ -78,7 +78,7 @@ def test_what_slips_moves_by_what_is_exerted_with_moments(law, right, torsion):
     scene, posture, placed = pinched(torsion)
     angles = posture.angles.at[1].set(right)
     still = Posture(Pose(jnp.zeros((2, 3)), jnp.stack([jnp.eye(3)] * 2)), jnp.stack([angles] * 2))
-    first, second = carry(scene, still, placed, DT, law=law)
+    first, second = simulate(scene, still, placed, DT, law=law)
     assert first.hold == Hold.SLIPPING
     forces, moments = np.asarray(first.exerted), np.asarray(first.moments)
     points, normals = np.asarray(first.tick.grasp.points), np.asarray(first.tick.grasp.normals)
@@ -114,7 +114,7 @@ def test_what_a_finger_drags_and_turns_is_cut_alike():
     forces = 0.2 * rng.normal(size=(20, 3)) + rng.uniform(-0.2, 2.0, size=20)[:, None] * normals
     moments = 0.002 * rng.normal(size=20)
     grasp = Grasp(points, normals, np.full(20, FRICTION), np.ones(20), torsion=np.full(20, TORSION))
-    cut = cut_to_cones(grasp, Exerted(jnp.asarray(forces), jnp.asarray(moments)))
+    cut = cut_to_cones(grasp, ContactForces(jnp.asarray(forces), jnp.asarray(moments)))
     along = np.maximum(np.sum(normals * forces, -1), 0)
     left = np.asarray(cut.forces) - along[:, None] * normals
     across = forces - np.sum(normals * forces, -1)[:, None] * normals

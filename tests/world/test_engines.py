@@ -24,8 +24,8 @@ def test_a_stack_at_rest_carries_what_is_above(name):
     last = of_world(name, world, state, 0.5)[-1]
     error = WEIGHT_ERROR[name] * G * sum(masses)
     np.testing.assert_allclose(last.loads.by_table[0, :3], [0, 0, G * sum(masses)], atol=error)
-    np.testing.assert_allclose(last.loads.by_things[1, 0, :3], [0, 0, G * 0.7], atol=error)
-    np.testing.assert_allclose(last.loads.by_things[2, 1, :3], [0, 0, G * 0.5], atol=error)
+    np.testing.assert_allclose(last.loads.by_bodies[1, 0, :3], [0, 0, G * 0.7], atol=error)
+    np.testing.assert_allclose(last.loads.by_bodies[2, 1, :3], [0, 0, G * 0.5], atol=error)
     assert last.solved and np.abs(last.state.placed.origin - state.placed.origin).max() < 2e-4
 
 
@@ -80,7 +80,7 @@ def test_motion_is_what_the_loads_make_of_it(name):
         momentum = masses[:, None] * (step.state.motion.linear - before.motion.linear) / 0.01
         weight = masses[:, None] * [0, 0, -G]
         np.testing.assert_allclose(momentum, weight + step.loads.by_world[:, :3] + step.loads.by_hand[:, :3], atol=1e-6)
-        one, other = step.loads.by_things[0, 1], step.loads.by_things[1, 0]
+        one, other = step.loads.by_bodies[0, 1], step.loads.by_bodies[1, 0]
         np.testing.assert_allclose(one[:3], -other[:3], atol=1e-12)
         arm = before.placed.origin[1] - before.placed.origin[0]
         about_first = other[3:] + np.cross(arm, other[:3])

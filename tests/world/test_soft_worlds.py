@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from jaxgrasp.grip import Body, Hold
 from jaxgrasp.hand import Hand, Link, Pose, Posture, pose_hand
 from jaxgrasp.model.hand import padded
-from jaxgrasp.world import HandMove, Thing, World, at_rest, stands, world_carry
-from jaxgrasp.world.hand_share import hand_share, touched_things
+from jaxgrasp.world import HandMove, RigidBody, World, at_rest, simulate_world, stands
+from jaxgrasp.world.hand_share import find_touches, hand_share
 from jaxgrasp.world.many_bodies import holding_weights
 from tests.lab.test_soft_fingers import MASS, OFF, TORSION, pinched
 from tests.world.worlds import BLOCK, ENGINES, G, world_with
@@ -65,7 +65,7 @@ def turned(name: str, rate: float, on_top: bool, rubbing: float) -> tuple:
     record = []
     for k in range(60):
         now, later = (Posture(wrist, jnp.array([rate * (max(i - 40, 0) * DT) ** 2 / 2])) for i in (k, k + 1))
-        touches = touched_things(world, now, state.placed)
+        touches = find_touches(world, now, state.placed)
         frames = [jax.device_get(pose_hand(world.scene.hand, each)) for each in (now, later)]
         step = engine.step(state, HandMove(jax.device_get(touches.contacts), *frames), DT)
         record.append((state, now, touches, step))
@@ -112,7 +112,7 @@ def test_momenta_of_every_object_change_by_its_forces_and_couples(name):
         spun = INERTIA * (after.motion.angular - state.motion.angular) / DT
         np.testing.assert_allclose(whole[:, :3], gained, atol=1e-5)
         np.testing.assert_allclose(whole[:, 3:], spun, atol=1e-5)
-        np.testing.assert_allclose(loads.by_things[0, 1, 5], -loads.by_things[1, 0, 5], atol=1e-8)
+        np.testing.assert_allclose(loads.by_bodies[0, 1, 5], -loads.by_bodies[1, 0, 5], atol=1e-8)
         assert not loads.by_hand[1].any()
         couples.append(loads.by_hand[0, 5])
     # The finger's couple is no trifle beside what is tested.
@@ -127,13 +127,13 @@ def test_two_soft_fingers_hold_among_others_what_hard_ones_let_turn(name):
     angles = []
     for torsion in (TORSION, None):
         scene, posture, placed = pinched(torsion)
-        other = Thing(Body(BLOCK, 0.2), 0.5, 4000.0, 0.5, 0.002)
+        other = RigidBody(Body(BLOCK, 0.2), 0.5, 4000.0, 0.5, 0.002)
         world = World(scene, (other,))
         origin = np.stack([np.asarray(placed.origin), [0.0, 0.0, -1 + BLOCK.height / 2]])
         state = at_rest(Pose(origin, np.stack([np.eye(3)] * 2)))
         wrists = Pose(jnp.zeros((len(times), 3)), jnp.stack([jnp.eye(3)] * len(times)))
         postures = Posture(wrists, jnp.stack([posture.angles] * len(times)))
-        record = world_carry(world, ENGINES[name](world, state), postures, state, 0.01, law="optimum")
+        record = simulate_world(world, ENGINES[name](world, state), postures, state, 0.01, law="optimum")
         last = record[-1]
         angles.append(np.linalg.norm(Rotation.from_matrix(last.state.placed.rotation[0]).as_rotvec()))
         if torsion is None:
@@ -160,7 +160,7 @@ def test_moments_of_soft_fingers_are_part_of_what_stands():
         scene, posture, placed = pinched(torsion)
         world = World(scene, ())
         there = Pose(np.asarray(placed.origin)[None], np.eye(3)[None])
-        contacts = jax.device_get(touched_things(world, posture, there).contacts)
+        contacts = jax.device_get(find_touches(world, posture, there).contacts)
         found = stands(world, there, contacts)
         assert found.proved
         standing.append(found.stands)

@@ -14,7 +14,7 @@ from tests.world.worlds import BLOCK, G, some_turn, tower, world_with
 def proves_a_fall(world, centers, found) -> bool:
     """Farkas' lemma, by the contacts' own numbers: gravity works along the motion, and no force of any cone against."""
     motion, gravity = found.certificate, np.asarray(world.scene.gravity)
-    masses = np.array([thing.body.mass for thing in world.things])
+    masses = np.array([thing.body.mass for thing in world.bodies])
     work = float(masses @ (motion[:, :3] @ gravity))
     contacts = found.contacts
     rate = np.zeros_like(contacts.points)
@@ -38,7 +38,7 @@ def test_each_level_carries_what_is_above_it(seed):
     whole = G * sum(masses)
     assert found.loads.by_table[0, 2] == pytest.approx(whole, abs=1e-9 * whole)
     for k in range(3):
-        up, down = found.loads.by_things[k + 1, k], found.loads.by_things[k, k + 1]
+        up, down = found.loads.by_bodies[k + 1, k], found.loads.by_bodies[k, k + 1]
         np.testing.assert_allclose(up[:3], [0, 0, G * sum(masses[k + 1 :])], atol=1e-9 * whole)
         np.testing.assert_allclose(down[:3], -up[:3], atol=1e-12 * whole)
     # Nothing is left of any object's weight, moments included; and all forces are in their cones.
@@ -72,7 +72,7 @@ def test_a_block_slides_on_another_where_the_slope_exceeds_the_friction(rubbing)
 def test_turning_the_world_turns_the_answer():
     turn = some_turn(3)
     plain, turned = (stands(w, s.placed) for w, s in (tower([0.2, 0.5], 0.3), tower([0.2, 0.5], 0.3, frame=turn)))
-    for name in ("by_table", "by_things"):
+    for name in ("by_table", "by_bodies"):
         own, other = (getattr(found.loads, name) for found in (plain, turned))
         for part in (slice(3), slice(3, 6)):
             np.testing.assert_allclose(other[..., part], own[..., part] @ turn.T, atol=1e-6)
@@ -87,7 +87,7 @@ def test_the_order_of_the_objects_does_not_matter():
     one, another = stands(world, state.placed), stands(other, moved.placed)
     assert one.stands and another.stands
     np.testing.assert_allclose(another.loads.by_table, one.loads.by_table[order], atol=1e-6)
-    np.testing.assert_allclose(another.loads.by_things, one.loads.by_things[np.ix_(order, order)], atol=1e-6)
+    np.testing.assert_allclose(another.loads.by_bodies, one.loads.by_bodies[np.ix_(order, order)], atol=1e-6)
 
 
 @pytest.mark.parametrize(("rubbing", "holds"), [(0.25, False), (0.26, False), (0.275, True), (0.4, True)])
@@ -122,5 +122,7 @@ def test_a_mesh_out_of_its_principal_frame_is_refused():
 def test_an_inertia_that_engines_would_leave_out_is_refused():
     world, state = tower([0.2, 0.3])
     others = eqx.tree_at(lambda w: w.others[0].body.inertia, world, 1e-4 * np.eye(3), is_leaf=lambda x: x is None)
-    with pytest.raises(ValueError, match="object 1 has an inertia of its own: expected a uniform density"):
+    with pytest.raises(
+        ValueError, match="object 1 has its own inertia tensor: among several objects expected a uniform density"
+    ):
         stands(others, state.placed)

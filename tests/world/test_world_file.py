@@ -36,8 +36,8 @@ def test_objects_stand_as_the_file_says():
     file = SceneFile(other=(block(0.0, 0.0, 0.04, mass=0.3), turned))
     world, state = world_of(file, made())
     np.testing.assert_allclose(state.placed.origin - state.placed.origin[0], [[0, 0, 0], [0, 0, 0.04], [0.1, 0, 0]])
-    assert [thing.body.mass for thing in world.things] == [0.2, 0.3, 0.15] and world.things[2].rubbing == 0.2
-    assert [thing.torsion for thing in world.things] == [None, None, 0.004] and world.is_soft
+    assert [thing.body.mass for thing in world.bodies] == [0.2, 0.3, 0.15] and world.bodies[2].rubbing == 0.2
+    assert [thing.torsion for thing in world.bodies] == [None, None, 0.004] and world.is_soft
     assert stands(world, state.placed).stands
 
 

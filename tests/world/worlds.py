@@ -9,8 +9,8 @@ from jaxgrasp.grip import Body, Scene
 from jaxgrasp.hand import Box, Hand, Link, Pose, Posture, parallel_jaw, pose_hand
 from jaxgrasp.hand.shapes import Shape
 from jaxgrasp.model.hand import padded
-from jaxgrasp.world import HandMove, MujocoEngine, QuasiStaticEngine, Thing, World, WorldState, at_rest
-from jaxgrasp.world.hand_share import touched_things
+from jaxgrasp.world import HandMove, MujocoEngine, QuasiStaticEngine, RigidBody, World, WorldState, at_rest
+from jaxgrasp.world.hand_share import find_touches
 
 G = 9.81
 BLOCK = Box(0.06, 0.05, 0.04)
@@ -35,7 +35,7 @@ def world_with(
     """Objects on a table, all seen from a frame that is turned; without a hand of its own, one that is far away."""
     frame = np.eye(3) if frame is None else frame
     hand = parallel_jaw() if hand is None else hand
-    things = [Thing(Body(s, m), skin, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
+    things = [RigidBody(Body(s, m), skin, stiffness, rubbing) for s, m in zip(shapes, masses, strict=True)]
     made = Scene(
         hand,
         things[0].body,
@@ -64,7 +64,7 @@ def left_alone(world: World, engine: object, state: WorldState, seconds: float, 
     hand = world.scene.hand
     posture = Posture(Pose(jnp.full(3, 9.0), jnp.eye(3)), jnp.zeros(len(hand.joints)))
     frames = jax.device_get(pose_hand(hand, posture))
-    move = HandMove(jax.device_get(touched_things(world, posture, state.placed).contacts), frames, frames)
+    move = HandMove(jax.device_get(find_touches(world, posture, state.placed).contacts), frames, frames)
     steps = []
     for _ in range(round(seconds / dt)):
         steps.append(engine.step(state, move, dt))

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Hold, Scene, carry
+from jaxgrasp.grip import CYLINDRICAL_POWER_GRIP, Body, Hold, Scene, simulate
 from jaxgrasp.hand import Cylinder, Pose, Posture, close_hand, human_hand, link_contributions
 
 pytestmark = pytest.mark.slow
@@ -50,7 +50,7 @@ def test_a_firm_grip_lifts_and_turns_the_object_with_the_hand(closed):
     turn = about_x(0.5 * smooth)
     origin = np.stack([0 * smooth, 0 * smooth, 0.1 * smooth], -1)
     postures = Posture(Pose(origin, turn), np.broadcast_to(np.asarray(closed.angles), (count, 19)))
-    record = carry(scene(), postures, START, DT, law="optimum")
+    record = simulate(scene(), postures, START, DT, law="optimum")
     assert {instant.hold for instant in record} == {Hold.STABLE}
     for instant, wrist, axes in zip(record, origin, turn, strict=True):
         np.testing.assert_allclose(instant.placed.origin, axes @ START.origin + wrist, atol=1e-9)
@@ -77,7 +77,7 @@ def test_after_release_energy_never_grows_and_the_table_stops_it(closed):
     origin = np.zeros((count, 3))
     origin[:, 2] = 0.3 * DT * np.arange(count)
     postures = Posture(Pose(origin, np.broadcast_to(np.eye(3), (count, 3, 3))), angles)
-    record = carry(scene(), postures, START, DT, law="optimum")
+    record = simulate(scene(), postures, START, DT, law="optimum")
     holds = [instant.hold for instant in record]
     assert holds[0] == Hold.STABLE and holds[-1] == Hold.LOST and record[-1].stands
     free = [k for k in range(release, count - 1) if holds[k] == Hold.LOST and not record[k + 1].stands]
@@ -95,7 +95,7 @@ def test_without_friction_nothing_holds_it_along_its_axis(closed):
     angles = np.broadcast_to(np.asarray(closed.angles), (count, 19))
     postures = Posture(Pose(np.zeros((count, 3)), np.broadcast_to(upright, (count, 3, 3))), angles)
     placed = Pose(upright @ START.origin, upright @ START.rotation)
-    record = carry(scene(friction=0.0, table=-10.0), postures, placed, DT, law="optimum")
+    record = simulate(scene(friction=0.0, table=-10.0), postures, placed, DT, law="optimum")
     assert {instant.hold for instant in record} == {Hold.SLIPPING}
     drop = float(placed.origin[2]) - np.array([float(instant.placed.origin[2]) for instant in record])
     steps = np.arange(count)
@@ -105,9 +105,9 @@ def test_without_friction_nothing_holds_it_along_its_axis(closed):
 def test_time_must_go_forward(closed):
     one = Posture(Pose(np.zeros((1, 3)), np.eye(3)[None]), np.asarray(closed.angles)[None])
     with pytest.raises(ValueError, match="dt is 0.0: expected a positive time"):
-        carry(scene(), one, START, 0.0)
+        simulate(scene(), one, START, 0.0)
 
 
 def test_postures_go_over_time(closed, unchecked):
     with pytest.raises(ValueError, match=r"postures.angles has shape \(19,\): expected \(T, J\), T instants"):
-        carry(scene(), closed, START, DT)
+        simulate(scene(), closed, START, DT)

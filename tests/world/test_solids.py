@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxgrasp.hand import Box, Capsule, Cylinder, Plane, Pose, Sphere, sphere_tree
 from jaxgrasp.world.mujoco_model import primitive
-from jaxgrasp.world.solids import solid_of
-from jaxgrasp.world.touching_solids import patch_between, table_patch
+from jaxgrasp.world.solids import manifold_between, solid_of, table_manifold
 
 SHAPES = [Box(0.06, 0.05, 0.04), Sphere(0.02), Cylinder(0.02, 0.06), Capsule(0.015, 0.05)]
 
@@ -48,7 +47,7 @@ def test_solids_are_as_far_apart_as_mujoco_has_them(first, second):
             placed[1] = Pose(placed[1].origin * (1 - off / np.linalg.norm(placed[1].origin)), placed[1].rotation)
             if abs(off) < 1e-9:
                 break
-        patch = patch_between(solid_of(first, placed[0]), solid_of(second, placed[1]), 1e-3)
+        patch = manifold_between(solid_of(first, placed[0]), solid_of(second, placed[1]), 1e-3)
         assert patch.gap == pytest.approx(distance((first, second), placed), abs=2e-6 if straight else 2e-4)
         assert np.linalg.norm(patch.normal) == pytest.approx(1) and len(patch.points)
         for shape, pose, sign in ((first, placed[0], 1), (second, placed[1], -1)):
@@ -63,7 +62,7 @@ def test_faces_touch_where_they_overlap(angle):
     """The patch of two square faces, one turned on the other: its area against a count of places in both."""
     box, turn = Box(0.06, 0.06, 0.04), Rotation.from_rotvec([0, 0, angle]).as_matrix()
     upper, lower = Pose(np.array([0.01, 0.005, 0.04]), turn), Pose(np.zeros(3), np.eye(3))
-    patch = patch_between(solid_of(box, upper), solid_of(box, lower), 1e-4)
+    patch = manifold_between(solid_of(box, upper), solid_of(box, lower), 1e-4)
     grid = np.stack(np.meshgrid(*[np.linspace(-0.03, 0.03, 400)] * 2), -1).reshape(-1, 2)
     own = (grid - upper.origin[:2]) @ turn[:2, :2]
     shared = np.all(np.abs(own) <= 0.03, 1).mean() * 0.06**2
@@ -75,10 +74,10 @@ def test_faces_touch_where_they_overlap(angle):
 
 def test_a_lying_cylinder_touches_along_a_line_and_a_standing_one_all_around():
     ground, shape = Pose(np.zeros(3), np.eye(3)), Cylinder(0.02, 0.06)
-    lying = table_patch(
+    lying = table_manifold(
         solid_of(shape, Pose(np.array([0, 0, 0.02]), Rotation.from_rotvec([np.pi / 2, 0, 0]).as_matrix())), ground
     )
-    standing = table_patch(solid_of(shape, Pose(np.array([0, 0, 0.03]), np.eye(3))), ground)
+    standing = table_manifold(solid_of(shape, Pose(np.array([0, 0, 0.03]), np.eye(3))), ground)
     np.testing.assert_allclose(sorted(lying.points.tolist()), [[0, -0.03, 0], [0, 0.03, 0]], atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(standing.points[:, :2], axis=1), 0.02)
     assert len(standing.points) == 8 and abs(standing.gap) < 1e-12
@@ -88,7 +87,7 @@ def test_a_lying_cylinder_touches_along_a_line_and_a_standing_one_all_around():
 def test_a_tree_touches_by_its_balls():
     box = Box(0.04, 0.04, 0.04)
     tree = solid_of(sphere_tree(box, 3), Pose(np.array([0, 0, 0.04]), np.eye(3)))
-    patch = patch_between(tree, solid_of(box, Pose(np.zeros(3), np.eye(3))), 1e-2)
+    patch = manifold_between(tree, solid_of(box, Pose(np.zeros(3), np.eye(3))), 1e-2)
     # Its balls lie inside the solid that it stands for.
     assert 0 <= patch.gap < 5e-3 and abs(patch.normal[2]) == pytest.approx(1)
 

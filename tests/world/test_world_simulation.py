@@ -10,7 +10,7 @@ import pytest
 from jaxgrasp.grip import Hold
 from jaxgrasp.hand import Pose, Posture
 from jaxgrasp.model.paths import smooth_step
-from jaxgrasp.world import world_carry
+from jaxgrasp.world import simulate_world
 from tests.world.worlds import BLOCK, ENGINES, G, pusher, world_with
 
 RADIUS, WAY, DT = 0.008, 0.05, 0.01
@@ -29,7 +29,7 @@ def pushed(name: str) -> tuple:
     wrist = np.array([-BLOCK.length / 2 - RADIUS, 0, 0.02])
     count = len(times)
     poses = Pose(jnp.broadcast_to(wrist, (count, 3)), jnp.broadcast_to(jnp.eye(3), (count, 3, 3)))
-    record = world_carry(
+    record = simulate_world(
         world, ENGINES[name](world, state), Posture(poses, jnp.asarray(ways)[:, None]), state, DT, law="optimum"
     )
     return world, ways, record
@@ -53,7 +53,7 @@ def test_the_joint_feels_the_friction_of_both_blocks(name):
     way = slice(15, 50)
     gained = np.mean([instant.gained[:, 0] for instant in record[way]], 0)
     assert -torques[way].mean() == pytest.approx(0.5 * G * MASSES.sum() + gained.sum(), rel=0.06)
-    passed_on = np.mean([instant.loads.by_things[1, 0, 0] for instant in record[way]])
+    passed_on = np.mean([instant.loads.by_bodies[1, 0, 0] for instant in record[way]])
     # Rubbing on each other they shift weight between them: friction is by what the table bears.
     borne = np.mean([instant.loads.by_table[1, 2] for instant in record[way]])
     assert passed_on == pytest.approx(0.5 * borne + gained[1], rel=0.06)
@@ -77,7 +77,7 @@ def test_the_hands_share_is_what_the_motion_needs(name):
             np.testing.assert_allclose(exerted[0].sum(0), needed[0], atol=1e-5)
         elif hold[0] == Hold.SLIPPING:
             np.testing.assert_allclose(
-                exerted[0].sum(0) + np.asarray(instant.share.missed)[0, :3], needed[0], atol=1e-5
+                exerted[0].sum(0) + np.asarray(instant.share.wrench_residual)[0, :3], needed[0], atol=1e-5
             )
     # What the engine has the hand exert is that too, but for what moves while a step of many is averaged.
     needed, engine = (
@@ -92,7 +92,7 @@ def test_bad_steps_are_refused():
     engine = ENGINES["quasi-static"](world, state)
     one = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.zeros(1))
     with pytest.raises(ValueError, match="dt is 0.0: expected a positive time"):
-        world_carry(world, engine, one, state, 0.0)
+        simulate_world(world, engine, one, state, 0.0)
     with pytest.raises(ValueError, match=r"postures.angles has shape \(1,\): expected \(T, J\), T instants"):
-        world_carry(world, engine, one, state, 0.1)
+        simulate_world(world, engine, one, state, 0.1)
     assert jax.tree.all(jax.tree.map(lambda x: np.all(np.isfinite(x)), state))

@@ -1,0 +1,400 @@
+"""Simulation of a hand and an object over time: contacts, forces, verdict, and motion of the object.
+
+- STABLE: the object follows its contacts.
+- SLIPPING: the object lags behind by the part of the wrench that the contacts do not exert. By the closed form each
+  contact's force is cut to its friction, whether or not other forces would hold. By the optimum, which slips only where
+  no forces hold, the contacts exert the closest feasible wrench, measured by the motion of the object. An object that
+  stands on the table, and can stay there at rest, does so.
+- LOST: the object keeps its motion, and falls.
+
+The wrench balances the object's weight, its acceleration with the contacts, and the obstacles that it is pressed into.
+A guide carries its part of that. Table and obstacles stop an object that moves freely: nothing bounces.
+"""
+
+from functools import partial
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from jaxgrasp.force.reachable import reachable_wrench
+from jaxgrasp.grip.contact_forces import ContactForces
+from jaxgrasp.grip.monitor import Hold, Law
+from jaxgrasp.grip.motion import (
+    Body,
+    Motion,
+    follow,
+    follow_along,
+    guide_at,
+    mobility,
+    motion_between,
+    moved,
+    rest_on,
+    spatial_inertia,
+)
+from jaxgrasp.grip.obstacles import stop
+from jaxgrasp.grip.scene import Scene, at_time, check_scene
+from jaxgrasp.grip.tick import StepResult, Touches, assess_touches, find_touches
+from jaxgrasp.hand.kinematics import pose_hand
+from jaxgrasp.model.arrays import AnyArray, Float
+from jaxgrasp.model.hand import HandFrames, Pose, Posture
+from jaxgrasp.model.paths import smooth_step
+from jaxgrasp.numerics.rotation import rotation_by
+from jaxgrasp.validation.checked import checked
+
+NEWTON_STEPS = 4
+"""Newton steps of an implicit step in time, which starts close to its solution."""
+MIDPOINT_STEPS = 3
+"""Fixed-point iterations for the twist whose momentum is right at the midpoint: each multiplies the error by about the
+angle turned in half a step."""
+HALVINGS = 40
+"""Bisections for the largest motion that gains no energy."""
+
+
+class Record(NamedTuple):
+    """Result of one instant of a simulation."""
+
+    placed: Pose
+    """Pose of the object."""
+    tick: StepResult
+    hold: Hold
+    stands: bool
+    """True if the table or an obstacle carried the object."""
+    exerted: Float[Array, "L 3"]
+    """Forces of the contacts on the object [N]."""
+    wrench_residual: Float[Array, "6"]
+    """Part of the wrench that contacts and table do not exert [N, N.m]."""
+    moments: Float[Array, "L"] | None = None
+    """Moments of soft fingers on the object about their normals [N.m]; None where all are hard."""
+
+
+Tree = TypeVar("Tree")
+
+
+def stacked(record: list[Tree]) -> Tree:
+    """Stack the trees of all instants into one tree of NumPy arrays with a leading axis of time."""
+    return jax.device_get(jax.tree.map(lambda *parts: np.stack(parts), *record))
+
+
+class SimulationState(NamedTuple):
+    """State of the object between two instants."""
+
+    placed: Pose
+    motion: Motion
+    """Motion that led to this pose."""
+    stands: Array
+    before: Pose
+    """Pose at the previous instant."""
+    time: Array
+    """Time since the start [s]."""
+
+
+@checked
+def simulate(scene: Scene, postures: Posture, placed: Pose, dt: float, *, law: Law = "closed-form") -> list[Record]:
+    """Simulate an object while a hand goes through postures.
+
+    A stable object follows its contacts, and presses into obstacles as far as the hand presses it; a slipping object
+    lags by the wrench residual; a lost object falls. A loop in Python calls compiled steps, so that only an object that
+    slips by the optimum pays for the closest wrench.
+
+    Args:
+        scene: hand, object, table, guide, obstacles, and the laws of their contacts.
+        postures: postures with a leading axis T of instants; the hand is at rest before the first and after the last,
+            so that a sudden start jolts the object.
+        placed: pose of the object at the start, at rest.
+        dt: time from one instant to the next [s].
+        law: force law that decides whether the object slips, as for [`jaxgrasp.grip.monitor`][].
+
+    Returns:
+        A Record for each posture: pose of the object, StepResult, and hold. The load of a guide is the tick's wrench
+        less that of its forces.
+
+    Raises:
+        ValueError: for postures without that axis, a step of time that is not positive, an invalid guide, and obstacles
+            without the object's outline.
+    """
+    check_instants(scene, postures, dt)
+    frames = pose_hand(scene.hand, postures)
+    count = frames.axes.shape[0]
+    carried = initial_state(scene, placed)
+    records = []
+    for k in range(count):
+        posture, current = (jax.tree.map(lambda x, k=k: x[k], tree) for tree in (postures, frames))
+        later = jax.tree.map(lambda x, k=k: x[min(k + 1, count - 1)], frames)
+        record, carried = advance(scene, dt, carried, posture, current, later, law=law)
+        records.append(record)
+    return records
+
+
+def check_instants(scene: Scene, postures: Posture, dt: float) -> None:
+    """Raise ValueError for a step of time, postures or a scene that no simulation can take."""
+    if not dt > 0:
+        raise ValueError(f"dt is {dt!r}: expected a positive time [s]")
+    check_scene(scene)
+    if np.ndim(postures.angles) != 2:
+        raise ValueError(f"postures.angles has shape {np.shape(postures.angles)}: expected (T, J), T instants")
+
+
+def initial_state(scene: Scene, placed: Pose) -> SimulationState:
+    """Return the state of an object at rest at a pose, at time 0."""
+    start = Pose(*map(jnp.asarray, (placed.origin, placed.rotation)))
+    still = Motion(jnp.zeros(3), jnp.zeros(3))
+    return SimulationState(start, still, rest_on(scene.table, scene.body.shape, start, still)[2], start, jnp.zeros(()))
+
+
+def advance(
+    scene: Scene,
+    dt: float,
+    carried: SimulationState,
+    posture: Posture,
+    current: HandFrames,
+    later: HandFrames,
+    *,
+    law: Law,
+) -> tuple[Record, SimulationState]:
+    """Compute one instant of ``simulate``, and the object's state at the next.
+
+    Args:
+        scene: as for ``simulate``; it is not checked again.
+        dt: time to the next instant [s].
+        carried: state of the object.
+        posture: posture of the hand.
+        current: frames of the hand in that posture.
+        later: frames of the hand at the next instant.
+        law: as for ``simulate``.
+    """
+    tick, followed = _tick(scene, dt, carried, posture, current, later, law=law)
+    hold = Hold(int(tick.assessment.hold))
+    exerted, residual = tick.by_hand, wrench_residual(tick)
+    if law == "optimum" and bool(tick.slips):
+        exerted, residual = closest_forces(scene, tick, carried.placed)
+    record = Record(carried.placed, tick, hold, bool(carried.stands), exerted.forces, residual, exerted.moments)
+    return record, integrate(scene, dt, carried, followed, residual, tick.assessment.hold, tick.rests)
+
+
+@partial(jax.jit, static_argnames="law")
+def _tick(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: SimulationState,
+    posture: Posture,
+    current: HandFrames,
+    later: HandFrames,
+    *,
+    law: Law,
+) -> tuple[StepResult, Motion]:
+    """Compute an instant, and the motion of the object by its contacts; its own motion without contacts."""
+    scene = at_time(scene, state.time)
+    return step_and_motion(scene, dt, state, find_touches(scene, posture, state.placed), current, later, law)
+
+
+def step_and_motion(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: SimulationState,
+    touches: Touches,
+    current: HandFrames,
+    later: HandFrames,
+    law: Law,
+) -> tuple[StepResult, Motion]:
+    """Compute an instant, and the motion of the object by its contacts, for detected contacts and obstacles at their
+    poses in the scene."""
+    contacts, grasp = touches.contacts, touches.grasp
+    lost = ~jnp.any(contacts.present > 0)
+    weights = jnp.where(lost, 1.0, jnp.asarray(grasp.squeeze) * contacts.present)
+    contact_motion = _following_motion(scene, dt, current, later, contacts.points, weights, state.placed)
+    followed = Motion(*(jnp.where(lost, old, new) for old, new in zip(state.motion, contact_motion, strict=True)))
+    acceleration = jnp.concatenate([(new - old) / dt for old, new in zip(state.motion, followed, strict=True)])
+    inertia = spatial_inertia(scene.body, state.placed.rotation)
+    spin = jnp.append(jnp.zeros(3), jnp.cross(followed.angular, inertia[3:, 3:] @ followed.angular))
+    return assess_touches(scene, current, state.placed, touches, inertia @ acceleration + spin, law, followed), followed
+
+
+def _following_motion(
+    scene: Scene,
+    dt: float | AnyArray,
+    current: HandFrames,
+    later: HandFrames,
+    points: Array,
+    weights: Array,
+    placed: Pose,
+) -> Motion:
+    """Compute the motion of an object that follows its contacts."""
+    if scene.guide is None:
+        return motion_between(placed, follow(current, later, points, weights, placed), dt)
+    return follow_along(scene.guide, current, later, points, weights, placed, dt)
+
+
+def wrench_residual(tick: StepResult) -> Array:
+    """Return the part of the wrench that the contacts do not exert; zero where they or the table hold the object."""
+    return jnp.where((tick.assessment.hold == Hold.STABLE) | tick.rests, 0, tick.left_by(tick.by_hand))
+
+
+def closest_forces(scene: Scene, tick: StepResult, placed: Pose) -> tuple[ContactForces, Array]:
+    """Compute the feasible forces whose wrench is closest to the required one, measured by the motion that the residual
+    gives to the object; and the residual."""
+    left, inertia = tick.wrench - tick.support, spatial_inertia(scene.body, placed.rotation)
+    free = None if scene.guide is None else guide_at(scene.guide, placed.origin)
+    closest = reachable_wrench(tick.grasp, left, inertia=inertia, free=free)
+    return ContactForces(closest.forces, closest.moments), left - closest.wrench
+
+
+@jax.jit
+def integrate(
+    scene: Scene,
+    dt: float | AnyArray,
+    state: SimulationState,
+    followed: Motion,
+    left: Array,
+    hold: Array,
+    rests: Array,
+) -> SimulationState:
+    """Integrate the object's pose and motion over one step: with its contacts, less the lag by the wrench residual; at
+    rest on the table; or falling."""
+    placed, lost = state.placed, hold == Hold.LOST
+    lag = mobility(scene.body, placed, scene.guide) @ left * dt
+    lagging = Motion(*(jnp.where(rests, 0, part) for part in (followed.linear - lag[:3], followed.angular - lag[3:])))
+    free_motion = integrate_free(scene, dt, state.before, state.motion, placed)
+    motion, blocked = _either(lost, accelerate_by_gravity(scene, dt, placed, free_motion), lagging), jnp.asarray(False)
+    if scene.obstacles:
+        stopped = stop(scene, placed, motion, dt, state.time)
+        is_free = hold != Hold.STABLE
+        motion, blocked = _either(is_free, stopped.motion, motion), is_free & stopped.touches
+    if scene.guide is not None:
+        motion = _either(lost, integrate_guided(scene, dt, placed, free_motion, motion), motion)
+    pose = moved(placed, motion, dt, scene.guide)
+    previous = None if scene.guide is None else placed
+    pose, motion, stands = rest_on(scene.table, scene.body.shape, pose, motion, previous)
+    return SimulationState(pose, motion, stands | blocked, placed, state.time + dt)
+
+
+def _either(condition: Array, first: Motion, second: Motion) -> Motion:
+    return Motion(*(jnp.where(condition, a, b) for a, b in zip(first, second, strict=True)))
+
+
+def accelerate_by_gravity(scene: Scene, dt: float | AnyArray, placed: Pose, free_motion: Motion) -> Motion:
+    """Return an object's motion after an instant of gravity, from the motion that it has without it."""
+    if scene.guide is None:
+        spin = integrate_spin(scene.body, placed.rotation, free_motion.angular, dt)
+        return Motion(free_motion.linear + dt * jnp.asarray(scene.gravity), spin)
+    pull = jnp.append(scene.body.mass * jnp.asarray(scene.gravity), jnp.zeros(3))
+    change = mobility(scene.body, placed, scene.guide) @ pull * dt
+    return Motion(free_motion.linear + change[:3], free_motion.angular + change[3:])
+
+
+def integrate_free(scene: Scene, dt: float | AnyArray, before: Pose, motion_before: Motion, placed: Pose) -> Motion:
+    """Return the later motion of an object on which only its guide acts.
+
+    The momentum along the guide is conserved, since the guide's twists are constant in the world and its forces do no
+    work along them; and so is the kinetic energy.
+
+    Args:
+        scene: scene with the body and its guide.
+        dt: length of the step to ``placed`` [s].
+        before: pose before that step.
+        motion_before: motion in that step.
+        placed: pose after it.
+    """
+    if scene.guide is None:
+        return motion_before
+    middle, middle_motion = _halfway(scene, dt, before, jnp.concatenate(motion_before))
+    momentum = spatial_inertia(scene.body, middle.rotation) @ middle_motion
+    motion = mobility(scene.body, placed, scene.guide) @ _momentum_about(momentum, middle, placed)
+    energy, new_energy = middle_motion @ momentum, motion @ spatial_inertia(scene.body, placed.rotation) @ motion
+    motion = motion * jnp.sqrt(jnp.where(new_energy > 0, energy / jnp.where(new_energy > 0, new_energy, 1), 1))
+    return Motion(motion[:3], motion[3:])
+
+
+def integrate_guided(scene: Scene, dt: float | AnyArray, placed: Pose, free_motion: Motion, motion: Motion) -> Motion:
+    """Find the steady twist along a guide that has a motion's momentum at the midpoint, scaled down where it would gain
+    energy: over that of ``free_motion`` and the work of gravity, from which a curved guide deviates a little."""
+    momentum = spatial_inertia(scene.body, placed.rotation) @ jnp.concatenate(motion)
+    twist = jnp.concatenate(motion)
+    for _ in range(MIDPOINT_STEPS):
+        middle, _ = _halfway(scene, dt, placed, twist)
+        middle_motion = mobility(scene.body, middle, scene.guide) @ _momentum_about(momentum, placed, middle)
+        twist = _twist_about(middle_motion, middle, placed)
+    energy = (
+        jnp.concatenate(free_motion) @ spatial_inertia(scene.body, placed.rotation) @ jnp.concatenate(free_motion) / 2
+    )
+
+    def gains(share: Array) -> Array:
+        middle, middle_motion = _halfway(scene, dt, placed, share * twist)
+        travel = moved(placed, Motion(share * twist[:3], share * twist[3:]), dt, scene.guide).origin - placed.origin
+        work = scene.body.mass * jnp.asarray(scene.gravity) @ travel
+        return middle_motion @ spatial_inertia(scene.body, middle.rotation) @ middle_motion / 2 > energy + work
+
+    def halve(_, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bounds
+        share = (low + high) / 2
+        too_much = gains(share)
+        return jnp.where(too_much, low, share), jnp.where(too_much, share, high)
+
+    unit = jnp.ones_like(energy)
+    share = jnp.where(gains(unit), lax.fori_loop(0, HALVINGS, halve, (0 * unit, unit))[0], 1)
+    return Motion(share * twist[:3], share * twist[3:])
+
+
+def _halfway(scene: Scene, dt: float | AnyArray, placed: Pose, twist: Array) -> tuple[Pose, Array]:
+    """Return the pose after half the time of a steady twist, and the motion of the centre there."""
+    middle = moved(placed, Motion(twist[:3], twist[3:]), dt / 2, scene.guide)
+    return middle, _twist_about(twist, placed, middle)
+
+
+def _twist_about(twist: Array, old: Pose, new: Pose) -> Array:
+    """Shift the reference point of a twist from one pose's origin to another's."""
+    arm = jnp.asarray(new.origin) - old.origin
+    return jnp.concatenate([twist[:3] + jnp.cross(twist[3:], arm), twist[3:]])
+
+
+def _momentum_about(momentum: Array, old: Pose, new: Pose) -> Array:
+    """Shift the reference point of a momentum from one pose's origin to another's."""
+    arm = jnp.asarray(old.origin) - new.origin
+    return jnp.concatenate([momentum[:3], momentum[3:] + jnp.cross(arm, momentum[:3])])
+
+
+def integrate_spin(body: Body, rotation: AnyArray, angular: AnyArray, dt: float | AnyArray) -> Array:
+    """Return the angular velocity of a free body after ``dt`` seconds.
+
+    Euler's equations, I w' + w x I w = 0, by an implicit step in the body's own axes, where the inertia is constant:
+    the step gains no energy.
+    """
+    inertia = body.inertia_matrix() / body.mass
+    local = jnp.asarray(rotation).T @ angular
+
+    def residual(spin: Array) -> Array:
+        return inertia @ (spin - local) + dt * jnp.cross(spin, inertia @ spin)
+
+    spin = local
+    for _ in range(NEWTON_STEPS):
+        spin = spin - jnp.linalg.solve(jax.jacfwd(residual)(spin), residual(spin))
+    return jnp.asarray(rotation) @ spin
+
+
+def lift_and_turn(
+    closed: Posture, times: AnyArray, *, lift: float, turn: float, axis: AnyArray, release: Posture | None = None
+) -> Posture:
+    """Plan the postures of a hand that lifts an object: a quarter of the time each to hold, lift, turn, and hold or let
+    go.
+
+    Args:
+        closed: posture that holds the object, with the wrist at its start.
+        times: ``(T,)``, ascending [s].
+        lift: height of the lift, along the world's z [m].
+        turn: angle about ``axis`` through the wrist [rad].
+        axis: unit vector ``(3,)`` in the world.
+        release: posture whose angles release the object; ``None`` to hold on.
+
+    Returns:
+        Postures with a leading axis T, which start and stop smoothly.
+    """
+    phase = (jnp.asarray(times) - times[0]) / (times[-1] - times[0]) * 4
+    lifted, turned, opened = (smooth_step(phase - begin) for begin in (1.0, 2.0, 3.0))
+    rotation = jax.vmap(rotation_by)(turn * turned[:, None] * jnp.asarray(axis)) @ closed.wrist.rotation
+    origin = closed.wrist.origin + lift * lifted[:, None] * jnp.array([0.0, 0.0, 1.0])
+    angles = jnp.broadcast_to(closed.angles, (len(phase), closed.angles.shape[0]))
+    if release is not None:
+        angles = angles + opened[:, None] * (release.angles - closed.angles)
+    return Posture(Pose(origin, rotation), angles)

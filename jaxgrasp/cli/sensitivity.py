@@ -15,9 +15,8 @@ from jaxgrasp.files.replace import check_writable
 from jaxgrasp.files.toml_fields import nearest
 from jaxgrasp.model.compared_methods import methods_named
 from jaxgrasp.sensitivity.naming import Labels
-from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task
 from jaxgrasp.sensitivity.study import Study, rankings, spells, study
-from jaxgrasp.sensitivity.task_file import NamedTask, load_task
+from jaxgrasp.sensitivity.task_file import FINGERS, NamedTask, cylinder_task, load_task
 from jaxgrasp.validation.fields import check_positive
 
 BY_CONTACT = ("azimuths", "contributions", "depths", "friction", "heights", "points", "normals", "stiffness")

@@ -1,1 +1,1 @@
-"""Other things to ask of contact forces than to stay close to the squeezing forces."""
+"""Contact forces by other objectives than closeness to the squeezing forces."""

@@ -1,7 +1,7 @@
-"""The least that the most loaded contact must bear.
+"""The least maximal contact force.
 
-With a twist d that contacts see as v_i, sum |P_i(v_i)| max |f_i| is no less than w.d, where P_i projects on cone i:
-the bound. A moment counts as the tangential force that uses as much friction.
+With a twist d that contacts see as v_i, sum |P_i(v_i)| max |f_i| >= w.d, where P_i projects on cone i: the bound. A
+moment counts as the tangential force that uses as much friction.
 """
 
 import jax.numpy as jnp
@@ -39,37 +39,38 @@ def search(conic: ConeProblem) -> SearchResult:
     return SearchResult(y, _bound(conic, multipliers), multipliers, shares, best.residual)
 
 
-def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:
-    """Stationary in forces and multipliers at the optimum, where it is the value."""
-    assert found.shares is not None
-    return jnp.sum(found.shares * _sizes(conic, found.y), -1) + constraints(conic, found.multipliers, found.y)
+def lagrangian(conic: ConeProblem, result: SearchResult) -> Array:
+    """Evaluate the Lagrangian, which is stationary in forces and multipliers at the optimum and equal to the value
+    there."""
+    assert result.shares is not None
+    return jnp.sum(result.shares * _sizes(conic, result.y), -1) + constraints(conic, result.multipliers, result.y)
 
 
 def value(conic: ConeProblem, y: Array) -> Array:
-    """Size of the largest force ``(B,)``."""
+    """Return the size of the largest force ``(B,)``."""
     return jnp.max(_sizes(conic, y), -1, initial=0)
 
 
 def _sizes(conic: ConeProblem, y: Array) -> Array:
-    """Size of each force ``(B, n)``."""
+    """Compute the size of each force ``(B, n)``."""
     tangential = conic.friction[..., None] * y[..., 1:]
     return safe_sqrt(y[..., 0] ** 2 + jnp.sum(tangential**2, -1))
 
 
 def _bound(conic: ConeProblem, multipliers: Multipliers) -> Array:
-    """What no forces stay below ``(B,)``; 0 where nothing is proven."""
+    """Compute the lower bound of the largest force ``(B,)``; 0 where nothing is proven."""
     left = required_work(conic, multipliers) - limit_work(conic, multipliers)
     able = jnp.sum(unit_force_power(conic, contact_power(conic, multipliers)), -1)
     return jnp.where((left > 0) & (able > 0), left / jnp.where(able > 0, able, 1), 0)
 
 
 def _balls(conic: ConeProblem) -> Cones:
-    """|f_i| no larger than the last variable."""
+    """Build the cones |f_i| <= last variable."""
     size, _, n, c = conic.columns.shape
     scale = jnp.concatenate(
         [jnp.ones_like(conic.friction)[..., None], jnp.broadcast_to(conic.friction[..., None], (size, n, c - 1))], -1
     )
-    own = jnp.eye(n * c, dtype=conic.right.dtype).reshape(n, c, n * c) * scale[..., None]
+    scaled_identity = jnp.eye(n * c, dtype=conic.right.dtype).reshape(n, c, n * c) * scale[..., None]
     rows = jnp.zeros((size, n, c + 1, n * c + 1), conic.right.dtype)
-    rows = rows.at[..., 0, -1].set(-1).at[..., 1:, :-1].set(-own)
+    rows = rows.at[..., 0, -1].set(-1).at[..., 1:, :-1].set(-scaled_identity)
     return Cones(rows, jnp.zeros((size, n, c + 1), conic.right.dtype))

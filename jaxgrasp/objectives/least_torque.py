@@ -1,7 +1,7 @@
-"""The least joint torques, as the root of the sum of their squares.
+"""The least joint torques, by the root of the sum of their squares.
 
-With the joints' speeds e = the torques, and a twist along which no contact can work, w.d - |e|^2 / 2 bounds half the
-sum of squares.
+With joint velocities e equal to the torques, and a twist along which no contact can work, w.d - |e|^2 / 2 bounds half
+the sum of squares from below.
 """
 
 import jax.numpy as jnp
@@ -16,11 +16,11 @@ from jaxgrasp.problem.inequalities import as_cones, inequality_multipliers, limi
 from jaxgrasp.solver.multiplier_bounds import Multipliers, constraints, contact_power, limit_work, required_work
 
 TIE = 1e-13
-"""Price of the forces' squares beside the torques': it selects the smaller of forces that ask for the same torques."""
+"""Weight of the squares of forces beside those of torques: it selects the smallest of forces with equal torques."""
 NOTHING = 0.9
-"""Half the squares of torques that are no more than rounding, as a power of it."""
+"""Half the squares of torques that are rounding, as a power of the machine epsilon."""
 REACH = 1e3
-"""Where no limit bounds a normal force, the bound is proven up to so many times the sum of those found."""
+"""Factor of the sum of the computed normal forces up to which the bound is proven, where no limit is lower."""
 
 
 def search(conic: ConeProblem) -> SearchResult:
@@ -49,7 +49,7 @@ def value(conic: ConeProblem, y: Array) -> Array:
 
 
 def _bound(conic: ConeProblem, multipliers: Multipliers, normal_force: Array) -> Array:
-    """What no torques stay below, of forces within the limits and ``REACH`` ``(B,)``."""
+    """Compute the lower bound of the torques of forces within the limits and ``REACH`` ``(B,)``."""
     farthest = REACH * jnp.sum(normal_force, -1, keepdims=True)
     if conic.normal_max is not None:
         farthest = jnp.minimum(farthest, conic.normal_max)
@@ -57,12 +57,15 @@ def _bound(conic: ConeProblem, multipliers: Multipliers, normal_force: Array) ->
     return _root(_half(conic, multipliers) - gained)
 
 
-def lagrangian(conic: ConeProblem, found: SearchResult) -> Array:
-    """Stationary in forces and multipliers at the optimum, where it is the value."""
-    half = jnp.sum(_torques(conic, found.y) ** 2, -1) / 2
-    some = half > float(jnp.finfo(half.dtype).eps) ** NOTHING
+def lagrangian(conic: ConeProblem, result: SearchResult) -> Array:
+    """Evaluate the Lagrangian, which is stationary in forces and multipliers at the optimum and equal to the value
+    there."""
+    half = jnp.sum(_torques(conic, result.y) ** 2, -1) / 2
+    is_positive = half > float(jnp.finfo(half.dtype).eps) ** NOTHING
     return _root(
-        jnp.where(some, half + constraints(conic, found.multipliers._replace(objective_rates=None), found.y), 0)
+        jnp.where(
+            is_positive, half + constraints(conic, result.multipliers._replace(objective_rates=None), result.y), 0
+        )
     )
 
 

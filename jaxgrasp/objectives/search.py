@@ -1,4 +1,4 @@
-"""What the search for an objective's optimum hands back."""
+"""Result of the search for an objective's optimum."""
 
 from typing import NamedTuple
 
@@ -13,10 +13,10 @@ class SearchResult(NamedTuple):
     y: Array
     """``(B, n, c)``."""
     bound: Array
-    """``(B,)``: that no forces are better than."""
+    """``(B,)``: value that no forces exceed in quality."""
     multipliers: Multipliers
-    """What proves it, and how the value moves."""
+    """Multipliers that prove the bound, and give the derivative of the value."""
     shares: Array | None
-    """``(B, n)``: of what contacts bear, in an objective that is about the largest of them."""
-    missed: Array
-    """``(B,)``: by how much forces miss equations and limits."""
+    """``(B, n)``: multipliers of the contacts' shares, for an objective over the largest share; else None."""
+    residual: Array
+    """``(B,)``: residual of equations and limits."""

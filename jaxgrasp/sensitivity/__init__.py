@@ -1,10 +1,16 @@
-"""How answers move with what they depend on: matrices, trajectories, and design, all by automatic differentiation."""
+"""Sensitivities of results to their parameters: matrices, trajectories and design, by automatic differentiation."""
 
 from jaxgrasp.sensitivity.design import Design, raise_worst
 from jaxgrasp.sensitivity.matrix import Influence, SensitivityMatrix, sensitivity_matrix
-from jaxgrasp.sensitivity.outputs import FrictionReserve, Output, friction_reserve
-from jaxgrasp.sensitivity.paper_task import cylinder_task
-from jaxgrasp.sensitivity.trajectory import SensitivityTrajectory, VariedCurves, sensitivity_trajectory
+from jaxgrasp.sensitivity.task_file import cylinder_task
+from jaxgrasp.sensitivity.trajectory import (
+    FrictionReserve,
+    Output,
+    SensitivityTrajectory,
+    VariedCurves,
+    friction_reserve,
+    sensitivity_trajectory,
+)
 
 __all__ = [
     "Design",

@@ -1,9 +1,10 @@
-"""Sensitivity trajectories: outputs over time along a task, how parameters move them, and what if (section II-G.3)."""
+"""Sensitivity trajectories: outputs over time along a task, their derivatives, and varied curves (section II-G.3)."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, lru_cache, partial
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,12 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.faults import entries as faults_in
+from jaxgrasp.force.distribution import closed_form, constrained_optimum
+from jaxgrasp.force.least_friction import least_friction
+from jaxgrasp.force.slip import friction_margin, slip_angle, stability_margin
+from jaxgrasp.model.arrays import AnyArray, Bool, Float
+from jaxgrasp.model.compared_methods import methods_named
+from jaxgrasp.model.faults import entries as issues_in
 from jaxgrasp.model.grasp import Grasp
-from jaxgrasp.model.solution import is_known
+from jaxgrasp.model.solution import Solution, is_known
 from jaxgrasp.model.task import Task
 from jaxgrasp.numerics.compiled_code import compile_quickly_options, traced_for_here
+from jaxgrasp.numerics.no_derivative import nondifferentiable_where
 from jaxgrasp.sensitivity.matrix import SensitivityMatrix, named_outputs
 from jaxgrasp.sensitivity.naming import (
     Entry,
@@ -24,30 +30,30 @@ from jaxgrasp.sensitivity.naming import (
     as_arrays,
     check_finite,
     check_labels,
-    chosen,
     entries_of,
     row_of,
+    select_entries,
     values_at,
     with_values,
 )
 from jaxgrasp.validation.checked import checked
 
 MOST_SHOWN = 4
-"""Outputs, and parameters, that ``print`` shows."""
+"""Number of outputs, and of parameters, that ``print`` shows."""
 OutputOf = Callable[[Grasp, Array], Any]
 
 
 class VariedCurves(eqx.Module):
-    """Curves for several values of one parameter, as they are and as the nominal curve's derivatives foresee them."""
+    """Curves for several values of a parameter, exact and as predicted by the nominal curve's derivatives."""
 
     values: Float[Array, "V"]
     curves: Float[Array, "V T M"]
     predicted: Float[Array, "V T M"]
-    """Nominal curve and derivative times the change of the parameter."""
+    """Nominal curve plus derivative times the change of the parameter."""
 
     @property
     def error(self) -> Float[Array, "V T M"]:
-        """Error of the prediction, in the output's unit; zero where both are the same, infinite ones too."""
+        """Return the error of the prediction, in the output's unit; zero where both are equal, infinite values too."""
         return jnp.where(self.predicted == self.curves, 0, self.predicted - self.curves)
 
 
@@ -59,15 +65,15 @@ class SensitivityTrajectory(eqx.Module):
     matrix: SensitivityMatrix
     """Nominal curves and their derivatives, of leading axis T: ``nominal`` (T, M) and ``derivatives`` (T, M, P)."""
     varied: dict[str, VariedCurves]
-    """Varied curves, by the name of the parameter that was varied."""
+    """Varied curves, by the name of the varied parameter."""
 
     @property
     def curves(self) -> Float[Array, "T M"]:
-        """Nominal curves of the outputs over the times, one column for each of ``matrix.output_labels``."""
+        """Return the nominal curves of the outputs over the times, a column for each of ``matrix.output_labels``."""
         return self.matrix.nominal
 
     def __str__(self) -> str:
-        """Times, the range of each output, and the parameters of most influence, in some ten lines."""
+        """Summarise times, the range of each output, and the most influential parameters, in some ten lines."""
         if not all(map(is_known, jax.tree.leaves(self))):
             return repr(self)
         times, curves = np.asarray(self.times), np.asarray(self.curves)
@@ -76,12 +82,12 @@ class SensitivityTrajectory(eqx.Module):
             f"{len(times)} times from {times[0]:g} to {times[-1]:g} s"
         ]
         for label, entry, curve in list(zip(self.matrix.output_labels, self.matrix.outputs, curves.T))[:MOST_SHOWN]:
-            known = curve[~np.isnan(curve)]
-            extremes = f"{known.min():.4g} to {known.max():.4g}" if known.size else "none"
+            valid = curve[~np.isnan(curve)]
+            extremes = f"{valid.min():.4g} to {valid.max():.4g}" if valid.size else "none"
             lines.append(f"  {label}: {extremes}{f' {entry.unit}' if entry.unit else ''}")
         if curves.shape[1] > MOST_SHOWN:
             lines.append(f"  ... {curves.shape[1] - MOST_SHOWN} more outputs")
-        strongest = [f"{one.label} {one.size:.3g}" for one in self.matrix.ranking()[:MOST_SHOWN]]
+        strongest = [f"{influence.label} {influence.size:.3g}" for influence in self.matrix.ranking()[:MOST_SHOWN]]
         if strongest:
             lines.append(f"  influence of parameters by their size: {', '.join(strongest)}")
         for name, varied in self.varied.items():
@@ -99,29 +105,29 @@ def sensitivity_trajectory(
     vary: Mapping[str, Sequence[float]] | None = None,
     labels: Labels | None = None,
 ) -> SensitivityTrajectory:
-    """Curves of an output along a task, their derivatives by the task's parameters, and varied curves.
+    """Compute curves of an output along a task, their derivatives by the task's parameters, and varied curves.
 
-    One compiled program does all times and all parameters, and is run again for each varied value; the derivatives are
-    forward or reverse ones, whichever are fewer at one time.
+    One compiled program evaluates all times and all parameters, and is run again for each varied value; the derivatives
+    are forward or reverse ones, whichever are fewer at one time.
 
     Args:
         task: grasp and wrench over time.
         times: ascending ``(T,)`` [s].
         output: (grasp, wrench) -> an array or a tree of arrays, for the leading axis of the times: an
-            [`jaxgrasp.sensitivity.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. What
-            it says of an instant must depend on that instant alone, so no sums over time. Let it be one function
-            for all calls, not made anew for each.
+            [`jaxgrasp.sensitivity.Output`][], a function such as [`jaxgrasp.least_squeeze`][], or one of your own. Its
+            value at an instant must depend on that instant alone, so no sums over time. Pass the same function in all
+            calls, not a new one in each.
         by: names of parameters, as for [`jaxgrasp.sensitivity.sensitivity_matrix`][]; all of the task's by default.
-        vary: values to try, by the name of a parameter, such as ``{"contributions[1]": (0.5, 1.0, 2.0)}``; an array's
-            name stands for all of its entries at once.
+        vary: values for varied curves, by the name of a parameter, such as ``{"contributions[1]": (0.5, 1.0, 2.0)}``;
+            an array's name stands for all of its entries at once.
         labels: as for [`jaxgrasp.sensitivity.sensitivity_matrix`][].
 
     Returns:
         A SensitivityTrajectory.
 
     Raises:
-        ValueError: for times that do not ascend, names that are unknown, parameters that are not finite, a task that
-            returns no grasp and wrench, and an output that lacks the axis of the times.
+        ValueError: for times that do not ascend, unknown names, parameters that are not finite, a task that does not
+            return a grasp and a wrench, and an output without the axis of the times.
     """
     return trajectory_call(task, times, output, by, vary=vary, labels=labels)()
 
@@ -136,7 +142,8 @@ def trajectory_call(
     labels: Labels | None = None,
     once: bool = False,
 ) -> Callable[[], SensitivityTrajectory]:
-    """What gives the trajectory, once the arguments are known to be good; calls of several may run side by side.
+    """Check the arguments, and return the function that computes the trajectory; several such calls may run in
+    parallel.
 
     Args:
         task, times, output, by, vary, labels: as for [`jaxgrasp.sensitivity.sensitivity_trajectory`][], as are errors.
@@ -145,35 +152,35 @@ def trajectory_call(
     instants = read_times(times)
     task = as_arrays(task)
     entries = entries_of(task.parameters, labels)
-    wanted = chosen(entries, by)
-    check_finite(task.parameters, wanted)
+    selected = select_entries(entries, by)
+    check_finite(task.parameters, selected)
     outputs = outputs_of(task, output, instants, labels)
     check_labels(labels, (*entries, *outputs))
-    tried = tuple(chosen(entries, [name]) for name in vary or {})
-    values = tuple(jnp.asarray(_read_row(f"values of {name}", these)) for name, these in (vary or {}).items())
-    together = tuple(dict.fromkeys((*wanted, *chain(*tried))))
-    forward = len(together) <= len(outputs)
+    varied_entries = tuple(select_entries(entries, [name]) for name in vary or {})
+    values = tuple(jnp.asarray(_read_row(f"values of {name}", numbers)) for name, numbers in (vary or {}).items())
+    differentiated = tuple(dict.fromkeys((*selected, *chain(*varied_entries))))
+    forward = len(differentiated) <= len(outputs)
 
     def call() -> SensitivityTrajectory:
-        # One program for the nominal and all varied curves: what it takes to compile would last for many calls of it.
-        found = partial(_program(forward, once), task, output, instants, together)
-        here = jnp.asarray(values_at(task.parameters, together, np))
-        nominal, derivatives = found(here)
-        matrix = SensitivityMatrix(derivatives, nominal, here, outputs, together)
+        # One program for the nominal and all varied curves: compiling takes as long as many calls of it.
+        program = partial(_program(forward, once), task, output, instants, differentiated)
+        point = jnp.asarray(values_at(task.parameters, differentiated, np))
+        nominal, derivatives = program(point)
+        matrix = SensitivityMatrix(derivatives, nominal, point, outputs, differentiated)
         varied = {}
-        for name, these, each in zip(vary or {}, tried, values, strict=True):
-            curves = jnp.stack([found(jnp.asarray(row))[0] for row in _varied_rows(matrix, these, each)])
-            varied[name] = VariedCurves(each, curves, _predicted(matrix, these, each))
-        if together != wanted:
-            kept = slice(len(wanted))
-            matrix = SensitivityMatrix(derivatives[..., kept], nominal, matrix.values[kept], outputs, wanted)
+        for name, numbers, row_values in zip(vary or {}, varied_entries, values, strict=True):
+            curves = jnp.stack([program(jnp.asarray(row))[0] for row in _varied_rows(matrix, numbers, row_values)])
+            varied[name] = VariedCurves(row_values, curves, _predicted(matrix, numbers, row_values))
+        if differentiated != selected:
+            columns = slice(len(selected))
+            matrix = SensitivityMatrix(derivatives[..., columns], nominal, matrix.values[columns], outputs, selected)
         return SensitivityTrajectory(instants, matrix, varied)
 
     return call
 
 
 def _varied_rows(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array) -> np.ndarray:
-    """``(V, P)``: all parameters, these with one value after another."""
+    """Return rows ``(V, P)`` of all parameters, with these entries set to one value after the other."""
     rows = np.repeat(np.asarray(matrix.values)[None], len(values), 0)
     rows[:, _columns(matrix, entries)] = np.asarray(values)[:, None]
     return rows
@@ -181,8 +188,8 @@ def _varied_rows(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Ar
 
 def _predicted(matrix: SensitivityMatrix, entries: Sequence[Entry], values: Array) -> Array:
     columns = _columns(matrix, entries)
-    moved = values[:, None] - matrix.values[columns]
-    return matrix.nominal + jnp.einsum("tmk,vk->vtm", matrix.derivatives[..., columns], moved)
+    change = values[:, None] - matrix.values[columns]
+    return matrix.nominal + jnp.einsum("tmk,vk->vtm", matrix.derivatives[..., columns], change)
 
 
 def _columns(matrix: SensitivityMatrix, entries: Sequence[Entry]) -> np.ndarray:
@@ -191,31 +198,36 @@ def _columns(matrix: SensitivityMatrix, entries: Sequence[Entry]) -> np.ndarray:
 
 @cache
 def _program(forward: bool, once: bool) -> Callable[..., tuple[Array, Array]]:
-    """Curves and their derivatives, at some values of the wanted parameters."""
+    """Compile curves and their derivatives as a function of the selected parameters."""
     options: dict[str, Any] = {"compiler_options": compile_quickly_options()} if once else {}
     return eqx.filter_jit(traced_for_here(_forward if forward else _reverse), **options)
 
 
 def _curves(task: Task, output: OutputOf, times: Array, parameters: Any, axis: int | None = None) -> Array:
-    """``(T, M)``; the solvers get all times as one batch."""
+    """Compute the curves ``(T, M)``; the solvers get all times as one batch."""
     return row_of(named_outputs(output, output(*jax.vmap(task.at, (axis, 0))(parameters, times))), 1)
 
 
-def _forward(task: Task, output: OutputOf, times: Array, wanted: Sequence[Entry], here: Array) -> tuple[Array, Array]:
+def _forward(
+    task: Task, output: OutputOf, times: Array, selected: Sequence[Entry], point: Array
+) -> tuple[Array, Array]:
     def curves(values: Array) -> tuple[Array, Array]:
-        found = _curves(task, output, times, with_values(task.parameters, wanted, values))
-        return found, found
+        row = _curves(task, output, times, with_values(task.parameters, selected, values))
+        return row, row
 
-    derivatives, nominal = jax.jacfwd(curves, has_aux=True)(here)
+    derivatives, nominal = jax.jacfwd(curves, has_aux=True)(point)
     return nominal, derivatives
 
 
-def _reverse(task: Task, output: OutputOf, times: Array, wanted: Sequence[Entry], here: Array) -> tuple[Array, Array]:
-    """With parameters of its own for each time, one pull gives an output's gradients at all times."""
-    put = jax.vmap(lambda values: with_values(task.parameters, wanted, values))
-    each = jnp.broadcast_to(here, (times.size, here.size))
-    nominal, pull = jax.vjp(lambda values: _curves(task, output, times, put(values), 0), each)
-    rows = jax.vmap(lambda one: pull(jnp.broadcast_to(one, nominal.shape))[0])(jnp.eye(nominal.shape[1]))
+def _reverse(
+    task: Task, output: OutputOf, times: Array, selected: Sequence[Entry], point: Array
+) -> tuple[Array, Array]:
+    """Differentiate in reverse mode: with separate parameters for each time, one pullback gives an output's gradients
+    at all times."""
+    put = jax.vmap(lambda values: with_values(task.parameters, selected, values))
+    rows_of_parameters = jnp.broadcast_to(point, (times.size, point.size))
+    nominal, pull = jax.vjp(lambda values: _curves(task, output, times, put(values), 0), rows_of_parameters)
+    rows = jax.vmap(lambda cotangent: pull(jnp.broadcast_to(cotangent, nominal.shape))[0])(jnp.eye(nominal.shape[1]))
     return nominal, jnp.moveaxis(rows, 0, 1)
 
 
@@ -230,46 +242,136 @@ def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a
     array = np.asarray(numbers, float)
     if array.ndim != 1 or not array.size:
         raise ValueError(f"{name} has shape {array.shape}: expected one axis, and one entry at least")
-    for fault in faults_in(name, array, ~np.isfinite(array), expected):
-        raise ValueError(str(fault))
+    for issue in issues_in(name, array, ~np.isfinite(array), expected):
+        raise ValueError(str(issue))
     return array
 
 
 def outputs_of(task: Task, output: OutputOf, times: Array, labels: Labels | None) -> tuple[Entry, ...]:
-    """The outputs at one time, once task and output are known to return what they should."""
+    """List the outputs at one time, after checks of the shapes that task and output return."""
     leaves, structure = jax.tree.flatten(task.parameters)
     shapes = tuple(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf for leaf in leaves)
-    asked = (task.at, output, structure, shapes, times.shape, times.dtype)
+    key = (task.at, output, structure, shapes, times.shape, times.dtype)
     try:
-        hash(asked)
+        hash(key)
     except TypeError:
-        # A Module that holds arrays is no key.
-        return entries_of(_shapes.__wrapped__(*asked), labels)
-    return entries_of(_shapes(*asked), labels)
+        # A Module that holds arrays cannot be hashed.
+        return entries_of(_shapes.__wrapped__(*key), labels)
+    return entries_of(_shapes(*key), labels)
 
 
 @lru_cache(256)
 def _shapes(at: Callable, output: OutputOf, structure: Any, shapes: tuple, instants: tuple[int], dtype: Any) -> Any:
-    """Shapes of the outputs at one time; kept, since tracing task and output takes as long as running them."""
+    """Return the shapes of the outputs at one time; cached, since tracing task and output takes as long as running
+    them."""
     parameters = jax.tree.unflatten(structure, shapes)
     _check_returned(jax.eval_shape(at, parameters, jax.ShapeDtypeStruct((), dtype)))
     batch = jax.eval_shape(jax.vmap(at, (None, 0)), parameters, jax.ShapeDtypeStruct(instants, dtype))
-    found = named_outputs(output, jax.eval_shape(output, *batch))
-    for leaf in jax.tree.leaves(found):
+    outputs = named_outputs(output, jax.eval_shape(output, *batch))
+    for leaf in jax.tree.leaves(outputs):
         if leaf.shape[:1] != instants:
             raise ValueError(f"the output has shape {leaf.shape}: expected the axis of the {instants[0]} times first")
-    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), found)
+    return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), outputs)
 
 
-def _check_returned(made: Any) -> None:
+def _check_returned(returned: Any) -> None:
     """Raise ValueError unless a task returned a grasp and a wrench."""
-    if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Grasp)):
-        kinds = ", ".join(type(part).__name__ for part in made) if isinstance(made, tuple) else type(made).__name__
+    if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[0], Grasp)):
+        kinds = (
+            ", ".join(type(part).__name__ for part in returned)
+            if isinstance(returned, tuple)
+            else type(returned).__name__
+        )
         raise ValueError(f"the task returns ({kinds}): expected a Grasp and a wrench")
-    grasp, wrench = made
+    grasp, wrench = returned
     n = np.shape(grasp.friction)[-1:]
     expected = {"points": (*n, 3), "normals": (*n, 3), "friction": n, "squeeze": n}
     shapes = {f"grasp's {name}": (np.shape(getattr(grasp, name)), shape) for name, shape in expected.items()}
-    for name, (shape, wanted) in {**shapes, "wrench": (np.shape(wrench), (6,))}.items():
-        if shape != wanted:
-            raise ValueError(f"the task's {name} has shape {shape}: expected {wanted}")
+    for name, (shape, expected_shape) in {**shapes, "wrench": (np.shape(wrench), (6,))}.items():
+        if shape != expected_shape:
+            raise ValueError(f"the task's {name} has shape {shape}: expected {expected_shape}")
+
+
+QUANTITIES: dict[str, Callable[[Grasp, Solution], Array]] = {
+    "forces": lambda grasp, solution: solution.forces,
+    "slip_angle": lambda grasp, solution: slip_angle(grasp, solution.forces),
+    "stability_margin": lambda grasp, solution: stability_margin(grasp, solution.forces),
+    "friction_margin": lambda grasp, solution: friction_margin(grasp, solution.forces, solution.moments),
+    "objective": lambda grasp, solution: solution.objective,
+}
+
+
+class FrictionReserve(NamedTuple):
+    """Reserve of friction of a grasp."""
+
+    reserve: Float[Array, "*batch"]
+    """Friction over the least sufficient friction; below 1 it is insufficient, +inf where hardly any is needed."""
+
+
+@checked
+def friction_reserve(grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> FrictionReserve:
+    """Compute the factor by which friction exceeds the least sufficient one, at the normal forces that the hand means
+    to exert in total.
+
+    It ranks optima, whose active contacts have no margin left however large their reserve: it is the inverse of
+    [`jaxgrasp.least_friction`][]. Below 1 the friction is insufficient; +inf where hardly any is needed, and 0 where no
+    friction suffices. Both are constant in the data; 0 has no derivative (NaN).
+    """
+    share = least_friction(grasp, wrench)
+    bounded = (share > 0) & jnp.isfinite(share)
+    reserve = jnp.where(bounded, 1 / jnp.where(bounded, share, 1), jnp.where(share > 0, 0, jnp.inf))
+    return FrictionReserve(nondifferentiable_where(jnp.isinf(share), reserve, share))
+
+
+@dataclass(frozen=True)
+class Output:
+    """Function of (grasp, wrench) that returns one quantity by one method, for any leading axes.
+
+    Equal ones are compiled once.
+
+    Args:
+        quantity: ``"forces"`` ``(n, 3)`` [N]; ``"slip_angle"``, ``"stability_margin"`` or ``"friction_margin"``
+            ``(n,)`` [rad]; or ``"objective"``, one number, F_2 [N^2] (eq. 5) of A and F_3 [N] (eq. 13) of B.
+        method: ``"A"`` or ``"B"`` for the closed form, ``"A-optimum"`` or ``"B-optimum"`` for the constrained optimum
+            by the same sharing.
+
+    Raises:
+        ValueError: for an unknown quantity or method.
+    """
+
+    quantity: str
+    """``forces`` [N], ``slip_angle``, ``stability_margin`` or ``friction_margin`` [rad], or ``objective``."""
+    method: str = "B"
+    """A or B for the closed form, A-optimum or B-optimum for the constrained optimum by the same sharing."""
+
+    def __post_init__(self):
+        if self.quantity not in QUANTITIES:
+            raise ValueError(f"quantity {self.quantity!r} is unknown: expected one of {', '.join(QUANTITIES)}")
+        methods_named((self.method,))
+
+    def __call__(self, grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[str, Any]:
+        """Return the quantity, by its name."""
+        (method,) = methods_named((self.method,))
+        solve = constrained_optimum if method.constrained else closed_form
+        return {self.quantity: QUANTITIES[self.quantity](grasp, solve(grasp, wrench, method.sharing))}
+
+
+class SlipAngles(eqx.Module):
+    """Function of (grasp, wrench) that returns slip angles, for any leading axes; both sharings are one program."""
+
+    by_squeeze: Bool[AnyArray, ""]
+    """True if squeezing forces are the weights, False for weights of 1."""
+    constrained: bool = eqx.field(static=True)
+
+    @classmethod
+    def by(cls, method: str) -> "SlipAngles":
+        """Build the function for a method's forces."""
+        (named,) = methods_named((method,))
+        return cls(np.asarray(named.sharing == "squeeze"), named.constrained)
+
+    def __call__(self, grasp: Grasp, wrench: Float[AnyArray, "*batch 6"]) -> dict[str, Array]:
+        """Return ``slip_angle`` [rad]."""
+        squeeze = jnp.asarray(grasp.squeeze)
+        weights = jnp.where(self.by_squeeze, squeeze, jnp.ones_like(squeeze))
+        solve = constrained_optimum if self.constrained else closed_form
+        return {"slip_angle": slip_angle(grasp, solve(grasp, wrench, weights).forces)}

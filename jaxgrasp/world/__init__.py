@@ -1,5 +1,4 @@
-"""Worlds of many bodies: a hand among objects that touch one another, simulated by the package's own engine or by
-MuJoCo."""
+"""Worlds of many bodies: a hand among objects that touch one another, by the package's engine or MuJoCo's."""
 
 from jaxgrasp.world.hand_share import BodyTouches, HandShare
 from jaxgrasp.world.many_bodies import RigidBody, World, WorldState, at_rest

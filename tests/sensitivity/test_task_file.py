@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from jaxgrasp.cli.main import main
-from jaxgrasp.sensitivity.paper_task import FINGERS, cylinder_task
-from jaxgrasp.sensitivity.task_file import load_task
+from jaxgrasp.sensitivity.task_file import FINGERS, cylinder_task, load_task
 
 PAPER = """
 fingers = ["thumb", "index", "middle", "ring", "little"]

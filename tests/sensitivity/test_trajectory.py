@@ -9,7 +9,7 @@ import jaxgrasp
 from jaxgrasp.grip import Task
 from jaxgrasp.sensitivity import Output, cylinder_task, friction_reserve, sensitivity_trajectory
 from jaxgrasp.sensitivity.naming import with_values
-from jaxgrasp.sensitivity.paper_task import FINGERS, INDEX_CONTRIBUTIONS
+from jaxgrasp.sensitivity.task_file import FINGERS, INDEX_CONTRIBUTIONS
 from jaxgrasp.sensitivity.trajectory import trajectory_call
 
 TIMES = np.linspace(0.013, 3.987, 31)

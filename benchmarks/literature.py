@@ -25,12 +25,10 @@ from benchmarks.page import literature_plot, literature_tables
 from benchmarks.page.clock import interleaved
 from jaxgrasp import Grasp, Limits, Verdict, closed_form, constrained_optimum, friction_margin
 from jaxgrasp.literature import LITERATURE_METHODS, MethodStatus, kuhn_tucker
-from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
-from jaxgrasp.literature.host_problem import host_problem
-from jaxgrasp.literature.linear import LinearProgram, solve_plain
+from jaxgrasp.literature.linear import LinearProgram, sizes_of, solve_compact_dual, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
-from jaxgrasp.literature.scaled_batch import scale
+from jaxgrasp.literature.scaled_problems import host_problem, scale
 from jaxgrasp.sensitivity import cylinder_task
 from jaxgrasp.testing import references as R
 from jaxgrasp.testing.problem_data import Problems

@@ -1,7 +1,7 @@
-"""Force distribution as the literature before the paper has it (section II-D): each method by its own formulation.
+"""Force distribution methods of the literature before the paper (section II-D), each in its own formulation.
 
-They are rivals and references: every one takes the same grasps and wrenches and answers with one type, so that they
-can be compared with each other, with the closed forms and with the constrained optimum. None is differentiable.
+They are rivals and references: all take the same grasps and wrenches and return the same type, so that they can be
+compared with each other, with the closed forms and with the constrained optimum. None is differentiable.
 """
 
 from jaxgrasp.force.lagrange import lagrange_forces
@@ -11,7 +11,7 @@ from jaxgrasp.literature.cheng_orin import cheng_orin
 from jaxgrasp.literature.kerr_roth import kerr_roth
 from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
 from jaxgrasp.literature.kumar_waldron import kumar_waldron
-from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
+from jaxgrasp.literature.method_input import MethodAnswer, MethodStatus
 from jaxgrasp.literature.nakamura import nakamura
 from jaxgrasp.literature.orin_oh import orin_oh
 

@@ -1,4 +1,4 @@
-"""One table of all methods of the literature, so that they can be run on one batch and compared."""
+"""Table of all methods of the literature, to run and compare them on a batch."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from jaxgrasp.literature.cheng_orin import cheng_orin
 from jaxgrasp.literature.kerr_roth import kerr_roth
 from jaxgrasp.literature.kuhn_tucker import kuhn_tucker
 from jaxgrasp.literature.kumar_waldron import kumar_waldron
-from jaxgrasp.literature.method_answer import MethodAnswer
+from jaxgrasp.literature.method_input import MethodAnswer
 from jaxgrasp.literature.nakamura import nakamura
 from jaxgrasp.literature.orin_oh import orin_oh
 from jaxgrasp.model.arrays import AnyArray
@@ -19,18 +19,18 @@ from jaxgrasp.model.limits import Limits
 
 @dataclass(frozen=True)
 class Method:
-    """A method, and what has to be known to compare it with another."""
+    """A method with the properties that a comparison needs."""
 
     title: str
     solve: Callable[..., MethodAnswer]
     measure: str
-    """What its objective is, with the unit."""
+    """Objective, with its unit."""
     friction: Literal["pyramids", "cones"]
-    """What it takes for friction: forces in the ``"cones"`` are the problem itself."""
+    """Model of friction: forces in the ``"cones"`` are those of the problem itself."""
     takes_limits: bool = False
 
     def __call__(self, grasp: Grasp, wrench: AnyArray, limits: Limits, **options: Any) -> MethodAnswer:
-        """Run it, with the limits if it knows any."""
+        """Run the method, with the limits if it supports any."""
         return self.solve(grasp, wrench, **({"limits": limits} if self.takes_limits else {}), **options)
 
 
@@ -43,4 +43,4 @@ LITERATURE_METHODS = {
     "kumar_waldron": Method("Kumar, Waldron 1988", kumar_waldron, "largest interaction force [N]", "cones"),
     "kuhn_tucker": Method("Kuhn-Tucker, active set", kuhn_tucker, "F_3 [N], or F_2 [N^2]", "pyramids"),
 }
-"""By the name of their function in ``jaxgrasp``, in the order in which the paper names them."""
+"""Methods by the name of their function in ``jaxgrasp.literature``, in the order of the paper."""

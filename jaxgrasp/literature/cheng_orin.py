@@ -1,4 +1,4 @@
-"""Cheng and Orin: the same linear program, made small twice over before a simplex method sees it.
+"""Cheng and Orin: the same linear program, reduced twice before the simplex method.
 
 F.-T. Cheng and D. E. Orin, "Efficient algorithm for optimal force distribution: the compact-dual LP method", IEEE
 Trans. Robotics and Automation 6(2), 1990: the balance of forces is brought to row-reduced echelon form, whose general
@@ -8,17 +8,16 @@ and many inequalities, the dual is solved, which has few rows.
 The measure is Orin and Oh's, as defined in ``orin_oh.py``. Ours: which forces are free follows from a QR
 decomposition with pivoting, rather than from elimination in the order of the contacts.
 
-How it fails: as the plain program does, whose optimum it finds; where that is not unique it may find another one. An
+Failures: as the plain program does, whose optimum it finds; where that is not unique it may find another one. An
 infeasible program shows as an unbounded dual. A modern solver removes the balance by itself, so that what was a
 manifold gain in 1990 is little now.
 """
 
-from jaxgrasp.literature.compact import solve_compact_dual
-from jaxgrasp.literature.host_problem import HostProblem, HostResult, balanced, solve_each
-from jaxgrasp.literature.method_answer import MethodAnswer
-from jaxgrasp.literature.method_input import read_input
+from jaxgrasp.literature.linear import solve_compact_dual
+from jaxgrasp.literature.method_input import MethodAnswer, read_input
 from jaxgrasp.literature.orin_oh import check_weights, forces_of, load_program
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid
+from jaxgrasp.literature.scaled_problems import HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -37,7 +36,7 @@ def cheng_orin(
     pyramid: Pyramid = "inscribed",
     throw: bool = True,
 ) -> MethodAnswer:
-    """What [`jaxgrasp.literature.orin_oh`][] minimises, by the compact dual.
+    """Minimise the objective of [`jaxgrasp.literature.orin_oh`][], by the compact dual.
 
     Args are those of [`jaxgrasp.literature.orin_oh`][], and so are errors.
 

@@ -1,14 +1,14 @@
-"""Kerr and Roth: the forces that stay farthest from every constraint, by a linear program.
+"""Kerr and Roth: forces farthest from every constraint, by a linear program.
 
 J. Kerr and B. Roth, "Analysis of multifingered hands", Int. J. Robotics Research 4(4), 1986: friction cones as tangent
 planes, joint torques bounded; internal forces are chosen such that the least distance to any of these planes is
 largest.
 
-Known from descriptions in later work; ours are: distances measured in the space of all contact forces (each row has
-unit length there) rather than of internal force magnitudes, pyramids whose facets may also lie on the cone, and that
-a bound on normal forces counts as a plane like any other.
+Reconstructed from descriptions in later work; choices made here: distances measured in the space of all contact forces
+(each row has unit length there) rather than of internal force magnitudes, pyramids whose facets may also lie on the
+cone, and that a bound on normal forces counts as a plane like any other.
 
-How it fails, apart from pyramids being none of nature's: without a bound on every normal force the distance grows
+Failures, beside those of pyramids: without a bound on every normal force the distance grows
 without end, and with one the hand squeezes as hard as the bound allows, however light the object (the paper's own
 objection). Forces jump where another plane becomes the closest, and where several forces are equally far from all
 planes the simplex method picks any. A contact without friction has a distance of zero, and then so has the grasp.
@@ -16,11 +16,10 @@ planes the simplex method picks any. A contact without friction has a distance o
 
 import numpy as np
 
-from jaxgrasp.literature.host_problem import HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.literature.linear import LinearProgram, solve_plain
-from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read_input
+from jaxgrasp.literature.method_input import MethodAnswer, MethodStatus, read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
+from jaxgrasp.literature.scaled_problems import HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -37,23 +36,24 @@ def kerr_roth(
     pyramid: Pyramid = "inscribed",
     throw: bool = True,
 ) -> MethodAnswer:
-    """Forces as far as can be from slipping and from every limit, over friction pyramids.
+    """Compute the forces farthest from slipping and from every limit, over friction pyramids.
 
     Args:
         grasp: contacts ``(..., n)``, concrete; leading axes broadcast against the wrench's and the limits'.
-        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
-        limits: of normal forces and joint torques; together they must bound every force, or the answer is UNBOUNDED.
+        wrench: wrench required of the contacts ``(..., 6)`` [N, N.m].
+        limits: limits of normal forces and joint torques; together they must bound every force, or the result is
+            UNBOUNDED.
         sides: facets of each pyramid, 3 or more.
-        pyramid: ``"inscribed"``, edges on the cone: forces are ones that friction allows; or ``"circumscribed"``,
+        pyramid: ``"inscribed"``, edges on the cone: all forces are allowed by friction; or ``"circumscribed"``,
             facets on the cone: forces may slip, by up to mu (1 / cos(pi / sides) - 1).
-        throw: whether bad values raise; if not, their problem's status is INVALID_DATA.
+        throw: whether invalid values raise; if not, their problem's status is INVALID_DATA.
 
     Returns:
         A MethodAnswer whose objective is the least distance to any plane [N], and whose iterations are pivots.
 
     Raises:
-        ValueError: for an argument that cannot be used, or limits without any bound from above.
-        GraspError: for data that cannot be used, naming the entry.
+        ValueError: for an invalid argument, or limits without any bound from above.
+        GraspError: for invalid data, by name of the entry.
     """
     check_pyramid(sides, pyramid)
     if limits.normal_max is None and limits.torque_max is None:
@@ -62,7 +62,7 @@ def kerr_roth(
 
 
 def _solve(problem: HostProblem, sides: int, pyramid: Pyramid) -> HostResult:
-    """Over internal forces z and the distance d >= 0: rows (p + N z) + d <= bounds."""
+    """Solve for internal forces z and the distance d >= 0: rows (p + N z) + d <= bounds."""
     balance = balanced(problem)
     if not balance.reached:
         return HostResult(MethodStatus.INFEASIBLE)
@@ -78,8 +78,8 @@ def _solve(problem: HostProblem, sides: int, pyramid: Pyramid) -> HostResult:
         rows=np.concatenate([internal, cost[None]]),
         bounds=np.append(bounds - rows @ balance.particular, 0.0),
     )
-    found = solve_plain(program)
-    if found.x is None:
-        return HostResult(found.status, iterations=found.pivots)
-    forces = balance.particular + balance.basis @ found.x[:-1]
-    return HostResult(found.status, forces, problem.load * found.x[-1], found.pivots)
+    result = solve_plain(program)
+    if result.x is None:
+        return HostResult(result.status, iterations=result.pivots)
+    forces = balance.particular + balance.basis @ result.x[:-1]
+    return HostResult(result.status, forces, problem.load * result.x[-1], result.pivots)

@@ -1,17 +1,17 @@
-"""Linear programs, by SciPy's HiGHS: as they stand, or as Cheng and Orin's compact dual."""
+"""Linear programs by SciPy's HiGHS: the plain program, or its compact dual (see ``cheng_orin.py``)."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxgrasp.literature.method_answer import MethodStatus
+from jaxgrasp.literature.method_input import MethodStatus
 
 OPTIMAL, STOPPED, INFEASIBLE, UNBOUNDED = 0, 1, 2, 3
-"""SciPy's codes; a further one says that HiGHS met numerical difficulties, or could not tell the last two apart."""
+"""SciPy's codes; a further code stands for numerical difficulties, or for a program that is either of the last two."""
 
 
 class LinearProgram(NamedTuple):
-    """Minimise cost . x subject to equal x = right and rows x <= bounds, x of any sign."""
+    """Program min cost . x subject to equal x = right and rows x <= bounds, x of any sign."""
 
     cost: np.ndarray
     equal: np.ndarray
@@ -21,7 +21,7 @@ class LinearProgram(NamedTuple):
 
 
 class LinearOptimum(NamedTuple):
-    """What was found; ``x`` is None unless SOLVED."""
+    """Result of a linear program; ``x`` is None unless SOLVED."""
 
     status: MethodStatus
     x: np.ndarray | None
@@ -30,7 +30,7 @@ class LinearOptimum(NamedTuple):
 
 
 class Size(NamedTuple):
-    """How large a program is that a simplex method is given."""
+    """Size of the program that a simplex method gets."""
 
     rows: int
     columns: int
@@ -38,15 +38,17 @@ class Size(NamedTuple):
 
 
 def solve_plain(program: LinearProgram) -> LinearOptimum:
-    """Solve the program as it stands, by the dual simplex method."""
-    found = highs(program.cost, program.rows, program.bounds, program.equal, program.right, (None, None))
-    if found.status in (OPTIMAL, STOPPED, INFEASIBLE):
-        return optimum(found.status, found.x, found.fun, found.nit)
-    # Whether there is any point at all decides what is unbounded.
-    bare = highs(np.zeros_like(program.cost), program.rows, program.bounds, program.equal, program.right, (None, None))
-    if bare.status == INFEASIBLE:
-        return optimum(INFEASIBLE, None, 0.0, found.nit)
-    return optimum(found.status, None, 0.0, found.nit)
+    """Solve the plain program, by the dual simplex method."""
+    result = highs(program.cost, program.rows, program.bounds, program.equal, program.right, (None, None))
+    if result.status in (OPTIMAL, STOPPED, INFEASIBLE):
+        return optimum(result.status, result.x, result.fun, result.nit)
+    # A feasible point decides between unbounded and infeasible.
+    feasibility = highs(
+        np.zeros_like(program.cost), program.rows, program.bounds, program.equal, program.right, (None, None)
+    )
+    if feasibility.status == INFEASIBLE:
+        return optimum(INFEASIBLE, None, 0.0, result.nit)
+    return optimum(result.status, None, 0.0, result.nit)
 
 
 def highs(cost, rows, bounds, equal, right, within):
@@ -63,3 +65,93 @@ def optimum(code: int, x: np.ndarray | None, value: float | None, pivots: int) -
     }.get(code, MethodStatus.NOT_CONVERGED)
     solved = status == MethodStatus.SOLVED
     return LinearOptimum(status, x if solved else None, float(value or 0.0) if solved else 0.0, int(pivots))
+
+
+RANK_CUT = 1e-11
+"""Equations below this share of the largest count as repetitions of others."""
+CONSISTENT = 1e-9
+"""Largest residual of a repeated equation, relative to its right side."""
+
+
+class Compact(NamedTuple):
+    """Program min cost . z + constant subject to rows z <= bounds, where x = particular + basis z."""
+
+    cost: np.ndarray
+    constant: float
+    rows: np.ndarray
+    bounds: np.ndarray
+    particular: np.ndarray
+    basis: np.ndarray
+
+
+def solve_compact_dual(program: LinearProgram) -> LinearOptimum:
+    """Solve the compact dual by the dual simplex method; the unknowns are the multipliers of its equations."""
+    compact = eliminate(program)
+    if compact is None:
+        return optimum(INFEASIBLE, None, 0.0, 0)
+    if not len(compact.cost):
+        return _without_choice(compact)
+    result = highs(compact.bounds, None, None, compact.rows.T, -compact.cost, (0, None))
+    if result.status == OPTIMAL:
+        free = result.eqlin.marginals
+        x = compact.particular + compact.basis @ free
+        return optimum(OPTIMAL, x, compact.constant - result.fun, result.nit)
+    if result.status == STOPPED:
+        return optimum(STOPPED, None, 0.0, result.nit)
+    # Without an optimum the primal is either infeasible, or unbounded.
+    return optimum(UNBOUNDED if _any_point(compact) else INFEASIBLE, None, 0.0, result.nit)
+
+
+def eliminate(program: LinearProgram) -> Compact | None:
+    """Reduce the program to its free unknowns, by row-reduced echelon form; None where its equations contradict each
+    other."""
+    from scipy.linalg import qr, solve_triangular
+
+    orthogonal, upper, order = qr(program.equal, pivoting=True)
+    sizes = np.abs(np.diag(upper))
+    rank = int(np.sum(sizes > RANK_CUT * sizes.max(initial=0.0)))
+    right = orthogonal.T @ program.right
+    if np.linalg.norm(right[rank:]) > CONSISTENT * np.linalg.norm(program.right):
+        return None
+    dependent, free = order[:rank], order[rank:]
+    solved = solve_triangular(upper[:rank, :rank], np.column_stack([upper[:rank, rank:], right[:rank]]))
+    basis = np.zeros((len(order), len(free)))
+    basis[dependent], basis[free] = -solved[:, :-1], np.eye(len(free))
+    particular = np.zeros(len(order))
+    particular[dependent] = solved[:, -1]
+    return Compact(
+        cost=program.cost @ basis,
+        constant=float(program.cost @ particular),
+        rows=program.rows @ basis,
+        bounds=program.bounds - program.rows @ particular,
+        particular=particular,
+        basis=basis,
+    )
+
+
+def sizes_of(program: LinearProgram) -> tuple[Size, Size]:
+    """Return the sizes of the programs that a simplex method gets, plain and compact dual, without bounds of
+    unknowns."""
+    plain = np.concatenate([program.equal, program.rows])
+    compact = eliminate(program)
+    dual = np.zeros((0, 0)) if compact is None else compact.rows.T
+    return _size(plain), _size(dual)
+
+
+def _size(matrix: np.ndarray) -> Size:
+    rows, columns = matrix.shape
+    return Size(rows, columns, int(np.count_nonzero(np.abs(matrix) > np.finfo(float).eps)))
+
+
+def _any_point(compact: Compact) -> bool:
+    """Return whether any z satisfies the rows: no combination of them is a contradiction."""
+    rows = compact.rows.T
+    return highs(compact.bounds, None, None, rows, np.zeros(len(rows)), (0, None)).status == OPTIMAL
+
+
+def _without_choice(compact: Compact) -> LinearOptimum:
+    """Evaluate a program whose equations determine all unknowns."""
+    scale = 1 + np.abs(compact.bounds)
+    if np.any(compact.bounds < -CONSISTENT * scale):
+        return optimum(INFEASIBLE, None, 0.0, 0)
+    return LinearOptimum(MethodStatus.SOLVED, compact.particular, compact.constant, 0)

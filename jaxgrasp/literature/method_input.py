@@ -1,81 +1,132 @@
-"""What users pass, checked and laid out as a flat batch in float64; and the way back to their leading axes."""
+"""Input and result of the methods of the literature: arguments, checked and flattened, and answers."""
 
 import math
 from collections.abc import Iterator
+from enum import IntEnum
 from typing import NamedTuple
 
+import equinox as eqx
 import numpy as np
 
-from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.model.arrays import AnyArray
+from jaxgrasp.model.arrays import AnyArray, Float, Int
 from jaxgrasp.model.faults import Fault, GraspError, dtype_faults, entries, shape_faults, value_faults
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limit_faults import limit_faults
 from jaxgrasp.model.limits import BOUNDS, Limits
 
 
+class MethodStatus(IntEnum):
+    """Outcome of a problem by a method. The codes are stable in files.
+
+    ``MethodStatus(int(answer.status)).advice`` is a sentence to act on.
+    """
+
+    advice: str
+
+    SOLVED = 0, "These forces balance the wrench within the method's own constraints, and are best by its own measure."
+    INFEASIBLE = (
+        1,
+        "No forces within the method's constraints give this wrench. Pyramids inside the cones, limits, or a demand to "
+        "stay strictly inside the cones may be what forbids it: see whether constrained_optimum finds any.",
+    )
+    UNBOUNDED = (
+        2,
+        "The method's measure grows without end along internal forces: give limits that bound every normal force.",
+    )
+    NOT_CONVERGED = (
+        3,
+        "The method stopped before it reached an optimum or a proof that there is none: allow more steps, or rescale "
+        "an extreme friction or limit.",
+    )
+    OUTSIDE_CONES = (
+        4,
+        "These forces balance the wrench, but a contact slips or pulls, and the method has no others to offer: "
+        "use constrained_optimum.",
+    )
+    INVALID_DATA = 5, "The data hold entries that no method can use: run check_grasp on the grasp, look at the wrench."
+
+    def __new__(cls, code: int, advice: str) -> "MethodStatus":
+        member = int.__new__(cls, code)
+        member._value_ = code
+        member.advice = advice
+        return member
+
+
+class MethodAnswer(eqx.Module):
+    """Contact forces by one method of the literature, for one problem or a batch, in float64."""
+
+    forces: Float[AnyArray, "*batch n 3"]
+    """Force of the hand on the object at each contact [N]; zero where the method found none."""
+    status: Int[AnyArray, "*batch"]
+    """Code of a [`jaxgrasp.literature.MethodStatus`][]."""
+    objective: Float[AnyArray, "*batch"]
+    """Value of the method's own measure, in its own unit, where SOLVED or OUTSIDE_CONES; else zero."""
+    iterations: Int[AnyArray, "*batch"]
+    """Iterations, in the method's own count: pivots of a simplex, changes of a working set, steps of a flow."""
+
+
 class MethodInput(NamedTuple):
-    """B problems of n contacts, float64; limits that were not given do not limit."""
+    """B problems of n contacts, float64; missing limits are infinite."""
 
     points: np.ndarray
     normals: np.ndarray
     friction: np.ndarray
     squeeze: np.ndarray
     present: np.ndarray
-    """Booleans; of a problem whose data are invalid no contact is present, and its wrench is zero."""
+    """Booleans; a problem with invalid data has no present contact, and a wrench of zero."""
     wrench: np.ndarray
     normal_min: np.ndarray
     normal_max: np.ndarray
     torque_map: np.ndarray
-    """``(B, n, 3, j)``, j = 0 where there is none."""
+    """``(B, n, 3, j)``, with j = 0 where there is none."""
     torque_max: np.ndarray
     valid: np.ndarray
     batch: tuple[int, ...]
-    """The leading axes."""
+    """Leading axes."""
 
     def answer(self, forces, status, objective, iterations) -> MethodAnswer:
-        """Results of the flat batch ``(B, ...)`` with the leading axes restored and invalid problems marked."""
+        """Restore the leading axes of results of the flat batch ``(B, ...)``, and mark invalid problems."""
         status = np.where(self.valid, status, MethodStatus.INVALID_DATA).astype(int)
         has_forces = np.isin(status, (MethodStatus.SOLVED, MethodStatus.OUTSIDE_CONES))
-        there = self.present[..., None] & has_forces[:, None, None]
-        forces = np.where(there, forces, 0.0)
-        objective = np.where(there.any((1, 2)), objective, 0.0)
+        has_force = self.present[..., None] & has_forces[:, None, None]
+        forces = np.where(has_force, forces, 0.0)
+        objective = np.where(has_force.any((1, 2)), objective, 0.0)
         shaped = (np.asarray(x).reshape(self.batch + np.shape(x)[1:]) for x in (forces, status, objective, iterations))
         return MethodAnswer(*shaped)
 
 
 def read_input(grasp: Grasp, wrench: AnyArray, limits: Limits | None = None, throw: bool = True) -> MethodInput:
-    """Problems as a flat batch, checked before anything is computed.
+    """Check the arguments, and flatten them to a batch of problems.
 
     Args:
         grasp: contacts ``(..., n)``, concrete; leading axes broadcast against the wrench's and the limits'.
         wrench: ``(..., 6)`` [N, N.m].
-        limits: of normal forces and joint torques.
-        throw: whether a bad value raises; if not, its problem is marked as invalid. Shapes that do not fit raise.
+        limits: limits of normal forces and joint torques.
+        throw: whether an invalid value raises; if not, its problem is marked as invalid. Shapes that do not fit raise.
 
     Raises:
-        GraspError: naming the field, the first bad index, the value and what was expected.
+        GraspError: for an invalid value, with the field, the first index, the value and the expected one.
         ValueError: for shapes that do not fit each other, and for soft fingers.
     """
-    for fault in (*shape_faults(grasp), *dtype_faults(grasp)):
-        raise GraspError(fault)
+    for issue in (*shape_faults(grasp), *dtype_faults(grasp)):
+        raise GraspError(issue)
     _refuse_soft_fingers(grasp)
     fields = _fields(grasp, wrench, limits)
     batch = _leading(fields)
     fields = _unlimited_where_absent(fields)
-    bad = np.zeros(batch, bool)
-    for fault in _value_faults(fields):
+    is_invalid = np.zeros(batch, bool)
+    for issue in _value_faults(fields):
         if throw:
-            raise GraspError(fault)
-        lead = _lead(fault.field, fields[fault.field])
+            raise GraspError(issue)
+        lead = _lead(issue.field, fields[issue.field])
         marked = np.zeros(lead, bool)
-        marked[fault.index[: len(lead)]] = True
-        bad |= marked
+        marked[issue.index[: len(lead)]] = True
+        is_invalid |= marked
     flat, count = {}, math.prod(batch)
     for name, array in fields.items():
         tail = array.shape[len(_lead(name, array)) :]
         flat[name] = np.broadcast_to(array, batch + tail).reshape(count, *tail)
-    return _harmless(flat, ~bad.ravel(), batch)
+    return _harmless(flat, ~is_invalid.ravel(), batch)
 
 
 TAILS: dict[str, tuple[str | int, ...]] = {
@@ -90,7 +141,7 @@ TAILS: dict[str, tuple[str | int, ...]] = {
     "torque_map": ("n", 3, "j"),
     "torque_max": ("j",),
 }
-"""The last axes of every field."""
+"""Last axes of every field."""
 
 
 def _refuse_soft_fingers(grasp: Grasp) -> None:
@@ -100,19 +151,19 @@ def _refuse_soft_fingers(grasp: Grasp) -> None:
     for index in np.argwhere(torsion > 0):
         place = ", ".join(map(str, index))
         raise ValueError(
-            f"torsion[{place}] is {torsion[tuple(index)]}: expected 0, since these methods know hard contacts only"
+            f"torsion[{place}] is {torsion[tuple(index)]}: expected 0, since these methods support hard contacts only"
         )
 
 
 def _fields(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> dict[str, np.ndarray]:
-    """Every field as float64 with the right last axes."""
+    """Convert every field to float64, and check its last axes."""
     n = np.shape(grasp.points)[-2]
     limits = Limits() if limits is None else limits
     mapped = np.zeros((n, 3, 0)) if limits.torque_map is None else np.asarray(limits.torque_map)
     sizes = {"n": n, "j": mapped.shape[-1] if mapped.ndim else 0}
     if limits.torque_max is not None and limits.torque_map is None:
-        raise ValueError("torque_max is given without torque_map: torques are known by the map alone")
-    given = {
+        raise ValueError("torque_max is given without torque_map: expected both, since the map gives the torques")
+    arrays = {
         "points": grasp.points,
         "normals": grasp.normals,
         "friction": grasp.friction,
@@ -124,7 +175,7 @@ def _fields(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> dict[str, 
         "torque_map": mapped,
         "torque_max": np.full(sizes["j"], np.inf) if limits.torque_max is None else limits.torque_max,
     }
-    fields = {name: np.asarray(array, float) for name, array in given.items()}
+    fields = {name: np.asarray(array, float) for name, array in arrays.items()}
     for name, array in fields.items():
         tail = tuple(axis if isinstance(axis, int) else sizes[axis] for axis in TAILS[name])
         if array.ndim < len(tail) or array.shape[len(_lead(name, array)) :] != tail:
@@ -133,7 +184,7 @@ def _fields(grasp: Grasp, wrench: AnyArray, limits: Limits | None) -> dict[str, 
 
 
 def _lead(name: str, array: np.ndarray) -> tuple[int, ...]:
-    """The leading axes of a field's own array."""
+    """Return the leading axes of a field's own array."""
     return array.shape[: array.ndim - len(TAILS[name])]
 
 
@@ -142,22 +193,22 @@ def _leading(fields: dict[str, np.ndarray]) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*axes.values())
     except ValueError:
-        said = ", ".join(f"{name} {shape}" for name, shape in axes.items() if shape)
-        raise ValueError(f"leading axes do not broadcast against each other: {said}") from None
+        text = ", ".join(f"{name} {shape}" for name, shape in axes.items() if shape)
+        raise ValueError(f"leading axes do not broadcast against each other: {text}") from None
 
 
 def _unlimited_where_absent(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Limits of absent contacts are not looked at; the two of normal forces get one shape."""
-    there = fields["present"] == 1
-    least = np.where(there, fields["normal_min"], 0)
-    most = np.where(there, fields["normal_max"], np.inf)
+    """Remove the limits of absent contacts, and broadcast the two of normal forces to one shape."""
+    is_present = fields["present"] == 1
+    least = np.where(is_present, fields["normal_min"], 0)
+    most = np.where(is_present, fields["normal_max"], np.inf)
     least, most = np.broadcast_arrays(least, most)
-    torques = np.where(there[..., None, None], fields["torque_map"], 0)
+    torques = np.where(is_present[..., None, None], fields["torque_map"], 0)
     return fields | {"normal_min": least, "normal_max": most, "torque_map": torques}
 
 
 def _value_faults(fields: dict[str, np.ndarray]) -> Iterator[Fault]:
-    """Bad entries of the grasp, then of the wrench, then of the limits of contacts that are present."""
+    """List invalid entries of the grasp, then of the wrench, then of the limits of present contacts."""
     grasp = {name: fields[name] for name in ("points", "normals", "friction", "squeeze")}
     if fields["present"].ndim == grasp["friction"].ndim:
         yield from value_faults(**grasp, present=fields["present"])
@@ -165,18 +216,18 @@ def _value_faults(fields: dict[str, np.ndarray]) -> Iterator[Fault]:
         yield from value_faults(**grasp)
     yield from entries("wrench", fields["wrench"], ~np.isfinite(fields["wrench"]), "a finite number [N, N.m]")
     limits = {name: fields[name] for name in BOUNDS}
-    # Those of absent contacts are none by now.
+    # Limits of absent contacts were removed before.
     yield from limit_faults(limits, np.ones((), bool))
 
 
 def _harmless(flat: dict[str, np.ndarray], valid: np.ndarray, batch: tuple[int, ...]) -> MethodInput:
-    """Problems whose absent contacts and invalid data hold nothing that could spread."""
-    there = (flat.pop("present") > 0.5) & valid[:, None]
+    """Replace absent contacts and invalid data by values that cannot spread."""
+    is_present = (flat.pop("present") > 0.5) & valid[:, None]
     for name, idle in (("points", 0), ("normals", 0), ("torque_map", 0), ("friction", 0), ("squeeze", 0)):
         array = flat[name]
-        flat[name] = np.where(there.reshape(there.shape + (1,) * (array.ndim - 2)), array, idle)
-    flat["normal_min"] = np.where(there, flat["normal_min"], 0)
-    flat["normal_max"] = np.where(there, flat["normal_max"], np.inf)
+        flat[name] = np.where(is_present.reshape(is_present.shape + (1,) * (array.ndim - 2)), array, idle)
+    flat["normal_min"] = np.where(is_present, flat["normal_min"], 0)
+    flat["normal_max"] = np.where(is_present, flat["normal_max"], np.inf)
     flat["torque_max"] = np.where(valid[:, None], flat["torque_max"], np.inf)
     flat["wrench"] = np.where(valid[:, None], flat["wrench"], 0)
-    return MethodInput(present=there, valid=valid, batch=batch, **flat)
+    return MethodInput(present=is_present, valid=valid, batch=batch, **flat)

@@ -1,24 +1,23 @@
-"""Orin and Oh: least effort and even load, weighted against each other, by a linear program.
+"""Orin and Oh: a weighted sum of effort and uneven load, minimised by a linear program.
 
 D. E. Orin and S. Y. Oh, "Control of force distribution in robotic mechanisms containing closed kinematic chains",
 ASME J. Dynamic Systems, Measurement, and Control 103(2), 1981: for legs on the ground, a weighted sum of the energy
 that is consumed and of how unevenly the load is shared, under friction pyramids and bounds.
 
-Known from descriptions in later work; ours are the two terms. Energy: the sum of joint torques by size where a torque
-map is known, since a motor that holds still heats by its torque; else the sum of normal forces. Load: the largest
-normal force.
+Reconstructed from descriptions in later work; the two terms are choices made here. Energy: the sum of joint torques by
+size where a torque map is known, since a motor that holds still heats by its torque; else the sum of normal forces.
+Load: the largest normal force.
 
-How it fails: the optimum is a vertex, so that forces lie on as many planes as they can, without any margin, and jump
+Failures: the optimum is a vertex, so that forces lie on as many planes as they can, without any margin, and jump
 from vertex to vertex as the load turns; it is often not unique, and then the simplex method picks any.
 """
 
 import numpy as np
 
-from jaxgrasp.literature.host_problem import Balance, HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.literature.linear import LinearOptimum, LinearProgram, solve_plain
-from jaxgrasp.literature.method_answer import MethodAnswer, MethodStatus
-from jaxgrasp.literature.method_input import read_input
+from jaxgrasp.literature.method_input import MethodAnswer, MethodStatus, read_input
 from jaxgrasp.literature.pyramids import Pyramid, check_pyramid, constraint_rows
+from jaxgrasp.literature.scaled_problems import Balance, HostProblem, HostResult, balanced, solve_each
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
@@ -37,26 +36,26 @@ def orin_oh(
     pyramid: Pyramid = "inscribed",
     throw: bool = True,
 ) -> MethodAnswer:
-    """Forces of least energy x (sum of efforts) + balance x (largest normal force), over friction pyramids.
+    """Minimise energy x (sum of efforts) + balance x (largest normal force), over friction pyramids.
 
     Args:
         grasp: contacts ``(..., n)``, concrete; leading axes broadcast against the wrench's and the limits'.
-        wrench: what the contacts must exert ``(..., 6)`` [N, N.m].
-        limits: of normal forces and joint torques. A torque map, with or without bounds, makes the efforts the sizes
-            of all joint torques [N.m]; without one they are the normal forces [N].
+        wrench: wrench required of the contacts ``(..., 6)`` [N, N.m].
+        limits: limits of normal forces and joint torques. A torque map, with or without bounds, makes the efforts the
+            sizes of all joint torques [N.m]; without one they are the normal forces [N].
         energy: weight of the efforts, zero or more [1/(N.m), or 1/N].
         balance: weight of the largest normal force, zero or more [1/N].
         sides: facets of each pyramid, 3 or more.
-        pyramid: ``"inscribed"``, edges on the cone: forces are ones that friction allows; or ``"circumscribed"``,
+        pyramid: ``"inscribed"``, edges on the cone: all forces are allowed by friction; or ``"circumscribed"``,
             facets on the cone: forces may slip, by up to mu (1 / cos(pi / sides) - 1).
-        throw: whether bad values raise; if not, their problem's status is INVALID_DATA.
+        throw: whether invalid values raise; if not, their problem's status is INVALID_DATA.
 
     Returns:
         A MethodAnswer whose objective is the weighted sum, and whose iterations are pivots.
 
     Raises:
-        ValueError: for an argument that cannot be used.
-        GraspError: for data that cannot be used, naming the entry.
+        ValueError: for an invalid argument.
+        GraspError: for invalid data, by name of the entry.
     """
     check_pyramid(sides, pyramid)
     check_weights(energy, balance)
@@ -69,7 +68,7 @@ def orin_oh(
 
 
 def check_weights(energy: float, balance: float) -> None:
-    """Raise for weights that pose no problem."""
+    """Raise ValueError for invalid weights."""
     for name, weight in (("energy", energy), ("balance", balance)):
         if not 0 <= weight < np.inf:
             raise ValueError(f"{name} is {weight}: expected a finite number, zero or more")
@@ -78,14 +77,14 @@ def check_weights(energy: float, balance: float) -> None:
 
 
 def load_program(problem: HostProblem, energy: float, balance: float, sides: int, pyramid: Pyramid) -> LinearProgram:
-    """The program in forces, torques' sizes where there is a map, and the largest normal force."""
+    """Build the program in forces, sizes of torques where a map is given, and the largest normal force."""
     rows, bounds = constraint_rows(problem, sides, pyramid)
-    contacts, joints = len(problem.there), len(problem.torque_rows)
+    contacts, joints = len(problem.contacts), len(problem.torque_rows)
     normals = np.zeros((contacts, 3 * contacts))
     for i, normal in enumerate(problem.normals):
         normals[i, 3 * i : 3 * i + 3] = normal
     torques, sizes = problem.torque_rows, np.eye(joints)
-    nothing = np.zeros((joints, 1))
+    zeros = np.zeros((joints, 1))
     efforts = np.zeros(3 * contacts) if joints else energy * normals.sum(0)
     return LinearProgram(
         cost=np.concatenate([efforts, np.full(joints, energy), [balance]]),
@@ -94,8 +93,8 @@ def load_program(problem: HostProblem, energy: float, balance: float, sides: int
         rows=np.block(
             [
                 [rows, np.zeros((len(rows), joints + 1))],
-                [torques, -sizes, nothing],
-                [-torques, -sizes, nothing],
+                [torques, -sizes, zeros],
+                [-torques, -sizes, zeros],
                 [normals, np.zeros((contacts, joints)), np.full((contacts, 1), -1.0)],
             ]
         ),
@@ -103,12 +102,12 @@ def load_program(problem: HostProblem, energy: float, balance: float, sides: int
     )
 
 
-def forces_of(problem: HostProblem, balance: Balance, found: LinearOptimum) -> HostResult:
-    """The forces of an optimum, which HiGHS balances to its tolerance, balanced to rounding."""
+def forces_of(problem: HostProblem, balance: Balance, optimum: LinearOptimum) -> HostResult:
+    """Balance the forces of an optimum, which HiGHS solves to its tolerance, to rounding."""
     if not balance.reached:
-        return HostResult(MethodStatus.INFEASIBLE, iterations=found.pivots)
-    if found.x is None:
-        return HostResult(found.status, iterations=found.pivots)
-    forces = found.x[: 3 * len(problem.there)]
+        return HostResult(MethodStatus.INFEASIBLE, iterations=optimum.pivots)
+    if optimum.x is None:
+        return HostResult(optimum.status, iterations=optimum.pivots)
+    forces = optimum.x[: 3 * len(problem.contacts)]
     forces = forces + balance.inverse @ (problem.wrench - problem.balance @ forces)
-    return HostResult(found.status, forces, problem.load * found.value, found.pivots)
+    return HostResult(optimum.status, forces, problem.load * optimum.value, optimum.pivots)

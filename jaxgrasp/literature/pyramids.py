@@ -1,20 +1,20 @@
-"""Friction pyramids and limits as rows of inequalities, rows . forces <= bounds, each row of unit length.
+"""Friction pyramids and limits as inequalities, rows . forces <= bounds, each row of unit length.
 
-So a slack is a distance in the space of contact forces [N], whatever the row is about.
+A slack is thus a distance in the space of contact forces [N], for every type of row.
 """
 
 from typing import Literal
 
 import numpy as np
 
-from jaxgrasp.literature.host_problem import HostProblem
+from jaxgrasp.literature.scaled_problems import HostProblem
 
 Pyramid = Literal["inscribed", "circumscribed"]
-"""Edges on the cone, so that all forces are ones that friction allows; or facets on the cone, which contain it."""
+"""Edges on the cone, so that friction allows all forces; or facets on the cone, which contain it."""
 
 
 def check_pyramid(sides: int, pyramid: Pyramid) -> None:
-    """Raise for pyramids that there are not."""
+    """Raise ValueError for an invalid number of sides or type of pyramid."""
     if sides < 3:
         raise ValueError(f"sides is {sides}: expected 3 or more")
     if pyramid not in ("inscribed", "circumscribed"):
@@ -22,16 +22,16 @@ def check_pyramid(sides: int, pyramid: Pyramid) -> None:
 
 
 def constraint_rows(problem: HostProblem, sides: int, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
-    """All inequalities: facets, then normal forces from below and above, then torques both ways."""
+    """Collect all inequalities: facets, then normal forces from below and above, then torques both ways."""
     parts = (facet_rows(problem, sides, pyramid), normal_rows(problem), torque_rows(problem))
     rows, bounds = (np.concatenate(part) for part in zip(*parts, strict=True))
     return rows, bounds
 
 
 def facet_rows(problem: HostProblem, sides: int, pyramid: Pyramid) -> tuple[np.ndarray, np.ndarray]:
-    """``(m sides, 3m)`` facets; the first edge leans towards the first tangent.
+    """Build the facets ``(m sides, 3m)``; the first edge leans towards the first tangent.
 
-    Where the edges point depends on the frame, and jumps as a normal turns.
+    The directions of the edges depend on the frame, and jump as a normal turns.
     """
     angles = (2 * np.arange(sides) + 1) * np.pi / sides
     around = np.stack([np.cos(angles), np.sin(angles)], -1)
@@ -42,7 +42,7 @@ def facet_rows(problem: HostProblem, sides: int, pyramid: Pyramid) -> tuple[np.n
 
 
 def normal_rows(problem: HostProblem) -> tuple[np.ndarray, np.ndarray]:
-    """No pulling, nor less than a preload; and no more than the largest normal forces, where these are bounded."""
+    """Build the bounds of normal forces: from below by the preload, or zero; from above where one is given."""
     normals = _apart(problem.normals[:, None])
     bounded = np.isfinite(problem.normal_max)
     rows = np.concatenate([-normals, normals[bounded]])
@@ -50,17 +50,17 @@ def normal_rows(problem: HostProblem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def torque_rows(problem: HostProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Torques in either direction, of the joints that are bounded and that any contact loads."""
+    """Build the bounds of torques in both directions, for joints that are bounded and that any contact loads."""
     size = np.linalg.norm(problem.torque_rows, axis=-1)
-    kept = np.isfinite(problem.torque_max) & (size > 0)
-    rows = problem.torque_rows[kept] / size[kept, None]
-    bounds = problem.torque_max[kept] / size[kept]
+    is_active = np.isfinite(problem.torque_max) & (size > 0)
+    rows = problem.torque_rows[is_active] / size[is_active, None]
+    bounds = problem.torque_max[is_active] / size[is_active]
     return np.concatenate([rows, -rows]), np.concatenate([bounds, bounds])
 
 
 def _apart(rows: np.ndarray) -> np.ndarray:
-    """Rows of each contact's own force ``(m, k, 3)`` as rows of all forces ``(m k, 3m)``."""
-    contacts, each = rows.shape[:2]
-    wide = np.zeros((contacts, each, contacts, 3))
+    """Expand rows of each contact's own force ``(m, k, 3)`` to rows of all forces ``(m k, 3m)``."""
+    contacts, count = rows.shape[:2]
+    wide = np.zeros((contacts, count, contacts, 3))
     wide[np.arange(contacts), :, np.arange(contacts)] = rows
-    return wide.reshape(contacts * each, 3 * contacts)
+    return wide.reshape(contacts * count, 3 * contacts)

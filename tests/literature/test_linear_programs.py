@@ -5,12 +5,10 @@ import pytest
 
 from jaxgrasp import Grasp, GraspError, Limits
 from jaxgrasp.literature import MethodStatus, cheng_orin, kerr_roth, orin_oh
-from jaxgrasp.literature.compact import sizes_of, solve_compact_dual
-from jaxgrasp.literature.host_problem import host_problem
-from jaxgrasp.literature.linear import LinearProgram, solve_plain
+from jaxgrasp.literature.linear import LinearProgram, sizes_of, solve_compact_dual, solve_plain
 from jaxgrasp.literature.method_input import read_input
 from jaxgrasp.literature.orin_oh import load_program
-from jaxgrasp.literature.scaled_batch import scale
+from jaxgrasp.literature.scaled_problems import host_problem, scale
 from jaxgrasp.testing import problems as P
 
 COUNT, N, SIDES, MOST = 10, 4, 6, 200.0

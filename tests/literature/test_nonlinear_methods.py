@@ -8,7 +8,7 @@ from jaxgrasp import Grasp, closed_form, constrained_optimum, pyramid_optimum
 from jaxgrasp.literature import MethodStatus, buss, kuhn_tucker, kumar_waldron, nakamura
 from jaxgrasp.literature.kumar_waldron import equilibrating_forces
 from jaxgrasp.literature.method_input import read_input
-from jaxgrasp.literature.scaled_batch import ScaledBatch, scale
+from jaxgrasp.literature.scaled_problems import ScaledBatch, scale
 from jaxgrasp.testing import problems as P
 from jaxgrasp.testing import references as R
 

@@ -200,7 +200,7 @@ def test_places_that_hold_what_the_papers_task_lets_slip():
         ({"within": {"place": (-1, 1), "place[1]": (-1, 1)}}, r"within has place\[1\] twice"),
         ({"within": {"place": (np.zeros(3) - 1, 1)}}, "a bound of place has 3 entries: expected one, or 2"),
         ({"within": {"place": 1.0}}, r"within has 1.0 for place: expected \(the least, the largest\)"),
-        ({"totals": ["lift"]}, "totals has lift, which may not move"),
+        ({"totals": ["lift"]}, "totals has lift, which is not in within"),
         ({"totals": "lift"}, "totals is 'lift' of type str: expected a list, not one text"),
         ({"totals": ["place", "place[1]"]}, r"totals has place\[1\] twice"),
         ({"within": {"place": (-np.inf, 1)}}, r"place\[0\] is 0.3: expected between its finite bounds -inf and 1"),

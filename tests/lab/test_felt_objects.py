@@ -211,7 +211,7 @@ def arm(glove: GloveProcess, stimulus: GloveStimulus) -> None:
     while True:
         try:
             glove.arm()
-            stimulus.wait_until_armed(1.0)
+            stimulus.wait_until_armed(10.0)
             return
         except (ValueError, OSError):
             if time.perf_counter() > end:

@@ -1,1 +1,1 @@
-"""Files as such: written whole or not at all."""
+"""Readers and writers of plain files, which are written whole or not at all."""

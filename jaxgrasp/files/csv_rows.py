@@ -11,11 +11,11 @@ from jaxgrasp.files.printable import printable
 from jaxgrasp.files.replace import replace_file
 
 _FORMULA = re.compile(r"'*[=+\-@]")
-"""The start of a cell that a spreadsheet takes for a formula, and of one that was kept from being one."""
+"""The start of a cell that a spreadsheet takes for a formula, and of a formula that an apostrophe marks as text."""
 
 
 def safe_cell(value: Any) -> Any:
-    """Return the value of a cell; text from anybody's file as neither a formula nor control characters.
+    """Return the value for a cell, with text of unknown origin made safe: no formula and no control characters.
 
     Control characters are escaped as Python writes them, formulas as `formula_as_text` does.
     """

@@ -1,4 +1,4 @@
-"""Numbers in files from anywhere: as text, and as JSON and TOML have them."""
+"""Checks of numbers in files of unknown origin: numbers as text, and as values of JSON and TOML."""
 
 import re
 from typing import Any
@@ -6,16 +6,16 @@ from typing import Any
 from jaxgrasp.files.printable import shortened
 
 HUGE = 1e300
-"""No quantity is this large, and whole numbers beyond are too large to be a float."""
+"""Upper limit of every quantity; whole numbers far above it do not fit into a float."""
 NUMBER = re.compile(r"[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.IGNORECASE)
-"""What counts as a number; Python's own reading would take 1_0 for ten, and digits of every script."""
+"""Pattern of a number; Python's own reading would take 1_0 for ten, and digits of every script."""
 
 
 def decimal_number(text: str) -> float:
-    """The number that a text is.
+    """Convert text to a number; spaces and tabs around it do not count.
 
     Raises:
-        ValueError: for a text that is none; the message begins with "is", to follow what names the place.
+        ValueError: if the text is not a number; the message begins with "is", to follow the name of the place.
     """
     if not NUMBER.fullmatch(text.strip(" \t")):
         raise ValueError(f"is {shortened(text)}: expected a number")
@@ -23,5 +23,5 @@ def decimal_number(text: str) -> float:
 
 
 def is_number(value: Any, below: float = HUGE) -> bool:
-    """Whether a value is a number, smaller than ``below`` in size; True and False are none, nor is NaN."""
+    """Check that a value is an int or a float of size below ``below``; bools and NaN are rejected."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < below

@@ -1,4 +1,4 @@
-"""h5py, which reads and writes HDF5; the extra ``mesh`` brings it."""
+"""Import of h5py, which reads and writes HDF5; the extra ``mesh`` installs it."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ MISSING = "HDF5 files need h5py: pip install 'jaxgrasp[mesh]'"
 
 
 def hdf5_library() -> Any:
-    """h5py.
+    """Import h5py and return the module.
 
     Raises:
-        ImportError: where it is not installed, with the command that does it.
+        ImportError: if it is not installed; the message names the command that installs it.
     """
     return optional_library("h5py", missing=MISSING)

@@ -1,4 +1,4 @@
-"""A folder, or one thing in it, that one process at a time works in, held by a lock of the operating system's.
+"""Locks that let a single process at a time work in a folder, or on a part of it, by a lock of the operating system.
 
 The lock is on an open file, so it ends with its process, however that ends. What the file says, the owner's process and
 when it started, is for whoever finds the folder held, or finds that an owner is gone.
@@ -15,11 +15,11 @@ from jaxgrasp.files.printable import printable
 
 LOCK = ".lock"
 LARGEST = 1000
-"""Characters of a lock that are read: another's file of that name may hold anything."""
+"""Characters of a lock file that are read: a foreign file of that name may be of any size."""
 
 
 class FolderHeldError(OSError):
-    """A folder that another process works in."""
+    """Error of a folder that another process works in."""
 
 
 @contextmanager
@@ -68,7 +68,7 @@ def _acquired(path: Path, announce: Callable[[str], None]) -> int:
 
 
 def _owner(descriptor: int) -> str | None:
-    """Who a lock says that it belongs to; None where it says nothing of the kind."""
+    """Read the owner that the lock file names; None if the file names no owner."""
     try:
         said = json.loads(os.pread(descriptor, LARGEST, 0))
         return f"process {int(said['process'])}, at work since {printable(str(said['started'])[:30])},"
@@ -77,7 +77,7 @@ def _owner(descriptor: int) -> str | None:
 
 
 def _try_lock(descriptor: int) -> bool:
-    """Whether the lock was free, and is ours now."""
+    """Try to take the lock of an open file without waiting; return True if this process holds it now."""
     try:
         import fcntl
     except ImportError:

@@ -1,4 +1,4 @@
-"""Pickled NumPy files that data sets come in, read without running anything that is in them.
+"""Reader of the pickled NumPy files of data sets, which runs no code of these files.
 
 A pickle is a program. This reader knows how NumPy spells arrays, their kinds and their numbers, and nothing else: what
 asks for anything more is refused by its name, before it is made. Nor does the program get hold of NumPy's own objects,
@@ -16,11 +16,11 @@ from typing import IO, Any, Literal
 import numpy as np
 
 MOST_BYTES = 2**31
-"""Larger files are refused: they are no lists of grasps."""
+"""Largest size of a file [bytes]; larger files are refused, since they cannot be lists of grasps."""
 MOST_LEAVES = 50_000_000
-"""Numbers and texts that lists may hold, each counted as often as it stands there."""
+"""Largest number of numbers and texts in lists, each counted as often as it occurs."""
 DEEPEST = 100
-"""Lists within lists."""
+"""Largest depth of lists within lists."""
 SPELLED = re.compile(r"[<>=|]?[fiubSUO]\d{0,6}")
 
 
@@ -35,7 +35,7 @@ class _Kind:
         self.spelled, self.order = spelled.lstrip("<>=|"), "="
 
     def __setstate__(self, state: Any) -> None:
-        """Version, order of bytes, and what only structures have."""
+        """Set the byte order from a pickled state; refuse states that only structured types have."""
         if not (isinstance(state, tuple) and len(state) >= 5 and state[1] in ("<", ">", "|", "=") and state[3] is None):
             raise ValueError("it holds a kind of numbers that is none")
         self.order = state[1]
@@ -45,7 +45,7 @@ class _Kind:
 
 
 class _Array:
-    """An array that is not made yet."""
+    """Record of a pickled array: its shape, kind, order of axes and raw data."""
 
     __slots__ = ("data", "fortran", "kind", "shape")
 
@@ -63,7 +63,7 @@ class _Array:
         self.shape, self.kind, self.fortran, self.data = shape, kind, bool(fortran), data
 
     def made(self, plain: Callable[[Any], Any]) -> np.ndarray:
-        """The array; ``plain`` makes what it holds, if that is objects."""
+        """Build the array of this record; ``plain`` converts the elements of an object array."""
         count, kind = math.prod(self.shape), self.kind.made()
         order: Literal["C", "F"] = "F" if self.fortran else "C"
         if kind.kind == "O":
@@ -80,7 +80,7 @@ class _Array:
 
 
 class _Call:
-    """What the file may call, and nothing else of it."""
+    """Wrapper of a function that a pickle may call; the pickle can neither set its state nor read its attributes."""
 
     __slots__ = ("_call",)
 
@@ -133,7 +133,7 @@ class _PlainUnpickler(pickle.Unpickler):
 
 
 class _Plain:
-    """What was loaded, with arrays in the place of their records; each object once, however often it stands there."""
+    """Converter of loaded objects, which replaces records by arrays and converts an object that is shared only once."""
 
     def __init__(self) -> None:
         self._made: dict[int, tuple[Any, int]] = {}
@@ -143,7 +143,7 @@ class _Plain:
         return self._counted(loaded)[0]
 
     def _counted(self, loaded: Any) -> tuple[Any, int]:
-        """What it is, and how many numbers and texts are in it."""
+        """Convert a loaded object; return the result and the number of numbers and texts in it."""
         if not isinstance(loaded, dict | list | tuple | _Array):
             if isinstance(loaded, _Kind | _Call):
                 raise ValueError("it holds what is neither a number nor text")
@@ -179,10 +179,10 @@ class _Plain:
 
 
 def load_plain(path: str | Path) -> Any:
-    """What a ``.npy`` file of pickled objects holds: its one object, or the array of them.
+    """Read a ``.npy`` file of pickled objects; return its single object, or the array of objects.
 
     Raises:
-        ValueError: for a file that is no such, is too large, or asks for more than NumPy's arrays.
+        ValueError: for a file of another kind or too large a size, or a pickle that needs more than NumPy's arrays.
         OSError: for a file that cannot be read.
     """
     path = Path(path)

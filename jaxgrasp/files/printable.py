@@ -7,18 +7,18 @@ LONGEST_MESSAGE = 1000
 
 
 def printable(text: object) -> str:
-    """The text with everything escaped that a terminal would act on, line breaks too."""
+    """Escape every character that a terminal would act on, line breaks included."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
 
 
 def shortened(value: object) -> str:
-    """A value as Python writes it, in one line of at most some 200 characters."""
+    """Format a value by ``repr`` in a single line, cut after 200 characters with a note of the full length."""
     text = printable(repr(value))
     return text if len(text) <= LARGEST else f"{text[:LARGEST]} ... ({len(text):,} characters)"
 
 
 def message_line(text: object) -> str:
-    """A message in one line, whose middle is left out where a file's own text made it longer than anyone reads."""
+    """Format a message in a single line; leave out the middle if it is longer than 1,000 characters."""
     line = printable(text)
     if len(line) <= LONGEST_MESSAGE:
         return line
@@ -27,5 +27,5 @@ def message_line(text: object) -> str:
 
 
 def printable_lines(text: object) -> str:
-    """Like ``printable`` for a text of several lines, which stay lines."""
+    """Escape each line of a text as ``printable`` does, and keep the line breaks."""
     return "\n".join(printable(line) for line in str(text).split("\n"))

@@ -1,4 +1,4 @@
-"""A file that replaces another whole, so that no reader and no crash ever meets half of one."""
+"""Replacement of whole files, so that neither a reader nor a crash leaves or meets half a file."""
 
 import contextlib
 import os
@@ -35,7 +35,7 @@ def replace_file(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def check_writable(folder: Path, name: str = "out") -> None:
-    """Find out before any work whether files can be written in a folder, which need not be there; leave nothing.
+    """Check that files can be written in a folder, which need not exist; leave nothing behind.
 
     Args:
         folder: to be written in, made with the folders above it where it is not there.

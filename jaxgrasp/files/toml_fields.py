@@ -1,4 +1,4 @@
-"""TOML tables into dataclasses: what is unknown, missing or of another kind is named before anything is done."""
+"""Conversion of TOML tables to dataclasses; errors name keys that are unknown, missing or of another kind."""
 
 import difflib
 import math
@@ -17,10 +17,10 @@ Made = TypeVar("Made")
 
 
 def load_toml(path: Path) -> dict[str, Any]:
-    """The table of a file.
+    """Read a TOML file and return its top-level table.
 
     Raises:
-        ValueError: for a file that is no TOML.
+        ValueError: for a file that is not TOML.
         OSError: for a file that cannot be read.
     """
     try:
@@ -34,13 +34,13 @@ def load_toml(path: Path) -> dict[str, Any]:
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """The end of a message on a name that nobody knows."""
+    """Return the end of a message on an unknown name: the closest of the ``known`` names, or all of them."""
     like = difflib.get_close_matches(name, known, 1, 0.5)
     return f": did you mean {like[0]!r}?" if like else f": expected one of {', '.join(known)}"
 
 
 def made_from(kind: type[Made], table: Any, where: str) -> Made:
-    """A dataclass of numbers, texts, flags, tuples and tables of these, and literals, from a table of its fields.
+    """Build a dataclass of numbers, texts, flags, literals, and tuples and tables of these, from a table of its fields.
 
     Args:
         kind: the dataclass.
@@ -68,7 +68,7 @@ def made_from(kind: type[Made], table: Any, where: str) -> Made:
 
 
 def number(name: str, value: Any) -> float:
-    """A value as a number, NaN too; ValueError, by its name, for what is none."""
+    """Convert a value to a float, NaN included; raise a ValueError that names it if it is not a number."""
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > HUGE:
         raise ValueError(f"{name} is {shortened(value)}: expected a number")
     return float(value)

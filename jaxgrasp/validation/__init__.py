@@ -1,1 +1,1 @@
-"""What a wrong argument is told: its name, what came and what was expected, before any work; needs no JAX."""
+"""Checks of arguments before any work: errors name the argument, its value and the expectation; JAX is not needed."""

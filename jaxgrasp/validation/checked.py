@@ -1,4 +1,4 @@
-"""Arguments checked against their own annotations, before any work: one sentence that names what is wrong.
+"""Checks of arguments against their annotations, before any work; an error is a sentence that names the argument.
 
 A public function of the rooms is ``checked``. What its signature says is what is asked of its arguments: kinds, last
 axes, names out of a few. What sizes make sense it says itself.
@@ -22,7 +22,7 @@ R = TypeVar("R")
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """A function whose arguments are checked by its annotations.
+    """Return the function with its arguments checked against its annotations at every call.
 
     Raises, when called:
         TypeError: for an argument of another kind.
@@ -49,7 +49,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 @cache
 def hints_of(function: Callable) -> dict[str, Any]:
-    """The annotations of a function's named parameters."""
+    """Return the annotations of a function's named parameters, text evaluated to the types that are installed."""
     inner = inspect.unwrap(function)
     named = {
         name
@@ -67,7 +67,7 @@ def hints_of(function: Callable) -> dict[str, Any]:
 
 
 def check_value(name: str, value: Any, hint: Any) -> None:
-    """Raise where a value is not of an annotation."""
+    """Raise TypeError or ValueError, with the name of the argument, if the value does not fit the annotation."""
     wrong = _misfit(value, hint)
     if wrong is None:
         return
@@ -82,7 +82,7 @@ def check_value(name: str, value: Any, hint: Any) -> None:
 
 
 def _misfit(value: Any, hint: Any) -> tuple[type[Exception], str] | None:
-    """The error and what was expected; None where the value fits."""
+    """Return the class of the error and the expectation as text; None if the value fits the annotation."""
     origin = typing.get_origin(hint)
     if origin in (typing.Union, types.UnionType):
         return _misfit_of_all(value, typing.get_args(hint))
@@ -131,7 +131,7 @@ def _is_runtime(kind: type) -> bool:
 
 
 def _tail(dimensions: str) -> Tail:
-    """The last axes that an annotation such as ``"*batch n 3"`` fixes."""
+    """Return the last axes that an annotation such as ``"*batch n 3"`` fixes: sizes, or letters for any size."""
     tail: list[int | str] = []
     for one in reversed(dimensions.split()):
         if one.startswith(("*", "#*", "...")):
@@ -178,7 +178,7 @@ _SCALARS: dict[Any, tuple[str, Callable[[Any], bool]]] = {
 
 
 def _is_array(hint: Any) -> bool:
-    """Whether an annotation means any array: NumPy's, JAX's, which need not be installed, or what stands for both."""
+    """Check that an annotation stands for arrays of any shape: NumPy's, JAX's (need not be installed), or both."""
     from_jax = getattr(hint, "__module__", "").startswith("jax")
     return (
         hint is np.ndarray

@@ -1,4 +1,4 @@
-"""Checks of several numbers of one object by their names; None is one that was not given."""
+"""Checks of several attributes of an object by their names; None stands for a number that was not given."""
 
 import math
 

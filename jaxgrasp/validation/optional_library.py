@@ -1,18 +1,18 @@
-"""Libraries that an extra brings: loaded where they are used, and where one is not there, a line says how to get it."""
+"""Import of optional libraries where they are used; the error of a missing library says how to install it."""
 
 from importlib import import_module
 from typing import Any
 
 
 def optional_library(*modules: str, missing: str) -> Any:
-    """The first of these modules, with all of them loaded.
+    """Import all of these modules and return the first.
 
     Args:
         modules: by their full names.
-        missing: what is said where one of them cannot be imported, with the command that installs it.
+        missing: message of the error if a module cannot be imported, with the command that installs it.
 
     Raises:
-        ImportError: with these words.
+        ImportError: with this message.
     """
     try:
         library, *_ = [import_module(name) for name in modules]

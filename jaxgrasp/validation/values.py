@@ -1,4 +1,4 @@
-"""Checks of one argument by its name: an array of real numbers with the right last axes, an object of a class."""
+"""Checks of a single argument by its name: an array of real numbers with given last axes, or an object of a class."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ LONGEST = 50
 
 
 def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
-    """Raise TypeError for what is no array of real numbers, ValueError for wrong last axes."""
+    """Raise TypeError if ``array`` does not hold real numbers, ValueError if its last axes differ from ``tail``."""
     if isinstance(array, list | tuple | int | float):
         try:
             array = np.asarray(array)
@@ -28,36 +28,36 @@ def check_numbers(name: str, array: Any, tail: Tail = ()) -> None:
 
 
 def check_instance(name: str, value: Any, kind: type) -> None:
-    """Raise TypeError unless ``value`` is of a type of this package's."""
+    """Raise TypeError unless ``value`` is an instance of ``kind``."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} is {shown(value)}: expected a {kind.__name__}")
 
 
 def is_real(dtype: Any) -> bool:
-    """Whether numbers of a type are real; True and False are none."""
+    """Check that a dtype holds real numbers: integers or floats, bfloat16 included, but not booleans."""
     # The kind of NumPy's own types tells at once; of those that JAX adds, such as bfloat16, only the name does.
     return dtype.kind in "fiu" or (dtype.kind == "V" and "float" in dtype.name)
 
 
 def ends_in(shape: tuple[int, ...], tail: Tail) -> bool:
-    """Whether an array of this shape has these last axes."""
+    """Check that a shape ends in the last axes ``tail``; a letter matches any size."""
     end = shape[len(shape) - len(tail) :]
     return len(end) == len(tail) and not any(isinstance(size, int) and size != own for size, own in zip(tail, end))
 
 
 def shape_of(tail: Tail) -> str:
-    """Last axes as a message has them."""
+    """Format last axes for a message, such as ``(..., n, 3)``."""
     return f"(..., {', '.join(map(str, tail))})"
 
 
 def numbers_of(tail: Tail, kind: str = "") -> str:
-    """What an array of numbers with these last axes is called in a message."""
+    """Describe an array of numbers with these last axes, for a message."""
     shape = f" of shape {shape_of(tail)}" if tail else ""
     return f"{'' if kind else 'an array of '}{kind}numbers{shape}"
 
 
 def shown(value: Any) -> str:
-    """A value and its type, in a few words."""
+    """Format a value, cut after 50 characters, and its type for a message."""
     if value is None:
         return "None"
     text = " ".join(repr(value).split())

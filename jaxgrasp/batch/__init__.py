@@ -1,4 +1,4 @@
-"""Many grasps at once: files, streams, evaluation, and what its results say."""
+"""Evaluation of many grasps: grasp files, streams, solvers on blocks, results and their summaries."""
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 

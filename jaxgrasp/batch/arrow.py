@@ -1,4 +1,4 @@
-"""pyarrow, which reads and writes Parquet; the extra ``table`` brings it."""
+"""Import of pyarrow, which reads and writes Parquet; the extra ``table`` installs it."""
 
 from typing import IO, Any
 
@@ -8,18 +8,18 @@ MISSING = "Parquet files need pyarrow: pip install 'jaxgrasp[table]'"
 
 
 def arrow_library() -> Any:
-    """pyarrow with its modules for Parquet, for computing and for file systems.
+    """Import pyarrow with its modules for Parquet, compute functions and file systems, and return it.
 
     Raises:
-        ImportError: where it is not installed, with the command that does it.
+        ImportError: if it is not installed; the message names the command that installs it.
     """
     return optional_library("pyarrow", "pyarrow.compute", "pyarrow.fs", "pyarrow.parquet", missing=MISSING)
 
 
 def parquet_writer(arrow: Any, stream: IO[bytes], schema: Any) -> Any:
-    """A writer whose pages have checksums; only texts are looked up in dictionaries, since hardly a number comes twice.
+    """Create a Parquet writer on ``stream``, with page checksums and with dictionary encoding of text columns alone.
 
-    That takes a quarter of the time that dictionaries of numbers take.
+    Numbers rarely repeat: without dictionaries for them, writing takes a quarter of the time.
     """
     texts = [field.name for field in schema if arrow.types.is_string(field.type)]
     return arrow.parquet.ParquetWriter(stream, schema, use_dictionary=texts, write_page_checksum=True)

@@ -31,10 +31,10 @@ class ArrayColumn:
 
 
 def our_columns(path: os.PathLike, names: list[str]) -> list[str]:
-    """Those of these columns that are read; offsets are in the lists themselves.
+    """Select the column names that grasp files define; ``offsets`` is left out, since the lists contain it.
 
     Raises:
-        GraspFileError: for one that comes twice.
+        GraspFileError: for a column that occurs twice.
     """
     ours = [name for name in names if name in KNOWN and name != "offsets"]
     twice = next((name for name in ours if ours.count(name) > 1), None)
@@ -45,18 +45,19 @@ def our_columns(path: os.PathLike, names: list[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class FlatColumn:
-    """Some rows of a column, as an array by contact where it belongs to contacts."""
+    """Rows of a column as a flat array, with a row for each contact if the column belongs to contacts."""
 
     array: np.ndarray
     sizes: np.ndarray | None
-    """``(N,)``: contacts of each row, where it belongs to contacts."""
+    """``(N,)``: number of contacts of each grasp; None for a column that does not belong to contacts."""
 
 
 def flat_column(arrow: Any, path: os.PathLike, name: str, values: Any) -> FlatColumn:
-    """An Arrow array of grasps' rows as a flat one.
+    """Flatten an Arrow array with a row for each grasp into a NumPy array.
 
     Raises:
-        GraspFileError: for empty cells, lists that are none or of different lengths, and what is no number or text.
+        GraspFileError: for empty cells, missing lists, lists of different lengths, and values of other types than
+            numbers and text.
     """
     if values.null_count:
         raise GraspFileError(path, f"{name} has {values.null_count:,} empty cells: expected a value in each")
@@ -82,10 +83,16 @@ def flat_column(arrow: Any, path: os.PathLike, name: str, values: Any) -> FlatCo
 
 
 def check_sizes(path: os.PathLike, name: str, sizes: np.ndarray, known: np.ndarray) -> None:
-    """That grasps have as many contacts in this column as in the others.
+    """Check that every grasp has the same number of contacts in this column as in the others.
+
+    Args:
+        path: of the file, for the message.
+        name: of the column.
+        sizes: contacts of each grasp in this column ``(N,)``.
+        known: contacts of each grasp in the other columns ``(N,)``.
 
     Raises:
-        GraspFileError: for the first one that has not.
+        GraspFileError: for the first grasp that differs.
     """
     differs = np.flatnonzero(known != sizes)
     if len(differs):

@@ -23,12 +23,12 @@ from jaxgrasp.quality.measures import measures_named
 from jaxgrasp.quality.task_demands import TaskDemands
 
 BATCH = Path("batch")
-"""What messages call the rows."""
+"""Name of the rows in messages."""
 
 
 @dataclass(frozen=True)
 class BatchEvaluator:
-    """What [`jaxgrasp.evaluate`][] says of grasps, as a function of batches of rows, to be sent to workers.
+    """Callable that evaluates batches of rows as [`jaxgrasp.evaluate`][] does, and that can be sent to workers.
 
     A grasp's answer is the same to the last bit whatever the batch, the order or the worker, on processors of one kind
     and by one version of JAX, and the same as ``evaluate``'s. Measures of quality and the least friction may differ in
@@ -44,9 +44,9 @@ class BatchEvaluator:
     quality: tuple[str, ...] = ()
     """Measures of quality by their names, as for ``evaluate``."""
     task: TaskDemands | None = None
-    """What the measures of a task ask for, as for ``evaluate``."""
+    """Demands of the measures of a task, as for ``evaluate``."""
     least_friction: bool = False
-    """Whether to find the least friction with which each grasp holds, about half a millisecond a grasp."""
+    """True to find the least friction with which each grasp holds, about half a millisecond a grasp."""
     contacts: tuple[int, ...] = WIDTHS
     """Numbers of contacts, ascending, to the next of which each grasp is filled up; larger grasps are refused."""
     rows: int = 4096
@@ -54,9 +54,9 @@ class BatchEvaluator:
     dtype: str = "float64"
     """Precision of the arithmetic; JAX's 64-bit mode is as it asks for while a batch is computed."""
     skip_bad: bool = False
-    """Whether to leave out grasps with faults instead of raising."""
+    """True to leave out grasps with faults instead of raising an error."""
     adjustments: Adjustments = field(default_factory=Adjustments)
-    """What is said of data that differ from the conventions."""
+    """Corrections of data that differ from the conventions."""
 
     def __post_init__(self) -> None:
         methods_named(self.methods)
@@ -69,7 +69,7 @@ class BatchEvaluator:
             raise ValueError(f"contacts is {self.contacts}: expected numbers, 1 or more, in ascending order")
 
     def __call__(self, batch: Any) -> dict[str, np.ndarray]:
-        """The rows of the table that ``evaluate`` writes, ``(N * W,)`` by column, with forces and moments.
+        """Evaluate a batch; return the rows of ``evaluate``'s table, ``(N * W,)`` by column, with forces and moments.
 
         Args:
             batch: columns of a grasp file, as a dict of arrays or an Arrow table: ``points`` and ``normals``
@@ -108,7 +108,7 @@ class BatchEvaluator:
 
 
 class _BatchArchive:
-    """The columns of a batch, as an archive of flat arrays has them."""
+    """Archive of the columns of a batch, as flat arrays."""
 
     path = BATCH
 
@@ -125,7 +125,7 @@ class _BatchArchive:
         self.names = list(self._arrays)
 
     def checksum(self) -> int:
-        """Checksum of the columns."""
+        """Compute the CRC-32 of the bytes of all columns."""
         return zlib.crc32(b"".join(np.ascontiguousarray(array).tobytes() for array in self._arrays.values()))
 
     def column(self, name: str) -> ColumnOfRows:
@@ -148,7 +148,7 @@ def _columns(batch: Any) -> Iterator[tuple[str, FlatColumn]]:
 
 
 def _of_array(name: str, array: np.ndarray) -> FlatColumn:
-    """A column of any shape as a flat one; of objects, each row is an array, or arrays in an array."""
+    """Flatten a column of any shape; each row of an object column is an array, or an array of arrays."""
     by_contact = name in BY_CONTACT
     if array.dtype.kind != "O":
         if not by_contact or array.ndim < 2:

@@ -1,4 +1,4 @@
-"""Contact sets of all sizes as a few shapes, since each shape costs seconds to compile."""
+"""Grouping of contact sets of all sizes into blocks of a few shapes, since each shape takes seconds to compile."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -22,7 +22,7 @@ the same to the last bit whatever stands beside it."""
 
 
 def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
-    """The padded width of each grasp: few different ones, each serving many problems or the largest grasps."""
+    """Compute the padded width of each grasp ``(N,)``: few widths, each for many problems or the largest grasps."""
     if len(sizes) == 0 or np.all(sizes == sizes[0]):
         return sizes.astype(int)
     largest = int(sizes.max())
@@ -36,12 +36,12 @@ def widths(sizes: np.ndarray, wrenches: int) -> np.ndarray:
 
 
 def _in_buckets(sizes: np.ndarray, buckets: tuple[int, ...]) -> np.ndarray:
-    """The least of these widths, in ascending order, that holds each grasp; the last holds them all."""
+    """Return the smallest of the ascending ``buckets`` that holds each grasp ``(N,)``; the last must hold them all."""
     return np.asarray(buckets)[np.searchsorted(buckets, sizes)]
 
 
 class Block(NamedTuple):
-    """Problems of one shape."""
+    """Padded problems of equal shape."""
 
     rows: np.ndarray
     """Their grasps' indices."""
@@ -51,7 +51,7 @@ class Block(NamedTuple):
 
 
 def blocks(sets: ContactSets, chunk: int, devices: int, buckets: tuple[int, ...] | None = None) -> Iterator[Block]:
-    """The problems of ``sets`` by shape, padded.
+    """Yield the problems of ``sets`` in padded blocks, grouped by shape.
 
     The problems of grasp ``i`` of a block stand together, one for each wrench. In a stream of chunks, a
     block is brought to the size of a full ``chunk``, or an eighth of it where grasps of several widths
@@ -77,7 +77,7 @@ def blocks(sets: ContactSets, chunk: int, devices: int, buckets: tuple[int, ...]
 
 
 def widened(array: np.ndarray, missing: int, repeats: int = 1) -> np.ndarray:
-    """An array with so many zeros behind its last entry, and each entry so many times."""
+    """Append ``missing`` zero rows to an array, and repeat each row ``repeats`` times."""
     if missing:
         array = np.concatenate([array, np.zeros((missing, *array.shape[1:]), array.dtype)])
     return np.repeat(array, repeats, 0) if repeats > 1 else array

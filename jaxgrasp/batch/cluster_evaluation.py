@@ -1,4 +1,4 @@
-"""Evaluations of many files on a cluster: which are to be done, who does them, and what they say together."""
+"""Evaluation of many files on a cluster: list of the files, distribution to workers, and the common summary."""
 
 import json
 import time
@@ -22,7 +22,7 @@ ENDING = ".parquet"
 
 @dataclass(frozen=True)
 class ClusterPlan:
-    """Where the work is done."""
+    """Choice of the cluster and of its processes for an evaluation."""
 
     where: str = LOCAL
     """``"local"``, ``"auto"``, or the address of a cluster."""
@@ -31,16 +31,16 @@ class ClusterPlan:
     gpus: float = 0.0
     """GPUs of each process."""
     skip_damaged: bool = False
-    """Whether to name files that cannot be read and go on with the others."""
+    """True to name files that cannot be read and go on with the others."""
 
 
 def parquet_files(paths: Sequence[Path | RemoteFile]) -> list[Path | RemoteFile]:
-    """The files of grasps that are meant: these, or in place of a folder those in it, in the order of their names.
+    """List the Parquet files of these paths; a folder stands for the files in it, in the order of their names.
 
-    Of addresses, those that fit a pattern such as ``s3://bucket/folder/part-*.parquet`` too.
+    An address may also hold a pattern, such as ``s3://bucket/folder/part-*.parquet``.
 
     Raises:
-        GraspFileError: for other files, a folder without any, and names that come twice.
+        GraspFileError: for other files, a folder without Parquet files, and names that occur twice.
     """
     files: list[Path | RemoteFile] = []
     for path in paths:
@@ -64,20 +64,20 @@ def parquet_files(paths: Sequence[Path | RemoteFile]) -> list[Path | RemoteFile]
 
 @dataclass(frozen=True)
 class ShardInputs:
-    """Files with the numbers of their grasps."""
+    """Input files with their numbers of grasps."""
 
     tasks: list[ShardTask]
     grasps: dict[str, int]
-    """How many each has, by its name."""
+    """Number of grasps of each file, by the file's name."""
     skipped: list[dict]
-    """Those that cannot be opened."""
+    """Files that cannot be opened, with the errors."""
 
 
 def read_inputs(files: Sequence[Path | RemoteFile], skip_damaged: bool, announce: Callable[[str], None]) -> ShardInputs:
-    """What the ends of the files say of them.
+    """Read the number of grasps of each file from its Parquet footer, and number the grasps through all files.
 
     Raises:
-        GraspFileError: for one that cannot be opened, unless told to skip such.
+        GraspFileError: for a file that cannot be opened, unless ``skip_damaged``.
     """
     found = ShardInputs([], {}, [])
     first = 0
@@ -105,7 +105,7 @@ def evaluate_on_cluster(
     progress: Callable[[int], Any] = lambda grasps: None,
     announce: Callable[[str], None] = lambda text: None,
 ) -> StreamResult:
-    """Evaluate every grasp of these files, each by some process of the cluster, and write a file of results for each.
+    """Evaluate every grasp of these files, a file by a process of the cluster, and write a file of results for each.
 
     Folders are those of a file system that all machines share. What a process or a machine loses, another does again.
     ``progress`` is told of the grasps of every finished file.

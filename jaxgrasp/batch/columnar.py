@@ -1,4 +1,4 @@
-"""Grasp files, version 1, as columns of whatever archive: checked by their headers, then read a few grasps at a time.
+"""Grasp files, version 1, as columns of any kind of archive: headers are checked, then few grasps are read at a time.
 
     version    (optional) 1
     points     (N, n, 3), or flat (M, 3) with offsets (N + 1,), [m]
@@ -36,12 +36,12 @@ LONGEST_LABEL = 1_000
 
 
 MOST_OF_A_GRASP = 100_000
-"""Contacts, or wrenches, of a single grasp."""
+"""Largest number of contacts, or of wrenches, of a single grasp."""
 
 
 @runtime_checkable
 class ColumnOfRows(Protocol):
-    """One array of an archive, read forward a few rows at a time."""
+    """Protocol of an array in an archive that is read forward, a few rows at a time."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -57,7 +57,7 @@ class ColumnOfRows(Protocol):
 
 @runtime_checkable
 class Archive(Protocol):
-    """Where columns lie, by their names."""
+    """Protocol of a file that holds columns by their names."""
 
     names: list[str]
 
@@ -85,7 +85,7 @@ class ColumnarGrasps:
             raise
 
     def _read_headers(self) -> None:
-        """Everything but the numbers, and the check of it."""
+        """Read and check the names, types, shapes and offsets of the columns, but not their numbers."""
         self.names = self._archive.names
         self._check_names()
         self._headers = {name: self._archive.column(name) for name in self.names if name in KNOWN}
@@ -115,11 +115,11 @@ class ColumnarGrasps:
 
     @property
     def fingerprint(self) -> int:
-        """A checksum of the contents."""
+        """Checksum of the contents."""
         return self._archive.checksum()
 
     def chunks(self, size: int, start: int = 0) -> Iterator[ContactSets]:
-        """The grasps from ``start`` on, ``size`` at a time, in order."""
+        """Yield the grasps from ``start`` on, ``size`` at a time, in order."""
         columns = {name: self._archive.column(name) for name in (*NUMBERS, *LABELS) if name in self._headers}
         per_contact = "offsets" in self._shapes
         try:
@@ -134,7 +134,7 @@ class ColumnarGrasps:
                 column.close()
 
     def read(self) -> ContactSets:
-        """All of it."""
+        """Read all grasps of the file."""
         return next(self.chunks(max(1, len(self))))
 
     def _rows(self, columns: dict[str, ColumnOfRows], first: int, last: int, per_contact: bool) -> ContactSets:
@@ -291,7 +291,7 @@ class ColumnarGrasps:
 
 
 def columns_to_save(sets: ContactSets) -> dict[str, np.ndarray]:
-    """What an archive of these sets holds, by column."""
+    """Return the columns of a grasp file with these sets: ``(N, n, ...)`` for equal sizes, else flat with offsets."""
     uniform = len(sets) > 0 and np.all(sets.sizes == sets.largest)
     columns = {name: np.ascontiguousarray(array) for name, array in sets.columns.items()}
     if uniform:

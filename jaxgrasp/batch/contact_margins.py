@@ -1,4 +1,4 @@
-"""How far contacts are from slipping, by one program for contacts of whatever grasps, so that all batches agree.
+"""Friction margins of contacts, by a single program for the contacts of all grasps, so that all batches agree.
 
 A program for each shape of a batch would round in a way of its own.
 """
@@ -19,11 +19,11 @@ from jaxgrasp.numerics import vec3
 from jaxgrasp.numerics.compiled_code import jit_here
 
 TILE = 1 << 14
-"""Contacts at a time."""
+"""Contacts that are computed at a time."""
 
 
 def margins(sets: ContactSets, forces: np.ndarray, moments: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest friction margin of the loaded contacts [rad], and largest force beyond friction's limit [N].
+    """Compute the smallest friction margin of loaded contacts [rad] and the largest force beyond friction's limit [N].
 
     Both ``(N, W)``, for ``forces (M, W, 3)`` and, of soft fingers, ``moments (M, W)``. The margin is +inf where no
     contact is loaded; what is beyond the limit is max(|t| - mu n) or 0, moments counted as in ``friction_margin``.
@@ -51,7 +51,7 @@ def _program() -> Any:
 
 
 def _of_contacts(given: tuple[Array | None, ...]) -> tuple[Array, Array]:
-    """Margin and tangential force beyond friction's limit of each contact, as of grasps of one contact."""
+    """Compute the margin and the tangential force beyond friction's limit of each contact, as a grasp of its own."""
     normals, friction, torsion, forces, moments = jax.tree.map(lambda array: jnp.asarray(array)[:, None], given)
     grasp = Grasp(jnp.zeros_like(normals), normals, friction, jnp.zeros_like(friction), torsion=torsion)
     force, normal = vec3.from_axis(forces, -1), vec3.from_axis(normals, -1)

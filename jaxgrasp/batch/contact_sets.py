@@ -55,7 +55,7 @@ class ContactSets:
         return len(self.offsets) - 1
 
     def __getitem__(self, chosen: "int | slice | np.ndarray") -> "Grasp | ContactSets":
-        """One grasp by its number; or some of the sets, by a slice, an array of numbers or a mask."""
+        """Return a single grasp for an index, or contact sets for a slice, an array of indices or a mask."""
         numbers = np.arange(len(self))[checked_index(chosen, (len(self),))]
         return self.rows(numbers) if np.ndim(numbers) else self.grasp(int(numbers))
 
@@ -75,13 +75,13 @@ class ContactSets:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """What there is of contacts, by field, ``(M, ...)``."""
+        """Arrays of the contacts that are not None, by field, ``(M, ...)``."""
         given = {name: getattr(self, name) for name in (*CONTACT_FIELDS, *OPTIONAL_FIELDS)}
         return {name: array for name, array in given.items() if array is not None}
 
     @classmethod
     def from_grasp(cls, grasp: Grasp, wrench: np.ndarray, limits: Limits | None = None) -> "ContactSets":
-        """A batch of grasps of one size; contacts that are not ``present`` are left out.
+        """Make contact sets of a batch of grasps of equal size; contacts that are not ``present`` are left out.
 
         Args:
             grasp: contacts ``(N, n)``, or ``(n,)`` for one grasp.
@@ -115,14 +115,14 @@ class ContactSets:
         return cls(**columns, offsets=offsets, wrench=as_wrenches(np.asarray(wrench), count))
 
     def grasp(self, index: int) -> Grasp:
-        """One grasp, of the size that it has."""
+        """Return a single grasp at its own size, without padding."""
         own = slice(self.offsets[index], self.offsets[index + 1])
         torsion = None if self.torsion is None else self.torsion[own]
         points, normals, friction, squeeze = (getattr(self, name)[own] for name in CONTACT_FIELDS)
         return Grasp(points, normals, friction, squeeze, torsion=torsion)
 
     def rows(self, chosen: slice | np.ndarray) -> "ContactSets":
-        """Some of the grasps: a slice, or an array of indices."""
+        """Return the chosen grasps as contact sets; ``chosen`` is a slice or an array of indices."""
         if isinstance(chosen, slice):
             start, stop, step = chosen.indices(len(self))
             if step != 1:
@@ -148,7 +148,7 @@ class ContactSets:
         )
 
     def padded(self, width: int) -> Grasp:
-        """All grasps as one batch ``(N, width)``; ``present`` marks the padding, if there is any."""
+        """Pad all grasps to a batch ``(N, width)``; ``present`` is 0 at the padding, None if there is none."""
         points, normals, friction, squeeze = (self._spread(name, width) for name in CONTACT_FIELDS)
         torsion = None if self.torsion is None else self._spread("torsion", width)
         there = np.arange(width) < self.sizes[:, None]
@@ -156,7 +156,7 @@ class ContactSets:
         return Grasp(points, normals, friction, squeeze, present=present, torsion=torsion)
 
     def limits(self, width: int) -> Limits | None:
-        """The limits of all grasps as one batch of ``padded``'s shape; None where there are none."""
+        """Pad the limits of all grasps to a batch of ``padded``'s shape; return None if there are no limits."""
         given = {name: getattr(self, name) for name in BOUNDS}
         wide = {name: array for name, array in given.items() if array is not None}
         if not wide:
@@ -165,7 +165,7 @@ class ContactSets:
         return Limits(**own)
 
     def _spread(self, name: str, width: int) -> np.ndarray:
-        """A column as ``(N, width, ...)``, padded with zeros."""
+        """Spread a column ``(M, ...)`` to ``(N, width, ...)``, padded with zeros."""
         array, count = getattr(self, name), len(self)
         if np.all(self.sizes == width):
             return array.reshape(count, width, *array.shape[1:])
@@ -174,18 +174,18 @@ class ContactSets:
         return wide
 
     def towards_middle(self) -> np.ndarray:
-        """From each contact to the mean of its grasp's contacts, ``(M, 3)`` [m]."""
+        """Compute the vector from each contact to the mean of its grasp's contacts, ``(M, 3)`` [m]."""
         return to_middle(self.points, self.offsets)
 
     def reach(self) -> np.ndarray:
-        """Largest distance of a contact from the middle, of each grasp that has any [m]."""
+        """Compute the largest distance of a contact from the middle [m], for each grasp that has contacts."""
         starts = self.offsets[:-1][self.sizes > 0]
         return (
             np.maximum.reduceat(np.linalg.norm(self.towards_middle(), axis=1), starts) if len(starts) else np.zeros(0)
         )
 
     def astype(self, dtype: np.dtype) -> "ContactSets":
-        """These sets in another precision."""
+        """Convert all numbers of these sets to another precision."""
         arrays = self.columns | {"wrench": self.wrench}
         if self.torque_max is not None:
             arrays["torque_max"] = self.torque_max
@@ -210,7 +210,7 @@ class ContactSets:
         return f"line {self.lines[self.offsets[grasp] + contact]}, {title or f'grasp {first_grasp + grasp}'}"
 
     def name_of(self, grasp: int) -> str:
-        """Return the name of a grasp by its place here; nothing where it has none."""
+        """Return the name of a grasp by its index; empty text if it has no name."""
         return str(self.labels["name"][grasp]) if "name" in self.labels else ""
 
     def _faults(self) -> Iterator[Fault]:
@@ -240,7 +240,7 @@ class ContactSets:
 
 
 def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:
-    """``(N, W, 6)`` from any of the shapes in which wrenches are given."""
+    """Reshape wrenches ``(6,)``, ``(N, 6)`` or ``(N, W, 6)`` to ``(N, W, 6)``."""
     if wrench.shape == (6,):
         wrench = np.broadcast_to(wrench, (count, 6))
     if wrench.ndim == 2:
@@ -259,7 +259,7 @@ def as_wrenches(wrench: np.ndarray, count: int) -> np.ndarray:
 
 
 def as_sets(grasps: ContactSets | Grasp, wrenches: AnyArray | None, limits: Limits | None) -> ContactSets:
-    """Contact sets out of what the public functions take."""
+    """Make contact sets of public functions' arguments: sets, or a batch of grasps with wrenches and limits."""
     if isinstance(grasps, Grasp):
         if wrenches is None:
             raise ValueError("wrenches is None: expected an array (N, 6) with a batch of grasps")

@@ -1,4 +1,4 @@
-"""Sets as CSV: one line a contact, the wrench repeated on each line of its grasp.
+"""Contact sets as CSV: a line for each contact, the wrench repeated on each line of its grasp.
 
 Columns, in any order: grasp (an integer or a name; equal on consecutive lines of one grasp, and the grasp's name where
 there is no column name), px py pz [m], ax ay az, friction, squeeze [N], fx fy fz [N], tx ty tz [N.m], and optionally
@@ -41,7 +41,7 @@ SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
 
 
 def read_csv(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ContactSets:
-    """Read a set; errors name the line and the column."""
+    """Read contact sets from a CSV file; errors name the line and the column."""
     path, fill = Path(path), fill or {}
     try:
         with open(path, newline="", encoding="utf-8-sig") as stream:
@@ -93,13 +93,13 @@ def _read_table(path: Path, stream: IO[str], fill: dict[str, float]) -> "_Table"
 
 
 class _Layout(NamedTuple):
-    """How the cells of a file's lines are found."""
+    """Layout of a file's lines: names of the columns and their separator."""
 
     header: list[str]
     """Names of the columns, without the spaces around them."""
     separator: str
     spaced: bool
-    """Whether names have spaces around them, so that those around texts are no part of the texts either."""
+    """True if names have spaces around them, so that spaces around texts do not belong to the texts either."""
 
 
 def _layout(line: str, separator: str | None = None) -> _Layout:
@@ -114,7 +114,7 @@ def _layout(line: str, separator: str | None = None) -> _Layout:
 
 
 def _differing(column: dict[str, np.ndarray], wrench: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Lines whose wrench is not that of their grasp's first; a component at a time, for the sake of memory."""
+    """Find the lines whose wrench differs from the first line of their grasp; a component at a time, to save memory."""
     unlike = np.zeros(int(sizes.sum()), bool)
     for k, name in enumerate(WRENCH):
         unlike |= column[name] != np.repeat(wrench[:, k], sizes)
@@ -122,10 +122,10 @@ def _differing(column: dict[str, np.ndarray], wrench: np.ndarray, sizes: np.ndar
 
 
 class _Table(NamedTuple):
-    """What the lines of a file hold, one row each."""
+    """Contents of a file's lines, a row for each line."""
 
     columns: list[str]
-    """Those of numbers, in the order of the file."""
+    """Names of the columns of numbers, in the order of the file."""
     numbers: np.ndarray
     """``(rows, columns)``."""
     lines: array
@@ -133,9 +133,9 @@ class _Table(NamedTuple):
     starts: list[int]
     """The first row of each grasp."""
     grasps: list[str]
-    """What the column ``grasp`` calls each."""
+    """Text of each grasp in the column ``grasp``."""
     labels: dict[str, list[str]]
-    """What each grasp is called, by the label's name."""
+    """Text of each grasp, by the label's name."""
 
 
 def _check_header(path: Path, layout: _Layout, fill: dict[str, float]) -> None:
@@ -211,7 +211,7 @@ def _label(path: Path, line: int, name: str, text: str) -> str:
 
 
 def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
-    """Write a set, whole or not at all; digits enough to read the same numbers back."""
+    """Write contact sets, whole or not at all, with digits enough to read the same numbers back."""
     if sets.wrenches != 1:
         raise ValueError(f"wrench has {sets.wrenches} wrenches a grasp: a CSV file holds one; write an .npz file")
     if sets.torque_map is not None:
@@ -232,7 +232,7 @@ def write_csv(path: str | os.PathLike, sets: ContactSets) -> None:
 
 
 def _rows(sets: ContactSets, first: int) -> Iterator[list]:
-    """The lines of some grasps, the first of which has this number."""
+    """Yield the lines of these grasps as lists of cells; ``first`` is the number of the first grasp."""
     single = [array for array in sets.columns.values() if array.ndim == 1]
     owner = np.repeat(np.arange(len(sets)), sets.sizes)
     numbers = np.column_stack([sets.points, sets.normals, *single, sets.wrench[owner, 0]]).astype(float)
@@ -245,13 +245,13 @@ DECIMAL_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.ASCII | re.IGN
 
 
 class _NumberReader:
-    """Reads the numbers of one file, whose decimals are all marked by points or all by commas."""
+    """Reader of the numbers of a file, whose decimal marks are all points or all commas."""
 
     def __init__(self, path: Path, separator: str) -> None:
         self._path = path
         self._may_have_commas = separator != ","
         self._mark = ""
-        """The mark of the first number that has any."""
+        """Decimal mark of the first number that has a mark."""
         self._marked_at = ""
 
     def __call__(self, line: int, column: str, text: str) -> float:

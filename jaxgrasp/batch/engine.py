@@ -1,4 +1,4 @@
-"""Runs the methods on blocks of equal shape: compiles once a shape, times each method, uses every device."""
+"""Engine that runs the methods on blocks of equal shape: compiled once a shape, timed by method, on all devices."""
 
 import time
 from collections.abc import Callable
@@ -26,7 +26,7 @@ OF_LIMITS = ("normal_multiplier", "torque_multiplier", "certificate_rates")
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One method on a block of problems."""
+    """Results of a method on a block of problems."""
 
     forces: np.ndarray
     """``(B, n, 3)`` [N]."""
@@ -47,9 +47,9 @@ class MethodResult:
     moments: np.ndarray | None = None
     """``(B, n)``: of soft fingers [N.m]; this and the following None where there is nothing of the kind."""
     normal_multiplier: np.ndarray | None = None
-    """``(B, n)``: which bounds of normal forces bind, as in a Solution."""
+    """``(B, n)``: multipliers of the bounds of normal forces, as in a Solution."""
     torque_multiplier: np.ndarray | None = None
-    """``(B, j)``: likewise of torques."""
+    """``(B, j)``: multipliers of the bounds of torques."""
     certificate_rates: np.ndarray | None = None
     """``(B, j)``."""
 
@@ -72,7 +72,7 @@ class Engine:
         devices: int | None = None,
         announce: Callable[[str], None] = lambda text: None,
     ):
-        """``announce`` is told of each number of contacts before the first programs for it are compiled."""
+        """Create an engine; ``announce`` is told of each number of contacts before its first programs are compiled."""
         self.methods = methods
         self._announce = announce
         self._announced: set[int] = set()
@@ -124,7 +124,7 @@ class Engine:
         return results
 
     def _timed(self, function: Callable, *arguments) -> tuple:
-        """The function's results and the seconds it took, compiled beforehand."""
+        """Run a compiled function and return its results and the seconds that the run took, without compiling."""
         program = _program(function, self._mesh)
         compiled, compiling = program.compiled(arguments)
         start = time.perf_counter()
@@ -151,7 +151,7 @@ class _Program:
         self._compiling = Lock()
 
     def compiled(self, arguments: tuple) -> tuple[Callable, float]:
-        """The program for arguments of these shapes, and the seconds that it took to compile now."""
+        """Return the program for arguments of these shapes and the seconds of compiling, 0 if it is cached."""
         leaves, structure = jax.tree.flatten(arguments)
         key = (structure, *((leaf.shape, leaf.dtype) for leaf in leaves))
         with self._compiling:

@@ -1,4 +1,4 @@
-"""Contact sets to results: every method on every grasp and wrench, in memory."""
+"""Evaluation of contact sets in memory: every method on every grasp and wrench."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -47,12 +47,12 @@ class Evaluation:
     times: Times
     quality: dict[str, np.ndarray]
     numbers: np.ndarray
-    """``(N,)``: of the grasps in what was given, of which bad ones may have been left out."""
+    """``(N,)``: numbers of the grasps in the input, since grasps with faults may have been left out."""
     least_friction: np.ndarray | None = None
     """``(N, W)``: the least factor on its friction with which each grasp holds, where asked for."""
     squeeze_factor: np.ndarray | None = None
-    """``(N, W)``: by which factor on its squeezing forces each grasp holds: 1 where it does as it squeezes, NaN where
-    it does not hold, or squeezes with nothing."""
+    """``(N, W)``: the factor on its squeezing forces with which each grasp holds: 1 where it does as it squeezes, NaN
+    where it does not hold, or where its squeezing forces are zero."""
 
     def __repr__(self) -> str:
         methods = ", ".join(self.results)
@@ -63,7 +63,7 @@ class Evaluation:
         return f"Evaluation({len(self.sets):,} grasps{wrenches} by {methods}{holds}; print it for more)"
 
     def table(self) -> dict[str, np.ndarray]:
-        """One row for each grasp and wrench, by columns: what ``jaxgrasp evaluate`` writes as ``results.csv``.
+        """Return columns with a row for each grasp and wrench, as ``jaxgrasp evaluate`` writes to ``results.csv``.
 
         ``pandas.DataFrame(found.table())`` makes a data frame of it.
         """
@@ -73,7 +73,7 @@ class Evaluation:
         return table_columns(arrays)
 
     def __str__(self) -> str:
-        """The summary that a person reads in ten seconds."""
+        """Format the summary as text."""
         return summary_text(self.summary, self.times, self.times.compiling + sum(self.times.solving.values()))
 
 
@@ -93,7 +93,7 @@ def evaluate(
     normalize: bool = False,
     devices: int | None = None,
 ) -> Evaluation:
-    """Closed forms and constrained optima of many grasps, and how far apart they are.
+    """Compute closed forms and constrained optima of many grasps, and compare them.
 
     Args:
         grasps: contact sets of any sizes, or one batch of grasps ``(N, n)``.
@@ -147,7 +147,7 @@ def evaluate(
 
 
 class Answers(NamedTuple):
-    """All that is computed of some sets, as an Evaluation holds it."""
+    """Results of contact sets, as an Evaluation holds them."""
 
     sets: ContactSets
     results: dict[str, MethodResult]
@@ -157,16 +157,16 @@ class Answers(NamedTuple):
     least_friction: np.ndarray | None
     squeeze_factor: np.ndarray
     set_aside: int
-    """Grasps with faults, which are none of the sets."""
+    """Number of grasps with faults, which ``sets`` does not contain."""
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """As the arrays of a shard."""
+        """Return these results as the arrays of a shard."""
         return arrays_of(
             self.sets, self.results, self.why, self.numbers, self.quality, self.least_friction, self.squeeze_factor
         )
 
     def summary(self, measures: tuple[Measure, ...]) -> Summary:
-        """What they say as a whole."""
+        """Summarise these results: counts, distributions, qualities and rankings."""
         return replace(
             summarise(self.sets, self.results, numbers=self.numbers, set_aside=self.set_aside),
             qualities=summarise_qualities(measures, self.quality),
@@ -195,7 +195,7 @@ def answers(
     chunk: int = 1,
     buckets: tuple[int, ...] | None = None,
 ) -> Answers:
-    """All that is asked of sets whose first grasp has the number ``first`` in the input.
+    """Compute results, qualities and factors of sets whose first grasp has the number ``first`` in the input.
 
     ``progress`` is told of grasps that are measured; ``checked`` sets have no faults; ``chunk`` and ``buckets`` are
     those of ``run``.
@@ -231,7 +231,7 @@ def _check_fit(sizes: np.ndarray, numbers: np.ndarray, largest: int) -> None:
 
 
 def usable(sets: ContactSets, skip_bad: bool, first_grasp: int = 0) -> tuple[ContactSets, np.ndarray]:
-    """The grasps without faults, and which they are; raises for the first fault unless told to skip."""
+    """Return the grasps without faults and their indices; raise GraspError for the first fault unless ``skip_bad``."""
     bad = set()
     for fault in sets.faults(first_grasp):
         if not skip_bad:
@@ -248,7 +248,7 @@ def squeeze_factors(
     chunk: int = 1,
     buckets: tuple[int, ...] | None = None,
 ) -> np.ndarray:
-    """Return by which factor on its squeezing forces each grasp holds, ``(N, W)``, as far as an optimum shows.
+    """Return the factor on its squeezing forces with which each grasp holds, ``(N, W)``, as far as an optimum shows.
 
     It is 1 where a closed form lies inside every cone, or where allowed forces press no harder in all than the
     squeezing forces: the grasp holds as it squeezes. Otherwise it is the sum of normal forces over the sum of squeezing
@@ -307,7 +307,7 @@ def _with_margins(arrays: dict[str, np.ndarray], sets: ContactSets) -> MethodRes
 BY_CONTACT = ("forces", "moments", "normal_multiplier")
 MOSTLY_ZERO = ("certificate", "force_bound")
 ALWAYS = tuple(name for name in ANSWERED if name != "moments")
-"""What every method answers."""
+"""Fields that every method returns."""
 
 
 def _empty(name: str, sets: ContactSets) -> np.ndarray:
@@ -324,7 +324,7 @@ def _empty(name: str, sets: ContactSets) -> np.ndarray:
 
 
 def _place(shaped: dict[str, np.ndarray], part: dict[str, np.ndarray], rows: np.ndarray, sets: ContactSets) -> None:
-    """Write a block's answers where its grasps stand, leaving out padding."""
+    """Copy a block's answers to the rows of its grasps in the arrays of all sets, without the padding."""
     used = len(rows) * sets.wrenches
     sizes = sets.sizes[rows]
     for name, target in shaped.items():

@@ -16,17 +16,17 @@ from jaxgrasp.files.hdf5 import hdf5_library
 from jaxgrasp.files.replace import replace_file
 
 LONGEST = 1_000
-"""Bytes of a text whose length a file leaves open."""
+"""Largest length [bytes] of a text whose length the file does not fix."""
 
 
 class Hdf5Column:
-    """One data set, read forward a few rows at a time."""
+    """Data set that is read forward, a few rows at a time."""
 
     def __init__(self, path: Path, name: str, data: Any):
-        """``data`` is h5py's data set.
+        """Check the data set and read its shape and type; ``data`` is h5py's data set.
 
         Raises:
-            GraspFileError: for what refers to other files, or claims more than it stores.
+            GraspFileError: for data in other files, and for a shape that needs more bytes than the data can hold.
         """
         self._path, self._name, self._data, self._at = path, name, data, 0
         if data.external or data.is_virtual:
@@ -90,7 +90,7 @@ class Hdf5Archive:
         return here and isinstance(self._file[name], h5py.Dataset)
 
     def checksum(self) -> int:
-        """Checksum of all bytes of the file."""
+        """Compute the CRC-32 of all bytes of the file."""
         sum_ = 0
         with open(self.path, "rb") as stream:
             while part := stream.read(1 << 20):
@@ -105,12 +105,12 @@ class Hdf5Archive:
 
 
 def open_hdf5(path: Path, fill: dict[str, float] | None = None) -> ColumnarGrasps:
-    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
+    """Open a grasp file for reading; ``fill`` holds values for columns that the file lacks."""
     return ColumnarGrasps(Hdf5Archive(path), fill)
 
 
 def write_hdf5(path: Path, sets: ContactSets) -> None:
-    """Write a grasp file, whole or not at all."""
+    """Write contact sets as an HDF5 file, whole or not at all."""
     h5py = hdf5_library()
 
     def write(stream: Any) -> None:

@@ -1,4 +1,4 @@
-"""What a user may have got wrong, when the data look as if."""
+"""Hints on likely errors in the data: millimetres, outward normals, contacts on a line."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ SAMPLE = 256
 
 
 def hints(source: GraspSource, plan: StreamPlan, summary: Summary) -> list[str]:
-    """Sentences for the user; usually none."""
+    """Return sentences on likely errors in the data; usually the list is empty."""
     found: list[str] = []
     sample = next(source.chunks(SAMPLE))
     sample, _ = usable(plan.adjustments.apply(sample), skip_bad=True)

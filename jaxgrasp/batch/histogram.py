@@ -31,7 +31,7 @@ class LogHistogram:
         return LogHistogram(self.counts + other.counts, self.zeros + other.zeros, max(self.largest, other.largest))
 
     def quantile(self, share: float) -> float:
-        """The value below which this share lies, to half a bin (6%); the largest is exact."""
+        """Return the value below which a ``share`` of all values lies, to half a bin (6%); the largest is exact."""
         rank = share * self.total
         if self.total == 0 or rank <= self.zeros:
             return 0.0

@@ -1,4 +1,4 @@
-"""The manifest of a folder of results: what they are of, which files are whole, and whether that is all."""
+"""The manifest of a folder of results: identity of the evaluation, checksums of its files, and completeness."""
 
 import hashlib
 import json
@@ -51,7 +51,7 @@ def _unwritable(folder: Path, error: OSError) -> GraspFileError:
 
 
 class Manifest:
-    """What a folder says of its results: ``content``, with an entry for each file in ``shards``."""
+    """Manifest of a folder of results: ``content``, with an entry for each file in ``shards``."""
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class Manifest:
         self.earlier = found
 
     def _unlike(self, found: dict, key: str) -> str:
-        """Return by what the results that are there differ from those that are wanted, as a sentence says it."""
+        """Describe the difference ``key`` between the folder's results and the wanted ones, as part of a message."""
         if key == "fingerprint":
             return f"{printable(self.content.get('input'))} has changed since these results were written"
         if key == "input":
@@ -129,24 +129,24 @@ class Manifest:
                 (self.folder / name).unlink(missing_ok=True)
 
     def write(self) -> None:
-        """Write it, whole or not at all."""
+        """Write the manifest with its SHA-256, whole or not at all."""
         text = json.dumps(self.content | {"sha256": _sealed(self.content)}).encode()
         replace_file(self.folder / MANIFEST, lambda stream: stream.write(text))
 
 
 def _sealed(manifest: dict) -> str:
-    """What a manifest is known by: whoever edits one means other results than those beside it."""
+    """Compute the SHA-256 of a manifest, which shows whether it was edited after it was written."""
     return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
 
 
 def hashed(path: Path) -> str:
-    """What a file is known by."""
+    """Compute the SHA-256 of a file, in hexadecimal digits."""
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def is_whole(path: Path, entry: dict) -> bool:
-    """Whether a file is the one that was written, to its last byte."""
+    """Check that a file exists and has the SHA-256 of its manifest entry."""
     try:
         return path.is_file() and hashed(path) == entry.get("sha256")
     except OSError:

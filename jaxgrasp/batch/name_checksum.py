@@ -1,4 +1,4 @@
-"""A checksum of names, whatever their order: nothing lost and nothing doubled where it is the same before and after."""
+"""Checksum of names, independent of their order: it differs if names are lost or doubled."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ _MIXERS = ((np.uint64(30), np.uint64(0xBF58476D1CE4E5B9)), (np.uint64(27), np.ui
 
 
 def names_checksum(names: np.ndarray) -> int:
-    """The sum, modulo 2^64, of a number for each of these texts ``(N,)``."""
+    """Compute the sum, modulo 2^64, of a hash of each text ``(N,)``."""
     texts = np.ascontiguousarray(names.astype(str))
     if not len(texts) or not texts.dtype.itemsize:
         return len(texts)

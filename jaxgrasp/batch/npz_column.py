@@ -1,4 +1,4 @@
-"""One array of an ``.npz`` archive: its header is believed only as far as the archive's own sizes bear it out."""
+"""Reader of an array of an ``.npz`` archive, whose header must agree with the sizes that the archive states."""
 
 import io
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from jaxgrasp.batch.file_error import GraspFileError
 
 DAMAGE = (ValueError, zipfile.BadZipFile, zlib.error, OSError, EOFError, RuntimeError, KeyError)
-"""What the standard library raises on a broken, encrypted or otherwise odd archive."""
+"""Errors that the standard library raises for a broken, encrypted or otherwise odd archive."""
 LARGEST_HEADER = 1 << 16
 """Bytes of a column that may be its header; NumPy's own for plain arrays take some hundred."""
 DEFLATE_RATIO = 1032
@@ -22,7 +22,7 @@ HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.re
 
 
 class Column:
-    """One array of the archive, read forward a few rows at a time."""
+    """Array of the archive that is read forward, a few rows at a time."""
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
         """Read the header, and check that as many bytes follow as its shape and type need.
@@ -66,7 +66,7 @@ class Column:
             )
 
     def take(self, rows: int) -> np.ndarray:
-        """The next rows."""
+        """Read the next rows, an array ``(rows, ...)``."""
         size = rows * self._row_bytes
         try:
             if self._stream is None:
@@ -80,7 +80,7 @@ class Column:
         return np.frombuffer(data, self.dtype).reshape(rows, *self.shape[1:])
 
     def whole(self) -> np.ndarray:
-        """All of it."""
+        """Read the whole array."""
         with closing(self):
             return self.take(self.shape[0]) if self.shape else self.take(1).reshape(())
 

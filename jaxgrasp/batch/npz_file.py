@@ -37,7 +37,7 @@ class NpzArchive:
         self.names = [member.removesuffix(".npy") for member in members if member.endswith(".npy")]
 
     def checksum(self) -> int:
-        """Checksum of the checksums that the archive keeps of its members."""
+        """Compute the CRC-32 of the names, sizes and CRCs of the archive's members."""
         parts = [f"{member.filename} {member.CRC} {member.file_size}" for member in self._archive.infolist()]
         return zlib.crc32("\n".join(sorted(parts)).encode())
 
@@ -49,15 +49,15 @@ class NpzArchive:
 
 
 def open_npz(path: str | os.PathLike, fill: dict[str, float] | None = None) -> ColumnarGrasps:
-    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
+    """Open a grasp file for reading; ``fill`` holds values for columns that the file lacks."""
     return ColumnarGrasps(NpzArchive(Path(path)), fill)
 
 
 def write_npz(path: str | os.PathLike, sets: ContactSets) -> None:
-    """Write a grasp file, whole or not at all."""
+    """Write contact sets as an ``.npz`` file, whole or not at all."""
     replace_file(Path(path), lambda stream: save_arrays(stream, columns_to_save(sets)))
 
 
 def save_arrays(stream: IO[bytes], arrays: Mapping[str, np.ndarray]) -> None:
-    """An ``.npz`` archive of plain arrays."""
+    """Write arrays to a stream as an ``.npz`` archive, without pickles."""
     np.savez(stream, allow_pickle=False, **arrays)

@@ -23,7 +23,7 @@ from jaxgrasp.batch.remote_file import RemoteFile
 from jaxgrasp.files.replace import replace_file
 
 ROWS = 65_536
-"""Grasps that are written at a time."""
+"""Number of grasps that are written at a time."""
 ROWS_READ = 8_192
 """Grasps that are read at a time, whatever the size of the file's row groups."""
 BUFFER = 8 << 20
@@ -31,7 +31,7 @@ BUFFER = 8 << 20
 
 
 class ParquetColumn:
-    """One column of a file, read forward a few rows at a time."""
+    """Column of a file that is read forward, a few rows at a time."""
 
     def __init__(self, archive: "ParquetArchive", name: str, shape: tuple[int, ...], dtype: np.dtype):
         self.shape, self.dtype = shape, dtype
@@ -40,7 +40,7 @@ class ParquetColumn:
         self._held: list[np.ndarray] = []
 
     def take(self, rows: int) -> np.ndarray:
-        """The next rows."""
+        """Read the next rows, an array ``(rows, ...)``."""
         while not self._held or sum(map(len, self._held)) < rows:
             part = next(self._parts, None)
             if part is None:
@@ -64,7 +64,7 @@ class ParquetColumn:
 
 
 class ParquetArchive:
-    """The columns of a Parquet file, as an archive of flat arrays has them, of which memory holds a few rows.
+    """Archive of the columns of a Parquet file as flat arrays, of which memory holds a few rows.
 
     All of it is read once as it is opened, which checks it.
     """
@@ -87,13 +87,13 @@ class ParquetArchive:
             self.names.append("offsets")
 
     def parts(self, name: str) -> Iterator[FlatColumn]:
-        """A column, some rows at a time."""
+        """Yield a column in parts of at most ``ROWS_READ`` grasps."""
         with opened_parquet(self.path) as file:
             for batch in file.iter_batches(ROWS_READ, columns=[name]):
                 yield flat_column(self._arrow, self.path, name, batch.column(0))
 
     def _checked(self, name: str) -> tuple[tuple[int, ...], np.dtype]:
-        """Shape and type of a column, all of whose rows are of one kind."""
+        """Read a column once; check that its rows agree, store its checksum, and return its shape and type."""
         rows, sum_ = 0, 0
         sides: tuple[int, ...] | None = None
         dtype: np.dtype | None = None
@@ -118,7 +118,7 @@ class ParquetArchive:
         return (rows, *(sides or ())), dtype
 
     def checksum(self) -> int:
-        """Checksum of the columns that are read."""
+        """Compute the CRC-32 of the checksums of the columns."""
         return zlib.crc32(json.dumps(self._checksums, sort_keys=True).encode())
 
     def column(self, name: str) -> ColumnOfRows:
@@ -129,10 +129,10 @@ class ParquetArchive:
 
 @contextmanager
 def opened_parquet(path: "Path | RemoteFile") -> Iterator[Any]:
-    """pyarrow's file of Parquet, here or elsewhere.
+    """Open a local or remote Parquet file as pyarrow's ``ParquetFile`` until the block ends.
 
     Raises:
-        GraspFileError: where it cannot be opened, and for what cannot be read of it within the block.
+        GraspFileError: if the file cannot be opened, or cannot be read within the block.
     """
     arrow = arrow_library()
     try:
@@ -149,19 +149,19 @@ def opened_parquet(path: "Path | RemoteFile") -> Iterator[Any]:
 
 
 def _content(array: np.ndarray) -> bytes:
-    """What a checksum is of, whatever pieces it comes in: texts without what fills them up to the longest."""
+    """Return the bytes of an array for a checksum that does not depend on its parts: texts without their padding."""
     if array.dtype.kind == "U":
         return "".join(f"{text}\n" for text in array.tolist()).encode("utf-8", "surrogatepass")
     return np.ascontiguousarray(array).tobytes()
 
 
 def open_parquet(path: "Path | RemoteFile", fill: dict[str, float] | None = None) -> ColumnarGrasps:
-    """A grasp file, open for reading. ``fill`` stands in for columns that the file lacks."""
+    """Open a grasp file for reading; ``fill`` holds values for columns that the file lacks."""
     return ColumnarGrasps(ParquetArchive(path), fill)
 
 
 def write_parquet(path: Path, sets: ContactSets) -> None:
-    """Write a grasp file, whole or not at all."""
+    """Write contact sets as a Parquet file, whole or not at all."""
     arrow = arrow_library()
 
     def write(stream: Any) -> None:
@@ -186,7 +186,7 @@ def _table(arrow: Any, sets: ContactSets) -> Any:
 
 
 def _lists(arrow: Any, array: np.ndarray) -> Any:
-    """An array as lists of lists, by its axes after the first."""
+    """Convert an array to Arrow lists of lists, a level for each axis after the first."""
     values = arrow.array(np.ascontiguousarray(array).ravel())
     for side in reversed(array.shape[1:]):
         values = arrow.FixedSizeListArray.from_arrays(values, side)

@@ -1,4 +1,4 @@
-"""The price of friction: what a closed form leaves out by ignoring it."""
+"""The price of friction: the share of the optimum's objective that a closed form leaves out by ignoring friction."""
 
 from typing import Any
 
@@ -44,7 +44,7 @@ def price_of_friction(closed: Solution, optimum: Solution) -> Float[np.ndarray, 
 def objective_gap(closed: Any, optimum: Any, verdict: Any) -> np.ndarray:
     """Return (F* - F) / F*, by the objectives F of a closed form and F* of its optimum, whose verdict is given.
 
-    Zero where the closed form is the optimum; it means nothing where there is no optimum.
+    Zero where the closed form is the optimum; the value has no meaning where there is no optimum.
     """
     already = verdict == Verdict.CLOSED_FORM_OPTIMAL
     with np.errstate(divide="ignore", invalid="ignore"):

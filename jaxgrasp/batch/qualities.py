@@ -1,4 +1,4 @@
-"""Measures of quality of contact sets, and what is said of them as a whole."""
+"""Measures of quality of contact sets, and their summaries."""
 
 from dataclasses import dataclass
 
@@ -13,8 +13,10 @@ from jaxgrasp.quality.measures import UNDECIDED, Columns, Measure, MeasuredGrasp
 
 
 def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Progress | None = None) -> Columns:
-    """Every measure of every grasp, ``(N,)`` each, by ``MEASURE.COLUMN``; some hundred grasps at a time, as
-    ``progress`` is told."""
+    """Compute every measure of every grasp: arrays ``(N,)`` by ``MEASURE.COLUMN``.
+
+    Grasps are measured a few hundred at a time; ``progress`` is told the number of each part.
+    """
     if not measures:
         return {}
     width, parts = max(1, sets.largest), []
@@ -30,9 +32,9 @@ def measure_all(measures: tuple[Measure, ...], sets: ContactSets, progress: Prog
 
 
 def least_friction_of(sets: ContactSets) -> np.ndarray:
-    """The least factor on their friction with which sets hold, ``(N, W)``; +inf where no friction would do.
+    """Compute the least factor on their friction with which sets hold, ``(N, W)``; +inf where no friction suffices.
 
-    By the total of normal forces that the hand means to exert, its squeezing forces.
+    The total of normal forces is that of the squeezing forces of the hand.
     """
     grasp = sets.padded(max(1, sets.largest))
     each = [np.asarray(least_friction(grasp, sets.wrench[:, k], "uniform")) for k in range(sets.wrenches)]
@@ -41,7 +43,7 @@ def least_friction_of(sets: ContactSets) -> np.ndarray:
 
 @dataclass
 class QualitySummary:
-    """One measure over all grasps."""
+    """Summary of a measure over all grasps."""
 
     values: LogHistogram
     """Distribution of the measure's first column; numbers below zero count as zero."""
@@ -59,7 +61,7 @@ class QualitySummary:
 
 
 def summarise_qualities(measures: tuple[Measure, ...], columns: Columns) -> dict[str, QualitySummary]:
-    """Summaries of one chunk, by the measures' names."""
+    """Summarise the measures of a chunk, by the measures' names."""
     summaries = {}
     for measure in measures:
         values = next(array for name, array in columns.items() if name.startswith(f"{measure.name}."))
@@ -69,7 +71,7 @@ def summarise_qualities(measures: tuple[Measure, ...], columns: Columns) -> dict
 
 
 def quality_line(name: str, summary: QualitySummary) -> str:
-    """What a person reads of one measure."""
+    """Format the summary of a measure as a line of text."""
     values = summary.values
     if name == "force-closure":
         closed = int(values.counts.sum())

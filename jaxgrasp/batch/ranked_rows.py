@@ -13,7 +13,7 @@ SHOWN = ("grasp", "name", "wrench", "contacts", "holds", "why")
 
 
 def ranked_rows(folder: Path, by: str, top: int, smallest: bool = False) -> dict[str, np.ndarray]:
-    """Columns that tell grasps apart, and the one they are ranked ``by``, of the first ``top`` rows.
+    """Read the ``top`` rows in the order of the column ``by``: the columns ``SHOWN`` and that column.
 
     Rows without a number in that column are left out. Of equal numbers the earlier grasp comes first. Memory holds one
     shard.
@@ -22,7 +22,7 @@ def ranked_rows(folder: Path, by: str, top: int, smallest: bool = False) -> dict
         folder: the results of an evaluation.
         by: a column with numbers, or the name of a measure of quality, which stands for its first column.
         top: how many rows, at least 1.
-        smallest: whether the smallest number comes first, and not the largest.
+        smallest: True to put the smallest number first instead of the largest.
 
     Raises:
         GraspFileError: for a folder that holds no results, or a column that is not there or holds no numbers.
@@ -44,7 +44,7 @@ def ranked_rows(folder: Path, by: str, top: int, smallest: bool = False) -> dict
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files with results, in the order of the input."""
+    """Read the manifest of a folder and return its files of results, in the order of the input."""
     path = folder / MANIFEST
     try:
         files = [folder / entry["file"] for entry in json.loads(path.read_text())["shards"]]

@@ -12,9 +12,9 @@ from jaxgrasp.model.solution import is_balanced
 from jaxgrasp.quality.measures import Columns
 
 RANKED = 5
-"""How many of the best, and of the worst."""
+"""Number of the best grasps, and of the worst."""
 EXAMPLES = 3
-"""Grasps that fail, of each reason."""
+"""Number of examples of grasps that fail, for each reason."""
 MARGIN, LEAST_FRICTION = "friction margin", "least friction"
 SMALLER_IS_BETTER = (LEAST_FRICTION,)
 RADIUS = "N of wrench per N of normal force"
@@ -32,9 +32,9 @@ UNITS = {
     "task-margin": "times the task's wrench",
     "hold-probability": "0 to 1",
 }
-"""What the values of an order are, beside margins, which are angles."""
+"""Units of the values of each order except margins, which are angles."""
 NOTHING_LEFT = 1e-12
-"""Values so small are rounding of a margin of nothing."""
+"""Limit of rounding: smaller values are shown as 0."""
 
 
 def ranking_title(name: str) -> str:
@@ -43,7 +43,7 @@ def ranking_title(name: str) -> str:
 
 
 def without_rounding(value: float) -> float:
-    """Return a value of an order as a person reads it: rounding of nothing is 0."""
+    """Return a value of an order for display: 0 in place of values that are rounding."""
     return 0.0 if abs(value) < NOTHING_LEFT else value
 
 
@@ -54,16 +54,16 @@ class Ranking:
     best: list[dict] = field(default_factory=list)
     """Best first, of those that hold."""
     worst: list[dict] = field(default_factory=list)
-    """Worst first, whether or not they hold."""
+    """Worst first, including those that do not hold."""
 
     def ends(self) -> tuple[tuple[str, list[dict]], ...]:
-        """Both ends with their names; of few grasps none stands at both."""
+        """Return both ends with their names; a case among the best is left out of the worst."""
         best = {(case["grasp"], case["wrench_number"]) for case in self.best}
         worst = [case for case in self.worst if (case["grasp"], case["wrench_number"]) not in best]
         return ("best", self.best), ("worst", worst)
 
     def merged(self, other: "Ranking", sign: float) -> "Ranking":
-        """``sign`` is 1 where larger is better, and -1 where smaller is."""
+        """Merge two rankings; ``sign`` is 1 where larger values are better, and -1 where smaller are."""
         best = sorted(self.best + other.best, key=lambda case: -sign * case["value"])
         worst = sorted(self.worst + other.worst, key=lambda case: sign * case["value"])
         return Ranking(best[:RANKED], worst[:RANKED])
@@ -71,16 +71,16 @@ class Ranking:
 
 @dataclass
 class Ranked:
-    """Which problems hold, why the others do not, and who stands where."""
+    """Counts of problems by reason, examples of failures, and rankings."""
 
     judge: str
-    """The method that says what holds."""
+    """Name of the method that decides which grasps hold."""
     counts: np.ndarray
     """Problems by code of Reason."""
     examples: dict[str, list[dict]]
-    """Some of each Reason, by its name, in the order of the input."""
+    """Examples of each Reason, by its name, in the order of the input."""
     rankings: dict[str, Ranking]
-    """By ``friction margin`` of a closed form [rad], ``least friction`` and measures of quality."""
+    """Rankings by ``friction margin`` of a closed form [rad], ``least friction`` and measures of quality."""
 
     @property
     def holds(self) -> int:
@@ -94,7 +94,7 @@ class Ranked:
 
     @property
     def failing(self) -> list[tuple[Reason, int]]:
-        """Why grasps do not hold, the most frequent first."""
+        """Reasons of grasps that do not hold with their counts, the most frequent first."""
         there = [(one, int(self.counts[one])) for one in Reason if one not in HELD and self.counts[one]]
         return sorted(there, key=lambda pair: -pair[1])
 
@@ -117,7 +117,7 @@ def rank(
     numbers: np.ndarray,
     squeeze_factor: np.ndarray | None = None,
 ) -> Ranked:
-    """What one chunk adds, whose grasps hold or do not for these reasons, and have these ``numbers`` in the input."""
+    """Count the reasons ``why (N, W)`` of a chunk and rank its grasps, which have these ``numbers`` in the input."""
     name = judge(results)
     examples = {
         reason.name: cases_of(sets, results, name[0], np.flatnonzero(why.ravel() == reason)[:EXAMPLES], numbers)
@@ -154,7 +154,7 @@ def _orders(
     least_friction: np.ndarray | None,
     judged: str,
 ) -> dict[str, tuple[str, np.ndarray]]:
-    """By what grasps are ranked: the closed form drawn beside it, and a value for each problem, or NaN."""
+    """Return for each order the method that is drawn beside it, and a value for each problem ``(N, W)``, or NaN."""
     orders: dict[str, tuple[str, np.ndarray]] = {}
     # An optimum that a cone holds has a margin of zero by its nature: margins compare closed forms.
     closed = next((name for name in ("B", "A") if name in results), None)

@@ -24,21 +24,21 @@ STARTS = 3
 
 
 class ClusterError(OSError):
-    """A cluster that cannot be reached, or that cannot go on."""
+    """Error of a cluster that cannot be reached, or that cannot go on."""
 
 
 def ray_library() -> Any:
-    """Ray with its module for data.
+    """Import Ray with its module for data, and return it.
 
     Raises:
-        ImportError: where it is not installed, with the command that does it.
+        ImportError: if it is not installed; the message names the command that installs it.
     """
     return optional_library("ray", "ray.data", missing=MISSING)
 
 
 @contextmanager
 def connected(where: str, cpus: int | None = None) -> Iterator[Any]:
-    """Ray, connected until the block ends; one that this process is connected to already is taken, and left.
+    """Connect to Ray until the block ends; an existing connection of this process is used and left open.
 
     Args:
         where: ``"local"`` starts one on this machine alone, and ends it; ``"auto"`` takes the one that is running
@@ -89,10 +89,10 @@ def _not_found(where: str, why: object) -> ClusterError:
 
 
 def _check_address(where: str) -> None:
-    """That somebody listens at ``HOST:PORT``, since Ray itself takes minutes to give up.
+    """Check that a server listens at ``HOST:PORT``, since Ray itself takes minutes to give up.
 
     Raises:
-        ClusterError: where nobody does.
+        ClusterError: if no server does.
     """
     host, _, port = where.rpartition(":")
     if not host or "/" in host or not port.isdecimal():
@@ -105,7 +105,10 @@ def _check_address(where: str) -> None:
 
 @contextmanager
 def _settings() -> Iterator[None]:
-    """Ray reads them as it is imported and when it starts processes; what the user set stays."""
+    """Set ``SETTINGS`` in the environment until the block ends; variables that the user set stay.
+
+    Ray reads them as it is imported and when it starts processes.
+    """
     added = {name: value for name, value in SETTINGS.items() if name not in os.environ}
     os.environ.update(added)
     try:
@@ -117,7 +120,7 @@ def _settings() -> Iterator[None]:
 
 @contextmanager
 def _no_stderr() -> Iterator[None]:
-    """Nothing on stderr, where Ray's compiled part says as it starts that it will be quiet."""
+    """Discard stderr until the block ends, since Ray's compiled part writes a notice to it at the start."""
     sys.stderr.flush()
     kept = os.dup(2)
     with open(os.devnull, "w") as nowhere:
@@ -145,7 +148,7 @@ def _quiet_logs() -> Iterator[None]:
 
 @contextmanager
 def _no_progress_bars() -> Iterator[None]:
-    """Ray's bar stands where ours does."""
+    """Switch off Ray's progress bars until the block ends: they overwrite the bar of this package."""
     context = ray_library().data.DataContext.get_current()
     before = context.enable_progress_bars, context.print_on_execution_start
     context.enable_progress_bars = context.print_on_execution_start = False
@@ -158,14 +161,14 @@ def _no_progress_bars() -> Iterator[None]:
 def mapped(
     ray: Any, worker: type, arguments: tuple, column: str, items: list[str], workers: int | None, gpus: float
 ) -> Iterator[dict[str, Any]]:
-    """What ``worker(*arguments)`` makes of batches of one item, ``{column: [item]}``, as they are done.
+    """Yield the results of ``worker(*arguments)`` for batches of a single item, ``{column: [item]}``, as they finish.
 
     Args:
-        ray: what ``connected`` gave.
+        ray: the module that ``connected`` yields.
         worker: a class of callables, of which each process of the cluster keeps one.
         arguments: of its constructor.
         column: name of the items.
-        items: what to do; one whose process or machine is lost is done again.
+        items: the work items; an item whose process or machine is lost is done again.
         workers: processes, of one core each; one for each core of the cluster where not given.
         gpus: of each process.
 

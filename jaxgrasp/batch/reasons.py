@@ -1,4 +1,4 @@
-"""Whether a grasp holds its wrench and, where it does not, why: out of verdicts and the proofs that come with them."""
+"""Reasons why grasps do not hold their wrenches, derived from verdicts and their infeasibility certificates."""
 
 from dataclasses import replace
 from enum import IntEnum
@@ -12,15 +12,15 @@ from jaxgrasp.model.limits import BOUNDS
 from jaxgrasp.model.solution import Verdict
 
 JUDGES = ("A-optimum", "B-optimum", "A", "B")
-"""Methods by how well they say what holds: by uniform sharing every contact may carry a force."""
+"""Methods in the order in which they judge grasps: by uniform sharing every contact may carry a force."""
 
 
 STILL = 1e-10
-"""Part of the largest squared velocity of contacts: what is less slides nowhere."""
+"""Share of the largest squared velocity of contacts below which a motion counts as free of sliding."""
 
 
 class Reason(IntEnum):
-    """Why a grasp does not hold its wrench, or that it does. The codes are stable in files."""
+    """Reason for which a grasp does not hold its wrench, or ``HOLDS``. The codes are stable in files."""
 
     title: str
     advice: str
@@ -90,7 +90,7 @@ _BY_VERDICT = {
 
 
 def judge(results: dict[str, MethodResult]) -> str:
-    """The method that says which grasps hold."""
+    """Return the name of the first of ``JUDGES`` in the results: the method that decides which grasps hold."""
     return next(name for name in JUDGES if name in results)
 
 
@@ -103,8 +103,8 @@ def reasons(
 ) -> np.ndarray:
     """Return the codes of Reason for every problem, ``(N, W)``.
 
-    By ``squeeze_factor (N, W)``, of ``evaluation.squeeze_factors``, those that hold if they squeeze harder are told
-    apart.
+    Grasps that hold only if they squeeze harder are told apart by ``squeeze_factor (N, W)``, as
+    ``evaluation.squeeze_factors`` returns it.
     """
     name = judge(results)
     result, own = results[name], METHODS[name]
@@ -126,7 +126,7 @@ def reasons(
 
 
 def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) -> np.ndarray:
-    """For one wrench each: what the certificate ``(N, 6)`` of a set shows, by how it moves the set's contacts."""
+    """Find the reasons ``(N,)`` of sets, a wrench each, by the contact motions of their certificates ``(N, 6)``."""
     small = float(np.finfo(certificate.dtype).eps) ** 0.5
     owner, starts = np.repeat(np.arange(len(sets)), sets.sizes), sets.offsets[:-1]
     linear, angular = certificate[owner, :3], certificate[owner, 3:]
@@ -155,19 +155,19 @@ def _why_infeasible(sets: ContactSets, certificate: np.ndarray, sharing: str) ->
 
 
 def _carries(sets: ContactSets, sharing: str) -> np.ndarray:
-    """Which contacts may carry a force ``(M,)``."""
+    """Return a mask ``(M,)`` of the contacts that may carry a force."""
     return np.ones(len(sets.points), bool) if sharing == "uniform" else sets.squeeze > 0
 
 
 def _middle(sets: ContactSets, carries: np.ndarray) -> np.ndarray:
-    """Middle of each set's contacts that carry a force ``(N, 3)``."""
+    """Compute the mean of each set's contacts that carry a force ``(N, 3)``."""
     starts = sets.offsets[:-1]
     count = np.add.reduceat(carries.astype(float), starts)
     return np.add.reduceat(sets.points * carries[:, None], starts) / np.maximum(count, 1)[:, None]
 
 
 def _escapes_straight(sets: ContactSets, sharing: str) -> np.ndarray:
-    """Whether a motion that the load drives takes each set's object straight away from its contacts ``(N,)``.
+    """Return a mask ``(N,)`` of sets whose load drives a motion that takes the object straight away from its contacts.
 
     Such a motion slides along no contact, so that no friction resists it (Farkas: of the motions z that slide nowhere,
     those with A z <= 0 at all contacts do no work against the load c exactly where c = A^T y with y >= 0).

@@ -22,7 +22,7 @@ WILD = "*?["
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file by its address; of a path it has what is asked of files of grasps."""
+    """File at an address, with the attributes of a path that readers of grasp files use."""
 
     address: str
 
@@ -33,7 +33,7 @@ class RemoteFile:
 
     @property
     def name(self) -> str:
-        """The last part of its path."""
+        """The last part of the address's path."""
         return PurePosixPath(urlsplit(self.address).path).name
 
     @property
@@ -42,16 +42,16 @@ class RemoteFile:
         return PurePosixPath(self.name).suffix
 
     def absolute(self) -> "RemoteFile":
-        """An address is that already."""
+        """Return this file, since an address is absolute."""
         return self
 
     @contextmanager
     def opened(self) -> Iterator[Any]:
-        """The file, for pyarrow to read from.
+        """Open the file as a stream of pyarrow until the block ends.
 
         Raises:
-            FileNotFoundError: where there is none.
-            OSError: where it cannot be reached.
+            FileNotFoundError: if there is no such file.
+            OSError: if it cannot be reached.
         """
         files, path = _file_system(self.address)
         with files.open_input_file(path) as stream:
@@ -59,16 +59,16 @@ class RemoteFile:
 
 
 def read_place(text: str | os.PathLike) -> "Path | RemoteFile":
-    """A path of this machine, or an address."""
+    """Convert text to a path of this machine, or to a RemoteFile if it is an address."""
     said = os.fspath(text)
     return RemoteFile(said) if MARK in said else Path(said)
 
 
 def remote_files(place: RemoteFile, ending: str) -> list[RemoteFile]:
-    """The files that an address means: itself, those that fit its last part, ``part-*.parquet``, or those in a folder.
+    """List the files of an address: a single file, files that match a pattern ``part-*.parquet``, or a folder's files.
 
     Args:
-        place: whose last part may hold ``*``, ``?`` that no query follows, and ``[...]``.
+        place: address, whose last part may hold ``*``, ``?`` that no query follows, and ``[...]``.
         ending: of the names of files in a folder.
 
     Raises:
@@ -99,7 +99,7 @@ def _parts(address: str) -> SplitResult:
 
 
 def _file_system(address: str) -> tuple[Any, str]:
-    """pyarrow's file system for an address, and the path there."""
+    """Return pyarrow's file system for an address, and the path in it."""
     arrow = arrow_library()
     _parts(address)
     try:

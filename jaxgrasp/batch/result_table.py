@@ -1,4 +1,4 @@
-"""Results as a table, one row for each grasp and wrench: what a spreadsheet or a data frame reads.
+"""Results as a table for spreadsheets and data frames, with a row for each grasp and wrench.
 
 Columns, in this order:
 
@@ -35,14 +35,14 @@ from jaxgrasp.model.compared_methods import METHODS
 from jaxgrasp.model.solution import Verdict, is_balanced, is_optimum
 
 SMALL_TABLE = 100_000
-"""Rows up to which a table is written unasked."""
+"""Largest number of rows of a table that is written without being asked for."""
 UNKNOWN = (Reason.SLIPS, Reason.NOT_DECIDED, Reason.INVALID_DATA)
 Shard = Mapping[str, np.ndarray]
 """Arrays as ``shards.arrays_of`` names them."""
 
 
 def table_columns(shard: Shard) -> dict[str, np.ndarray]:
-    """The columns of a table without forces, each ``(N * W,)``; text as arrays of str."""
+    """Return the columns of the table of a shard without forces, each ``(N * W,)``; text as arrays of str."""
     why = shard["why"]
     count, wrenches = why.shape
     number = np.repeat(shard["grasp"], wrenches)
@@ -77,7 +77,7 @@ def table_columns(shard: Shard) -> dict[str, np.ndarray]:
 
 
 def first_rows(shards: Iterable[Shard], most: int) -> dict[str, np.ndarray]:
-    """The first rows of a table, ``most`` or somewhat more of them."""
+    """Return the columns of the first shards until they have ``most`` rows or more."""
     parts: list[dict[str, np.ndarray]] = []
     for shard in shards:
         parts.append(table_columns(shard))
@@ -122,7 +122,7 @@ def _write_csv(stream: IO[bytes], shards: Iterable[Shard]) -> None:
 
 
 def _cells(values: np.ndarray) -> Iterator[Any]:
-    """Yield numbers with digits enough to read them back, nothing where there is none, and text that is only text."""
+    """Yield the cells of a column: numbers with all digits, empty text for NaN, text safe in spreadsheets."""
     for value in values.tolist():
         yield "" if isinstance(value, float) and value != value else safe_cell(value)
 
@@ -148,7 +148,7 @@ def write_parquet_rows(
 
 
 def _contact_lists(arrow: Any, shard: Shard) -> dict[str, Any]:
-    """``METHOD.forces`` and ``METHOD.moments`` as lists; those of a grasp's wrenches come one after the other."""
+    """Convert ``METHOD.forces`` and ``METHOD.moments`` to Arrow lists, a list for each grasp and wrench."""
     order = _by_row(shard)
     offsets = arrow.array(np.concatenate([[0], np.cumsum(order.sizes)]).astype(np.int32))
     columns = {}
@@ -165,7 +165,7 @@ def _of_contacts(shard: Shard) -> list[str]:
 
 
 class _RowOrder(NamedTuple):
-    """The contacts of a table's rows, one row after the other."""
+    """Indices of the contacts of all rows of a table, in the order of the rows."""
 
     sizes: np.ndarray
     """Contacts of each row ``(N * W,)``."""
@@ -183,7 +183,7 @@ def _by_row(shard: Shard) -> _RowOrder:
 
 
 def contact_columns(shard: Shard) -> dict[str, np.ndarray]:
-    """``METHOD.forces`` and ``METHOD.moments`` by row: ``(N * W, n, ...)``, or arrays of arrays of different sizes."""
+    """Return ``METHOD.forces`` and ``METHOD.moments`` by row: ``(N * W, n, ...)``, or object arrays if sizes differ."""
     order = _by_row(shard)
     columns, uniform = {}, len(np.unique(order.sizes)) == 1
     for name in _of_contacts(shard):

@@ -1,4 +1,4 @@
-"""One file of grasps to one file of results: what a worker of a cluster does, and what it reports."""
+"""Evaluation of a file of grasps by a worker of a cluster: its task, its file of results and its report."""
 
 import json
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ from jaxgrasp.numerics.compiled_code import use_cache
 from jaxgrasp.quality.measures import Measure
 
 METADATA = b"jaxgrasp"
-"""Where a file of results keeps its own summary."""
+"""Metadata key of a file of results that holds the file's summary."""
 
 
 @dataclass(frozen=True)
@@ -43,21 +43,21 @@ class ShardTask:
     first: int
     """Number of its first grasp among those of all files."""
     earlier: dict | None = None
-    """Its entry in the manifest of an evaluation that was interrupted."""
+    """The file's entry in the manifest of an interrupted evaluation."""
 
 
 @dataclass(frozen=True)
 class ShardReport:
-    """What became of a file."""
+    """Outcome of the evaluation of a file."""
 
     task: ShardTask
     entry: dict | None = None
-    """Its entry in the manifest; None where there is an error."""
+    """The file's manifest entry; None if there is an error."""
     kept: bool = False
-    """Whether its results were there already."""
+    """True if its results existed already."""
     error: str | None = None
     damaged: bool = False
-    """Whether the error is one of the file's own, so that the others can go on."""
+    """True if the error concerns this file alone, so that the others can go on."""
     times: dict = field(default_factory=dict)
 
 
@@ -75,7 +75,7 @@ class ShardEvaluator:
         self._methods, self._measures = methods_named(plan.methods), plan.measures
 
     def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
-        """The reports on some files, as Ray hands them on: ``task`` in and ``report`` out, both in JSON."""
+        """Evaluate the files of a batch of Ray: the column ``task`` in, the column ``report`` out, both in JSON."""
         tasks = [ShardTask(**json.loads(text)) for text in batch["task"]]
         return {"report": [json.dumps(asdict(self.report(task))) for task in tasks]}
 
@@ -119,14 +119,14 @@ class ShardEvaluator:
         return ShardReport(task, account.entry(hashed(path)), times=asdict(engine.times))
 
     def _answers(self, engine: Engine, raw: ContactSets, task: ShardTask, first: int) -> Answers:
-        """The answers of a chunk; a fault is said by its number in the file, results are numbered through all files."""
+        """Evaluate a chunk; a fault names the grasp's number in the file, results are numbered through all files."""
         found = self._plan.answers(engine, raw, self._measures, first=first, chunk=self._plan.chunk)
         return found._replace(numbers=found.numbers + task.first)
 
 
 @dataclass
 class _Account:
-    """What is counted of a file while it is evaluated."""
+    """Counts and checksums of a file while it is evaluated."""
 
     task: ShardTask
     fingerprint: int
@@ -150,16 +150,16 @@ class _Account:
         return found.arrays()
 
     def metadata(self, plan: StreamPlan) -> dict[bytes, bytes]:
-        """What a file of results says of itself."""
+        """Return the metadata of the file of results: options, fingerprint and summary, in JSON."""
         assert self.summary is not None
         said = {"options": plan.options, "fingerprint": self.fingerprint, "summary": to_json(self.summary)}
         return {METADATA: json.dumps(said).encode()}
 
     def read_back(self, path: Path) -> None:
-        """Count what was written.
+        """Read the written file back, and count its rows and the checksum of its names.
 
         Raises:
-            OSError: where that is not what was evaluated.
+            OSError: if its names differ from those that were evaluated.
         """
         with arrow_library().parquet.ParquetFile(path) as file:
             columns = [name for name in ("name", "wrench") if name in file.schema_arrow.names]
@@ -173,7 +173,7 @@ class _Account:
             raise OSError("what was written reads back otherwise")
 
     def entry(self, sha256: str) -> dict:
-        """What the manifest says of the file."""
+        """Return the manifest entry of the file: counts, checksums of names, verdicts and SHA-256."""
         assert self.summary is not None
         verdicts = {
             name: {verdict.name: count for verdict in Verdict if (count := method.count(verdict))}

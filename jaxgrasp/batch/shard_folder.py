@@ -1,4 +1,4 @@
-"""Results of many files in one folder: a file for each, by its own name, and a manifest that says which are whole."""
+"""Folder of results of many files: a file of results for each, by its name, and a manifest of the complete ones."""
 
 import json
 import re
@@ -20,7 +20,7 @@ OURS = re.compile(r"[^./\\][^/\\]*\.parquet")
 PARTIAL = re.compile(r"\.([^/\\]+\.parquet|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html")
 SECONDS = 5.0
-"""Between two manifests: a long one takes a while to write, and what it does not name yet is only computed again."""
+"""Time between two writes of the manifest [s]; after an interrupt, files that it does not name are computed again."""
 COUNTED = ("grasps", "rows", "set_aside")
 CHECKSUMS = ("names_in", "names_aside", "names_out")
 
@@ -52,7 +52,7 @@ class ShardFolder:
             raise GraspFileError(folder, f"it holds results of {gone}, which is not asked for: choose another --out")
 
     def entry(self, file: str) -> dict | None:
-        """What the manifest says of a file of results; None where there is none that is whole."""
+        """Return the manifest entry of a file of results; None if there is no complete file."""
         return self._entries.get(file)
 
     def begin(self) -> None:
@@ -63,19 +63,19 @@ class ShardFolder:
         self.write()
 
     def _drop_partial(self) -> None:
-        """Remove what was being written by processes that are gone."""
+        """Remove partial files of processes that have ended."""
         for path in self.folder.iterdir():
             if PARTIAL.fullmatch(path.name):
                 path.unlink(missing_ok=True)
 
     def add(self, entry: dict) -> None:
-        """Name a file that is whole."""
+        """Add the entry of a complete file, and write the manifest if the last write is ``SECONDS`` ago."""
         self._entries[entry["file"]] = entry
         if time.monotonic() - self._written > SECONDS:
             self.write()
 
     def drop(self, file: str) -> None:
-        """Forget results that were there before, of a file that cannot be read now."""
+        """Remove the entry of earlier results of a file that cannot be read now."""
         self._entries.pop(file, None)
 
     def write(self) -> None:
@@ -116,7 +116,7 @@ class ShardFolder:
         return json.loads(arrow_library().parquet.read_metadata(self.folder / file).metadata[METADATA])
 
     def first_rows(self, most: int) -> dict[str, np.ndarray]:
-        """The first rows of all results, ``most`` at most, without forces."""
+        """Read the first rows of all results, at most ``most``, without forces and moments; return them by column."""
         arrow, tables, count = arrow_library(), [], 0
         for name in self._files:
             if name in self._entries and count < most:

@@ -1,4 +1,4 @@
-"""Results on disk: one file a chunk and a manifest, so that an interrupt costs only the chunks in work.
+"""Results on disk: a file for each chunk and a manifest, so that an interrupt costs only the chunks in work.
 
 A shard holds, for each method, ``METHOD.forces (M, W, 3)``, ``.verdict``, ``.residual``, ``.objective``,
 ``.steps``, ``.route``, ``.margin``, ``.violation (N, W)`` and for optima ``.certificate (N, W, 6)`` and
@@ -26,7 +26,7 @@ from jaxgrasp.model.compared_methods import METHODS
 OURS = re.compile(r"shard-\d{5}\.npz|results\.npz")
 PARTIAL = re.compile(r"\.(shard-\d{5}\.npz|results\.npz|manifest\.json)\.\d+\.partial")
 BESIDE = ("summary.json", "report.html", "results.csv", "results.parquet")
-"""What the command line writes beside the results, and what is stale without them."""
+"""Files that the command line writes beside the results, and that are stale without them."""
 SMALL = 64 << 20
 """Results up to this many bytes end as one file instead of shards."""
 
@@ -49,11 +49,11 @@ class ResultFolder:
 
     @property
     def manifest(self) -> dict:
-        """What the manifest says."""
+        """Contents of the manifest."""
         return self._file.content
 
     def damaged(self) -> list[dict]:
-        """Entries of the manifest whose files are missing, cut short or changed; all bytes are read."""
+        """Return the manifest entries whose files are missing, cut short or changed; all bytes are read."""
         return [entry for entry in self.manifest["shards"] if not is_whole(self.folder / entry["file"], entry)]
 
     def replace(self, entry: dict, arrays: dict[str, np.ndarray]) -> None:
@@ -96,7 +96,7 @@ class ResultFolder:
         self._file.write()
 
     def shards(self) -> Iterator[dict[str, np.ndarray]]:
-        """The arrays of each shard, one after the other."""
+        """Yield the arrays of each shard, in the order of the input."""
         for entry in self.manifest["shards"]:
             with np.load(self.folder / entry["file"], allow_pickle=False) as arrays:
                 yield dict(arrays)
@@ -119,7 +119,7 @@ class ResultFolder:
             path.unlink()
 
     def _save(self, name: str, arrays: dict[str, np.ndarray]) -> str:
-        """Write a shard, and return what it will be known by."""
+        """Write a shard and return its SHA-256."""
         replace_file(self.folder / name, lambda stream: save_arrays(stream, arrays))
         return hashed(self.folder / name)
 
@@ -133,7 +133,7 @@ def arrays_of(
     least_friction: np.ndarray | None = None,
     squeeze_factor: np.ndarray | None = None,
 ) -> dict[str, np.ndarray]:
-    """The results of some sets as the arrays of a shard; ``numbers`` are the grasps' in the input."""
+    """Return the results of sets as the arrays of a shard; ``numbers (N,)`` are those of the grasps in the input."""
     arrays = {"grasp": numbers, "offsets": sets.offsets, "why": why}
     if "name" in sets.labels:
         arrays["name"] = np.asarray(sets.labels["name"], str)

@@ -1,4 +1,4 @@
-"""Where grasps come from: a file of any kind we read, as a stream of contact sets, adjusted as the user asks."""
+"""Sources of grasps: files of all supported kinds as streams of contact sets, adjusted as the user asks."""
 
 import os
 import warnings
@@ -28,9 +28,9 @@ from jaxgrasp.model.normal_direction import NAMED, direction_warning, normal_dir
 TURN_ROUND = "if yours point out of the object, add --normals outward"
 MILLIMETRES = "contacts lie metres apart: are the lengths in millimetres? Points are in metres, torques in N.m"
 MOSTLY = 0.8
-"""Share of grasps from which all are suspected."""
+"""Share of grasps with outward normals above which the whole file is suspected."""
 MILLIMETRES_LIKELY = 2.0
-"""A contact this far from its grasp's middle [m] is no hand's; as millimetres it would be."""
+"""Distance of a contact from its grasp's middle [m] that no hand reaches, so that millimetres are likely."""
 
 
 @runtime_checkable
@@ -45,7 +45,7 @@ class GraspSource(Protocol):
 
     @property
     def fingerprint(self) -> int:
-        """A checksum of the contents."""
+        """Checksum of the contents."""
         ...
 
     def __len__(self) -> int: ...
@@ -103,16 +103,16 @@ class MemorySource:
 
 @dataclass(frozen=True)
 class Adjustments:
-    """What the user says about data that differ from our conventions."""
+    """Corrections that the user asks for, of data that differ from the conventions of this package."""
 
     outward_normals: bool = False
     friction: float | None = None
-    """Replaces the file's, or stands in for a missing column."""
+    """Friction of every contact, in place of the file's or of a missing column."""
     squeeze: float | None = None
     torsion: float | None = None
-    """Makes every contact with friction a soft finger of this torsional coefficient [m], in place of the file's."""
+    """Torsional coefficient [m] that makes every contact with friction a soft finger, in place of the file's."""
     normalize: bool = False
-    """Makes every normal length 1, as those of files with few digits are not."""
+    """True to scale every normal to length 1, since normals of files with few digits are not."""
 
     @property
     def fill(self) -> dict[str, float]:
@@ -133,7 +133,7 @@ class Adjustments:
 
 
 def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments()) -> GraspSource:
-    """The grasps of a file of any kind that we read, by its ending.
+    """Open a file of grasps of any supported kind, which its ending tells, as a source.
 
     Raises:
         GraspFileError: for a directory, another ending, and a file that is damaged or lacks what it needs.
@@ -151,7 +151,7 @@ def open_source(path: str | os.PathLike, adjustments: Adjustments = Adjustments(
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A kind of grasp files."""
+    """Reader and writer of a kind of grasp files."""
 
     open: Callable[[Path, dict[str, float]], GraspSource]
     write: Callable[[Path, ContactSets], None]
@@ -169,15 +169,15 @@ FORMATS = {
     ".h5": _HDF5,
     ".hdf5": _HDF5,
 }
-"""By the endings of their files' names."""
+"""Kinds of grasp files by the endings of their names."""
 ENDINGS = ", ".join(list(FORMATS)[:-1]) + f" or {list(FORMATS)[-1]}"
 
 
 def file_format(path: Path) -> FileFormat:
-    """The kind of a file by its ending.
+    """Return the kind of a grasp file by the ending of its name.
 
     Raises:
-        GraspFileError: for any other.
+        GraspFileError: for an unknown ending.
     """
     found = FORMATS.get(path.suffix.lower())
     if found is None:
@@ -259,19 +259,19 @@ def save_grasps(
 
 
 def looks_like_millimetres(sets: ContactSets) -> bool:
-    """Whether most grasps are larger than any hand, as they are when lengths are in millimetres."""
+    """Check whether most grasps are larger than any hand, as they are when lengths are in millimetres."""
     reach = sets.reach()
     return bool(len(reach) and np.median(reach) > MILLIMETRES_LIKELY)
 
 
 class OutwardNormals(NamedTuple):
-    """Grasps whose normals point away from the middle of their contacts, so that parts of a file merge."""
+    """Counts and names of grasps whose normals point away from the middle of their contacts; parts of a file merge."""
 
     away: int = 0
     decided: int = 0
     """Grasps whose contacts can tell the sign of their normals."""
     names: tuple[str, ...] = ()
-    """The first of those that point away: their own names, or their numbers."""
+    """The first grasps whose normals point away: their names, or their numbers."""
 
     def merged(self, other: "OutwardNormals") -> "OutwardNormals":
         """Return both parts as one, this one first."""
@@ -283,12 +283,12 @@ class OutwardNormals(NamedTuple):
 
     @property
     def is_most(self) -> bool:
-        """Whether most grasps of those that can tell point away, as where a whole file has outward normals."""
+        """True if the normals of most decided grasps point away, as in a file with outward normals."""
         return self.away > MOSTLY * self.decided
 
 
 def outward_normals(sets: ContactSets, numbers: np.ndarray | None = None) -> OutwardNormals:
-    """Return which grasps have normals that point away from the middle of their contacts.
+    """Find the grasps whose normals point away from the middle of their contacts.
 
     Args:
         sets: the grasps.
@@ -302,5 +302,5 @@ def outward_normals(sets: ContactSets, numbers: np.ndarray | None = None) -> Out
 
 
 def normals_point_away(sets: ContactSets) -> bool:
-    """Return whether the normals of most grasps that can tell point away from the middle of their contacts."""
+    """Check whether the normals of most decided grasps point away from the middle of their contacts."""
     return outward_normals(sets).is_most

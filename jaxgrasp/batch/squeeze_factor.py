@@ -1,4 +1,4 @@
-"""How hard allowed forces press, as a multiple of the forces with which a hand means to squeeze."""
+"""The squeeze factor: the total of allowed normal forces as a multiple of the hand's squeezing forces."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,7 +10,7 @@ from jaxgrasp.batch.engine import MethodResult
 from jaxgrasp.model.solution import Verdict, is_held
 
 LITTLE = 2.0**-20
-"""Factor on squeezing forces of which nearly nothing is left."""
+"""Factor that makes squeezing forces nearly zero."""
 
 
 def pressed_times(sets: ContactSets, results: Mapping[str, MethodResult], meant: ContactSets) -> np.ndarray:

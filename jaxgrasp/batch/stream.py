@@ -28,7 +28,7 @@ CHUNK = 16_384
 
 @dataclass(frozen=True)
 class StreamPlan:
-    """What to compute, and how."""
+    """Options of a streamed evaluation: methods, measures, precision and size of chunks."""
 
     methods: tuple[str, ...] = tuple(METHODS)
     chunk: int = CHUNK
@@ -39,16 +39,16 @@ class StreamPlan:
     quality: tuple[str, ...] = ()
     """Measures of quality, by name."""
     least_friction: bool = False
-    """Whether to find the least factor on the friction with which each grasp holds."""
+    """True to find the least factor on the friction with which each grasp holds."""
     task: TaskDemands | None = None
-    """What measures of a task ask for."""
+    """Demands of the measures of a task."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
         return measures_named(self.quality, self.task)
 
     def identity(self, name: str, source: GraspSource) -> dict:
-        """What must be equal for results to belong to the same evaluation."""
+        """Return the fields that must be equal for results to belong to the same evaluation."""
         return {"input": name, "fingerprint": source.fingerprint, "grasps": len(source), **self.options}
 
     @property
@@ -81,7 +81,7 @@ class StreamPlan:
         checked: bool = False,
         progress: Progress | None = None,
     ) -> Answers:
-        """All that the plan asks of grasps as they were read, the first of which has the number ``first``."""
+        """Adjust grasps as they were read and evaluate them by the plan; the first grasp has the number ``first``."""
         return answers(
             engine,
             self.adjustments.apply(raw).astype(np.dtype(self.dtype)),
@@ -97,7 +97,7 @@ class StreamPlan:
 
 @dataclass(frozen=True)
 class StreamResult:
-    """What is left in memory of a streamed evaluation."""
+    """Summary and times of a streamed evaluation, whose results are on disk."""
 
     summary: Summary
     times: Times
@@ -161,7 +161,7 @@ def evaluate_stream(
 
 
 def _damaged(folder: ResultFolder, plan: StreamPlan, announce: Callable[[str], None]) -> list[dict]:
-    """Shards that have to be computed again; where a file holds more than a chunk, everything is."""
+    """Return the shards to compute again; if a damaged file holds more than a chunk, forget all shards."""
     damaged = folder.damaged()
     for entry in damaged:
         announce(f"{folder.folder / entry['file']} is missing or damaged: computed again")
@@ -173,7 +173,7 @@ def _damaged(folder: ResultFolder, plan: StreamPlan, announce: Callable[[str], N
 
 @dataclass(frozen=True)
 class _Chunk:
-    """What became of the grasps ``start`` to ``stop`` of the input."""
+    """Results of the grasps ``start`` to ``stop`` of the input."""
 
     start: int
     stop: int
@@ -197,20 +197,22 @@ def _evaluate_chunk(
 
 
 def _go_on(stop: Event, measured: Callable[[int], None], grasps: int) -> None:
-    """What chunks at work do between their grasps: say how far they are, and end where nobody waits for them."""
+    """Report the progress of a chunk, or raise CancelledError if the evaluation has stopped."""
     if stop.is_set():
         raise CancelledError
     measured(grasps)
 
 
 def _workers(engine: Engine) -> int:
-    """Chunks to compute at a time: the solvers keep one core busy each, on as many devices as there are."""
+    """Return the number of chunks to compute at a time: each keeps a core busy, whatever the number of devices."""
     return 2
 
 
 def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int, stop: Event) -> Iterator[_Chunk]:
-    """The task's results in the order of ``items``, ``workers`` at a time and the next one waiting; ``stop`` is set
-    once there is nobody to take them."""
+    """Yield the task's results in the order of ``items``, computed by ``workers`` threads.
+
+    A further item waits in the queue; ``stop`` is set once the results are no longer consumed.
+    """
     pool = ThreadPoolExecutor(workers)
     running: deque[Future[_Chunk]] = deque()
     try:
@@ -226,5 +228,5 @@ def _in_order(task: Callable[..., _Chunk], items: Iterable[tuple], workers: int,
 
 
 def _rows_per_shape(source: GraspSource, plan: StreamPlan) -> int:
-    """Chunks of a stream are filled up to one size, so that its short last one needs no compiling of its own."""
+    """Return the size to which chunks of a stream are padded, so that the short last chunk needs no compiling."""
     return plan.chunk if len(source) > plan.chunk else 1

@@ -1,4 +1,4 @@
-"""What an evaluation says as a whole: counts and distributions that merge chunk by chunk."""
+"""Summary of an evaluation: counts and distributions that merge chunk by chunk."""
 
 from dataclasses import dataclass, field
 
@@ -21,7 +21,7 @@ SAMPLED_CONTACTS = 10_000
 
 @dataclass
 class MethodSummary:
-    """One method over all problems."""
+    """Summary of a method over all problems."""
 
     verdicts: np.ndarray
     """Problems by verdict code."""
@@ -56,7 +56,7 @@ class MethodSummary:
 
 @dataclass
 class MethodComparison:
-    """A closed form against its own optimum, over the problems that have one."""
+    """Comparison of a closed form with its optimum, over the problems that have an optimum."""
 
     compared: int
     already_optimal: int
@@ -79,7 +79,7 @@ class MethodComparison:
 
 @dataclass
 class Summary:
-    """All methods, and each closed form against its optimum (keys "A" and "B")."""
+    """Summary of all methods, and comparison of each closed form with its optimum (keys "A" and "B")."""
 
     grasps: int
     contacts: int
@@ -94,7 +94,7 @@ class Summary:
     qualities: dict[str, QualitySummary] = field(default_factory=dict)
     """Measures of quality that were asked for."""
     ranked: Ranked | None = None
-    """Which hold, why the others do not, and the best and the worst."""
+    """Counts of problems by reason, and the best and the worst grasps."""
     outward: OutwardNormals = field(default_factory=OutwardNormals)
     """Grasps whose normals point away from the middle of their contacts."""
 
@@ -121,7 +121,7 @@ class Summary:
 def summarise(
     sets: ContactSets, results: dict[str, MethodResult], *, numbers: np.ndarray, set_aside: int = 0
 ) -> Summary:
-    """The summary of one chunk, whose grasps have these ``numbers`` in the input."""
+    """Summarise a chunk, whose grasps have these ``numbers`` in the input."""
     comparisons: dict[str, MethodComparison] = {}
     worst: list[dict] = []
     for name in [method.name for method in METHODS.values() if not method.constrained]:
@@ -158,7 +158,7 @@ def _one_method(sets: ContactSets, result: MethodResult) -> MethodSummary:
 
 
 def _angles(sets: ContactSets, result: MethodResult) -> np.ndarray:
-    """Slip against friction angle of a sample of contacts of answered problems, first wrench."""
+    """Count a sample of contacts of answered problems, first wrench, by slip angle and friction angle."""
     answered = np.repeat(is_balanced(result.verdict[:, 0]), sets.sizes)
     chosen = np.flatnonzero(answered)[:: max(1, len(sets.points) // SAMPLED_CONTACTS)]
     force, normal = result.forces[chosen, 0].astype(float), sets.normals[chosen].astype(float)
@@ -175,7 +175,7 @@ def _bin(angle: np.ndarray, largest: float) -> np.ndarray:
 
 
 def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> tuple[MethodComparison, np.ndarray]:
-    """The comparison, and the price of every problem (-inf where there is no optimum to compare with)."""
+    """Compare a closed form with its optimum; return the comparison and prices ``(N, W)``, -inf without optimum."""
     solved = is_optimum(optimum.verdict)
     already = optimum.verdict == Verdict.CLOSED_FORM_OPTIMAL
     price = objective_gap(closed.objective, optimum.objective, optimum.verdict)
@@ -193,7 +193,7 @@ def _compare(sets: ContactSets, closed: MethodResult, optimum: MethodResult) -> 
 
 
 def _length_by_problem(sets: ContactSets, forces: np.ndarray, others: np.ndarray | None = None) -> np.ndarray:
-    """Norm of all forces of each problem, or of what they differ from others by, ``(N, W)``."""
+    """Compute the norm of all forces of each problem, or of their differences from ``others``, ``(N, W)``."""
     square = np.zeros(forces.shape[:-1], forces.dtype)
     # A component at a time: of millions of grasps all of the forces once more are gigabytes.
     for i in range(3):

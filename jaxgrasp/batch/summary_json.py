@@ -1,4 +1,4 @@
-"""Summaries as JSON, so that an interrupted evaluation can go on and a finished one can be read anywhere."""
+"""Conversion of summaries to and from JSON, to resume an interrupted evaluation and to read a finished one."""
 
 import numpy as np
 

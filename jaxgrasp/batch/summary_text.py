@@ -1,4 +1,4 @@
-"""The summary a person reads in ten seconds."""
+"""Plain text of a summary, for the terminal."""
 
 import math
 import textwrap
@@ -72,7 +72,7 @@ def _method_lines(summary: Summary, times: Times) -> list[str]:
 
 
 def _which_hold(summary: Summary) -> list[str]:
-    """The answer to which grasps are good: how many hold, why the others do not, and the ends of each order."""
+    """Return lines on the grasps that hold, the reasons of the others, and the best and worst of each order."""
     ranked, several = summary.ranked, summary.problems != summary.grasps
     if ranked is None or not summary.problems:
         return []
@@ -103,7 +103,7 @@ def _which_hold(summary: Summary) -> list[str]:
 
 
 def ranked_value(name: str, value: float) -> str:
-    """A value that grasps are ranked by, with its unit."""
+    """Format a value that grasps are ranked by; margins in degrees with their unit, others as numbers."""
     if name == MARGIN:
         return _degrees(value)
     return f"{without_rounding(value):.3g}"

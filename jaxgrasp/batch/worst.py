@@ -1,4 +1,4 @@
-"""Problems that are worth a look, with all that is needed to draw them: the extremes, and examples of what fails."""
+"""Data to draw single problems: the extremes of an evaluation, and examples of grasps that fail."""
 
 import math
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ KEPT = 10
 def worst_cases(
     sets: ContactSets, results: dict[str, MethodResult], price: np.ndarray, method: str, numbers: np.ndarray
 ) -> list[dict]:
-    """The problems of highest price, worst first; only those that have one. ``numbers``: of the grasps in the input."""
+    """Return the problems of highest positive price, worst first; ``numbers`` are those of the grasps in the input."""
     flat = price.ravel()
     order = np.argsort(-flat, kind="stable")[:KEPT]
     chosen = order[flat[order] > 0]
@@ -30,7 +30,7 @@ def cases_of(
     problems: Iterable[int] | np.ndarray,
     numbers: np.ndarray,
 ) -> list[dict]:
-    """Problems, by their place among grasps and wrenches, with the answers of closed form ``method`` and its optimum.
+    """Return the data of ``problems``, flat indices in ``(N, W)``, with the answers of ``method`` and its optimum.
 
     An answer is None where its method was not asked for, or has no forces that balance the wrench.
     """
@@ -61,13 +61,13 @@ def cases_of(
 
 
 def case_title(case: dict, several: bool = False) -> str:
-    """A grasp's own name, or its number where it has none; with its wrench where there are ``several``."""
+    """Return a grasp's name, or its number if it has no name; with the number of its wrench if ``several``."""
     title = case["labels"].get("name") or f"grasp {case['grasp']}"
     return f"{title}, wrench {case['wrench_number']}" if several else title
 
 
 def finite_or_none(value: float | np.floating) -> float | None:
-    """A number as JSON has it, which knows no infinity."""
+    """Convert a number for JSON, which has no infinity: a finite float, or else None."""
     return float(value) if math.isfinite(value) else None
 
 

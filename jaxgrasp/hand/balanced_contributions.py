@@ -10,14 +10,14 @@ from jaxgrasp.numerics.nonnegative_qp import minimise_nonnegative
 from jaxgrasp.validation.checked import checked
 
 FAITHFUL = 0.1
-"""What it costs to leave a contribution, in units of the unbalanced force that this saves."""
+"""Cost of leaving a contribution, in units of the unbalanced force that this saves."""
 
 
 @checked
 def balanced_contributions(
     contacts: Contacts, contributions: Float[AnyArray, "L"], centre: Float[AnyArray, "3"]
 ) -> Float[Array, "L"]:
-    """The contributions nearest to others by which squeezing forces (eq. 6) balance one another.
+    """Compute the contributions nearest to the given ones with which the squeezing forces (eq. 6) balance.
 
     Squeezing forces that leave much of themselves unbalanced are what takes method B out of the friction cones: it
     spreads what balances them over all contacts, by their weights. Links that do not touch keep their contribution,

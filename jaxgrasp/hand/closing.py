@@ -84,20 +84,20 @@ def close_hand(
 
 
 def flexed(hand: Hand, angles: Float[AnyArray, "*batch J"]) -> Float[Array, "*batch J"]:
-    """Angles [rad] with all flexions at their upper limits, and the other joints as they are."""
+    """Return the angles [rad] with all flexions at their upper limits and the other joints unchanged."""
     flexes = np.array(["abduction" not in name for name in hand.joints])
     return jnp.where(flexes, hand.upper, angles)
 
 
 def _pairs(hand: Hand) -> np.ndarray:
-    """``(P, 2)`` Links of different fingers, which may meet."""
+    """Return the pairs ``(P, 2)`` of links of different fingers, which may meet."""
     bends = [k for k, link in enumerate(hand.links) if link.phalanx and link.joint >= 0]
     pairs = [(i, j) for i, j in combinations(bends, 2) if hand.links[i].finger != hand.links[j].finger]
     return np.array(pairs, int).reshape(-1, 2)
 
 
 def _overlaps(hand: Hand, posture: Posture, pairs: np.ndarray) -> Array:
-    """``(..., P)`` How deep the links of each pair are in one another; negative where they are apart [m]."""
+    """Compute the overlap ``(..., P)`` of the two links of each pair; negative where they are apart [m]."""
     links, radii = pose_hand(hand, posture).links, jnp.asarray(hand.skin.radii)
     centers = jnp.einsum("...lij,lmj->...lmi", links.rotation, hand.skin.centers) + links.origin[..., None, :]
     one, other = pairs.T

@@ -1,4 +1,4 @@
-"""How a hand closes: which way each joint goes, where the palm looks, and where an object lies in it."""
+"""Closing of a hand with named fingers: direction of each joint, axes of the palm, and place of an object in it."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -35,12 +35,13 @@ class ClosingWay(NamedTuple):
 def closing_way(
     hand: Hand, *, open: Mapping[str, float] | None = None, closed: Mapping[str, float] | None = None
 ) -> ClosingWay:
-    """The way in which a hand with named fingers closes.
+    """Compute the open and the closed angles of a hand with named fingers, and the palm between them.
 
-    A human hand's is its own. Of others it is found where the hand is open, every angle as near to zero as its limits
-    let it. The fingers' joints that are about parallel to the line of the knuckles flex, to that limit which is further
-    away; the thumb's last two joints do, to that which brings its tip nearer to the knuckles. The palm looks where the
-    fingertips go to. How a thumb comes to stand opposite the fingers differs from hand to hand: ``open`` says it.
+    A human hand has fixed angles and a fixed palm. Other hands are open where every angle is as near to zero as its
+    limits let it. The fingers' joints that are about parallel to the line of the knuckles flex, to the limit that is
+    further away; the thumb's last two joints flex to the limit that brings its tip nearer to the knuckles. The palm
+    faces the direction in which the fingertips move. The thumb's angles opposite the fingers differ from hand to hand:
+    give them by ``open``.
 
     Args:
         hand: links named as by [`jaxgrasp.hand.human_hand`][], such as [`jaxgrasp.hand.name_fingers`][] names them: a
@@ -103,13 +104,13 @@ def _link(hand: Hand, finger: str, phalanx: str) -> int:
 
 
 def _knuckles(hand: Hand, frames: HandFrames, fingers: list[str]) -> np.ndarray:
-    """``(F, 3)``"""
+    """Return the centres ``(F, 3)`` of the fingers' first joints."""
     joints = [hand.links[_link(hand, finger, "proximal")].joint for finger in fingers]
     return np.asarray(frames.joints.origin)[joints]
 
 
 def _centers(hand: Hand, frames: HandFrames, link: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centres ``(m, 3)`` and radii ``(m,)`` of the spheres that a link has."""
+    """Return the centres ``(m, 3)`` and radii ``(m,)`` of the spheres of a link."""
     radii = np.asarray(hand.skin.radii[link])
     rotation, origin = np.asarray(frames.links.rotation)[link], np.asarray(frames.links.origin)[link]
     centers = origin + np.asarray(hand.skin.centers[link]) @ rotation.T
@@ -117,12 +118,12 @@ def _centers(hand: Hand, frames: HandFrames, link: int) -> tuple[np.ndarray, np.
 
 
 def _tips(hand: Hand, frames: HandFrames, fingers: list[str]) -> np.ndarray:
-    """``(F, 3)`` Middles of the distal links' spheres."""
+    """Compute the mean centres ``(F, 3)`` of the distal links' spheres."""
     return np.array([_centers(hand, frames, _link(hand, finger, "distal"))[0].mean(0) for finger in fingers])
 
 
 def _flexed(hand: Hand, start: np.ndarray, frames: HandFrames, fingers: list[str]) -> np.ndarray:
-    """``(J,)`` Angles where the fingers' flexions are at that limit which is further away."""
+    """Return the angles ``(J,)`` with the fingers' flexions at the limit that is further away."""
     knuckles, moves = _knuckles(hand, frames, fingers), ancestry(hand)
     line = _unit(knuckles[-1] - knuckles[0])
     flexes = np.zeros(len(hand.joints), bool)
@@ -134,7 +135,7 @@ def _flexed(hand: Hand, start: np.ndarray, frames: HandFrames, fingers: list[str
 
 
 def _thumbs_last(hand: Hand) -> np.ndarray:
-    """The last two joints of the thumb; none where there is no thumb."""
+    """Return the indices of the thumb's last two joints; none where there is no thumb."""
     names = [(link.finger, link.phalanx) for link in hand.links]
     if ("thumb", "distal") not in names:
         return np.zeros(0, int)
@@ -142,7 +143,7 @@ def _thumbs_last(hand: Hand) -> np.ndarray:
 
 
 def _nearer(hand: Hand, start: np.ndarray, joint: int, point: np.ndarray) -> float:
-    """That limit of a joint of the thumb at which its tip is nearer to a point."""
+    """Return the limit of a thumb joint at which the thumb's tip is nearer to a point [rad]."""
     limits = np.array([np.asarray(hand.lower)[joint], np.asarray(hand.upper)[joint]])
     angles = np.stack([start, start])
     angles[:, joint] = limits
@@ -152,7 +153,7 @@ def _nearer(hand: Hand, start: np.ndarray, joint: int, point: np.ndarray) -> flo
 
 
 def _frame(hand: Hand, frames: HandFrames, fingers: list[str], signs: np.ndarray) -> np.ndarray:
-    """The palm's axes: fingers point along x, and their tips go along -z as they flex."""
+    """Compute the palm's axes: fingers point along x, and their tips move along -z as they flex."""
     tips, knuckles, moves = _tips(hand, frames, fingers), _knuckles(hand, frames, fingers), ancestry(hand)
     x = _unit(np.mean([_unit(tip - knuckle) for tip, knuckle in zip(tips, knuckles, strict=True)], 0))
     ways = []
@@ -165,7 +166,7 @@ def _frame(hand: Hand, frames: HandFrames, fingers: list[str], signs: np.ndarray
 
 
 def _seat(hand: Hand, frames: HandFrames, fingers: list[str], palm: list[int], frame: np.ndarray) -> np.ndarray:
-    """Under the knuckles, in the middle of their line, as far out as the palm's skin is."""
+    """Compute the point under the middle of the line of the knuckles, at the level of the palm's skin [m]."""
     spheres = [_centers(hand, frames, link) for link in palm]
     centers, radii = (np.concatenate(parts) for parts in zip(*spheres, strict=True))
     own, knuckles = centers @ frame, _knuckles(hand, frames, fingers) @ frame

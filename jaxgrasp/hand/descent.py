@@ -1,4 +1,4 @@
-"""Which balls of a sphere tree the spheres of a hand meet, and which way out of them leads.
+"""Search of a sphere tree for the balls that the spheres of a hand meet, with the direction out of them.
 
 The tree is descended level by level with a frontier of pairs, a sphere of the hand and a node whose bounding sphere it
 meets; the node's children are tried next. The frontier has a fixed capacity. Where more pairs are met than it
@@ -26,13 +26,13 @@ ROOMS = (8, 20, 48)
 """Pairs that a frontier holds for each sphere of the hand: each is tried where the one before does not hold all, and
 then every ball. Few spheres touch, so that those which do find room for many."""
 FAR = 1e3
-"""How far a sphere is said to be that meets nothing [m]: finite, since it is multiplied by a weight of zero."""
+"""Distance of a sphere that meets nothing [m]: finite, since it is multiplied by a weight of zero."""
 
 
 class Balls(eqx.Module):
-    """Some spheres, in a solid's frame; in a batch with a leading axis of poses, of size 1 where they share them.
+    """Balls in a solid's frame; in a batch with a leading axis of poses, of size 1 where the poses share them.
 
-    By components: three gathers of numbers are faster than one of rows.
+    Coordinates are separate arrays: three gathers of numbers are faster than one of rows.
     """
 
     x: Float[AnyArray, "*batch K"]
@@ -48,7 +48,7 @@ class Balls(eqx.Module):
         return jnp.stack([self.x, self.y, self.z], -1)
 
     def some(self, index: Array) -> tuple[Vec3, Array]:
-        """Centres and radii of some."""
+        """Return the centres and radii of the balls at these indices."""
         return Vec3(*(jnp.asarray(c)[index] for c in (self.x, self.y, self.z))), jnp.asarray(self.radii)[index]
 
 
@@ -77,7 +77,7 @@ class Pairs(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What each sphere of a hand meets, for each pose."""
+    """Distance and direction out of the balls for each sphere of a hand, for each pose."""
 
     distance: Array
     """``(B, H)``: from the sphere's centre to the nearest ball; of those met, where only they were tried [m]."""
@@ -88,12 +88,12 @@ class Seen(NamedTuple):
 
 
 def try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
-    """Every ball against every sphere ``(B, H)`` of a hand, whose radii ``(H,)`` are those of all poses."""
+    """Test every ball against every sphere ``(B, H)`` of a hand; all poses share the radii ``(H,)``."""
     return _each(lambda own, balls: _try_all(balls, own, radii), balls, centers)
 
 
 def descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array) -> Seen:
-    """As [`try_all`][], of those balls alone that a sphere can meet."""
+    """Compute the result of [`try_all`][] from the balls alone that a sphere can meet, by descent of the tree."""
 
     def of_pose(own: Array, tree: tuple[Balls, Nodes]) -> Seen:
         return _descend(*tree, own, radii, tuple(room * radii.size for room in ROOMS))
@@ -102,7 +102,7 @@ def descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array) -> Seen:
 
 
 def _each(function: Callable[[Array, Tree], Seen], tree: Tree, poses: Array) -> Seen:
-    """``function`` of each pose and the tree, which they may share."""
+    """Map ``function`` over the poses and the trees, or over the poses alone where they share one tree."""
     function = jax.checkpoint(function)
     if all(x.shape[0] == 1 for x in jax.tree.leaves(tree)):
         one = jax.tree.map(lambda x: x[0], tree)
@@ -111,7 +111,7 @@ def _each(function: Callable[[Array, Tree], Seen], tree: Tree, poses: Array) -> 
 
 
 def _try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
-    """One pose."""
+    """Test every ball against every sphere ``(H, 3)`` of one pose."""
     all_balls, sizes = Vec3(*map(jnp.asarray, (balls.x, balls.y, balls.z))), jnp.asarray(balls.radii)
 
     @jax.checkpoint
@@ -125,7 +125,7 @@ def _try_all(balls: Balls, centers: Array, radii: Array) -> Seen:
 
 
 def _descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array, rooms: tuple[int, ...]) -> Seen:
-    """One pose, with a frontier of the first of these sizes that holds all pairs."""
+    """Descend the tree for one pose, with a frontier of the first of these sizes that holds all pairs."""
     if not rooms:
         return _try_all(balls, centers, radii)
     pairs, missed = _frontier(*lax.stop_gradient((nodes, centers, radii)), rooms[0])
@@ -142,7 +142,7 @@ def _descend(balls: Balls, nodes: Nodes, centers: Array, radii: Array, rooms: tu
 
 
 def _met(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Array, Array]:
-    """Distance and way out of each sphere, from the balls that it was found to meet."""
+    """Compute each sphere's distance and direction out, from the balls in its pairs."""
     count = radii.shape[0]
     # Pairs of no node are counted for a sphere beyond the last, which is then left out.
     one = jnp.minimum(pairs.sphere, count - 1)
@@ -156,9 +156,10 @@ def _met(balls: Balls, centers: Array, radii: Array, pairs: Pairs) -> tuple[Arra
 
 
 def _overlaps(centers: Vec3, radii: Array, balls: Vec3, ball_radii: Array) -> tuple[Array, Vec3]:
-    """Distances of spheres' centres from balls, and the ways out of those that they overlap.
+    """Compute the distances of spheres' centres from balls, and the directions out of the balls that they overlap.
 
-    These are weighted by the square of the overlap, so that their mean does not jump where the nearest ball changes.
+    The directions are weighted by the square of the overlap, so that their mean does not jump where the nearest ball
+    changes.
     """
     way = vec3.sub(centers, balls)
     length = vec3.norm(way)
@@ -168,12 +169,12 @@ def _overlaps(centers: Vec3, radii: Array, balls: Vec3, ball_radii: Array) -> tu
 
 
 def _columns(vectors: Array, index: Array) -> Vec3:
-    """Some of the vectors ``(N, 3)`` by components."""
+    """Gather rows of vectors ``(N, 3)`` as separate components."""
     return Vec3(*(vectors[:, i][index] for i in range(3)))
 
 
 def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pairs, Array]:
-    """The pairs of spheres and balls that meet, and whether there was no room for some."""
+    """Find the pairs of spheres and balls that meet, and tell whether some pairs did not fit."""
     count = radii.shape[0]
     sphere = jnp.arange(count, dtype=jnp.int32)
     tried = jnp.broadcast_to(nodes.start[:, None], (nodes.start.shape[0], count))
@@ -186,7 +187,7 @@ def _frontier(nodes: Nodes, centers: Array, radii: Array, room: int) -> tuple[Pa
 
 
 def _kept(nodes: Nodes, centers: Array, radii: Array, sphere: Array, tried: Array, room: int) -> tuple[Pairs, Array]:
-    """Which of the nodes ``(k, P)`` tried against spheres ``(P,)`` meet them, and whether some had no room."""
+    """Gather the nodes ``(k, P)`` that meet their spheres ``(P,)``, and tell whether some pairs did not fit."""
     own = jnp.minimum(sphere, radii.shape[0] - 1)
     middles, sizes = nodes.bounds.some(tried)
     way = vec3.sub(_columns(centers, own), middles)

@@ -1,4 +1,4 @@
-"""Which links of a posed hand touch an object, where, and how deep.
+"""Contacts of a posed hand with an object: the links that touch, their points, normals and depths.
 
 Every link is a row of spheres. A sphere that reaches into the object is an overlap; a link's contact is the mean
 of its overlaps, each weighted by the square of its depth. So point, normal and depth move without a jump while a
@@ -33,7 +33,7 @@ TILE = 32
 
 
 class Contacts(Batched):
-    """One contact for each link of the hand, in the world; an absent one is all zero but for a unit normal."""
+    """Contacts in the world, one for each link of the hand; an absent contact is all zero but for a unit normal."""
 
     last_axes: ClassVar[dict[str, int]] = {"points": 2, "normals": 2, "depths": 1, "present": 1, "tests": 0}
 
@@ -42,7 +42,7 @@ class Contacts(Batched):
     normals: Float[Array, "*batch L 3"]
     """Unit normals, into the object."""
     depths: Float[Array, "*batch L"]
-    """How far the link reaches into the object [m], 0 or more."""
+    """Depth of the link in the object [m], 0 or more."""
     present: Float[Array, "*batch L"]
     """1 where the link touches; NaN where that cannot be told from the data."""
     tests: Int[Array, "*batch"]
@@ -65,7 +65,7 @@ class _Scene(eqx.Module):
 @checked
 @jax.jit
 def find_contacts(hand: Hand, posture: Posture, shape: Shape, placed: Pose) -> Contacts:
-    """The contacts of a posed hand with an object.
+    """Find the contacts of a posed hand with an object.
 
     Differentiable in posture, shape, placement and the hand's own measures; of what does not touch, with
     derivative zero.
@@ -110,7 +110,7 @@ def _detect(hand: Hand, scene: _Scene) -> Contacts:
 
 @_detect.defjvp
 def _detect_jvp(primals, tangents):
-    """From all poses as they are: a loop over gathered ones has no reverse mode."""
+    """Differentiate all poses at once: a loop over gathered poses has no reverse mode."""
 
     def moving(hand: Hand, scene: _Scene) -> dict[str, Array]:
         contacts = _look_closely(hand, scene)
@@ -128,7 +128,7 @@ MOVING = ("points", "normals", "depths")
 
 @custom_vmap
 def _skipping(hand: Hand, scene: _Scene) -> Contacts:
-    """A close look at the poses that have the object within reach."""
+    """Find the contacts of the poses that have the object within reach, and skip the others."""
     nothing = _nothing(hand, scene)
     look = lambda scene, _: _look(hand, scene)  # noqa: E731
     return over_chosen(look, scene, nothing, _within_reach(hand, scene), TILE)
@@ -155,7 +155,7 @@ def _skipping_vmap(axis_size: int, in_batched, hand: Hand, scene: _Scene):
 
 
 def _merged(axis_size: int, size: int, shared: bool, array: Array, batched: bool) -> Array:
-    """One leaf with its mapped axis merged into the batch; what may be shared stays so."""
+    """Merge the mapped axis of one leaf into the batch; a leaf that may be shared stays shared."""
     if shared and not batched and array.shape[0] == 1:
         return array
     own = array if batched else array[None]
@@ -163,7 +163,7 @@ def _merged(axis_size: int, size: int, shared: bool, array: Array, batched: bool
 
 
 def _within_reach(hand: Hand, scene: _Scene) -> Array:
-    """Whether the object meets the sphere about all that the hand can reach, whatever its hinges' angles."""
+    """Tell, for each pose, whether the object meets the sphere about all points in reach at any hinge angles."""
     first = np.flatnonzero(np.array(hand.parents, int) < 0)
     middle = jnp.mean(hand.origins[first] if len(first) else hand.skin.centers.reshape(-1, 3), 0)
     steps = jnp.linalg.norm(hand.origins, axis=-1).at[first].set(jnp.linalg.norm(hand.origins[first] - middle, axis=-1))
@@ -180,13 +180,13 @@ def _within_reach(hand: Hand, scene: _Scene) -> Array:
 
 
 def _nothing(hand: Hand, scene: _Scene) -> Contacts:
-    """No contact at all, which took one test."""
+    """Return contacts that are all absent, at the cost of one test for each pose."""
     zero = jnp.zeros((scene.size, len(hand.links), 3), scene.posture.angles.dtype)
     return Contacts(zero, zero.at[..., 0].set(1), zero[..., 0], zero[..., 0], jnp.ones(scene.size, jnp.int32))
 
 
 def _look(hand: Hand, scene: _Scene) -> Contacts:
-    """Links first, as a ball each, and their spheres only where one of all these poses comes near."""
+    """Test each link as one ball first, and all spheres only where a link of one of these poses comes near."""
     seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
     leaves, radii = hand.skin.centers, hand.skin.radii
     size = jnp.maximum(jnp.sum(radii > 0, -1, keepdims=True), 1)
@@ -200,13 +200,13 @@ def _look(hand: Hand, scene: _Scene) -> Contacts:
 
 
 def _look_closely(hand: Hand, scene: _Scene) -> Contacts:
-    """Every sphere of the hand against the object."""
+    """Test every sphere of the hand against the object."""
     seen = _seen_from(body(scene.placed), stand(hand, scene.posture).links)
     return _touching(hand, scene, seen)
 
 
 def _touching(hand: Hand, scene: _Scene, seen: Bodies) -> Contacts:
-    """The contacts of links whose frames are those seen from the object."""
+    """Compute the contacts of links from their frames in the object's coordinates."""
     object_ = body(scene.placed)
     centers = _leaves(hand, seen)
     radii = jnp.asarray(hand.skin.radii)[..., None]
@@ -229,13 +229,13 @@ def _touching(hand: Hand, scene: _Scene, seen: Bodies) -> Contacts:
 
 
 def _seen_from(frame: Bodies, bodies: Bodies) -> Bodies:
-    """Bodies in the coordinates of one."""
+    """Transform bodies into the coordinates of a frame."""
     x, y, z = (vec3.rotate(frame.axes, axis) for axis in bodies.axes)
     return Bodies(vec3.rotate(frame.axes, vec3.sub(bodies.origin, frame.origin)), (x, y, z))
 
 
 def _leaves(hand: Hand, links: Bodies) -> Vec3:
-    """Centres of all spheres, ``(L, m, B)``."""
+    """Compute the centres of all spheres, ``(L, m, B)``."""
     local = Vec3(*(jnp.asarray(hand.skin.centers)[..., i, None] for i in range(3)))
     beside = jax.tree.map(lambda c: c[:, None], links)
     return vec3.add(beside.origin, vec3.rotate_back(beside.axes, local))
@@ -248,7 +248,7 @@ class _Merged(NamedTuple):
 
 
 def _merge(depth: Array, points: Vec3, out: Vec3) -> _Merged:
-    """One contact of each link from its overlaps ``(L, m, B)``."""
+    """Merge the overlaps ``(L, m, B)`` of each link into one contact."""
     weight = depth * depth
     total = jnp.sum(weight, 1)
 

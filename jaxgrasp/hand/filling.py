@@ -1,4 +1,4 @@
-"""Fills a solid with balls and stacks them into a tree. Done once, in NumPy."""
+"""Sphere trees of solids: filling with balls and their stacking into a tree, once, in NumPy."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from jaxgrasp.numerics.vec3 import Vec3
 from jaxgrasp.validation.checked import checked
 
 LEVELS = 5
-"""How often the cube about a solid is cut, unless told: into cells of 3 % of its longest side."""
+"""Default number of cuts of the cube about a solid: into cells of 3 % of its longest side."""
 START = 12
 """Nodes with which a descent starts, at least: of so few balls all are tried. Of more a descent has always been faster
 (python -m benchmarks.sphere_trees)."""
@@ -24,7 +24,7 @@ OFF_AXIS = 1e-6
 
 
 class FillingError(NamedTuple):
-    """What of a solid's surface lies outside all balls of a tree."""
+    """Distances from a solid's surface to the balls of a tree, where it lies outside all of them."""
 
     balls: int
     largest: float
@@ -44,7 +44,7 @@ class LevelError(NamedTuple):
 
 @checked
 def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | None = None) -> SphereTree:
-    """The tree of balls inside a solid.
+    """Compute the tree of balls inside a solid.
 
     Args:
         solid: a watertight mesh, or an exact shape with an end.
@@ -68,7 +68,7 @@ def sphere_tree(solid: Mesh | Shape, levels: int = LEVELS, *, descends: bool | N
 
 @checked
 def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: int = 0) -> list[LevelError]:
-    """What trees of 1, 2 ... levels leave out of a solid, at points spread evenly over its surface.
+    """Compute the filling errors of trees of 1, 2 ... levels, at points spread evenly over a solid's surface.
 
     Trees of so few levels that no ball fits into the solid are passed over. Since all balls lie inside, a tree makes
     depths smaller than they are, about by this, and never larger.
@@ -95,12 +95,12 @@ def level_errors(mesh: Mesh, levels: int = LEVELS, samples: int = 4000, seed: in
 
 
 def filling_error(tree: SphereTree, mesh: Mesh, samples: int = 4000, seed: int = 0) -> FillingError:
-    """What a tree leaves out of the checked mesh that it was made of, as [`jaxgrasp.hand.level_errors`][] says it."""
+    """Compute the filling error of a tree against its checked mesh, as [`jaxgrasp.hand.level_errors`][] does."""
     return _left_out(sample_surface(mesh, samples, seed), np.asarray(tree.balls.centers), np.asarray(tree.balls.radii))
 
 
 def cell_size(mesh: Mesh, levels: int) -> float:
-    """Edge of a tree's smallest cells [m]."""
+    """Compute the edge of a tree's smallest cells [m]."""
     return float(np.ptp(mesh.vertices, axis=0).max()) / 2**levels
 
 
@@ -110,13 +110,13 @@ def _left_out(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> Fil
 
 
 def _outside(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Distance of points from the nearest ball, negative inside."""
+    """Compute the distance of points from the nearest ball, negative inside."""
     chunks = np.array_split(points, max(1, points.shape[0] * len(radii) // 10**7))
     return np.concatenate([np.min(np.linalg.norm(c[:, None] - centers, axis=-1) - radii, 1) for c in chunks])
 
 
 class _Outline(NamedTuple):
-    """What the octree asks of a solid."""
+    """Solid as the octree needs it: nearest points, bounding box and principal moments."""
 
     nearest: Callable[[np.ndarray], NearestPoints]
     low: np.ndarray
@@ -135,7 +135,7 @@ def _outline(solid: Mesh | Shape, levels: int) -> _Outline:
 
 
 def _ends(shape: Shape, sign: float) -> np.ndarray:
-    """How far a shape reaches along x, y and z, or against them."""
+    """Compute the extents of a shape from its origin along x, y and z, or along -x, -y and -z [m]."""
     x, y, z = sign * np.eye(3)
     return np.asarray(shape._support(Vec3(jnp.asarray(x), jnp.asarray(y), jnp.asarray(z))), float)
 
@@ -146,7 +146,7 @@ def _nearest(shape: Shape, points: np.ndarray) -> NearestPoints:
 
 
 def _principal_moments(mesh: Mesh) -> np.ndarray:
-    """NaN where the mesh does not stand in its principal frame: a Body's frame is that."""
+    """Compute the principal moments of a mesh [m^2]; NaN where its frame is not the principal one, as a Body's is."""
     _, center, inertia = mass_properties(mesh)
     moments = np.diagonal(inertia)
     off_axis = np.abs(inertia - np.diag(moments)).max() > OFF_AXIS * moments.max()
@@ -159,7 +159,7 @@ def _balls(centers: np.ndarray, radii: np.ndarray) -> Balls:
 
 
 def _nodes(tree: Octree) -> Nodes:
-    """Bounds, children and the start of the descent."""
+    """Compute the nodes of the tree: bounds, children and the start of the descent."""
     count, leaf = len(tree.radii), tree.leaf
     bounds = tree.radii.copy()
     above, below = tree.parents[leaf], np.flatnonzero(leaf)
@@ -182,7 +182,7 @@ def _nodes(tree: Octree) -> Nodes:
 
 
 def _start(tree: Octree) -> tuple[int, np.ndarray]:
-    """The first level with enough nodes, together with the leaves above it."""
+    """Find the first level with enough nodes, and return it with its nodes and the leaves above it."""
     leaf, last = tree.leaf, int(tree.level.max())
     for level in range(last + 1):
         nodes = (tree.level == level) | (leaf & (tree.level < level))

@@ -1,4 +1,4 @@
-"""Which finger and phalanx a link is: by the user's word, or by its own name where that is clear."""
+"""Finger and phalanx of each link: given by the user, or read from the link's name where that is clear."""
 
 import re
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ FINGERS = {
     "ring": ("ring", "rf"),
     "little": ("little", "pinky", "pinkie", "lf"),
 }
-"""What files call them; the letters are Shadow's: first, middle, ring and little finger, and thumb."""
+"""Names of the fingers in files; the letters are Shadow's: first, middle, ring and little finger, and thumb."""
 PHALANGES = {
     "palm": ("metacarpal", "palm"),
     "proximal": ("proximal",),
@@ -21,7 +21,7 @@ PHALANGES = {
     "distal": ("distal",),
 }
 PALM = ("middle", "palm")
-"""What a palm that is one body is taken for."""
+"""Finger and phalanx of a palm that is one body."""
 
 
 def _one_of(words: Mapping[str, tuple[str, ...]], group: str) -> str:
@@ -34,11 +34,11 @@ _PALM = re.compile(r"palm(?:[ _.-]?link)?")
 
 @checked
 def name_fingers(hand: Hand, names: Mapping[str, tuple[str, str]] | None = None) -> Hand:
-    """The hand with its links called by finger and phalanx, as grips and their contributions ask for them.
+    """Return the hand with its links named by finger and phalanx, as grips and their contributions need them.
 
-    Where ``names`` does not say it, names such as ``robot0:ffproximal``, ``index_distal_link`` or ``palm`` do; a
-    thumb of three phalanges has a metacarpal, a proximal and a distal one. Other links keep their names, and take part
-    in no grip that knows fingers.
+    For links that are not in ``names``, names such as ``robot0:ffproximal``, ``index_distal_link`` or ``palm``
+    decide; a thumb of three phalanges has a metacarpal, a proximal and a distal one. Other links keep their
+    names, and take part in no grip that knows fingers.
 
     Args:
         hand: such as [`jaxgrasp.interop.hand_from_mujoco`][] reads.
@@ -67,7 +67,7 @@ def name_fingers(hand: Hand, names: Mapping[str, tuple[str, str]] | None = None)
 
 
 def _read(name: str) -> tuple[str, str] | None:
-    """Finger and phalanx by a link's name, or None where it does not tell."""
+    """Return the finger and phalanx in a link's name, or None where it has none."""
     text = name.rpartition(":")[2].lower().strip()
     if _PALM.fullmatch(text):
         return PALM

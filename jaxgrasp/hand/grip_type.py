@@ -1,4 +1,4 @@
-"""What kind of grip a hand's contacts make, and what each link contributes to it."""
+"""Kind of the grip that a hand's contacts make, and the contribution of each link to it."""
 
 from collections.abc import Mapping
 from enum import IntEnum
@@ -32,7 +32,7 @@ class GripType(IntEnum):
     """Kinds of grips. The codes are stable in files; that of a precision grip is its number of fingers."""
 
     NONE = 0
-    """Nothing touches."""
+    """No link touches."""
     UNKNOWN = 1
     """None of the others, or data that are not numbers."""
     PRECISION_2 = 2
@@ -51,7 +51,7 @@ CONTRIBUTIONS: Mapping[GripType, Contributions] = MappingProxyType({GripType.CYL
 @checked
 @jax.jit
 def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*batch"]:
-    """The kind of grip, told from the links that touch and from their normals.
+    """Classify the grip by the links that touch and by their normals.
 
     The classes are Cutkosky's (IEEE Trans. Robotics and Automation 5(3):269-279, 1989); the thresholds are ours.
 
@@ -72,7 +72,7 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
     touches = contacts.present > 0.5
 
     def touching(*phalanges: str, finger: str | None = None) -> Array:
-        """``(..., links)`` Those of these phalanges, of one finger or of all but the thumb."""
+        """Select the links ``(..., links)`` of these phalanges, of one finger or of all but the thumb."""
         fingers = FINGERS if finger is None else (finger,)
         return touches[..., _rows(hand, lambda link: link.finger in fingers and link.phalanx in phalanges)]
 
@@ -103,7 +103,7 @@ def grip_type(hand: Hand, posture: Posture, contacts: Contacts) -> Int[Array, "*
 def contributions_of(
     hand: Hand, grip: GripType, tables: Mapping[GripType, Contributions] = CONTRIBUTIONS
 ) -> Float[Array, "L"]:
-    """The contribution c of each link to a kind of grip (eq. 6).
+    """Return the contribution c of each link to a kind of grip (eq. 6).
 
     Args:
         hand: whose links are asked for.
@@ -122,7 +122,7 @@ def _rows(hand: Hand, chosen) -> np.ndarray:
 
 
 def _faces(hand: Hand, posture: Posture, contacts: Contacts, touches: Array) -> Array:
-    """Whether the index touches with anything but its sides."""
+    """Tell whether the index finger touches with a face other than its sides."""
     rows = _rows(hand, lambda link: link.finger == "index" and link.joint >= 0)
     hinges = np.array([hand.links[i].joint for i in rows], int)
     axes = pose_hand(hand, posture).axes[..., hinges, :]
@@ -131,7 +131,7 @@ def _faces(hand: Hand, posture: Posture, contacts: Contacts, touches: Array) -> 
 
 
 def _out_of_plane(contacts: Contacts, touches: Array) -> Array:
-    """The share of the normals' squares that is outside the plane which fits them best, 0 to 1/3."""
+    """Compute the share of the normals' squares outside their best plane, 0 to 1/3."""
     normals = jnp.where(touches[..., None], contacts.normals, 0)
     moment = jnp.einsum("...li,...lj->...ij", normals, normals)
     return jnp.linalg.eigvalsh(moment)[..., 0] / jnp.maximum(jnp.sum(touches, -1), 1)

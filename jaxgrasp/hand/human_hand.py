@@ -62,14 +62,14 @@ THUMB_ATTITUDE = (32.58, 23.17, 87.98)
 face the fingers."""
 LIMITS = {"MP": (0, 90), "PIP": (0, 100), "thumb abduction": (0, 60), "thumb MP": (-10, 55), "thumb IP": (-15, 80)}
 TOWARDS_THUMB = {"index": 1, "middle": 1, "ring": -1, "little": -1}
-"""Which way abduction goes, that is, away from the middle finger."""
+"""Sign of each finger's abduction, that is, away from the middle finger."""
 
 OPPOSITION = 0.6
 """Abduction of the thumb, with which its tip comes to face the fingers' [rad]."""
 
 
 class _FingerParts(NamedTuple):
-    """What a finger adds to the hand."""
+    """Joints and links of the hand, extended finger by finger."""
 
     joints: list[str]
     parents: list[int]
@@ -83,7 +83,7 @@ class _FingerParts(NamedTuple):
 
 @checked
 def human_hand(length: float = LENGTH, breadth: float | None = None, side: str = "right") -> Hand:
-    """A human hand: 14 flexions and 5 abductions, 19 links that can touch.
+    """Return a human hand: 14 flexions and 5 abductions, 19 links that can touch.
 
     The wrist's frame: x towards the fingers, z out of the back of the hand, y towards the thumb of a right hand and
     away from that of a left one. Joints are ``thumb abduction``, ``thumb MP``, ``thumb IP``, then ``abduction``,
@@ -115,20 +115,20 @@ def human_hand(length: float = LENGTH, breadth: float | None = None, side: str =
 
 
 def is_human(hand: Hand) -> bool:
-    """Whether a hand has a human one's joints and links, by their names."""
+    """Tell, by their names, whether a hand has a human hand's joints and links."""
     tips = {f"{finger} distal" for finger in ("thumb", *FINGERS)} | {f"{finger} palm" for finger in FINGERS}
     hinges = {f"{finger} {kind}" for finger in ("thumb", *FINGERS) for kind in ("abduction", "MP")}
     return tips <= {link.name for link in hand.links} and hinges <= set(hand.joints)
 
 
 def open_angles(hand: Hand) -> np.ndarray:
-    """Every joint's angle where fingers are straight and the thumb stands opposite them [rad]."""
+    """Return every joint's angle where fingers are straight and the thumb stands opposite them [rad]."""
     return np.array([OPPOSITION if name == "thumb abduction" else 0.0 for name in hand.joints])
 
 
 @checked
 def mirrored(hand: Hand) -> Hand:
-    """The hand's image in its wrist's xz plane: a left hand from a right one."""
+    """Return the hand's mirror image in its wrist's xz plane: a left hand from a right one."""
     flip = jnp.array([1.0, -1.0, 1.0])
     skin = Spheres(hand.skin.centers * flip, hand.skin.radii)
     # An axis of rotation is mirrored, then turned about: so that an angle keeps its meaning.
@@ -218,7 +218,7 @@ def _assemble(parts: _FingerParts) -> Hand:
 
 
 def _about(axis: int, angle: float) -> np.ndarray:
-    """The rotation about a coordinate axis."""
+    """Return the rotation matrix about a coordinate axis by an angle [rad]."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     turn = np.eye(3)
     turn[i, i] = turn[j, j] = np.cos(angle)

@@ -1,4 +1,4 @@
-"""What a hand's joints can exert, as limits of the forces of a grip."""
+"""Joint torques of a hand as limits of the forces of a grip."""
 
 import jax.numpy as jnp
 
@@ -14,9 +14,9 @@ from jaxgrasp.validation.checked import checked
 def torque_limits(
     hand: Hand, posture: Posture, contacts: Contacts, torque_max: Float[AnyArray, "J"] | None = None
 ) -> Limits:
-    """The limits that a hand's joints set to the forces of a posture's contacts.
+    """Return the limits that a hand's joints set to the forces of a posture's contacts.
 
-    The torques are those that the contact forces put on the joints; what lifts the hand's own links is not in them.
+    The torques are those that the contact forces put on the joints, without the weight of the hand's own links.
     Where joints follow others (``Hand.coupling``), the limits are those of the I independent joints: a motor holds the
     torques of all joints that it moves, by the transposed coupling matrix.
 

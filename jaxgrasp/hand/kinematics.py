@@ -1,4 +1,4 @@
-"""Where a posed hand's parts are, how contact points move with its joints, and which torques forces put on them."""
+"""Frames of a posed hand, Jacobian of its contact points, and joint torques of contact forces."""
 
 from functools import cache
 from typing import NamedTuple, TypeVar
@@ -39,7 +39,7 @@ class Standing(NamedTuple):
 @checked
 @jax.jit
 def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
-    """The frames of a hand's joints and links.
+    """Compute the frames of a hand's joints and links.
 
     Args:
         hand: its tree of ``J`` joints and ``L`` links.
@@ -61,7 +61,7 @@ def pose_hand(hand: Hand, posture: Posture) -> HandFrames:
 
 
 def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, ...]]:
-    """The posture with its leading axes broadcast and flattened into one, and what they were."""
+    """Return the posture with its leading axes broadcast and flattened into one, and their broadcast shape."""
     count = len(hand.joints)
     origin, rotation, angles = map(jnp.asarray, (posture.wrist.origin, posture.wrist.rotation, posture.angles))
     if angles.shape[-1:] != (count,):
@@ -72,7 +72,7 @@ def flatten_posture(hand: Hand, posture: Posture) -> tuple[Posture, tuple[int, .
 
 
 def stand(hand: Hand, posture: Posture) -> Standing:
-    """The frames of a flat batch of postures, joints of equal depth at once."""
+    """Compute the frames of a flat batch of postures, joints of equal depth at once."""
     wrist, angles, rows, slides = body(posture.wrist), posture.angles.T, levels(hand.parents), hand.slides[:, None]
     turns, ways = (jnp.where(chosen, angles, 0) for chosen in (~slides, slides))
     placed, axes = [wrist], []
@@ -97,7 +97,7 @@ def stand(hand: Hand, posture: Posture) -> Standing:
 
 @cache
 def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
-    """The joints by how many others carry them; each level in ascending order."""
+    """Group the joints by the number of joints that carry them; each level in ascending order."""
     depth: list[int] = []
     for parent in parents:
         depth.append(0 if parent < 0 else depth[parent] + 1)
@@ -105,7 +105,7 @@ def levels(parents: tuple[int, ...]) -> list[np.ndarray]:
 
 
 def ancestry(hand: Hand) -> np.ndarray:
-    """Which joints move which links: ``(L, J)`` booleans."""
+    """Return the booleans ``(L, J)`` that tell which joints move which links."""
     return _ancestry(hand.parents, hand.links)
 
 
@@ -121,19 +121,19 @@ def _ancestry(parents: tuple[int, ...], links: tuple[Link, ...]) -> np.ndarray:
 
 
 def body(pose: Pose) -> Bodies:
-    """A flat batch of poses as one body, batch-last."""
+    """Convert a flat batch of poses to one body, batch-last."""
     origin, rotation = pose.origin.T[:, None], jnp.moveaxis(pose.rotation, 0, -1)[:, :, None]
     return Bodies(Vec3(*origin), (Vec3(*rotation[:, 0]), Vec3(*rotation[:, 1]), Vec3(*rotation[:, 2])))
 
 
 def compose(outer: Axes, inner: Axes) -> Axes:
-    """The rotation ``inner``, seen from where ``outer`` is a rotation."""
+    """Compute the product ``outer inner`` of two rotations."""
     x, y, z = (vec3.rotate_back(outer, column) for column in inner)
     return x, y, z
 
 
 def take(parts: Tree, index: np.ndarray) -> Tree:
-    """Rows of every component."""
+    """Gather rows of every component."""
     return jax.tree.map(lambda c: c[index], parts)
 
 
@@ -142,17 +142,17 @@ def _joined(parts: list[Tree]) -> Tree:
 
 
 def _column(rows: AnyArray) -> Vec3:
-    """``(J, 3)`` as components ``(J, 1)``."""
+    """Split ``(J, 3)`` into components ``(J, 1)``."""
     return Vec3(*(jnp.asarray(rows)[:, i : i + 1] for i in range(3)))
 
 
 def _columns(rotations: AnyArray) -> Axes:
-    """``(J, 3, 3)`` likewise, by their columns."""
+    """Split rotations ``(J, 3, 3)`` into columns with components ``(J, 1)``."""
     return _column(rotations[..., 0]), _column(rotations[..., 1]), _column(rotations[..., 2])
 
 
 def _rotation(axis: Vec3, angle: Array) -> Axes:
-    """Rodrigues' rotation about a unit axis, by its columns."""
+    """Compute Rodrigues' rotation about a unit axis, by its columns."""
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     zero = jnp.zeros_like(angle)
 
@@ -165,7 +165,7 @@ def _rotation(axis: Vec3, angle: Array) -> Axes:
 
 
 def vectors(vector: Vec3, batch: tuple[int, ...]) -> Array:
-    """Components ``(bodies, B)`` as ``(..., bodies, 3)``."""
+    """Stack components ``(bodies, B)`` into vectors ``(..., bodies, 3)``."""
     return jnp.stack(vector, -1).swapaxes(0, 1).reshape(*batch, vector.x.shape[0], 3)
 
 
@@ -178,7 +178,7 @@ def _rotations(axes: Axes, batch: tuple[int, ...]) -> Array:
 def contact_jacobian(
     hand: Hand, frames: HandFrames, points: Float[AnyArray, "*batch L 3"]
 ) -> Float[Array, "*batch L 3 J"]:
-    """How a point of each link moves with the joints: d point / d angle [m/rad, or 1 of those that slide].
+    """Compute the Jacobian of a point of each link: d point / d angle [m/rad, or 1 for joints that slide].
 
     Args:
         hand: whose tree tells which joints move which links.
@@ -204,18 +204,18 @@ def joint_torques(
     forces: Float[AnyArray, "*batch L 3"],
     couples: Float[AnyArray, "*batch L 3"] | None = None,
 ) -> Float[Array, "*batch J"]:
-    """What contact forces do to the joints: J^T (-f) [N.m].
+    """Compute the joint torques of contact forces: J^T (-f) [N.m].
 
-    ``forces`` are what the hand exerts on the object; the hand feels their opposites. A torque is positive
-    where it helps a joint's positive angle: what resists flexion is negative, and is what a glove renders. Of joints
-    that slide it is the force along their axis [N].
+    ``forces`` are those of the hand on the object; the hand feels their opposites. A torque is positive
+    where it helps a joint's positive angle: a torque that resists flexion is negative, and a glove renders it. For
+    joints that slide it is the force along their axis [N].
 
     Args:
         hand: whose tree tells which joints carry which links.
         frames: of the posed hand, from [`jaxgrasp.hand.pose_hand`][].
         points: one contact of each link, in the world [m], such as those of [`jaxgrasp.hand.find_contacts`][].
         forces: on the object [N]; zero where a link does not touch.
-        couples: what soft contacts exert on the object beside them, as vectors [N.m]; none where not given.
+        couples: of soft contacts on the object beside the forces, as vectors [N.m]; none where not given.
     """
     given = {"points": points, "forces": forces} | ({} if couples is None else {"couples": couples})
     for name, array in given.items():

@@ -109,7 +109,7 @@ def check_mesh(mesh: Mesh) -> Mesh:
 
 
 def mass_properties(mesh: Mesh) -> MassProperties:
-    """Volume, centre of mass, and inertia about it, of a checked mesh."""
+    """Compute the volume, the centre of mass, and the inertia about it, of a checked mesh."""
     solid = _import_trimesh().Trimesh(*mesh, process=False)
     return MassProperties(
         float(solid.volume), np.asarray(solid.center_mass), np.asarray(solid.moment_inertia) / solid.volume
@@ -118,7 +118,7 @@ def mass_properties(mesh: Mesh) -> MassProperties:
 
 @checked
 def principal_frame(mesh: Mesh) -> tuple[Mesh, Pose]:
-    """The mesh in the frame of its principal axes at its centre of mass, and that frame's pose in the old one."""
+    """Return the mesh in the frame of its principal axes at its centre of mass, and this frame's pose in the old."""
     _, center, inertia = mass_properties(mesh)
     _, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
@@ -126,13 +126,13 @@ def principal_frame(mesh: Mesh) -> tuple[Mesh, Pose]:
 
 
 def sample_surface(mesh: Mesh, count: int, seed: int) -> np.ndarray:
-    """Points spread evenly over the surface ``(count, 3)``."""
+    """Sample points ``(count, 3)`` evenly over the surface."""
     trimesh = _import_trimesh()
     return np.asarray(trimesh.sample.sample_surface(trimesh.Trimesh(*mesh, process=False), count, seed=seed)[0])
 
 
 class NearestPoints(NamedTuple):
-    """Distance of a surface, its nearest point and its normal there, for each of some points."""
+    """Distance of a surface, its nearest point and its normal there, for each point of a batch."""
 
     distance: np.ndarray
     """``(P,)``: to the surface, negative inside [m]."""
@@ -143,7 +143,7 @@ class NearestPoints(NamedTuple):
 
 
 class MeshSurface:
-    """Looks up the nearest points of a checked mesh, exactly.
+    """Exact search for the nearest points of a checked mesh.
 
     The mesh is cut into triangles no longer than ``size``. The nearest of their centres bounds the distance, and
     with it which triangles can hold the nearest point.
@@ -162,7 +162,7 @@ class MeshSurface:
         return optional_library("scipy.spatial", missing=MISSING).cKDTree(self._centers)
 
     def nearest(self, points: np.ndarray) -> NearestPoints:
-        """Distances and feet of points ``(P, 3)``."""
+        """Compute the distances and feet of points ``(P, 3)``."""
         parts = [self._nearest(points[i : i + CHUNK]) for i in range(0, len(points), CHUNK)]
         return NearestPoints(*map(np.concatenate, zip(*parts, strict=True)))
 
@@ -182,9 +182,9 @@ class MeshSurface:
         return NearestPoints(np.where(outside, distance, -distance), foot, normal)
 
     def _pseudonormal(self, foot: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-        """A vector at the foot whose side tells inside from out: of the face, the edge, or the vertex.
+        """Compute the vector at the foot whose side tells inside from outside: of the face, the edge, or the vertex.
 
-        At an edge or a vertex no single face's normal does (Baerentzen and Aanaes 2005).
+        At an edge or a vertex no single face's normal tells it (Baerentzen and Aanaes 2005).
         """
         corners = self._solid.faces[triangle]
         weights = self._trimesh.triangles.points_to_barycentric(self._triangles[triangle], foot)
@@ -198,7 +198,7 @@ class MeshSurface:
         return normal
 
     def _edge_normals(self, triangle: np.ndarray, opposite: np.ndarray) -> np.ndarray:
-        """The sum of both faces' normals at the edge of a triangle opposite one of its corners."""
+        """Return the sum of both faces' normals at the edge of a triangle opposite a corner."""
         return self._edge_sums[triangle, opposite]
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Closed shells of a triangle mesh: how they are wound, which lies in which, and whether they meet.
+"""Closed shells of a triangle mesh: their winding, their nesting, and a check that they do not meet.
 
 The solid of a mesh is where its shells wind once around a point: the volume of an outer shell, less that of cavities
 whose triangles face into them. Shells that cross or lie in one another without such a cavity would count twice.
@@ -118,7 +118,7 @@ def _wind(faces: np.ndarray, edges: Edges, shell: np.ndarray, count: int) -> tup
 
 
 def _volumes(vertices: np.ndarray, faces: np.ndarray, shell: np.ndarray, count: int) -> np.ndarray:
-    """``(S,)`` Signed volumes of the shells."""
+    """Compute the signed volumes ``(S,)`` of the shells."""
     a, b, c = np.moveaxis((vertices - vertices.mean(0))[faces], 1, 0)
     return np.bincount(shell, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6, count)
 
@@ -196,7 +196,7 @@ def _check_pairs(
 
 
 def _meets(ends: np.ndarray, corners: np.ndarray, tolerance: float) -> np.ndarray:
-    """``(P,)`` Whether an edge ``(P, 2, 3)`` reaches or crosses a triangle ``(P, 3, 3)`` (Moller and Trumbore 1997)."""
+    """Tell ``(P,)`` whether edges ``(P, 2, 3)`` reach or cross triangles ``(P, 3, 3)`` (Moller and Trumbore 1997)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     way = ends[:, 1] - ends[:, 0]
     first, second = b - a, c - a
@@ -249,7 +249,7 @@ def _turn_nested(
 
 
 def _nesting(vertices: np.ndarray, faces: np.ndarray, shell: np.ndarray, count: int) -> np.ndarray:
-    """``(S, S)`` Whether the shell of each row lies in that of each column; shells do not cross."""
+    """Tell ``(S, S)`` whether the shell of each row lies in that of each column; shells do not cross."""
     inside = np.zeros((count, count), bool)
     triangles = [vertices[faces[shell == number]] for number in range(count)]
     low = np.array([each.min((0, 1)) for each in triangles])

@@ -41,20 +41,20 @@ class Octree(NamedTuple):
 
     @property
     def leaf(self) -> np.ndarray:
-        """``(N,)`` Which are cut no further."""
+        """Mask ``(N,)`` of the cells that are cut no further."""
         return self.radii > 0
 
 
 def octree_balls(
     nearest: Callable[[np.ndarray], NearestPoints], low: np.ndarray, high: np.ndarray, levels: int
 ) -> Octree:
-    """Balls in a solid within a box, from how far points are from its surface.
+    """Fill a solid within a box with balls, by the distances of points from its surface.
 
     Args:
         nearest: of points ``(P, 3)``.
         low: corner of the box ``(3,)`` [m].
         high: the other corner [m].
-        levels: how often cells are cut.
+        levels: number of times that cells are cut.
     """
     half = float((high - low).max()) / 2
     cells, parents = (low + high)[None] / 2, np.array([-1])
@@ -85,7 +85,7 @@ def octree_balls(
 def _surface_balls(
     nearest: Callable[[np.ndarray], NearestPoints], cells: np.ndarray, found: NearestPoints, edge: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Balls inside, each touching the surface at the point nearest to a cell's centre where it can.
+    """Compute balls inside, each touching the surface at the point nearest to a cell's centre where it can.
 
     A ball through that point shrinks about it until no other point of the surface lies in it.
     """
@@ -116,7 +116,7 @@ def _surface_balls(
 
 
 def _without_empty(tree: Octree) -> Octree:
-    """The tree without cells of which nothing is left."""
+    """Return the tree without cells that have neither a ball nor cells below with one."""
     kept = tree.leaf
     for level in range(int(tree.level.max()), 0, -1):
         kept[tree.parents[kept & (tree.level == level)]] = True

@@ -1,4 +1,4 @@
-"""A gripper of two parallel jaws as a Hand: what data sets of grasp poses are made for."""
+"""Gripper of two parallel jaws as a Hand, for data sets of grasp poses."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,7 @@ between them, as two flat pads do."""
 def parallel_jaw(
     opening: float = 0.08, *, reach: tuple[float, float] = (0.0941, 0.1122), width: float = 0.02, radius: float = 5e-3
 ) -> Hand:
-    """Two jaws that close along x, each by its own joint; the gripper looks along z.
+    """Return a hand of two jaws that close along x, each by its own joint; the gripper points along z.
 
     Each pad has four parts, and so at most four contacts.
 

@@ -12,7 +12,7 @@ from jaxgrasp.numerics.rotation import is_rotation
 from jaxgrasp.validation.checked import checked
 
 ROUNDING = 1e-6
-"""How far an angle may pass its limit [rad], or a rotation its orthonormality, by rounding alone."""
+"""Tolerance for rounding: of an angle beyond its limit [rad], and of a rotation's orthonormality."""
 
 
 @checked

@@ -1,6 +1,6 @@
-"""Exact shapes: how far a point is from the surface, and which way out is.
+"""Exact shapes: signed distance of a point from the surface, and the direction out.
 
-Each stands in a frame of its own. Distances are positive outside and negative inside; normals point outwards.
+Each shape stands in a frame of its own. Distances are positive outside and negative inside; normals point outwards.
 Inside, near edges and axes, the nearest surface changes and the normal jumps, as it must.
 """
 
@@ -39,37 +39,37 @@ class Shape(eqx.Module):
 
     @property
     def _sizes(self) -> dict[str, Size]:
-        """What must be positive, by name."""
+        """Sizes that must be positive, by name."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @property
     def _batch(self) -> tuple[int, ...]:
-        """The leading axes of its sizes."""
+        """Leading axes of the sizes."""
         return jnp.broadcast_shapes(*(jnp.shape(size) for size in jax.tree.leaves(self)))
 
     def _flat(self, batch: tuple[int, ...]) -> "Shape":
-        """With its leading axes flattened into one, of size 1 where all of the batch share it."""
+        """Flatten the leading axes of the sizes into one, of size 1 where the whole batch shares it."""
         return jax.tree.map(partial(shared_or_spread, batch), self)
 
     @abstractmethod
     def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
-        """Signed distance and outward unit normal; sizes broadcast against the last axis of components."""
+        """Compute the signed distance and the outward unit normal; sizes broadcast with the last axis of components."""
 
     def _bound(self, point: Vec3) -> Array:
-        """At most the signed distance, and quick to find."""
+        """Compute a lower bound of the signed distance, at low cost."""
         return self._distance(point)[0]
 
     def _near(self, centers: Vec3, radii: Array) -> Near:
-        """What spheres ``(L, m, B)`` meet, whose radii ``(L, m, 1)`` are those of all poses."""
+        """Compute the distances of spheres ``(L, m, B)`` from the solid; all poses share the radii ``(L, m, 1)``."""
         distance, out = self._distance(centers)
         return Near(distance, out, jnp.full(distance.shape[-1], radii.size, jnp.int32))
 
     def _support(self, direction: Vec3) -> Array:
-        """How far the solid reaches from its origin along a direction."""
+        """Compute the extent of the solid from its origin along a direction (support function)."""
         raise NotImplementedError(f"a {type(self).__name__} has no end")
 
     def _moments(self) -> tuple[Array, Array, Array]:
-        """Principal moments of inertia by unit of mass, about the origin, of uniform density [m^2]."""
+        """Compute the principal moments of inertia by unit of mass, about the origin, of uniform density [m^2]."""
         raise NotImplementedError(f"a {type(self).__name__} has no mass")
 
 
@@ -176,7 +176,7 @@ class Shifted(Shape):
 
     solid: Shape
     x: Size
-    """Where the solid's own origin is [m]."""
+    """Place of the solid's own origin along x [m]; ``y`` and ``z`` likewise."""
     y: Size
     z: Size
 
@@ -208,7 +208,7 @@ class Shifted(Shape):
 
 
 def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
-    """Distance and normal where the solid is all that lies below zero in each of these distances."""
+    """Compute the distance and normal of the solid that lies below zero in each of these distances."""
     outside = [jnp.maximum(b, 0) for b in beyond]
     length = vec3.safe_sqrt(reduce(jnp.add, [o * o for o in outside]))
     largest = reduce(jnp.maximum, beyond)
@@ -226,7 +226,7 @@ def _rounded(beyond: list[Array]) -> tuple[Array, list[Array]]:
 def signed_distance(
     shape: Shape, points: Float[AnyArray, "*#batch 3"]
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch 3"]]:
-    """How far points are from a shape's surface, and the way out.
+    """Compute the signed distances of points from a shape's surface, and the outward normals.
 
     Args:
         shape: its sizes broadcast against the points' leading axes.

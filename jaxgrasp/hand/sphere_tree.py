@@ -1,4 +1,4 @@
-"""A solid as a tree of spheres: what a mesh becomes so that contacts with it can be found."""
+"""Solid as a tree of spheres, by which contacts with a mesh are found."""
 
 from functools import partial
 
@@ -22,10 +22,10 @@ class SphereTree(Shape):
     moments: Float[AnyArray, "*batch 3"]
     """Principal moments of inertia by unit of mass [m^2]; NaN where the frame is not the principal one."""
     descends: bool = eqx.field(static=True)
-    """Whether contacts are found by descent, or by trying all balls."""
+    """True where contacts are found by descent, False where all balls are tried."""
 
     def scaled(self, factor: float) -> "SphereTree":
-        """The tree of the same solid, this many times as large."""
+        """Return the tree of the same solid with all lengths multiplied by a factor."""
         balls, bounds = (jax.tree.map(lambda x: factor * x, part) for part in (self.balls, self.nodes.bounds))
         nodes = eqx.tree_at(lambda nodes: nodes.bounds, self.nodes, bounds)
         return SphereTree(balls, nodes, factor**2 * self.moments, self.descends)
@@ -42,7 +42,7 @@ class SphereTree(Shape):
         return jax.tree.map(lambda x: jnp.asarray(x)[None], self)
 
     def _distance(self, point: Vec3) -> tuple[Array, Vec3]:
-        """From the nearest ball, by trying all."""
+        """Compute the distance from the nearest of all balls, and the direction out of it."""
         centers, radii = self.balls.centers, jnp.asarray(self.balls.radii)
 
         def of_one(one: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""From contacts to a Grasp: how hard each link means to press (eq. 6)."""
+"""Grasps from contacts, with the squeezing force of each link (eq. 6)."""
 
 import jax.numpy as jnp
 from jax import Array
@@ -18,7 +18,7 @@ THUMB, PALM = 2.0, 1.0
 def link_contributions(
     hand: Hand, table: Contributions | None = None, thumb: float = THUMB, palm: float = PALM
 ) -> Float[Array, "L"]:
-    """The contribution c of each link of a hand to a grip.
+    """Return the contribution c of each link of a hand to a grip.
 
     Args:
         hand: whose links are asked for.
@@ -55,7 +55,7 @@ def grasp_from_contacts(
     contributions: Float[AnyArray, "L"] | float = 1.0,
     torsion: Float[AnyArray, "*#batch"] | float | None = None,
 ) -> Grasp:
-    """The Grasp that contacts make, its squeezing forces by eq. 6.
+    """Build the Grasp of contacts, with squeezing forces by eq. 6.
 
     Args:
         contacts: of a posed hand, in the world.
@@ -91,7 +91,7 @@ def grasp_about(
     contributions: Float[AnyArray, "L"] | float,
     torsion: Float[AnyArray, "*#each"] | float | None = None,
 ) -> Grasp:
-    """As ``grasp_from_contacts``, but in a frame at this place of the world, along its axes."""
+    """Build the Grasp of contacts in a frame at this place of the world, along the world's axes."""
     world = grasp_from_contacts(contacts, friction, stiffness, contributions, torsion)
     points = world.points - jnp.asarray(origin)[..., None, :]
     return Grasp(points, world.normals, world.friction, world.squeeze, world.present, world.torsion)

@@ -1,4 +1,4 @@
-"""Contacts of an object with the world: a table, an obstacle, another object; and the wrench that they exert."""
+"""Contacts of an object with the world, that is a table, an obstacle or another object, and their wrench."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +16,9 @@ OCTANTS = tuple("".join("-+"[up] + axis for up, axis in zip(ups, "xyz", strict=T
 
 @checked
 def rigid_body(tree: SphereTree) -> Hand:
-    """An object as a Hand without joints, which finds contacts as a hand does: a part for each octant of it.
+    """Convert an object to a Hand without joints and with a link for each octant, to find contacts as a hand does.
 
-    Of the contacts of each part one is made, by the rule of [`jaxgrasp.hand.find_contacts`][]; so a box that stands on
+    The contacts of each part merge into one, by the rule of [`jaxgrasp.hand.find_contacts`][]; so a box that stands on
     a table has four.
 
     Args:
@@ -42,7 +42,7 @@ def rigid_body(tree: SphereTree) -> Hand:
 
 @checked
 def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Contacts:
-    """Where an object touches what stands in the world.
+    """Find the contacts of an object with an obstacle in the world.
 
     Args:
         body: from [`jaxgrasp.hand.rigid_body`][]; one for all poses.
@@ -64,9 +64,9 @@ def world_contacts(body: Hand, placed: Pose, obstacle: Shape, at: Pose) -> Conta
 def spring_wrench(
     contacts: Contacts, stiffness: Float[AnyArray, "*#batch"] | float, about: Float[AnyArray, "*#batch 3"]
 ) -> Float[Array, "*batch 6"]:
-    """What contacts exert on the object that they press into: K depth along each normal, without friction (eq. 1).
+    """Compute the wrench of contacts on the object: K depth along each normal, without friction (eq. 1).
 
-    What the hand must exert is less by this.
+    Subtract it from the wrench that the hand must exert.
 
     Args:
         contacts: with normals into that object ``(..., L)``.

@@ -1,4 +1,4 @@
-"""What a person reads: one screen before the first trial, and a hint where nothing was felt."""
+"""Texts for a person: a screen before the first trial, and a hint where nothing was felt."""
 
 from jaxgrasp.psychophysics.plan import QUESTIONS, Plan
 
@@ -18,7 +18,7 @@ HINTS = {
 
 
 def instructions(plan: Plan) -> str:
-    """The plan's own text, or that of its stimulus, its task and its durations."""
+    """Return the plan's own instructions, or those for its stimulus, its task and its durations."""
     if plan.session.instructions:
         return plan.session.instructions
     thing = THINGS[plan.stimulus.kind]
@@ -43,7 +43,7 @@ def instructions(plan: Plan) -> str:
 
 
 def hint(plan: Plan) -> str:
-    """What to do where a hand did not move: the plan's own text, or that of its stimulus."""
+    """Return the hint for a hand that did not move: the plan's own, or that for its stimulus."""
     return plan.session.hint or _movement(plan, HINTS)
 
 

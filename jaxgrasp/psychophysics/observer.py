@@ -1,4 +1,4 @@
-"""A simulated observer: what a person of known sensitivity would answer."""
+"""Simulated observer, who answers like a person of known sensitivity."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ Values = Real[np.ndarray, "..."] | float | int
 
 @dataclass(frozen=True)
 class Observer:
-    """Who compares two sensations, each with normal noise that grows with the reference.
+    """Observer of two sensations, each with normal noise that grows with the reference.
 
     The just noticeable difference at a hit ratio of 0.75 is ``weber x reference + absolute``: exactly, without lapses,
     bias and learning.
@@ -37,9 +37,9 @@ class Observer:
     bias: float = 0.0
     """Preference for the second interval, by the noise of the difference."""
     learning: float = 0.0
-    """By how much larger JNDs are in the very first trial."""
+    """Relative increase of JNDs in the first trial."""
     learning_trials: float = 50.0
-    """Trials after which 63 % of that is gone."""
+    """Trials after which 63 % of this increase is gone."""
 
     def __post_init__(self):
         for name in ("weber", "absolute", "lapse", "learning"):
@@ -56,17 +56,17 @@ class Observer:
             raise ValueError(f"learning_trials is {self.learning_trials}: expected a positive number")
 
     def jnd(self, reference: Values, trial: Values = np.inf) -> Values:
-        """Just noticeable difference at a hit ratio of 0.75, in the stimulus' unit.
+        """Compute the just noticeable difference at a hit ratio of 0.75, in the stimulus' unit.
 
         Args:
             reference: the smaller of two intensities.
-            trial: which one it is, from 0; learning is over where it is infinite.
+            trial: number of the trial, from 0; learning is over where it is infinite.
         """
         learnt = 1 + self.learning * np.exp(-np.asarray(trial) / self.learning_trials)
         return (self.weber * np.asarray(reference) + self.absolute) * learnt
 
     def second_probability(self, first: Values, second: Values, trial: Values = np.inf) -> Values:
-        """Chance of the answer that the second is stronger."""
+        """Compute the chance of the answer that the second is stronger."""
         first, second = np.asarray(first, float), np.asarray(second, float)
         noise = self.jnd(np.minimum(first, second), trial) / QUARTILE
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -75,7 +75,7 @@ class Observer:
         return self.lapse + (1 - 2 * self.lapse) * felt
 
     def hit_probability(self, reference: Values, comparison: Values, trial: Values = np.inf) -> Values:
-        """Chance of a right answer, over both orders."""
+        """Compute the chance of a right answer, as the mean over both orders."""
         after, before = (
             self.second_probability(reference, comparison, trial),
             self.second_probability(comparison, reference, trial),
@@ -83,10 +83,10 @@ class Observer:
         return 0.5 * (after + 1 - before)
 
     def choose(self, first: float, second: float, trial: int, rng: np.random.Generator) -> int:
-        """1 or 2: which one feels stronger."""
+        """Draw the answer which of two intensities feels stronger, 1 or 2."""
         return 2 if rng.random() < self.second_probability(first, second, trial) else 1
 
     def match(self, reference: float, trial: int, rng: np.random.Generator) -> float:
-        """A setting that feels like the reference, without the adjustment's own error."""
+        """Draw a setting that feels like the reference, without the error of the adjustment."""
         noise = float(self.jnd(reference, trial)) / QUARTILE
         return max(0.0, reference + noise * (float(rng.standard_normal()) - self.bias))

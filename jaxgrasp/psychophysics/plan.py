@@ -1,4 +1,4 @@
-"""The plan of an experiment: which stimulus, which references, which procedure; from a TOML file."""
+"""Plan of an experiment from a TOML file: stimulus, references, procedure and study."""
 
 import json
 import os
@@ -35,7 +35,7 @@ QUESTIONS = {"weight": "heavier", "stiffness": "stiffer", "torque": "stronger"}
 
 @dataclass(frozen=True)
 class StimulusPlan:
-    """What is felt, and where."""
+    """Kind of the stimulus, and the fingers or the joint that feel it."""
 
     kind: Literal["weight", "stiffness", "torque"] = "weight"
     """Weight or stiffness of a virtual object that is lifted or squeezed; or a torque on one joint."""
@@ -48,7 +48,7 @@ class StimulusPlan:
     joint: str = "index MP"
     """Joint that a torque resists."""
     rendering: Literal["exact", "simulated"] = "exact"
-    """How a weight is rendered: by a law that shares it alike among the fingers; or by the virtual hand's pipeline, as
+    """Rendering of a weight: by a law that shares it alike among the fingers; or by the virtual hand's pipeline, as
     a plate that lies on them, with contacts, depths, and inertia as it is lifted."""
 
     def __post_init__(self):
@@ -73,7 +73,7 @@ class StimulusPlan:
 
 @dataclass(frozen=True)
 class SessionPlan:
-    """How a person's sessions go, one for each reference and time."""
+    """Sessions of a person: references, order, durations and texts."""
 
     references: tuple[float, ...] = REFERENCE_WEIGHTS
     """Reference intensities in the stimulus' unit; zero stands for detection: something against nothing."""
@@ -83,7 +83,7 @@ class SessionPlan:
     """Order of the references: random; as given; or counterbalanced over persons by the rows of balanced Latin squares,
     of which a person's is found by the number that the code ends in: S01, S02, ..."""
     feedback: bool = True
-    """Whether a person is told if an answer was right."""
+    """True where a person is told if an answer was right."""
     practice: int = 4
     """Trials before the first session, at its largest level, with feedback."""
     break_every: int = 40
@@ -99,9 +99,9 @@ class SessionPlan:
     least_whole: float = 0.2
     """Time for which nine tenths of each stimulus have to be felt [s]; else the trial is asked again."""
     instructions: str = ""
-    """What a person reads before the first trial, a screen at most; that of the stimulus where it is empty."""
+    """Text for a person before the first trial, a screen at most; that of the stimulus where it is empty."""
     hint: str = ""
-    """What a person reads again where a hand did not move; that of the stimulus where it is empty."""
+    """Text for a person whose hand did not move, a screen at most; that of the stimulus where it is empty."""
 
     def __post_init__(self):
         if not self.references:
@@ -154,27 +154,27 @@ class Plan:
 
     @property
     def is_detection(self) -> bool:
-        """Whether levels are intensities, since there is no reference."""
+        """True where levels are intensities, since there is no reference."""
         return 0 in self.session.references
 
     def intensities(self) -> list[float]:
-        """Those that are certain to come, or the ends of what may come, in rising order."""
+        """Return the intensities that are certain to come, or the ends of those that may come, in rising order."""
         levels = getattr(self.procedure, "levels", None)
         levels = levels if isinstance(levels, tuple) else self.procedure.extremes()
         found = {reference for reference in self.session.references if reference > 0}
         return sorted(found | {intensity(r, level) for r in self.session.references for level in levels})
 
     def most_trials(self) -> int:
-        """Trials of one person at most, practice included."""
+        """Return the largest number of trials of a person, practice included."""
         sessions = self.session.sessions * len(self.session.references)
         return self.session.practice + sessions * self.procedure.most_trials()
 
     def at_most(self) -> str:
-        """How many these are, in words: a staircase may end before."""
+        """Return the largest number of trials in words, with "at most" for a staircase, which may end before."""
         return f"{'at most ' if self.method == 'staircase' else ''}{self.most_trials()}"
 
     def table(self) -> dict[str, Any]:
-        """As a file has it."""
+        """Return the plan as the tables of its TOML file."""
         tables = {"stimulus": _plain(self.stimulus), "session": _plain(self.session)}
         procedure = {"method": self.method, **_plain(self.procedure)}
         return {"name": self.name, "seed": self.seed, **tables, "procedure": procedure, "study": _plain(self.study)}
@@ -182,7 +182,7 @@ class Plan:
 
 @checked
 def load_plan(path: str | os.PathLike) -> Plan:
-    """The plan in a TOML file; what the file leaves out is the paper's.
+    """Read the plan in a TOML file; settings that the file leaves out are the paper's.
 
     Raises:
         ValueError: for a file that is no TOML, keys that are unknown, and values that no experiment has.
@@ -192,7 +192,7 @@ def load_plan(path: str | os.PathLike) -> Plan:
 
 
 def plan_of(given: dict[str, Any], where: str) -> Plan:
-    """The plan in a table; ``where`` names it in messages."""
+    """Build the plan from a table; ``where`` names the table in messages."""
     known = [one.name for one in fields(Plan) if one.name != "method"]
     for key in given:
         if key not in known:
@@ -216,7 +216,7 @@ def plan_of(given: dict[str, Any], where: str) -> Plan:
 
 
 def plan_toml(plan: Plan) -> str:
-    """A plan as the text of a file."""
+    """Return a plan as the text of a TOML file."""
     lines: list[str] = []
     tables = []
     for key, value in plan.table().items():
@@ -230,7 +230,7 @@ def plan_toml(plan: Plan) -> str:
 
 
 def _plain(settings: Any) -> dict[str, Any]:
-    """A dataclass as TOML and JSON give it back: tuples are lists."""
+    """Convert a dataclass to a table as TOML and JSON return it: tuples are lists."""
     return {key: list(one) if isinstance(one, tuple) else one for key, one in asdict(settings).items()}
 
 

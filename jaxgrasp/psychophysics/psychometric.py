@@ -12,22 +12,22 @@ Values = Float[np.ndarray, "..."] | float
 
 
 class PsychometricShape(StrEnum):
-    """How a hit ratio rises from chance to one, less the lapses."""
+    """Shape of the rise of a hit ratio from chance to one, less the lapses."""
 
     GAUSSIAN = "gaussian"
     """The normal distribution of the level, with location and scale."""
     LOGISTIC = "logistic"
-    """The logistic one."""
+    """The logistic distribution of the level, with location and scale."""
     WEIBULL = "weibull"
     """Weibull's, which is at chance where the level is zero."""
     GUMBEL = "gumbel"
     """Gumbel's of the smallest value: Weibull's of levels that are logarithms (dB, log10)."""
     DIFFERENCE = "difference"
-    """What an observer without bias does who compares two noisy sensations: scale alone, at chance at zero."""
+    """Comparison of two noisy sensations by an observer without bias: scale alone, at chance at zero."""
 
     @property
     def has_width(self) -> bool:
-        """Whether its steepness is a parameter of its own."""
+        """True where the steepness is a parameter of its own."""
         return self is not PsychometricShape.DIFFERENCE
 
     @property
@@ -40,7 +40,7 @@ class PsychometricShape(StrEnum):
 
 
 def standard(shape: PsychometricShape, u: Values) -> Values:
-    """The rise from 0 to 1 along its own axis."""
+    """Compute the rise of a shape from 0 to 1 at standardised levels ``u``."""
     match shape:
         case PsychometricShape.GAUSSIAN:
             return ndtr(u)
@@ -53,7 +53,7 @@ def standard(shape: PsychometricShape, u: Values) -> Values:
 
 
 def quantile(shape: PsychometricShape, share: Values) -> Values:
-    """Where on that axis it reaches a share."""
+    """Compute the standardised level at which the rise of a shape reaches a share."""
     match shape:
         case PsychometricShape.GAUSSIAN:
             return ndtri(share)

@@ -1,4 +1,4 @@
-"""Section III-C of the paper recomputed: every number beside the printed one, within what rounding allows."""
+"""Section III-C of the paper recomputed: every number beside the printed value, within the range of rounding."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,7 +18,7 @@ RATIO_STEP, WEBER_STEP, JND_STEP = 0.01, 0.001, 0.01
 
 
 class RecomputedNumber(StrEnum):
-    """How a printed number stands."""
+    """Outcome of the recomputation of a printed number."""
 
     REPRODUCED = "reproduced"
     OTHERWISE = "reproduced, by another estimator than the text says"
@@ -28,24 +28,24 @@ class RecomputedNumber(StrEnum):
 
 @dataclass(frozen=True)
 class Row:
-    """One number of the paper."""
+    """Number of the paper, printed and recomputed, with the outcome."""
 
     quantity: str
     printed: str
     recomputed: str
-    """With the smallest and largest value that the rounding of what it is computed from allows."""
+    """Recomputed value, with the smallest and largest that the rounding of its inputs allows."""
     outcome: RecomputedNumber
     note: str = ""
 
 
 @checked
 def recomputed() -> list[Row]:
-    """All of them, in the paper's order."""
+    """Recompute all numbers of section III-C, in the paper's order."""
     return [*_design(), *_thresholds(), *_deviations(), _mean(), *_variance()]
 
 
 def threshold_range(method: str, row: int) -> tuple[float, float, float]:
-    """Difference at the criterion for a row of Table III, and its smallest and largest value.
+    """Compute the difference at the criterion for a row of Table III, and its smallest and largest value.
 
     Args:
         method: ``"interpolation"``, as the text says; ``"line"``; or ``"paper"``, a line through chance at zero.
@@ -155,6 +155,6 @@ def _variance() -> list[Row]:
 
 
 def _meet(was: float, step: float, found: np.ndarray) -> bool:
-    """Whether a printed number, within its rounding, meets the range of what was recomputed."""
+    """Tell whether a printed number, within its rounding, meets the range of the recomputed value."""
     slack = 1e-9
     return bool(was - step / 2 <= found[2] + slack and was + step / 2 >= found[1] - slack)

@@ -1,4 +1,4 @@
-"""A person's whole experiment, trial by trial: practice, then a session for each reference."""
+"""Schedule of a person's experiment, trial by trial: practice, then a session for each reference."""
 
 import random
 import re
@@ -10,7 +10,7 @@ from jaxgrasp.psychophysics.trial import Presentation, Trial, intensity
 
 
 def place_of(subject: str) -> int:
-    """The place of a person among all, from 0, by the number that the code ends in."""
+    """Return the place of a person among all, from 0, by the number that the code ends in."""
     number = re.search(r"[0-9]+$", subject)
     if number is None or int(number.group()) == 0:
         raise ValueError(
@@ -21,10 +21,10 @@ def place_of(subject: str) -> int:
 
 
 class Schedule:
-    """Decided by the plan, the person's code, and the answers so far: ask ``next``, give the score, in turn."""
+    """Schedule decided by the plan, the person's code, and the answers so far; call ``next`` and ``score`` in turn."""
 
     def __init__(self, plan: Plan, subject: str) -> None:
-        """The first trial of a person's.
+        """Begin the schedule of a person at the first trial.
 
         Args:
             plan: of the experiment.
@@ -52,7 +52,7 @@ class Schedule:
         self._practice = self._practice_levels()
 
     def next(self) -> Trial | None:
-        """The trial that is due; None when all is done. The same until it is scored."""
+        """Return the trial that is due, the same until it is scored; None after the last trial."""
         if self._practice:
             return self._trial(self._practice[0], is_practice=True)
         while self._session < len(self.references):

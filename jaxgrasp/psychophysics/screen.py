@@ -1,7 +1,7 @@
 """Texts that a person reads at once."""
 
 LINES, CHARACTERS = 20, 100
-"""What fits on a screen, in lines and in characters of a line."""
+"""Size of a screen, in lines and in characters of a line."""
 
 
 def check_screen(name: str, text: str) -> None:

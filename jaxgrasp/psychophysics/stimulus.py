@@ -1,4 +1,4 @@
-"""The stimulus as an experiment sees it: something with an intensity, rendered by whoever implements this."""
+"""Interface of a stimulus with an intensity, as an experiment uses it."""
 
 import math
 from abc import ABC, abstractmethod
@@ -7,35 +7,40 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Rendered:
-    """What came of an intensity."""
+    """Outcome of the rendering of an intensity."""
 
     intensity: float
     """Intensity asked for, in the stimulus' unit."""
     felt: float
-    """The most of it that was felt, in the same unit; of a prediction, what the device could render."""
+    """Largest intensity that was felt, in the same unit; for a prediction, the largest that the device can render."""
     torque: float
-    """Largest joint torque that it asks for [N.m]; NaN where nobody knows."""
+    """Largest joint torque that it asks for [N.m]; NaN where it is unknown."""
     saturated: bool
-    """Whether any torque was cut: the trial is not what the plan says."""
+    """True where any torque was cut, so that the trial differs from the plan."""
     lasts: float = math.inf
-    """How long a glove whose motors are cold renders it so [s]."""
+    """Time for which a glove whose motors are cold can render it [s]."""
     whole: float = math.nan
-    """Time for which nine tenths of it at least were felt [s]; NaN where nobody measured."""
+    """Time for which nine tenths of it at least were felt [s]; NaN where it was not measured."""
     moved: float = math.nan
-    """Angle by which that joint moved meanwhile which moved most, of those that feel it [degrees]; NaN likewise."""
+    """Largest angle by which a joint that feels it moved meanwhile [degrees]; NaN where it was not measured."""
 
 
 class StimulusLostError(OSError):
-    """What was to be felt was not, or not all the time: the trial does not count, and is to be asked again."""
+    """Stimulus that was not felt, or not all the time: the trial does not count, and is to be asked again."""
 
     def __init__(self, why: str, rendered: Rendered | None = None) -> None:
-        """``rendered``: what came of it before it was lost, where anything did."""
+        """Create the error of a lost stimulus.
+
+        Args:
+            why: message of the error.
+            rendered: outcome of the rendering before the stimulus was lost; None where there is none.
+        """
         super().__init__(why)
         self.rendered = rendered
 
 
 class NotFeltError(StimulusLostError):
-    """There was something to be felt, and a person did not do what it takes: it is to be asked again."""
+    """Rendered stimulus for which the person did not move enough, or long enough: the trial is to be asked again."""
 
 
 class Stimulus(ABC):
@@ -43,19 +48,19 @@ class Stimulus(ABC):
 
     @abstractmethod
     def predict(self, intensity: float) -> Rendered:
-        """What would come of an intensity, without a person."""
+        """Return the expected outcome of an intensity, without a person."""
 
     @abstractmethod
     def begin(self, intensity: float) -> None:
-        """Let it be felt, from now on, in place of what was before.
+        """Begin to render an intensity, in place of the one before.
 
         Raises:
-            StimulusLostError: where it cannot be.
+            StimulusLostError: where it cannot be rendered.
         """
 
     @abstractmethod
     def end(self) -> Rendered:
-        """Let it end; what came of it, over all of its time.
+        """End the stimulus, and return the outcome over all of its time.
 
         Raises:
             StimulusLostError: where it was not felt all the time.
@@ -63,7 +68,7 @@ class Stimulus(ABC):
 
 
 class PredictedStimulus(Stimulus):
-    """Nothing that can be felt: what is predicted counts as what came of it."""
+    """Stimulus that nobody can feel: its prediction counts as its outcome."""
 
     def __init__(self) -> None:
         self._intensity = 0.0
@@ -76,7 +81,7 @@ class PredictedStimulus(Stimulus):
 
 
 class IdealStimulus(PredictedStimulus):
-    """Whatever is asked for, without a limit."""
+    """Stimulus that renders every intensity exactly, without a limit."""
 
     def predict(self, intensity: float) -> Rendered:
         return Rendered(intensity, intensity, float("nan"), False)

@@ -1,4 +1,4 @@
-"""Whose study it is, what persons agree to, and what is asked of each before the first trial."""
+"""Study of an experiment: investigator, consent, and the questions to each person before the first trial."""
 
 import re
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ MOST_QUESTIONS = 20
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """What belongs to every person's records beside the answers."""
+    """Study data of every person's records beside the answers."""
 
     title: str = ""
     investigator: str = ""
@@ -19,10 +19,10 @@ class StudyPlan:
     ethics: str = ""
     """Number of the approval by an ethics committee."""
     consent: str = ""
-    """What a person has to agree to before anything else, a screen at most; nothing is asked where it is empty."""
+    """Text that a person has to agree to before the first trial, a screen at most; not asked where it is empty."""
     questions: tuple[str, ...] = ()
-    """What is asked of each person and kept beside the answers, such as `age` or `hand`: names of columns; no name of
-    a person belongs there."""
+    """Questions to each person, kept beside the answers, such as `age` or `hand`: names of columns; never ask for the
+    name of a person."""
 
     def __post_init__(self):
         check_screen("consent", self.consent)

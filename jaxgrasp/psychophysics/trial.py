@@ -1,27 +1,27 @@
-"""What a person is asked in one trial."""
+"""Trials of an experiment: task, level and intensities."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 Task = Literal["choice", "setting"]
-"""Which of two feels stronger, or until when one feels like the other."""
+"""Task of a trial: choice of the stronger of two stimuli, or setting of one to match the other."""
 
 
 @dataclass(frozen=True)
 class Presentation:
-    """What a procedure wants to know next."""
+    """Next presentation of a procedure: level of the comparison, and order of the pair."""
 
     level: float
     """Level of the comparison: its difference from the reference by the reference, or its intensity where that is zero;
     of a setting, where it starts."""
     comparison_first: bool
     series: int = 0
-    """Within its session."""
+    """Number of the series within its session, from 0."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial of a person's whole experiment."""
+    """Trial of a person's whole experiment."""
 
     number: int
     """From 1, practice included."""
@@ -39,16 +39,18 @@ class Trial:
 
     @property
     def stronger(self) -> int:
-        """1 or 2: the right answer of a choice."""
+        """Right answer of a choice, 1 or 2."""
         return 1 if self.first > self.second else 2
 
 
 def intensity(reference: float, level: float) -> float:
-    """Intensity of a comparison at a level: larger than a reference by that share, or the level itself where there is
-    none."""
+    """Compute the intensity of a comparison at a level.
+
+    It is larger than the reference by that share, or the level itself where the reference is zero.
+    """
     return reference * (1 + level) if reference > 0 else level
 
 
 def level_of(reference: float, comparison: float) -> float:
-    """The level of a comparison of some intensity."""
+    """Compute the level of a comparison from its intensity; the inverse of ``intensity``."""
     return comparison / reference - 1 if reference > 0 else comparison

@@ -1,1 +1,1 @@
-"""From answers to thresholds, with what they leave open."""
+"""Thresholds from answers, with their intervals and findings."""

@@ -16,7 +16,7 @@ Numbers = Sequence[float] | Sequence[int] | np.ndarray
 
 @dataclass(frozen=True)
 class Anova:
-    """Whether means differ by more than chance."""
+    """Result of an analysis of variance: F, degrees of freedom, p-value and effect sizes."""
 
     f: float
     between: int
@@ -51,7 +51,7 @@ class Pair:
 
 @checked
 def one_way(groups: Sequence[np.ndarray]) -> Anova:
-    """One-way analysis of variance of groups of different subjects.
+    """Compute the one-way analysis of variance of groups of different subjects.
 
     Raises:
         ValueError: for fewer than two groups, a group of fewer than two, values that are not finite, or no variance.
@@ -63,7 +63,7 @@ def one_way(groups: Sequence[np.ndarray]) -> Anova:
 
 @checked
 def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -> Anova:
-    """One-way analysis from means, standard deviations (by n - 1) and sizes alone, as papers print them.
+    """Compute the one-way analysis from means, standard deviations (by n - 1) and sizes alone, as papers print them.
 
     Raises:
         ValueError: for different lengths, fewer than two groups, groups of fewer than two, deviations that are
@@ -83,7 +83,7 @@ def one_way_of_summaries(means: Numbers, deviations: Numbers, counts: Numbers) -
 
 @checked
 def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step: float) -> tuple[float, float]:
-    """Smallest and largest F that printed means and deviations allow, each rounded to a step.
+    """Compute the smallest and largest F that printed means and deviations allow, each rounded to a step.
 
     Args:
         means: as printed.
@@ -109,7 +109,7 @@ def rounding_interval(means: Numbers, deviations: Numbers, counts: Numbers, step
 
 @checked
 def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova:
-    """Analysis of variance by repeated measures, of the same subjects in every condition.
+    """Compute the analysis of variance by repeated measures, of the same subjects in every condition.
 
     Raises:
         ValueError: for fewer than two subjects or conditions, and cells that are missing or not finite: leave the
@@ -147,7 +147,7 @@ def repeated_measures(values: Float[np.ndarray, "subjects conditions"]) -> Anova
 
 
 def compare_groups(groups: Sequence[np.ndarray]) -> list[Pair]:
-    """Every two groups of different subjects, by Tukey's honest significant differences."""
+    """Compare every two groups of different subjects, by Tukey's honest significant differences."""
     values = [_values(group, f"groups[{k}]") for k, group in enumerate(groups)]
     # Here alone: importing it changes which warnings a program shows.
     from scipy.stats import tukey_hsd
@@ -163,7 +163,7 @@ def compare_groups(groups: Sequence[np.ndarray]) -> list[Pair]:
 
 
 def compare_conditions(values: Float[np.ndarray, "subjects conditions"]) -> list[Pair]:
-    """Every two conditions of the same subjects, by paired t tests with Holm's correction."""
+    """Compare every two conditions of the same subjects, by paired t tests with Holm's correction."""
     table = np.asarray(values, float)
     repeated_measures(table)
     pairs = list(combinations(range(table.shape[1]), 2))
@@ -180,7 +180,7 @@ def compare_conditions(values: Float[np.ndarray, "subjects conditions"]) -> list
 
 
 def holm(p_values: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-    """P values corrected for their number (Holm 1979)."""
+    """Correct p-values for their number (Holm 1979)."""
     order = np.argsort(p_values)
     scaled = np.asarray(p_values)[order] * np.arange(len(order), 0, -1)
     corrected = np.empty(len(order))
@@ -189,7 +189,7 @@ def holm(p_values: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
 
 
 def _sphericity(table: np.ndarray) -> float:
-    """Greenhouse and Geisser's epsilon: one where all differences of conditions vary alike."""
+    """Compute Greenhouse and Geisser's epsilon: one where all differences of conditions vary alike."""
     conditions = table.shape[1]
     centre = np.eye(conditions) - 1 / conditions
     covariance = centre @ np.cov(table, rowvar=False) @ centre

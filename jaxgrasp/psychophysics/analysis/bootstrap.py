@@ -15,12 +15,12 @@ Estimator = Callable[[Float[np.ndarray, "B L"]], Float[np.ndarray, "B"]]
 def draw(
     counts: Counts, chances: Float[np.ndarray, "L"], resamples: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "B L"]:
-    """Hits of as many trials at the same levels."""
+    """Draw hits ``(B, L)`` of as many trials at the same levels, by the chance at each level."""
     return rng.binomial(counts.trials, np.clip(chances, 0, 1), (resamples, len(counts.levels))).astype(float)
 
 
 def percentile_interval(found: Float[np.ndarray, "B"], coverage: float) -> tuple[float, float]:
-    """Interval between two quantiles; resamples without a threshold count as above all."""
+    """Compute the interval between two quantiles; resamples without a threshold count as infinite."""
     tail = (1 - coverage) / 2
     low, high = np.quantile(np.where(np.isnan(found), np.inf, found), [tail, 1 - tail], method="nearest")
     return float(low), float(high)
@@ -29,7 +29,7 @@ def percentile_interval(found: Float[np.ndarray, "B"], coverage: float) -> tuple
 def bca_interval(
     found: Float[np.ndarray, "B"], estimate: float, counts: Counts, estimator: Estimator, coverage: float
 ) -> tuple[float, float]:
-    """Corrected for bias and acceleration (Efron 1987), the latter by leaving out one answer after another."""
+    """Compute the interval with bias and acceleration corrected (Efron 1987), the latter by the jackknife."""
     known = np.where(np.isnan(found), np.inf, found)
     share = np.clip(np.mean(known < estimate) + 0.5 * np.mean(known == estimate), 1 / len(known), 1 - 1 / len(known))
     bias = ndtri(share)
@@ -42,7 +42,7 @@ def bca_interval(
 
 
 def _acceleration(counts: Counts, estimator: Estimator) -> float:
-    """A trial is left out by its share: a hit moves a ratio down, a miss up, by less than one answer."""
+    """Compute the acceleration by the jackknife: a hit left out lowers a level's ratio, a miss left out raises it."""
     ratios, trials = counts.ratios, counts.trials
     without_hit = (counts.hits - 1) / np.maximum(trials - 1, 1)
     without_miss = counts.hits / np.maximum(trials - 1, 1)

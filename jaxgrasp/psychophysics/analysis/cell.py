@@ -21,17 +21,17 @@ from jaxgrasp.psychophysics.running.recorded_trials import TrialRecord
 
 @dataclass(frozen=True)
 class AnalysisSettings:
-    """How answers are analysed."""
+    """Settings of an analysis: method, model, interval and saturated trials."""
 
     method: Method = "likelihood"
     model: Model | None = None
-    """Where None, a Weibull function; of an adaptive procedure its own; for staircases that of an unbiased comparison,
-    since a steepness of its own is biased where levels follow the answers."""
+    """Psychometric function; None for the default: a Weibull function, an adaptive procedure's own shape, and for
+    staircases that of an unbiased comparison, since a free steepness is biased where levels follow the answers."""
     interval: Interval | None = None
     """Kind of interval; as the method has it, where None."""
     coverage: float = 0.95
     saturated: Literal["include", "exclude"] = "exclude"
-    """What becomes of trials in which a torque was cut."""
+    """Treatment of trials in which a torque was cut."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Cell:
     fit: Goodness | None
     """None where no psychometric function was fitted."""
     sensitivities: tuple[tuple[float, DetectionSensitivity], ...]
-    """By level."""
+    """Detection sensitivities by level."""
     saturated: int
     """Trials in which a torque was cut."""
     with_others: Threshold | None
@@ -70,7 +70,7 @@ class Cell:
 
 
 def suited_shape(plan: Plan) -> PsychometricShape:
-    """Shape of the psychometric function, where nobody asks for one."""
+    """Return the default shape of the psychometric function for a plan's procedure."""
     if isinstance(plan.procedure, Adaptive):
         return plan.procedure.shape
     # Few levels far from the threshold leave the steepness open, and a free one is found too shallow.
@@ -78,7 +78,7 @@ def suited_shape(plan: Plan) -> PsychometricShape:
 
 
 def suited_criterion(plan: Plan) -> float:
-    """Hit ratio at the threshold, where nobody asks for one."""
+    """Return the default hit ratio at the threshold for a plan's procedure."""
     return plan.procedure.criterion if isinstance(plan.procedure, Adaptive) else Model.criterion
 
 
@@ -87,7 +87,7 @@ MOST_LAPSES = 0.1
 
 
 def suited_lapse(plan: Plan) -> float:
-    """Largest share of lapses that a fit may find, where nobody says it."""
+    """Return the default largest share of lapses in a fit for a plan's procedure."""
     # With lapses of 4 % the smaller bound leaves intervals that miss the threshold too often, and a bias; without any
     # lapses the larger one costs nothing (benchmarks/results/psychophysics.md).
     if not plan.procedure.follows_answers:
@@ -117,7 +117,7 @@ def cell_of(plan: Plan, who: str, reference: float, trials: Iterable[TrialRecord
 
 
 def counted(trials: Iterable[TrialRecord]) -> Counts:
-    """Answers of choices by level."""
+    """Count the answers of choices by level."""
     own = list(trials)
     return count(np.array([one["level"] for one in own]), np.array([one["right"] for one in own], bool))
 

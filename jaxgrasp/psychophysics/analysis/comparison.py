@@ -1,4 +1,4 @@
-"""What persons have in common, and how references differ."""
+"""Means over persons at each reference, and comparison between references."""
 
 from dataclasses import dataclass
 
@@ -53,8 +53,10 @@ def group_of(cells: tuple[Cell, ...], reference: float) -> Group:
 
 
 def comparison_of(plan: Plan, people: tuple[str, ...], cells: tuple[Cell, ...], notes: list[str]) -> Comparison | None:
-    """Comparison of the references at which enough persons have a threshold, among the persons who have one at each of
-    these."""
+    """Compare the references at which enough persons have a threshold, among the persons with one at each of these.
+
+    The reasons for references, persons or a whole comparison left out are appended to ``notes``.
+    """
     if len(plan.session.references) < 2 or len(people) < FEWEST:
         return None
     every = np.array([[_of(cells, who, r).threshold.value for r in plan.session.references] for who in people])
@@ -91,7 +93,7 @@ def _of(cells: tuple[Cell, ...], who: str, reference: float) -> Cell:
 
 
 def line_of(pooled: tuple[Cell, ...]) -> WeberLine | None:
-    """The line through JNDs of all persons together, each by its own interval, where there are two at least."""
+    """Fit the Weber line through all persons' JNDs, weighted by their intervals; None for fewer than two JNDs."""
     known = [
         cell.weber
         for cell in pooled

@@ -1,4 +1,4 @@
-"""Answers counted: how many of how many were right at each level."""
+"""Counts of answers: right answers and trials at each level."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -60,7 +60,7 @@ def count(levels: Float[np.ndarray, "T"], correct: np.ndarray) -> Counts:
 
 @checked
 def pooled(parts: "list[Counts]") -> Counts:
-    """All answers together."""
+    """Add the counts of several sets of answers, level by level."""
     levels = np.unique(np.concatenate([part.levels for part in parts])) if parts else np.zeros(0)
     hits, trials = np.zeros(len(levels), int), np.zeros(len(levels), int)
     for part in parts:
@@ -73,7 +73,7 @@ def pooled(parts: "list[Counts]") -> Counts:
 def ratio_intervals(
     counts: Counts, coverage: float = 0.95, method: Literal["wilson", "exact"] = "wilson"
 ) -> Float[np.ndarray, "L 2"]:
-    """Intervals of the hit ratios, each for itself.
+    """Compute the interval ``(L, 2)`` of each hit ratio.
 
     Args:
         counts: of answers.
@@ -85,7 +85,7 @@ def ratio_intervals(
 
 
 def wilson(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverage: float) -> Float[np.ndarray, "... 2"]:
-    """Wilson's score intervals of binomial shares."""
+    """Compute Wilson's score intervals of binomial shares."""
     z = ndtri((1 + coverage) / 2)
     centre = (hits + z**2 / 2) / (trials + z**2)
     away = z / (trials + z**2) * np.sqrt(hits * (trials - hits) / trials + z**2 / 4)
@@ -93,7 +93,7 @@ def wilson(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverag
 
 
 def exact(hits: Int[np.ndarray, "..."], trials: Int[np.ndarray, "..."], coverage: float) -> Float[np.ndarray, "... 2"]:
-    """Clopper and Pearson's intervals of binomial shares."""
+    """Compute Clopper and Pearson's intervals of binomial shares."""
     tail = (1 - coverage) / 2
     misses = trials - hits
     low = np.where(hits > 0, betaincinv(np.maximum(hits, 1), misses + 1, tail), 0.0)

@@ -1,4 +1,4 @@
-"""A whole experiment analysed: each person, all together, and what differs between references."""
+"""Analysis of an experiment: each person, all persons together, and differences between references."""
 
 import os
 from collections.abc import Iterable
@@ -41,7 +41,7 @@ class Answers:
 
 @dataclass(frozen=True)
 class Trace:
-    """One staircase."""
+    """Levels and answers of a staircase in their order, with its threshold estimate."""
 
     subject: str
     reference: float
@@ -55,7 +55,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What an experiment's answers say: of each person, of all together, and of how references differ."""
+    """Results of an experiment: of each person, of all persons together, and of differences between references."""
 
     plan: Plan
     settings: AnalysisSettings
@@ -67,18 +67,18 @@ class Analysis:
     """Results of all persons' answers at each reference, as if they were one person's: their interval leaves out how
     persons differ."""
     groups: tuple[Group, ...]
-    """What persons' own thresholds have in common: what papers print, and power is reckoned for."""
+    """Means of persons' own thresholds at each reference, as papers print them and ``precision`` predicts them."""
     matched: tuple[Matched, ...]
     traces: tuple[Trace, ...]
     comparison: Comparison | None
     line: WeberLine | None
     notes: tuple[str, ...]
-    """What cannot be said, and why; and what the reader must know."""
+    """Notes for the reader: results that are missing, with the reason, and limits of the data."""
 
 
 @checked
 def load_experiment(folder: str | os.PathLike) -> Answers:
-    """The records in a folder, each person's led through the plan again.
+    """Read the records in a folder, and check each person's by a replay of the plan.
 
     Raises:
         ValueError: for a folder without records.
@@ -101,7 +101,7 @@ def load_experiment(folder: str | os.PathLike) -> Answers:
 
 @checked
 def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analysis:
-    """All that an experiment's answers say.
+    """Compute the results of an experiment's answers.
 
     Args:
         answers: of all persons.
@@ -130,7 +130,11 @@ def analyse(answers: Answers, settings: AnalysisSettings | None = None) -> Analy
 
 
 def _settled(settings: AnalysisSettings, plan: Plan) -> AnalysisSettings:
-    """What suits the procedure, where nothing was asked for."""
+    """Return the settings with the default model of the procedure where none is set.
+
+    Raises:
+        ValueError: for straight lines where levels follow the answers.
+    """
     if plan.procedure.follows_answers and settings.method not in ("likelihood", "posterior"):
         raise ValueError(
             f"method is {settings.method!r}, and levels of the procedure {plan.method!r} follow the answers: expected "

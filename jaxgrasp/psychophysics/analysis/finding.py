@@ -1,4 +1,4 @@
-"""What answers allow to be said of a threshold, where they do not settle it; and why."""
+"""Findings on a threshold: found, or the reason why the answers do not determine it."""
 
 from enum import StrEnum
 
@@ -13,7 +13,7 @@ CLOSE = 1e-4
 
 
 class Finding(StrEnum):
-    """Whether a threshold was found. The names are stable in files; ``advice`` says what to do."""
+    """Outcome of a search for a threshold. The names are stable in files; ``advice`` says what to do."""
 
     FOUND = "found"
     NO_TRIALS = "no-trials"
@@ -33,7 +33,7 @@ class Finding(StrEnum):
 
     @property
     def advice(self) -> str:
-        """A sentence that a user can act on."""
+        """Sentence that a user can act on."""
         return _ADVICE[self]
 
 
@@ -55,7 +55,7 @@ _ADVICE = {
 
 
 def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Finding:
-    """Why answers say nothing of a threshold, whatever the method; FOUND where nothing speaks against one."""
+    """Return the reason why answers determine no threshold by any method; FOUND where there is none."""
     if not len(counts.levels):
         return Finding.NO_TRIALS
     hits, trials = int(counts.hits.sum()), int(counts.trials.sum())
@@ -73,7 +73,7 @@ def trouble(counts: Counts, chance: float, *, needs_levels: bool = True) -> Find
 
 
 def place(estimate: float, counts: Counts, *, from_zero: bool = False) -> Finding:
-    """Whether an estimate lies among the levels, or, of a function that is known at zero, from there on."""
+    """Tell whether an estimate lies among the levels, or, for a function that is known at zero, from zero on."""
     if np.isnan(estimate):
         return Finding.NOT_RISING
     # A search ends a little beside a level where the threshold is one. One level has no extent: its size counts.
@@ -85,8 +85,10 @@ def place(estimate: float, counts: Counts, *, from_zero: bool = False) -> Findin
 
 
 def _is_better(counts: Counts, chance: float) -> bool:
-    """Whether answers are better than guesses: all of them, or those of the largest level, where a steep function shows
-    first."""
+    """Tell whether answers are better than guesses: all of them, or those at the largest level.
+
+    At the largest level a steep function shows first.
+    """
     hits = np.array([counts.hits.sum(), counts.hits[-1]])
     trials = np.array([counts.trials.sum(), counts.trials[-1]])
     # Of as many right answers or more.
@@ -94,6 +96,6 @@ def _is_better(counts: Counts, chance: float) -> bool:
 
 
 def _slope(counts: Counts) -> float:
-    """Slope of the ratios by level, each level weighted by its trials, but for a positive factor."""
+    """Compute the slope of the ratios by level, each level weighted by its trials, but for a positive factor."""
     centred = counts.levels - np.average(counts.levels, weights=counts.trials)
     return float(np.sum(counts.trials * centred * counts.ratios))

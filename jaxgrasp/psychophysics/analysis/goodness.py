@@ -1,4 +1,4 @@
-"""Whether a psychometric function fits: its deviance, beside those of answers drawn from it."""
+"""Goodness of fit of a psychometric function: its deviance, beside those of answers drawn from it."""
 
 from dataclasses import dataclass
 
@@ -46,7 +46,7 @@ def goodness(counts: Counts, model: Model | None = None, *, resamples: int = 100
 
 
 def deviances(hits: np.ndarray, trials: np.ndarray, chances: np.ndarray) -> np.ndarray:
-    """Parts of the deviance ``(B, L)``."""
+    """Compute each level's part ``(B, L)`` of the deviance."""
     safe = np.clip(chances, FLOOR, 1 - FLOOR)
     ratios = hits / trials
     return 2 * (_entropy(hits, trials, ratios) - xlogy(hits, safe) - xlogy(trials - hits, 1 - safe))

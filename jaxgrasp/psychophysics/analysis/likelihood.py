@@ -50,7 +50,7 @@ AT_ONCE = 2**22
 
 @dataclass(frozen=True)
 class Model:
-    """Which psychometric function, and what is known of it beforehand."""
+    """Psychometric function: shape, criterion, chance and bounds of the lapses."""
 
     shape: PsychometricShape = PsychometricShape.WEIBULL
     """At chance where the level is zero, as comparisons are."""
@@ -68,7 +68,7 @@ class Model:
         check_criterion(self.criterion, self.chance, self.lapse[1])
 
     def hit_probability(self, levels: np.ndarray, parameters: "Parameters") -> np.ndarray:
-        """Chance of a right answer at each level."""
+        """Compute the chance of a right answer at each level."""
         found = hit_probability(
             self.shape,
             levels,
@@ -123,7 +123,7 @@ class Likelihood:
         self._hit, self._miss = np.log(flat).T, np.log1p(-flat).T
 
     def profiles(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B T"]:
-        """Largest log-likelihood at each threshold."""
+        """Compute the largest log-likelihood at each threshold."""
         return self._reduced(hits, trials, lambda table: table.max((2, 3)))
 
     def posteriors(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B T"]:
@@ -141,7 +141,7 @@ class Likelihood:
         return found / found.sum(1, keepdims=True)
 
     def estimates(self, hits: Answers, trials: Answers) -> Float[np.ndarray, "B"]:
-        """Thresholds of largest likelihood, to a small part of the grid's step."""
+        """Compute the thresholds of largest likelihood, to a small part of the grid's step."""
         return self.peaks(self.profiles(hits, trials))
 
     def peaks(self, profiles: Float[np.ndarray, "B T"]) -> Float[np.ndarray, "B"]:
@@ -292,6 +292,6 @@ def _narrowed(grid: Likelihood, profiles: list[np.ndarray], best: Parameters) ->
 
 
 def log_likelihood(counts: Counts, chances: Float[np.ndarray, "L"]) -> float:
-    """Log-likelihood of answers, without the binomial coefficients."""
+    """Compute the log-likelihood of answers, without the binomial coefficients."""
     safe = np.clip(chances, FLOOR, 1 - FLOOR)
     return float(np.sum(xlogy(counts.hits, safe) + xlogy(counts.trials - counts.hits, 1 - safe)))

@@ -7,9 +7,9 @@ Ratios = Float[np.ndarray, "*batch L"]
 
 
 def by_interpolation(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) -> Float[np.ndarray, "*batch"]:
-    """Where the ratio first passes the criterion, on straight lines from level to level.
+    """Compute the level at which the ratio first passes the criterion, on straight lines from level to level.
 
-    Where it never passes from below, minus infinity if it is above at the smallest level, and infinity if it is not.
+    If it never passes from below: minus infinity where it is above at the smallest level, else infinity.
     """
     below, above = ratios[..., :-1] < criterion, ratios[..., 1:] >= criterion
     passes = below & above
@@ -22,7 +22,7 @@ def by_interpolation(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: 
 
 
 def by_line(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) -> Float[np.ndarray, "*batch"]:
-    """Where the straight line of least squares passes the criterion; NaN where it does not rise."""
+    """Compute the level at which the line of least squares passes the criterion; NaN where it does not rise."""
     centred = levels - levels.mean()
     slope = ratios @ centred / (centred @ centred)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -33,7 +33,9 @@ def by_line(levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float) ->
 def by_line_from_chance(
     levels: Float[np.ndarray, "L"], ratios: Ratios, criterion: float, chance: float
 ) -> Float[np.ndarray, "*batch"]:
-    """As ``by_line``, with chance at level zero as one more point: of many ways, the only one that gives the paper's
-    results."""
+    """Compute the level of ``by_line`` with chance at level zero as a further point.
+
+    Of many estimators, this is the only one that gives the paper's results.
+    """
     at_zero = np.full((*ratios.shape[:-1], 1), chance)
     return by_line(np.concatenate([[0.0], levels]), np.concatenate([at_zero, ratios], -1), criterion)

@@ -1,4 +1,4 @@
-"""Settings of a person who matched one stimulus to another: how far off, and how sure."""
+"""Constant and variable errors of a person's settings in the matching of two stimuli."""
 
 from dataclasses import dataclass
 
@@ -35,7 +35,7 @@ class Matched:
 def matched(
     subject: str, reference: float, settings: list[float], coverage: float = 0.95, saturated: int = 0
 ) -> Matched:
-    """Mean and deviation with their intervals, for settings that are normally distributed."""
+    """Compute the mean and the deviation with their intervals, for settings that are normally distributed."""
     values, count = np.asarray(settings, float), len(settings)
     if count < 2:
         error = float(values[0] - reference) if count else np.nan

@@ -1,4 +1,4 @@
-"""What the reader of an analysis must know of its answers: how many, by whom, how they were felt."""
+"""Notes on answers for the reader of an analysis: missing, simulated, saturated and brief trials."""
 
 import numpy as np
 
@@ -10,12 +10,12 @@ BRIEF = 0.3
 
 
 def notes_on(plan: Plan, trials: dict[str, list[TrialRecord]], simulated: tuple[str, ...]) -> list[str]:
-    """Sentences without a full stop.
+    """Return notes on the answers, as sentences without a full stop.
 
     Args:
         plan: of the experiment.
         trials: of each person, without practice.
-        simulated: persons who are none.
+        simulated: codes of simulated observers among the persons.
     """
     notes = [f"{', '.join(simulated)}: answers of a simulated observer"] if simulated else []
     for who, own in trials.items():
@@ -41,7 +41,7 @@ def _missing(plan: Plan, where: str, there: int) -> list[str]:
 
 
 def _saturated(where: str, cut: list[TrialRecord]) -> list[str]:
-    """Levels are those that were asked for; what could be felt of them is less."""
+    """Return a note on the trials in which a torque was cut, with the differences asked for and felt, if any."""
     if not cut:
         return []
     note = f"{where}: a torque was cut in {len(cut)} trials"

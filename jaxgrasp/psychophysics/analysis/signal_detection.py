@@ -1,4 +1,4 @@
-"""The view of signal detection: d' of two-interval choices, and how far a person leans to one interval.
+"""Signal detection: d' of two-interval choices, and a person's preference for an interval (criterion c).
 
 Macmillan and Creelman, Detection Theory, 2nd edition, chapters 7 and 8.
 """
@@ -19,25 +19,25 @@ class DetectionSensitivity:
     """Distance of the two sensations by the noise of each."""
     low: float
     high: float
-    """Its interval, by the variances of both shares (Gourevitch and Galanter 1967)."""
+    """End of the interval from ``low``, by the variances of both shares (Gourevitch and Galanter 1967)."""
     lean: float
     """Criterion c: positive where a person prefers to name the second interval, 0 without preference; NaN where one
     order was never tried."""
     corrected: bool
-    """Whether half an answer was added to each count, since one of the shares was 0 or 1."""
+    """True where half an answer was added to each count, since a share was 0 or 1."""
 
 
 @checked
 def detection_sensitivity(
     first_hits: int, first_trials: int, second_hits: int, second_trials: int, coverage: float = 0.95
 ) -> DetectionSensitivity:
-    """d' from answers where the stronger stimulus came first, and where it came second.
+    """Compute d' from answers where the stronger stimulus came first, and where it came second.
 
     Args:
         first_hits: right answers where it came first.
-        first_trials: of how many.
+        first_trials: trials where it came first.
         second_hits: right answers where it came second.
-        second_trials: of how many.
+        second_trials: trials where it came second.
         coverage: of the interval.
 
     Raises:
@@ -64,7 +64,7 @@ def detection_sensitivity(
 
 
 def _z(hits: float, trials: float) -> tuple[float, float]:
-    """The normal quantile of a share, and its variance."""
+    """Compute the normal quantile of a share, and its variance; NaN for no trials."""
     if not trials:
         return np.nan, np.nan
     share = hits / trials

@@ -32,7 +32,7 @@ class Threshold:
 
     finding: Finding
     estimate: float
-    """As the method has it, wherever it lies; NaN where there is none."""
+    """Estimate of the method, also outside the levels; NaN where there is none."""
     low: float
     """Lower end of the interval; where the answers do not bound it 0, or minus infinity for a shape that does not start
     at zero."""
@@ -66,7 +66,7 @@ def threshold(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Threshold:
-    """Level at which answers are right as often as the criterion says.
+    """Compute the level at which answers are right as often as the criterion says.
 
     Args:
         counts: of right answers.
@@ -127,7 +127,7 @@ def threshold(
 def _by_grid(
     counts: Counts, method: str, model: Model, kind: str, found: Finding, coverage: float, resamples: int, seed: int
 ) -> Threshold:
-    """Answers that settle nothing still bound the threshold: they have an interval, and no estimate."""
+    """Compute a threshold and its interval on a grid; answers without an estimate still have an interval."""
     grid = focused(counts, model)
     trials = counts.trials.astype(float)
     parameters = grid.best(counts) if method == "likelihood" else None
@@ -165,7 +165,7 @@ def _width_finding(model: Model, counts: Counts, best: Parameters) -> Finding:
 
 
 def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -> list[float]:
-    """Quantiles of the threshold's posterior distribution."""
+    """Compute quantiles of the threshold's posterior distribution."""
     weights = grid.posteriors(counts.hits, counts.trials)[0]
     # Each point stands for its step, half of it on either side.
     summed = np.cumsum(weights) - 0.5 * weights
@@ -173,7 +173,7 @@ def posterior_quantiles(grid: Likelihood, counts: Counts, shares: list[float]) -
 
 
 def _credible_interval(grid: Likelihood, counts: Counts, coverage: float) -> tuple[float, float]:
-    """Interval between quantiles of the posterior; open where it has not fallen off at the grid's end: the prior's."""
+    """Compute the interval between quantiles of the posterior; open where the prior sets it at the grid's end."""
     weights = grid.posteriors(counts.hits, counts.trials)[0]
     low, high = posterior_quantiles(grid, counts, [(1 - coverage) / 2, (1 + coverage) / 2])
     falls = weights[[0, -1]] < FALLEN * weights.max()
@@ -224,7 +224,7 @@ def _line(method: str, counts: Counts, model: Model) -> Estimator:
 def line_estimates(
     method: str, levels: Float[np.ndarray, "L"], ratios: Float[np.ndarray, "B L"], model: Model
 ) -> Float[np.ndarray, "B"]:
-    """Thresholds by one of the methods that draw straight lines; NaN where there is none."""
+    """Compute thresholds by a method of straight lines; NaN where there is none."""
     if method == "interpolation":
         return lines.by_interpolation(levels, ratios, model.criterion)
     if method == "line":

@@ -1,4 +1,4 @@
-"""An experiment as tidy tables: a row an answer, a threshold, a person, and a table that says what each column is."""
+"""Tidy tables of an experiment: a row for each answer, threshold or person, and a dictionary of the columns."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -11,11 +11,11 @@ from jaxgrasp.validation.checked import checked
 
 Row = list[str]
 INTENSITY = "INTENSITY"
-"""Stands for the unit of the stimulus."""
+"""Placeholder for the unit of the stimulus."""
 
 
 class Column(NamedTuple):
-    """A column, and how it comes out of what its row is of."""
+    """Column of a table: name, unit, meaning, and the function that reads its value from a row's object."""
 
     name: str
     unit: str
@@ -32,7 +32,7 @@ def _told(question: str) -> Callable[[dict[str, Any]], Any]:
 
 
 def _each(name: str, place: int) -> Callable[[TrialRecord], Any]:
-    """One of the two intervals, of records that have them."""
+    """Return a function that reads an interval's entry of a field; None for records without the field."""
     return lambda record: (record.get(name) or (None, None))[place]
 
 
@@ -119,7 +119,7 @@ PERSONS = [
 
 @checked
 def tidy_tables(answers: Answers, found: Analysis) -> dict[str, list[Row]]:
-    """Tables by the names of their files, each with a head: units in brackets, ratios without.
+    """Return tables by the names of their files, each with a head: units in brackets, ratios without.
 
     Args:
         answers: of the experiment.
@@ -140,7 +140,7 @@ def tidy_tables(answers: Answers, found: Analysis) -> dict[str, list[Row]]:
 
 
 def _person(answers: Answers, who: str) -> dict[str, Any]:
-    """A row of persons: what stands in that person's other records."""
+    """Return the values of a person's row, from all records of that person."""
     records = answers.others.get(who, [])
     by_kind = {kind: [one for one in records if one["record"] == kind] for kind in {one["record"] for one in records}}
     agreed = [one for one in by_kind.get("consent", ()) if one.get("agreed")]
@@ -176,7 +176,7 @@ def _rows(columns: list[Column], of: Iterable[Any]) -> Iterable[Row]:
 
 
 def _cell(value: Any) -> str:
-    """As every program reads it: no value is an empty cell, yes and no are 1 and 0."""
+    """Format a value so that every program reads it: an empty cell for no value, 1 and 0 for yes and no."""
     if isinstance(value, bool):
         return str(int(value))
     if value is None or (isinstance(value, float) and not math.isfinite(value)):

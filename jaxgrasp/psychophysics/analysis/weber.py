@@ -1,4 +1,4 @@
-"""Just noticeable differences and Weber fractions, with what they leave open; and Weber's law with a floor."""
+"""Just noticeable differences and Weber fractions, with their intervals; and Weber's law with a floor."""
 
 from dataclasses import dataclass
 
@@ -26,7 +26,7 @@ class Weber:
 
 @checked
 def weber(found: Threshold, reference: float, spread: float = 0.0) -> Weber:
-    """Weber fraction from a threshold that is a difference by the reference.
+    """Compute the Weber fraction from a threshold that is a difference by the reference.
 
     Args:
         found: its threshold.
@@ -69,7 +69,7 @@ def weber_line(
     jnds: Float[np.ndarray, "R"],
     deviations: Float[np.ndarray, "R"] | None = None,
 ) -> WeberLine:
-    """The line of least squares through JNDs, each by its standard deviation where these are given.
+    """Fit the line of least squares through JNDs, each weighted by its standard deviation where these are given.
 
     Raises:
         ValueError: for fewer than two references, JNDs that are not finite, or deviations that are not positive.

@@ -1,1 +1,1 @@
-"""What an experiment will find, before it is run: precision, coverage, and what the device's errors do."""
+"""Predictions for an experiment before it is run: precision, coverage, and effects of the device's errors."""

@@ -1,4 +1,4 @@
-"""How many trials and persons a wanted precision takes."""
+"""Numbers of trials and persons for a wanted precision."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class Precision:
-    """How precisely one design estimates a mean threshold."""
+    """Precision with which a design estimates a mean threshold."""
 
     trials: int
     """Trials at each level, of each person."""
@@ -28,7 +28,7 @@ class Precision:
     """Share of single persons' estimates that lie outside the levels: these experiments would say so, and not count."""
 
     def total(self, levels: int) -> int:
-        """Trials of all persons together."""
+        """Return the number of trials of all persons together."""
         return self.trials * self.subjects * levels
 
 
@@ -45,14 +45,14 @@ def precision(
     experiments: int = 500,
     seed: int = 0,
 ) -> Precision:
-    """How well the mean threshold of persons comes out.
+    """Compute the precision of the persons' mean threshold, by simulated experiments.
 
     Args:
-        observer: of the middling person.
+        observer: sensitivity of an average person.
         reference: of the comparisons; 0 for detection.
         levels: of the comparisons.
         trials: at each level, of each person.
-        subjects: how many persons.
+        subjects: number of persons.
         between: standard deviation of the persons' own thresholds, in the levels' unit.
         model: by which each person's answers are fitted.
         experiments: simulated.
@@ -81,11 +81,11 @@ def cheapest(
     usable: float = 0.1,
     **options: object,
 ) -> list[Precision]:
-    """Designs that reach a standard error, one for each number of trials a level, by how many trials they take in all.
+    """Return designs that reach a standard error, one for each number of trials a level, by their total of trials.
 
     Args:
         wanted: standard error of the mean threshold.
-        observer: of the middling person.
+        observer: sensitivity of an average person.
         reference: of the comparisons.
         levels: of the comparisons.
         between: standard deviation of the persons' own thresholds.

@@ -1,4 +1,4 @@
-"""Whether an analysis finds what is there: bias of its estimates and coverage of its intervals."""
+"""Recovery of known thresholds by an analysis: bias of its estimates and coverage of its intervals."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ class Recovery:
 def by_likelihood(
     hits: Real[np.ndarray, "E L"], trials: int, levels: Float[np.ndarray, "L"], model: Model, truth: float
 ) -> dict[str, Recovery]:
-    """Largest likelihood with profile intervals, and the posterior's median with credible ones, of 95 %."""
+    """Compute the recovery by largest likelihood with profile intervals, and by the posterior's median, at 95 %."""
     grid = Likelihood(levels, model)
     counts = np.full(len(levels), float(trials))
     where = float(grid.axis.coordinate(truth))
@@ -55,7 +55,7 @@ def by_bootstrap(
     resamples: int,
     rng: np.random.Generator,
 ) -> Recovery:
-    """Estimates of a method with percentile intervals of 95 % from answers drawn anew."""
+    """Compute the recovery by a method with percentile intervals of 95 % from answers drawn anew."""
     if method == "likelihood":
         grid, counts = Likelihood(levels, model), np.full(len(levels), float(trials))
         estimator = lambda drawn: grid.estimates(drawn, counts)  # noqa: E731
@@ -73,7 +73,7 @@ def by_bootstrap(
 def summed(
     estimates: Float[np.ndarray, "E"], covered: np.ndarray, levels: Float[np.ndarray, "L"], truth: float
 ) -> Recovery:
-    """The numbers of a method; estimates that are none count as above all."""
+    """Compute bias, spread and coverage of a method; missing estimates count as infinite."""
     known = np.where(np.isnan(estimates), np.inf, estimates)
     low, middle, high = np.quantile(known, [0.1587, 0.5, 0.8413], method="nearest")
     outside = np.mean(~((known >= levels.min()) & (known <= levels.max())))

@@ -1,4 +1,4 @@
-"""From what a device does to a stimulus, to the just noticeable difference that one should expect through it."""
+"""Just noticeable differences to expect through a device, from its rendering errors."""
 
 from dataclasses import dataclass
 
@@ -52,14 +52,14 @@ class RenderingError:
                 raise ValueError(f"{name} is {getattr(self, name)}: expected a positive number")
 
     def deviation(self, intensity: Values) -> Values:
-        """Standard deviation of what is rendered for an intensity."""
+        """Compute the standard deviation of the rendered stimulus at an intensity, in the stimulus' unit."""
         stimulus = np.asarray(intensity)
         by_direction = np.hypot(np.sinh(self.friction) * (stimulus + self.pretension), self.lag * stimulus)
         return np.sqrt(self.quantum**2 / 12 + self.stiction**2 + by_direction**2 / self.motions)
 
 
 def hit_probability_through(observer: Observer, error: RenderingError, reference: Values, comparison: Values) -> Values:
-    """Chance of a right answer where both stimuli come through a device."""
+    """Compute the chance of a right answer where both stimuli come through a device."""
     felt, other = (np.minimum(np.asarray(x, float), error.limit) for x in (comparison, reference))
     own = np.asarray(observer.jnd(np.minimum(felt, other))) / QUARTILE
     noise = np.sqrt(own**2 + error.deviation(felt) ** 2 + error.deviation(other) ** 2)
@@ -70,7 +70,7 @@ def hit_probability_through(observer: Observer, error: RenderingError, reference
 
 @checked
 def jnd_through(observer: Observer, error: RenderingError, reference: float, criterion: float = 0.75) -> float:
-    """Difference that is noticed as often as the criterion says; infinite where the device renders none so large.
+    """Compute the difference that is noticed as often as the criterion says; infinite beyond the device's limit.
 
     Raises:
         ValueError: for a criterion that lapses make impossible, or that guesses reach; a reference that is negative,
@@ -97,7 +97,7 @@ def jnd_through(observer: Observer, error: RenderingError, reference: float, cri
 
 
 def shares_of_device(observer: Observer, error: RenderingError, reference: float) -> dict[str, float]:
-    """JND through a device with each of its errors alone, and with all of them; and without any, as ``none``."""
+    """Compute the JND through a device with each of its errors alone, with all, and without any (``none``)."""
     parts = {"none": RenderingError(motions=error.motions)}
     for name in ("quantum", "friction", "stiction", "lag"):
         if value := getattr(error, name):

@@ -15,7 +15,7 @@ def simulated_hits(
     experiments: int,
     rng: np.random.Generator,
 ) -> Real[np.ndarray, "E L"]:
-    """Right answers at each level, both orders as often.
+    """Draw the right answers at each level, both orders equally often.
 
     Args:
         observer: who answers.
@@ -41,7 +41,7 @@ def simulated_hits(
 def hit_chances(
     observer: Observer, reference: float, comparisons: Float[np.ndarray, "L"], trials: int
 ) -> Float[np.ndarray, "L"]:
-    """Chances of a right answer at each level; of an observer who still learns, their mean over a session."""
+    """Compute the chances of a right answer at each level; their mean over a session while an observer learns."""
     if not observer.learning:
         return np.asarray(observer.hit_probability(reference, comparisons))
     numbers = np.arange(trials * len(comparisons))[:, None]

@@ -1,1 +1,1 @@
-"""Which stimulus comes next: each procedure is decided by its seed and the answers so far, and by nothing else."""
+"""Procedures that choose the next stimulus, each decided by its seed and the answers so far alone."""

@@ -29,7 +29,7 @@ class Adaptive(Settings):
     high: float = 0.8
     """Largest level, and largest threshold thought of."""
     levels: int = 25
-    """How many are to choose from."""
+    """Number of levels to choose from."""
     trials: int = 40
     """Trials in a session."""
     shape: PsychometricShape = PsychometricShape.DIFFERENCE
@@ -104,6 +104,6 @@ class _AdaptiveSession(Procedure):
         return Presentation(float(self._levels[self._chosen]), self._coin.toss())
 
     def _expected_entropy(self) -> np.ndarray:
-        """Expected entropy of the belief after an answer at each level."""
+        """Compute the expected entropy of the belief after an answer at each level."""
         joint = self._right * self._belief, (1 - self._right) * self._belief
         return sum(xlogy(total := part.sum(1), total) - xlogy(part, part).sum(1) for part in joint)

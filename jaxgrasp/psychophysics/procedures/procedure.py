@@ -1,4 +1,4 @@
-"""What all procedures have in common."""
+"""Interface of procedures and of their settings, and parts that all procedures use."""
 
 import random
 from abc import ABC, abstractmethod
@@ -16,13 +16,13 @@ MOST = 10_000
 
 
 class Procedure(ABC):
-    """One session: ask ``next``, give the score to ``score``, in turn."""
+    """Session of a procedure: call ``next`` and ``score`` in turn."""
 
     task: Task = "choice"
 
     @abstractmethod
     def next(self) -> Presentation | None:
-        """What to present; None when the session is over. The same until it is scored."""
+        """Return the next presentation, the same until it is scored; None when the session is over."""
 
     @abstractmethod
     def score(self, value: float) -> None:
@@ -44,26 +44,26 @@ class Listed(Procedure):
 
 
 class Settings(ABC):
-    """What a plan says of a procedure."""
+    """Settings of a procedure in a plan."""
 
     follows_answers = False
-    """Whether levels depend on the answers before."""
+    """True where levels depend on the answers before."""
 
     @abstractmethod
     def begin(self, rng: random.Random) -> Procedure:
-        """A session, decided by a generator's seed."""
+        """Begin a session, decided by a generator's seed."""
 
     @abstractmethod
     def extremes(self) -> tuple[float, float]:
-        """The smallest and the largest level that it can present."""
+        """Return the smallest and the largest level that it can present."""
 
     @abstractmethod
     def most_trials(self) -> int:
-        """Trials of a session at most."""
+        """Return the largest number of trials in a session."""
 
 
 def shuffled(items: Iterable[Item], rng: random.Random) -> list[Item]:
-    """In random order, by ``random()`` alone: of Python's generator, its sequence is promised to stay."""
+    """Return the items in random order, by ``random()`` alone, whose sequence Python promises to keep."""
     return [item for _, item in sorted(((rng.random(), k), item) for k, item in enumerate(items))]
 
 
@@ -81,12 +81,12 @@ class Coin:
 
 
 def check_level(name: str, value: float) -> None:
-    """Raise ValueError for what no experiment has, or is not positive."""
+    """Raise ValueError for a level that is not positive, or out of range."""
     if not SMALLEST <= value <= 1 / SMALLEST:
         raise ValueError(f"{name} is {value:g}: expected a positive number, {SMALLEST:g} to {1 / SMALLEST:g}")
 
 
 def check_count(name: str, value: int, least: int = 1) -> None:
-    """Raise ValueError for fewer than that, or more than any person can do."""
+    """Raise ValueError for a count below ``least``, or larger than a person can do."""
     if not least <= value <= MOST:
         raise ValueError(f"{name} is {value}: expected {least} or more, and at most {MOST}")

@@ -30,7 +30,7 @@ class Staircase(Settings):
     interleaved: int = 2
     """Staircases in a session."""
     trials: int = 60
-    """After which a staircase ends at the latest."""
+    """Trials after which a staircase ends at the latest."""
 
     def __post_init__(self):
         for name in ("start", "low", "high"):
@@ -61,7 +61,7 @@ class Staircase(Settings):
 
 
 class Track:
-    """One staircase."""
+    """State of a staircase: level, turning points and trials so far."""
 
     def __init__(self, settings: Staircase) -> None:
         self.level = settings.start
@@ -74,7 +74,7 @@ class Track:
 
     @property
     def is_over(self) -> bool:
-        """Whether it has turned often enough, or goes on too long."""
+        """True after the planned reversals, or the largest number of trials."""
         return len(self.turning_points) >= self._settings.reversals or self._trials >= self._settings.trials
 
     def score(self, is_right: bool) -> None:
@@ -119,7 +119,7 @@ class _StaircaseSession(Procedure):
 
 
 def staircase_threshold(settings: Staircase, levels: list[float], right: list[bool], skipped: int = 4) -> float:
-    """Geometric mean of a staircase's turning points but the first ones; NaN where no even number is left.
+    """Compute the geometric mean of a staircase's later turning points; NaN where no even number is left.
 
     Args:
         settings: of the staircase.

@@ -1,4 +1,4 @@
-"""The two intervals of a trial: what is rendered in each, for how long, and whether it was felt."""
+"""Presentation of a trial's two intervals: rendered stimuli, durations, and a check that they were felt."""
 
 import contextlib
 import math
@@ -14,16 +14,16 @@ from jaxgrasp.psychophysics.trial import Trial, intensity
 
 
 class Intervals:
-    """Those of one trial, presented once; what came of them is there whether or not the trial counts."""
+    """Intervals of a trial, presented once, with a record of them whether or not the trial counts."""
 
     def __init__(self, plan: Plan, trial: Trial, stimulus: Stimulus, person: Person) -> None:
-        """Nothing is rendered yet."""
+        """Prepare the intervals of a trial; nothing is rendered yet."""
         self._plan, self._trial, self._stimulus, self._person = plan, trial, stimulus, person
         self._rendered: list[Rendered] = []
         self._durations: list[float] = []
 
     def both(self) -> tuple[Rendered, Rendered]:
-        """Present one after the other.
+        """Present the two stimuli one after the other, and return what was rendered.
 
         Raises:
             StimulusLostError: where one was not felt as it should have been.
@@ -34,7 +34,7 @@ class Intervals:
         return first, self._felt(2)
 
     def set(self) -> float:
-        """Present the reference, and let the person adjust the other one; the setting.
+        """Present the reference, let the person adjust the comparison, and return its final intensity.
 
         Raises:
             StimulusLostError: where either was not felt as it should have been.
@@ -59,7 +59,7 @@ class Intervals:
         return intensity(trial.reference, level)
 
     def record(self) -> dict[str, Any]:
-        """What came of the intervals that have ended."""
+        """Return the fields of the record for the intervals that have ended."""
         return {
             "felt": [_known(one.felt) for one in self._rendered],
             "torque": [_known(one.torque) for one in self._rendered],
@@ -70,7 +70,7 @@ class Intervals:
         }
 
     def _felt(self, interval: int) -> Rendered:
-        """Render one, and check that it was felt."""
+        """Render the stimulus of interval 1 or 2, and check that it was felt."""
         begun = time.perf_counter()
         self._stimulus.begin(self._trial.first if interval == 1 else self._trial.second)
         with self._let_go():

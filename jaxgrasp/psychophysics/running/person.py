@@ -1,4 +1,4 @@
-"""Who answers: a person at a terminal implements this elsewhere; a simulated observer does here."""
+"""Interface of a person who answers, and its implementation by a simulated observer."""
 
 import hashlib
 from abc import ABC, abstractmethod
@@ -12,65 +12,65 @@ from jaxgrasp.psychophysics.stimulus import Rendered
 from jaxgrasp.psychophysics.trial import Trial
 
 Move = Literal["up", "down", "reference", "comparison", "done"]
-"""What a person who adjusts does next."""
+"""Next action of a person who adjusts a stimulus."""
 
 
 class Person(ABC):
-    """Feels stimuli and answers."""
+    """Person who feels stimuli and answers."""
 
     observer: dict[str, float] | None = None
-    """Parameters of a simulated observer, whose answers are nobody's: the records say so."""
+    """Parameters of a simulated observer, which the records keep; None for a person."""
 
     @abstractmethod
     def consents(self, text: str) -> bool:
-        """Read what is to be agreed to, and agree or not."""
+        """Show the text of the consent, and return True where the person agrees."""
 
     @abstractmethod
     def tells(self, question: str) -> str:
-        """The answer to a question of the study's, which may be none."""
+        """Return the answer to a question of the study, which may be empty."""
 
     @abstractmethod
     def instructed(self, text: str) -> None:
-        """Read what is to be done; returns when it has been read."""
+        """Show the instructions, and return when they have been read."""
 
     @abstractmethod
     def ready(self, trial: Trial) -> None:
-        """Before a trial whose stimuli last as long as the plan says; returns when the person wants it to begin."""
+        """Wait until the person wants a trial to begin whose stimuli last as long as the plan says."""
 
     @abstractmethod
     def feel(self, trial: Trial, interval: int, lasts: float) -> None:
-        """Feel what is rendered in interval 1 or 2.
+        """Let the person feel the stimulus of interval 1 or 2.
 
-        Returns after ``lasts`` [s], or where that is 0 when the person has felt it.
+        Returns after ``lasts`` [s], or, where that is 0, when the person has felt it.
         """
 
     @abstractmethod
     def waits(self, seconds: float) -> None:
-        """Nothing is rendered; returns after so long [s]."""
+        """Wait for ``seconds`` [s] while nothing is rendered."""
 
     @abstractmethod
     def again(self, why: str) -> None:
-        """Told that the trial does not count, and is asked again."""
+        """Tell the person that the trial does not count, with the reason, and will be asked again."""
 
     @abstractmethod
     def choose(self, trial: Trial, rendered: tuple[Rendered, Rendered]) -> int:
-        """1 or 2: which one felt stronger."""
+        """Return the answer which stimulus felt stronger, 1 or 2."""
 
     @abstractmethod
     def adjust(self, trial: Trial, setting: float) -> Move:
-        """What to do at a setting."""
+        """Return the person's next action at a setting."""
 
     @abstractmethod
     def told(self, trial: Trial, right: bool) -> None:
-        """Feedback."""
+        """Tell the person whether the answer was right."""
 
     @abstractmethod
     def rest(self, done: int, most: int) -> None:
-        """A break; returns when it is over. ``most`` trials there are at most, and ``done`` of them are."""
+        """Wait until a break is over, after ``done`` of at most ``most`` trials."""
 
 
 class SimulatedPerson(Person):
-    """An observer whose answers follow from a seed, the person's code and the trial's number alone."""
+    """Observer whose answers follow from a seed, the person's code and the trial's number alone."""
 
     def __init__(self, observer: Observer, seed: int, subject: str) -> None:
         self.observer = asdict(observer)

@@ -1,4 +1,4 @@
-"""What is on record of a person: read, and led through the plan again, so that nothing else passes for it."""
+"""Recorded trials of a person, checked by a replay of the plan, so that no other records are taken for them."""
 
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -16,10 +16,10 @@ TrialRecord = dict[str, Any]
 
 
 def experiment_of(records: list[dict[str, Any]], path: Path) -> tuple[Plan, dict[str, float] | None, list[TrialRecord]]:
-    """The plan of a person's file, the observer who was simulated, if any, and the trials that the plan leads to.
+    """Return the plan in a person's records, the parameters of a simulated observer or None, and the checked trials.
 
     Raises:
-        RecordError: for records that are none of these, by the trial and the field.
+        RecordError: for records that the plan does not lead to; the message names the trial and the field.
     """
     if not records:
         raise RecordError(f"{path} has no first record of an experiment")
@@ -28,7 +28,7 @@ def experiment_of(records: list[dict[str, Any]], path: Path) -> tuple[Plan, dict
 
 
 def replay(schedule: Schedule, subject: str, records: list[dict[str, Any]], path: Path) -> list[TrialRecord]:
-    """Lead a schedule to where records end; the trials, which must be what it would have asked."""
+    """Advance a schedule to the end of the records, and return their trials, which must be those of the schedule."""
     if not records:
         return []
     if records[0].get("subject") != subject:
@@ -86,7 +86,7 @@ def _plan(first: dict[str, Any], path: Path) -> Plan:
 
 
 def _observer(first: dict[str, Any], path: Path) -> dict[str, float] | None:
-    """The parameters of the observer who was simulated, if any; the first record is one that ``_plan`` took."""
+    """Return the parameters of the simulated observer, or None, from a first record that ``_plan`` accepted."""
     given = first["observer"]
     for name, value in (given or {}).items():
         if not is_number(value):
@@ -95,7 +95,7 @@ def _observer(first: dict[str, Any], path: Path) -> dict[str, float] | None:
 
 
 def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
-    """The score of a recorded answer, once it is known to be one."""
+    """Return the score of a recorded answer, after a check of its fields."""
     where = f"{path}, trial {trial.number}"
     if not isinstance(record.get("saturated"), bool):
         raise RecordError(f"{where}: saturated is {record.get('saturated')!r}: expected true or false")
@@ -119,12 +119,12 @@ def _score(trial: Trial, record: TrialRecord, path: Path) -> float:
 
 
 def _is_pair(value: Any) -> bool:
-    """Two numbers, of which either may not be known."""
+    """Tell whether a value is a list of two numbers, of which either may be None."""
     return isinstance(value, list) and len(value) == 2 and all(one is None or is_number(one) for one in value)
 
 
 def felt_levels(trials: Iterable[TrialRecord]) -> list[float]:
-    """Differences as they were rendered, by the smaller intensity; those that are known."""
+    """Compute the relative differences of the felt intensities of each trial, where both are known."""
     found = []
     for one in trials:
         first, second = one["felt"]

@@ -17,7 +17,7 @@ class RecordError(ValueError):
 
 
 def read_records(path: Path) -> tuple[list[dict[str, Any]], bytes]:
-    """All records of a file, and what is left of a last one that was cut off while it was written.
+    """Read all records of a file, and the bytes of a last record that was cut off while it was written.
 
     Raises:
         RecordError: for a line that is no record, by its number.
@@ -46,9 +46,9 @@ class Journal:
     """A file of records that is open for one more at a time, and for one program alone; a context manager."""
 
     def __init__(self, path: Path, first: dict[str, Any]) -> None:
-        """Open a file, or make it with its first record, whole.
+        """Open a file, or create it with its first record.
 
-        What a crash left of a last line becomes a record of its own, so that nothing is lost.
+        A last line that a crash cut off becomes a record of its own, so that nothing is lost.
 
         Args:
             path: of the file.
@@ -100,7 +100,7 @@ class Journal:
         self.records.append(record)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file, and release its lock."""
         # What a full disk did not take was never said to be on record.
         with contextlib.suppress(OSError):
             self._stream.close()
@@ -124,7 +124,7 @@ class Journal:
 
 
 def subjects(folder: Path) -> Iterator[Path]:
-    """The files of records in a folder, by the persons' codes."""
+    """Yield the files of records in a folder, in the order of the persons' codes."""
     yield from sorted(folder.glob(f"*{SUFFIX}"))
 
 
@@ -133,7 +133,7 @@ def _line(record: dict[str, Any]) -> bytes:
 
 
 def _sync_folder(folder: Path) -> None:
-    """The name of a new file is on disk too, where a system can be told so."""
+    """Write the name of a new file to disk, on systems that can sync a folder."""
     with contextlib.suppress(OSError, AttributeError):
         number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -143,7 +143,11 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _lock(stream: BinaryIO, path: Path) -> None:
-    """Until the stream is closed, or its program ends however it may."""
+    """Lock a file until its stream is closed or the program ends.
+
+    Raises:
+        OSError: for a file that another program has locked.
+    """
     try:
         if os.name == "nt":
             import msvcrt

@@ -1,4 +1,4 @@
-"""A person's trials, one after another, from wherever the records end."""
+"""Run of a person's trials, one after another, from the end of the records on."""
 
 import datetime
 import importlib.metadata
@@ -22,9 +22,9 @@ from jaxgrasp.psychophysics.trial import Trial, level_of
 from jaxgrasp.validation.checked import checked
 
 EVERYONE = "all"
-"""Stands for all persons' answers together, where these are analysed."""
+"""Code of all persons' answers together in an analysis."""
 LONGEST_ANSWER = 200
-"""Characters that are kept of what a person tells."""
+"""Characters that are kept of an answer to a question of the study."""
 CODE = re.compile(r"[A-Za-z0-9_-]{1,32}")
 
 
@@ -96,7 +96,7 @@ def run_experiment(
 
 
 def _introduced(plan: Plan, person: Person, journal: Journal) -> None:
-    """A person's consent and what the study asks, once for all sessions.
+    """Ask for a person's consent and the answers to the study's questions, once for all sessions.
 
     Raises:
         NoConsentError: where the person does not agree; that is on record.
@@ -113,7 +113,7 @@ def _introduced(plan: Plan, person: Person, journal: Journal) -> None:
 
 
 def check_records(plan: Plan, subject: str, folder: Path, *, resume: bool, observer: dict[str, float] | None) -> Path:
-    """The file of a person's records, which are not there, or can be gone on with.
+    """Return the path of a person's records, after a check that they do not exist or can be continued.
 
     Raises:
         ValueError: for a code that is none, or records of this person without ``resume``.
@@ -144,7 +144,7 @@ def _asked_until_felt(
     journal: Journal,
     lost: Callable[[StimulusLostError], None] | None,
 ) -> tuple[float, dict[str, Any]]:
-    """As ``_asked``; each time that does not count has a record of its own."""
+    """Repeat ``_asked`` until a trial counts; each trial that does not count has a record of its own."""
     while True:
         begun, intervals = time.perf_counter(), Intervals(plan, trial, stimulus, person)
         try:
@@ -159,7 +159,7 @@ def _asked_until_felt(
 
 
 def _asked(trial: Trial, plan: Plan, intervals: Intervals, person: Person) -> tuple[float, dict[str, Any]]:
-    """Present a trial, and what came of it: its score and its record."""
+    """Present a trial, and return its score and its record."""
     begun = time.perf_counter()
     if plan.session.duration:
         person.ready(trial)

@@ -74,8 +74,8 @@ class Scene(eqx.Module):
     gravity: Float[AnyArray, "3"]
     """[m/s^2]"""
     guide: Float[AnyArray, "6 k"] | None = None
-    """Twists (linear, angular) about the world's origin that a guide leaves to the object, such as ``np.eye(6)[:,
-    2:3]`` for a vertical rail; ``None`` for a free object."""
+    """Twists (linear, angular) about the world's origin that a guide leaves to the object; ``None`` for a free object.
+    A vertical rail has ``np.eye(6)[:, 2:3]``."""
     obstacles: tuple[Obstacle, ...] = ()
     outline: Hand | None = None
     """Parts of the object that meet obstacles: ``rigid_body(sphere_tree(shape))``; required with obstacles. Its balls

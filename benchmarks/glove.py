@@ -339,7 +339,7 @@ def ticks(plan: Plan) -> dict:
 
     from jaxgrasp.glove.model import lrp_hand_master
     from jaxgrasp.grip.tick import observe
-    from jaxgrasp.lab.glove_hand import felt, glove_hand, resistance
+    from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_with_slope
     from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 
     jax.config.update("jax_enable_x64", True)
@@ -351,7 +351,7 @@ def ticks(plan: Plan) -> dict:
     at_rest = np.zeros(6)
     calls = {
         "torques": resistance,
-        "with_derivative": lambda *asked: felt(*asked, at_rest, law="closed-form")[0][:2],
+        "with_derivative": lambda *asked: resistance_with_slope(*asked, at_rest, law="closed-form")[0][:2],
     }
     spent: dict[str, list[float]] = {name: [] for name in calls}
     for k in range(plan.ticks + 1):

@@ -184,7 +184,7 @@ def device(_: Effort) -> list[dict]:
     from jaxgrasp.glove.model import lrp_hand_master
     from jaxgrasp.glove.simulated.cable import Cable
     from jaxgrasp.lab.felt_objects import felt_object
-    from jaxgrasp.lab.glove_error import glove_error
+    from jaxgrasp.lab.stimuli import glove_error
     from jaxgrasp.psychophysics.plan import FIG_8, StimulusPlan
 
     jax.config.update("jax_enable_x64", True)

@@ -1,4 +1,4 @@
-"""Which of a glove's joints matter for a scene: what is lost where one is neither read nor resisted (section II-B)."""
+"""Importance of a glove's joints for a scene: the loss without reading or resisting a joint (section II-B)."""
 
 from typing import NamedTuple
 
@@ -18,50 +18,50 @@ from jaxgrasp.world.hand_share import cut_share, find_touches
 from jaxgrasp.world.many_bodies import World, WorldState, holding_weights
 
 CLEAR = 1.0
-"""How far the table is lowered, so that the hand carries the object alone [m]."""
+"""Distance by which the table is lowered, so that the hand carries the object alone [m]."""
 
 
 class JointLoss(NamedTuple):
-    """What a glove loses of a grip without one of its joints."""
+    """Loss of a grip without a joint of the glove."""
 
     joint: str
     torque: float
-    """Against its flexion, which then nobody feels [N.m]."""
+    """Torque against the joint's flexion, which is not rendered then [N.m]."""
     felt: float
-    """Its part of what is felt: of the sum of all joints' squared torques."""
+    """Share in the sum of all joints' squared torques."""
     contacts: int
-    """Contacts that go, where the joint is not read and stays open."""
+    """Contacts lost, where the joint is not read and stays open."""
     squeeze: float
-    """Part of the squeezing forces that goes with them, or comes (negative)."""
+    """Share of the squeezing forces lost with them; negative for a gain."""
     holds: bool
-    """Whether the object is held without it; among several, all that are held with it."""
+    """True if the object is held without the joint; for several objects, if all are that are held with it."""
 
 
 def joint_losses(
     made: GrippedScene, model: GloveModel, among: tuple[World, WorldState] | None = None
 ) -> list[JointLoss]:
-    """What each joint of a glove is worth to a grip, the one that is felt most first.
+    """Compute the loss of a grip without each joint of a glove, the joint with the largest torque first.
 
-    The object is clear of the table, at rest, and where the file has it: a joint that is not read leaves its link where
-    an open hand has it, and all others where they are. Of several objects each is clear of the others too.
+    The object is clear of the table, at rest, and at its pose in the file: a joint that is not read leaves its link in
+    the posture of the open hand, and all other links in place. Each of several objects is clear of the others too.
 
     Args:
-        made: hand and object as a scene file has them.
-        model: of the glove.
-        among: the scene's world of several objects, and where they are, as from [`jaxgrasp.world.world_of`][].
+        made: hand and object of a scene file.
+        model: model of the glove.
+        among: world of the scene with several objects, and their state, as from [`jaxgrasp.world.world_of`][].
 
     Raises:
         ValueError: for a hand without one of the glove's joints.
     """
     joints = made.scene.hand.joints
     follows = model.transmission(joints) != 0
-    whole = np.asarray(made.closed.angles)
-    angles = np.concatenate([whole[None], np.where(follows, np.asarray(made.open), whole)])
+    closed_angles = np.asarray(made.closed.angles)
+    angles = np.concatenate([closed_angles[None], np.where(follows, np.asarray(made.open), closed_angles)])
     scene = eqx.tree_at(lambda s: s.table.origin, made.scene, made.scene.table.origin - jnp.array([0.0, 0.0, CLEAR]))
     clear = made._replace(scene=scene)
     grips = _of_one(clear, angles) if among is None else _of_several(clear, angles, *among)
     torques = model.resisting(joints, np.asarray(grips.torques))
-    found = [
+    losses = [
         JointLoss(
             joint=joint,
             torque=float(torques[k]),
@@ -72,18 +72,18 @@ def joint_losses(
         )
         for k, joint in enumerate(model.joints)
     ]
-    return sorted(found, key=lambda one: (-one.felt, -one.squeeze))
+    return sorted(losses, key=lambda loss: (-loss.felt, -loss.squeeze))
 
 
 class _Grips(NamedTuple):
-    """What a hand grips in P postures, the first of which has all joints."""
+    """Grips of a hand in P postures, the first of which has all joints."""
 
     torques: Float[AnyArray, "J"]
-    """On the joints in the first posture [N.m]."""
+    """Torques on the joints in the first posture [N.m]."""
     contacts: AnyArray
     """``(P,)``"""
     squeeze: AnyArray
-    """``(P,)``: the sum of the squeezing forces [N]."""
+    """``(P,)``: sum of the squeezing forces [N]."""
     holds: AnyArray
     """``(P,)``"""
 
@@ -100,8 +100,8 @@ def _of_one(made: GrippedScene, angles: Float[np.ndarray, "P J"]) -> _Grips:
 def _of_several(made: GrippedScene, angles: Float[np.ndarray, "P J"], world: World, state: WorldState) -> _Grips:
     clear, placed, weights = World(made.scene, world.others), state.placed, holding_weights(world)
     shares = []
-    for each in angles:
-        posture = Posture(made.closed.wrist, jnp.asarray(each))
+    for row in angles:
+        posture = Posture(made.closed.wrist, jnp.asarray(row))
         touches = find_touches(clear, posture, placed)
         shares.append(cut_share(clear, posture, placed, touches, jnp.asarray(weights), law=made.law))
     share = stacked(shares)

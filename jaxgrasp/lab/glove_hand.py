@@ -1,4 +1,4 @@
-"""A virtual hand that a glove moves: its flexions come from the glove, the rest stays as it is."""
+"""A virtual hand that a glove moves: the glove reads its flexions, all other joints stay fixed."""
 
 from collections.abc import Callable
 from functools import partial
@@ -25,35 +25,35 @@ from jaxgrasp.validation.checked import checked
 
 
 class GloveHand(eqx.Module):
-    """Which joints of a hand move with the glove's channels, and where the others are."""
+    """Map between the joints of a hand and the channels of a glove, with the angles of all other joints."""
 
     places: tuple[int, ...] = eqx.field(static=True)
     """Index of each channel's joint among the hand's joints."""
     transmission: Float[AnyArray, "channels J"]
-    """Angle of each joint for one radian of each channel; rows of a one where no joints are coupled."""
+    """Angle of each joint for one radian of each channel; unit rows where no joints are coupled."""
     others: Float[AnyArray, "J"]
-    """Angles of the joints that follow no channel [rad]; 0 of those that do."""
+    """Angles of the joints that follow no channel [rad]; 0 for those that do."""
 
     def posture(self, flexions: Float[AnyArray, "channels"], wrist: Pose) -> Posture:
-        """The hand as the glove reads it."""
+        """Return the posture of the hand, as the glove reads it."""
         return Posture(wrist, self.others + jnp.asarray(flexions) @ self.transmission)
 
     def resisting(self, torques: Float[AnyArray, "J"]) -> Float[Array, "channels"]:
-        """Torque by which each channel is to resist flexion [N.m], for torques on all joints."""
+        """Compute the torque of each channel against flexion [N.m], from torques on all joints."""
         return -(jnp.asarray(self.transmission) @ torques)
 
 
 @checked
 def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> GloveHand:
-    """A hand in a glove.
+    """Fit a glove on a hand.
 
     Args:
-        hand: with the glove's joints among its own.
-        model: of the glove.
-        others: angles of all its joints [rad]; those that the glove does not move stay there.
+        hand: hand with the glove's joints.
+        model: model of the glove.
+        others: angles of all its joints [rad]; joints without a channel keep them.
 
     Raises:
-        ValueError: for a hand without one of the glove's joints, or angles that are not one for each joint.
+        ValueError: for a hand without one of the glove's joints, or a number of angles other than that of its joints.
     """
     if np.shape(others) != (len(hand.joints),):
         raise ValueError(f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle a joint")
@@ -62,21 +62,21 @@ def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> G
     return GloveHand(model.places(hand.joints), transmission, jnp.where(alone, jnp.asarray(others), 0))
 
 
-class Felt(NamedTuple):
-    """What a hand feels of an object at one instant."""
+class Resistance(NamedTuple):
+    """Torques at a glove from an object at one instant, with their derivative and the forces behind them."""
 
     torques: Float[Array, "channels"]
-    """By which the glove is to resist flexion [N.m]: what the contacts exert asks of the joints, less."""
+    """Torques of the glove against flexion [N.m]: the negative joint torques from the contacts."""
     slope: Float[Array, "channels channels"]
-    """Their derivative by the flexions [N.m/rad], with which to answer between two ticks."""
+    """Derivative of the torques by the flexions [N.m/rad], for the time between two ticks."""
     exerted: ContactForces
-    """What the contacts exert on the object, of which the torques are."""
+    """Contact forces on the object that cause the torques."""
 
 
 @partial(jax.jit, static_argnames="law")
 def resistance(
     scene: Scene,
-    worn: GloveHand,
+    glove: GloveHand,
     flexions: Float[AnyArray, "channels"],
     wrist: Pose,
     placed: Pose,
@@ -84,24 +84,24 @@ def resistance(
     *,
     law: Law = "closed-form",
 ) -> Float[Array, "channels"]:
-    """Torques by which the glove is to resist flexion [N.m].
+    """Compute the torques of the glove against flexion [N.m].
 
     Args:
         scene: hand, object and world.
-        worn: the hand in its glove.
-        flexions: as the glove reads them [rad].
-        wrist: where it is.
-        placed: where the object is.
+        glove: map between the hand's joints and the glove's channels.
+        flexions: angles that the glove reads [rad].
+        wrist: pose of the wrist.
+        placed: pose of the object.
         inertial: wrench about the object's centre that accelerates it [N, N.m]; none at rest.
-        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][].
+        law: force law of the hand, as for [`jaxgrasp.grip.monitor`][].
     """
-    return worn.resisting(observe(scene, worn.posture(flexions, wrist), placed, inertial, law=law).torques)
+    return glove.resisting(observe(scene, glove.posture(flexions, wrist), placed, inertial, law=law).torques)
 
 
 @partial(jax.jit, static_argnames="law")
-def felt(
+def resistance_with_slope(
     scene: Scene,
-    worn: GloveHand,
+    glove: GloveHand,
     flexions: Float[AnyArray, "channels"],
     wrist: Pose,
     placed: Pose,
@@ -109,43 +109,41 @@ def felt(
     motion: Motion | None = None,
     *,
     law: Law,
-) -> tuple[Felt, StepResult]:
-    """Torques as by ``resistance`` with their exact derivative, and the instant that they are of.
+) -> tuple[Resistance, StepResult]:
+    """Compute torques as by ``resistance`` with their exact derivative, and the instant's StepResult.
 
-    ``motion`` is the object's, which obstacles with friction or damping resist.
-
-    By the optimum, an object that no allowed forces hold is felt by those that come closest; their slope is that of
-    fixed forces.
+    ``motion`` is the object's, which obstacles with friction or damping resist. By the optimum, an object that no
+    allowed forces hold is rendered with the closest forces; their slope is that of fixed forces.
     """
 
-    def both(angles: Array) -> tuple[Array, tuple[Array, StepResult]]:
-        tick = observe(scene, worn.posture(angles, wrist), placed, inertial, law=law, motion=motion)
-        torques = worn.resisting(tick.torques)
+    def value_and_aux(angles: Array) -> tuple[Array, tuple[Array, StepResult]]:
+        tick = observe(scene, glove.posture(angles, wrist), placed, inertial, law=law, motion=motion)
+        torques = glove.resisting(tick.torques)
         return torques, (torques, tick)
 
-    slope, (torques, tick) = jax.jacfwd(both, has_aux=True)(jnp.asarray(flexions))
+    slope, (torques, tick) = jax.jacfwd(value_and_aux, has_aux=True)(jnp.asarray(flexions))
     exerted = tick.by_hand
     if law == "optimum":
         torques, slope, exerted = lax.cond(
             tick.slips,
-            lambda: _by_closest_forces(scene, worn, flexions, wrist, placed, tick),
+            lambda: _by_closest_forces(scene, glove, flexions, wrist, placed, tick),
             lambda: (torques, slope, exerted),
         )
-    return Felt(torques, slope, exerted), tick
+    return Resistance(torques, slope, exerted), tick
 
 
 def _by_closest_forces(
-    scene: Scene, worn: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: StepResult
+    scene: Scene, glove: GloveHand, flexions: AnyArray, wrist: Pose, placed: Pose, tick: StepResult
 ) -> tuple[Array, Array, ContactForces]:
-    """Torques, their slope, and what the contacts exert."""
+    """Compute torques, their slope, and the contact forces, for an object that no allowed forces hold."""
     exerted, _ = closest_forces(scene, tick, placed)
     couples = exerted.couples(tick.grasp)
 
     def torques_at(angles: Array) -> Array:
-        posture = worn.posture(angles, wrist)
+        posture = glove.posture(angles, wrist)
         frames = pose_hand(scene.hand, posture)
         torques = joint_torques(scene.hand, frames, tick.contacts.points, exerted.forces, couples)
-        return worn.resisting(torques + hand_torques(scene, posture))
+        return glove.resisting(torques + hand_torques(scene, posture))
 
     return *with_slope(torques_at, jnp.asarray(flexions)), exerted
 
@@ -153,11 +151,11 @@ def _by_closest_forces(
 def with_slope(
     torques_at: Callable[[Array], Array], angles: Float[AnyArray, "channels"]
 ) -> tuple[Float[Array, "channels"], Float[Array, "channels channels"]]:
-    """Torques at some angles, and their derivative by these, computed together."""
+    """Compute torques, and their derivative by the angles, together."""
 
-    def both(angles: Array) -> tuple[Array, Array]:
+    def value_and_aux(angles: Array) -> tuple[Array, Array]:
         torques = torques_at(angles)
         return torques, torques
 
-    slope, torques = jax.jacfwd(both, has_aux=True)(jnp.asarray(angles))
+    slope, torques = jax.jacfwd(value_and_aux, has_aux=True)(jnp.asarray(angles))
     return torques, slope

@@ -1,4 +1,4 @@
-"""The whole system in virtual time: a hand closes on a cylinder and lifts it, its cable is cut, it is armed again."""
+"""The complete system in virtual time: a hand closes on a cylinder and lifts it, a cable is cut, it is armed again."""
 
 from dataclasses import dataclass
 
@@ -20,18 +20,18 @@ from jaxgrasp.validation.checked import checked
 COMPUTE = 0.01
 """Time between two ticks of the computing side [s]."""
 CLOSE, LIFT, CUT, REARM, END = 0.6, 2.2, 4.0, 5.0, 7.2
-"""When the hand begins to close, when it begins to lift, when the line is cut, when it is armed again, the end [s]."""
+"""Times of the events: the hand starts to close, it starts to lift, the line is cut, it is armed again, the end [s]."""
 CLOSING, LIFTING, SILENCE = 1.2, 1.2, 0.4
-"""How long closing, lifting and the cut last [s]."""
+"""Durations of closing, lifting and the cut [s]."""
 HEIGHT = 0.1
-"""How far the wrist is lifted [m]."""
+"""Height to which the wrist is lifted [m]."""
 PRESS = 0.06
-"""How much farther than the grip the person bends the joints, who gives way to the glove [rad]."""
+"""Flexion beyond the grip that the simulated person aims at, who yields to the glove [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """What happened, each millisecond at the glove and each hundredth of a second at the object."""
+    """Recorded sequence, at each millisecond for the glove and at each hundredth of a second for the object."""
 
     times: Float[np.ndarray, "T"]
     """[s]"""
@@ -42,19 +42,19 @@ class Story:
     ticks: Float[np.ndarray, "K"]
     """Times of the computing side [s]."""
     wanted: Float[np.ndarray, "K channels"]
-    """What it computed [N.m]."""
+    """Torques that the computing side requested [N.m]."""
     heights: Float[np.ndarray, "K"]
-    """Height of the object above where it stood [m]."""
+    """Height of the object above its start [m]."""
     marks: dict[str, float]
-    """What happened when [s]."""
+    """Times of the events, by name [s]."""
 
 
 @checked
 def cylinder_scene(radius: float = 0.03) -> tuple[Scene, Posture, Pose]:
-    """A hand that holds a cylinder of 0.15 kg, which stands on a table: all numbers are ours.
+    """Close a hand on a cylinder of 0.15 kg, which stands on a table; the numbers are choices of this package.
 
     Args:
-        radius: of the cylinder [m].
+        radius: radius of the cylinder [m].
     """
     made = gripped_scene(SceneFile(object=ObjectEntry(radius=radius)))
     return made.scene, made.closed, made.placed
@@ -67,14 +67,14 @@ def grasp_and_lift(
     scene: GrippedScene | None = None,
     haptics: HandHaptics | None = None,
 ) -> Story:
-    """Play it: close, lift, cut, arm again; a minute or two, most of it compiling.
+    """Play the sequence: close, lift, cut, arm again; it takes a minute or two, most of it compiling.
 
     Args:
-        model: of the glove; the paper's where not given.
-        law: which forces the hand applies, as for [`jaxgrasp.grip.monitor`][]; the scene's where not given.
+        model: model of the glove; the paper's where not given.
+        law: force law of the hand, as for [`jaxgrasp.grip.monitor`][]; the scene's where not given.
         scene: hand and object; where not given a cylinder on a table, which slips by the closed form.
-        haptics: what computes the torques, as of a world of several objects; of the scene's object alone where not
-            given.
+        haptics: computation of the torques, such as a world of several objects; that of the scene's object alone
+            where not given.
     """
     model = lrp_hand_master() if model is None else model
     made = gripped_scene(SceneFile()) if scene is None else scene
@@ -90,23 +90,23 @@ def grasp_and_lift(
         (REARM, lambda: glove.rendering.arm(glove.now)),
     ]
     ticks: list[float] = []
-    wanted, heights = [], []
+    requested, heights = [], []
     while glove.now < END:
         glove.run(glove.now + COMPUTE)
         state = glove.peer.state
         if state is not None and np.all(np.isfinite(state.angles)):
             rise = HEIGHT * _smooth((glove.now - LIFT) / LIFTING)
-            said = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
-            glove.peer.said = said
+            law_of_tick = haptics.tick(glove.now, state.angles, pose_at(jnp.array([0.0, 0.0, rise])))
+            glove.peer.said = law_of_tick
             ticks.append(glove.now)
-            wanted.append(said.torques)
+            requested.append(law_of_tick.torques)
             heights.append(float(haptics.followed.placed.origin[0, 2] - placed.origin[2]))
         while script and glove.now >= script[0][0]:
             script.pop(0)[1]()
     times, counts, angles = (np.array(part) for part in zip(*glove.record, strict=True))
     torques = counts[:, : len(model.joints)] * model.quantum
     marks = {"armed, closes": CLOSE, "lifts": LIFT, "cable cut": CUT, "armed again": REARM}
-    return Story(times, torques, angles, np.array(ticks), np.array(wanted), np.array(heights), marks)
+    return Story(times, torques, angles, np.array(ticks), np.array(requested), np.array(heights), marks)
 
 
 def _smooth(share: float) -> float:

@@ -1,15 +1,17 @@
-"""One tick of the haptic loop as one compiled program: where the object went since the last, and what is felt now.
+"""One tick of the haptic loop as one compiled program: motion of the object since the last tick, and the torques.
 
-A tick is short, and calling a program costs as much as it computes. So there is one call, all that stays the same from
-tick to tick is flattened once, and nothing is looked at in between: what only a slipping object needs is a branch.
+A tick is short, and calling a program costs as much as its computation. So there is one call, all constants of a scene
+are flattened once, and no value is read in between: the extra work for a slipping object is a branch.
 """
 
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxgrasp.grip.contact_forces import ContactForces
@@ -17,104 +19,182 @@ from jaxgrasp.grip.monitor import Hold, Law
 from jaxgrasp.grip.scene import Scene, at_time
 from jaxgrasp.grip.simulation import SimulationState, integrate, step_and_motion, wrench_residual
 from jaxgrasp.grip.tick import StepResult, Touches, find_touches
+from jaxgrasp.hand.detection import Contacts
+from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
 from jaxgrasp.hand.kinematics import pose_hand
-from jaxgrasp.lab.flat_program import FlatProgram, Leaves
-from jaxgrasp.lab.followed_grip import FollowedGrip, first_grip, grip_tables, next_grip
-from jaxgrasp.lab.glove_hand import GloveHand, felt
-from jaxgrasp.model.arrays import AnyArray, Float
-from jaxgrasp.model.hand import HandFrames, Pose
+from jaxgrasp.lab.glove_hand import GloveHand, resistance_with_slope
+from jaxgrasp.model.arrays import AnyArray, Float, Int
+from jaxgrasp.model.hand import Hand, HandFrames, Pose, Posture
+from jaxgrasp.numerics.compiled_code import jit_here
+
+STEADY = 0.15
+"""Time after which another grip applies [s]."""
+BLEND = 0.1
+"""Time constant of the change of contributions to those of another grip [s]."""
+
+Leaves = tuple[AnyArray, ...]
+
+
+class FlatProgram:
+    """A compiled function of arrays, and of tuples of them, that returns several trees as tuples of their leaves.
+
+    Taking trees of modules apart and building them would cost as much as a tick computes: a tree is built only on
+    request.
+    """
+
+    def __init__(self, function: Callable[..., tuple[Any, ...]]):
+        """Wrap the function, which is compiled at its first call."""
+        self._structures: tuple[Any, ...] = ()
+
+        def flat(*args: Any) -> tuple[Leaves, ...]:
+            parts = [jax.tree.flatten(part) for part in function(*args)]
+            self._structures = tuple(structure for _, structure in parts)
+            return tuple(tuple(leaves) for leaves, _ in parts)
+
+        self._program = jit_here(flat)
+
+    def __call__(self, *args: Any) -> tuple[Leaves, ...]:
+        """Return the leaves of each tree."""
+        return self._program(*args)
+
+    def tree(self, part: int, leaves: Leaves) -> Any:
+        """Build a tree of the result from its leaves."""
+        return jax.tree.unflatten(self._structures[part], leaves)
+
+
+class FollowedGrip(NamedTuple):
+    """Grip whose contributions apply, with the contributions of the links (section II-E).
+
+    A new grip applies only after ``STEADY``, since a fingertip that comes and goes is no new grip; then the
+    contributions change over ``BLEND``, so that torques do not jump.
+    """
+
+    kind: Int[Array, ""]
+    """Code of the grip whose contributions apply."""
+    latest: Int[Array, ""]
+    """Type of the last detected grip."""
+    since: Float[Array, ""]
+    """Time since this type was first detected [s]."""
+    contributions: Float[Array, "L"]
+
+
+def grip_tables(hand: Hand) -> Float[np.ndarray, "kinds L"]:
+    """Return the contributions of the links to each type of grip, by its code."""
+    return np.stack([contributions_of(hand, kind) for kind in GripType])
+
+
+def first_grip(contributions: Float[Array, "L"]) -> FollowedGrip:
+    """Return the start: the scene's own contributions, until a grip is recognised."""
+    no_grip = jnp.asarray(GripType.NONE, jnp.int32)
+    return FollowedGrip(no_grip, no_grip, jnp.zeros(()), jnp.asarray(contributions))
+
+
+def next_grip(
+    before: FollowedGrip, tables: Array, hand: Hand, posture: Posture, contacts: Contacts, dt: Array
+) -> FollowedGrip:
+    """Update the grip after ``dt`` seconds by the current contacts; without any contact, or a recognised grip, it is
+    unchanged."""
+    current = grip_type(hand, posture, contacts)
+    is_known = current > GripType.UNKNOWN
+    since = jnp.where(current == before.latest, before.since + dt, 0.0)
+    kind = jnp.where(is_known & (since >= STEADY), current, before.kind)
+    target = jnp.where(kind > GripType.UNKNOWN, tables[kind], before.contributions)
+    share = 1 - jnp.exp(-dt / BLEND)
+    return FollowedGrip(kind, current, since, before.contributions + share * (target - before.contributions))
 
 
 class HapticState(NamedTuple):
-    """What a tick leaves to the next."""
+    """State carried from one tick to the next."""
 
     carried: SimulationState
     frames: HandFrames
-    """The hand's frames, as the glove read it."""
+    """Frames of the hand, as the glove read it."""
     touches: Touches
-    """What the hand touches in those frames, the object and all else where they now are."""
+    """Contacts of the hand in those frames, with object and obstacles at their current poses."""
     inertial: Float[Array, "6"]
-    """Wrench that accelerates the object, as it is felt [N, N.m]."""
+    """Wrench that accelerates the object, low-pass filtered [N, N.m]."""
     exerted: ContactForces
-    """What is felt of the object."""
+    """Rendered forces of the contacts."""
     grip: FollowedGrip | None
-    """Where contributions follow the grip."""
+    """Followed grip; None with constant contributions."""
 
 
-class Passed(NamedTuple):
-    """What became of the object between two ticks."""
+class TickOutcome(NamedTuple):
+    """Pose, contact state and applied forces of the object after one tick."""
 
     placed: Pose
-    """Where it was."""
+    """Pose at the start of the tick."""
     tick: StepResult
     stands: Array
     exerted: ContactForces
-    missed: Float[Array, "6"]
+    wrench_residual: Float[Array, "6"]
 
 
 class HapticTick:
-    """The program for one scene and one hand in a glove, compiled at its first call."""
+    """Program for a scene and a hand in a glove, compiled at its first call."""
 
-    def __init__(self, scene: Scene, worn: GloveHand, law: Law, follows: bool = False):
-        """``follows``: whether the links contribute what the grip asks for that the hand makes."""
+    def __init__(self, scene: Scene, glove: GloveHand, law: Law, follows: bool = False):
+        """Flatten the constants; ``follows`` lets the contributions follow the grip that the hand makes."""
         tables = grip_tables(scene.hand) if follows else None
-        leaves, self._structure = jax.tree.flatten((scene, worn, tables))
+        leaves, self._structure = jax.tree.flatten((scene, glove, tables))
         self._leaves = tuple(map(jnp.asarray, leaves))
         self._law = law
 
     def start(self, carried: SimulationState) -> HapticState:
-        """Before the first tick, of which no earlier one is known: nothing touches yet."""
-        scene, worn, tables = jax.tree.unflatten(self._structure, self._leaves)
+        """Return the state before the first tick, without contacts."""
+        scene, glove, tables = jax.tree.unflatten(self._structure, self._leaves)
         grip = None if tables is None else first_grip(scene.contributions)
 
-        def at_first() -> tuple[HandFrames, Touches]:
-            posture = worn.posture(jnp.zeros(len(worn.places)), carried.placed)
+        def initial_frames_and_touches() -> tuple[HandFrames, Touches]:
+            posture = glove.posture(jnp.zeros(len(glove.places)), carried.placed)
             return pose_hand(scene.hand, posture), find_touches(scene, posture, carried.placed)
 
-        frames, touches = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(at_first))
+        frames, touches = jax.tree.map(
+            lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(initial_frames_and_touches)
+        )
         exerted = ContactForces(touches.contacts.points, touches.grasp.torsion)
         return HapticState(carried, frames, touches, jnp.zeros(6), exerted, grip)
 
-    def begun(self, state: HapticState) -> Leaves:
-        """The leaves of a state from which ticks go on."""
+    def initial_leaves(self, state: HapticState) -> Leaves:
+        """Flatten a state into the leaves that the compiled tick expects."""
         leaves, self._state = jax.tree.flatten(state)
         self._program = _compiled(self._structure, self._state, self._law)
         self._placed = jax.tree.leaves(self.state(tuple(range(len(leaves)))).carried.placed)
         return tuple(map(jnp.asarray, leaves))
 
     def state(self, leaves: tuple[Any, ...]) -> HapticState:
-        """A state, from its leaves."""
+        """Build a state from its leaves."""
         return jax.tree.unflatten(self._state, leaves)
 
     def placed(self, leaves: Leaves) -> Pose:
-        """Where the object is in a state, from its leaves."""
+        """Return the pose of the object from the leaves of a state."""
         origin, rotation = (leaves[place] for place in self._placed)
         return Pose(origin, rotation)
 
     def __call__(
-        self, state: Leaves, angles: Float[Any, "channels"], wrist: Pose, passed: float, kept: float
+        self, state: Leaves, angles: Float[Any, "channels"], wrist: Pose, dt: float, smoothing: float
     ) -> tuple[Leaves, Leaves, AnyArray, AnyArray]:
-        """The leaves of the next state and of what became of the object; the torques that are felt, and their slope.
+        """Run a tick; return the leaves of the next state and of the outcome, the torques, and their slope.
 
         Args:
-            state: leaves of what the last tick left.
-            angles: of the glove's joints [rad].
-            wrist: where it is.
-            passed: time since the last tick [s]; 0 for the first, at which the object stays where it is.
-            kept: share of what was felt of accelerations that is kept.
+            state: leaves of the state after the last tick.
+            angles: angles of the glove's joints [rad].
+            wrist: pose of the wrist.
+            dt: time since the last tick [s]; 0 for the first, at which the object stays at its pose.
+            smoothing: weight of the previous acceleration in the low-pass filter, 0 to 1.
         """
         wrist_at = wrist.origin, wrist.rotation
-        after, become, (torques, slope) = self._program(self._leaves, state, angles, wrist_at, passed, kept)
-        return after, become, torques, slope
+        after, outcome, (torques, slope) = self._program(self._leaves, state, angles, wrist_at, dt, smoothing)
+        return after, outcome, torques, slope
 
-    def become(self, leaves: Leaves) -> Passed:
-        """What became of the object, from its leaves."""
+    def outcome(self, leaves: Leaves) -> TickOutcome:
+        """Build the outcome from its leaves."""
         return self._program.tree(1, leaves)
 
 
 @cache
 def _compiled(structure: Any, state: Any, law: Law) -> FlatProgram:
-    """The program for scenes and states of these structures."""
+    """Return the program for scenes and states of these structures."""
     return FlatProgram(partial(_tick, structure=structure, state_structure=state, law=law))
 
 
@@ -123,48 +203,50 @@ def _tick(
     before: Leaves,
     angles: Array,
     wrist: tuple[Array, Array],
-    passed: Array,
-    kept: Array,
+    dt: Array,
+    smoothing: Array,
     *,
     structure: Any,
     state_structure: Any,
     law: Law,
-) -> tuple[HapticState, Passed, tuple[Array, Array]]:
-    scene, worn, tables = jax.tree.unflatten(structure, leaves)
+) -> tuple[HapticState, TickOutcome, tuple[Array, Array]]:
+    scene, glove, tables = jax.tree.unflatten(structure, leaves)
     state: HapticState = jax.tree.unflatten(state_structure, before)
     pose = Pose(*wrist)
-    posture = worn.posture(angles, pose)
+    posture = glove.posture(angles, pose)
     frames = pose_hand(scene.hand, posture)
-    first = passed <= 0
-    become, carried, inertial = _since(scene, state, frames, jnp.where(first, 1.0, passed), kept, law)
+    first = dt <= 0
+    outcome, carried, inertial = _advance_object(scene, state, frames, jnp.where(first, 1.0, dt), smoothing, law)
     carried, inertial = jax.tree.map(
-        lambda was, now: jnp.where(first, was, now), (state.carried, state.inertial), (carried, inertial)
+        lambda old, new: jnp.where(first, old, new), (state.carried, state.inertial), (carried, inertial)
     )
     grip = state.grip
     if grip is not None:
-        grip = next_grip(grip, tables, scene.hand, posture, state.touches.contacts, passed)
+        grip = next_grip(grip, tables, scene.hand, posture, state.touches.contacts, dt)
         scene = eqx.tree_at(lambda s: s.contributions, scene, grip.contributions)
     scene = at_time(scene, carried.time)
-    found, now = felt(scene, worn, angles, pose, carried.placed, inertial, carried.motion, law=law)
-    touches = Touches(now.contacts, now.grasp, now.blocked)
-    after = HapticState(carried, frames, touches, inertial, found.exerted, grip)
-    return after, become, (found.torques, found.slope)
+    resistance, tick = resistance_with_slope(
+        scene, glove, angles, pose, carried.placed, inertial, carried.motion, law=law
+    )
+    touches = Touches(tick.contacts, tick.grasp, tick.blocked)
+    after = HapticState(carried, frames, touches, inertial, resistance.exerted, grip)
+    return after, outcome, (resistance.torques, resistance.slope)
 
 
-def _since(
-    scene: Scene, state: HapticState, frames: HandFrames, passed: Array, kept: Array, law: Law
-) -> tuple[Passed, SimulationState, Array]:
-    """What became of the object since the last tick, where it is, and what accelerates it, as it is felt.
+def _advance_object(
+    scene: Scene, state: HapticState, frames: HandFrames, dt: Array, smoothing: Array, law: Law
+) -> tuple[TickOutcome, SimulationState, Array]:
+    """Compute the outcome since the last tick, the object's next state, and its filtered inertial wrench.
 
-    By the optimum, where no allowed forces took the object along, the contacts exerted what was felt of them.
+    By the optimum, where no allowed forces moved the object along, the contacts exert the forces that were rendered.
     """
     carried = state.carried
-    now = at_time(scene, carried.time)
-    tick, led = step_and_motion(now, passed, carried, state.touches, state.frames, frames, law)
-    hold, exerted, missed = tick.assessment.hold, tick.by_hand, wrench_residual(tick)
+    scene_before = at_time(scene, carried.time)
+    tick, followed = step_and_motion(scene_before, dt, carried, state.touches, state.frames, frames, law)
+    hold, exerted, residual = tick.assessment.hold, tick.by_hand, wrench_residual(tick)
     if law == "optimum":
-        missed = jnp.where(tick.slips, tick.left_by(state.exerted), missed)
+        residual = jnp.where(tick.slips, tick.left_by(state.exerted), residual)
         exerted = state.exerted.where(tick.slips, exerted)
-    become = Passed(carried.placed, tick, carried.stands, exerted, missed)
-    inertial = jnp.where(hold == Hold.LOST, 0, kept * state.inertial + (1 - kept) * tick.inertial)
-    return become, integrate(scene, passed, carried, led, missed, hold, tick.rests), inertial
+    outcome = TickOutcome(carried.placed, tick, carried.stands, exerted, residual)
+    inertial = jnp.where(hold == Hold.LOST, 0, smoothing * state.inertial + (1 - smoothing) * tick.inertial)
+    return outcome, integrate(scene, dt, carried, followed, residual, hold, tick.rests), inertial

@@ -1,4 +1,4 @@
-"""Scenes whose hand stands in a file of its own."""
+"""Scenes whose hand is described in a separate file."""
 
 from jaxgrasp.grip.scene_file import GrippedScene, SceneFile, gripped_scene
 from jaxgrasp.interop.hand_file import read_hand
@@ -7,11 +7,11 @@ from jaxgrasp.validation.checked import checked
 
 @checked
 def loaded_scene(file: SceneFile) -> GrippedScene:
-    """The hand that a scene names, closed on the object, as by ``gripped_scene``.
+    """Close the hand that a scene names on the object, as by ``gripped_scene``.
 
     Raises:
-        ValueError: as ``gripped_scene`` does, and for a file that holds no hand.
-        ImportError: for a hand out of a file without the extra `hands`, and for a mesh without `mesh`.
+        ValueError: as ``gripped_scene`` does, and for a file without a hand.
+        ImportError: for a hand from a file without the extra `hands`, and for a mesh without `mesh`.
         OSError: for a file that cannot be read.
     """
     if file.hand.file is None:

@@ -1,7 +1,8 @@
-"""A weight by the hand's whole pipeline: contacts and depths, eq. 6, method B, and inertia as it is lifted.
+"""A weight rendered by the hand's full pipeline: contacts and depths, eq. 6, method B, and inertia as it is lifted.
 
-The exact law knows where fingers bear and shares the weight among them alike. Here a plate lies on them, as deep as
-each has it, on a rail that is vertical. It is laid on the fingers as they are when a stimulus begins.
+The exact law has known contacts on the fingers and shares the weight among them equally. Here a plate on a vertical
+rail lies on the fingers, with the depth of each contact. It is laid on the fingers in their posture at the start of a
+stimulus.
 """
 
 import equinox as eqx
@@ -27,7 +28,7 @@ from jaxgrasp.lab.felt_objects import (
     LawOfAngles,
     Lifted,
     Rendering,
-    passed_over,
+    engaged_share,
 )
 from jaxgrasp.lab.haptic_loop import Haptics
 from jaxgrasp.model.arrays import AnyArray, Float
@@ -37,56 +38,57 @@ from jaxgrasp.psychophysics.plan import StimulusPlan
 from jaxgrasp.validation.checked import checked
 
 THICK = 0.04
-"""Thickness of the plate [m]: pads that rise faster than the others go deep into it, and must not come out above."""
+"""Thickness of the plate [m]: pads that rise faster than others go deep into it, and must not come out at the top."""
 OVER = np.array([0.04, 0.008, 0.0])
-"""How far it reaches beyond the outermost pads, along the fingers, which draw back as they bend, and across [m]."""
+"""Overhang of the plate beyond the outermost pads, along the fingers, which draw back as they bend, and across [m]."""
 SUNK = 1e-3
-"""Depth at which it lies on the pad that has it least [m]."""
+"""Depth of the plate on the pad of least contact [m]."""
 STIFFNESS = 400.0
 """K of eq. 6 [N/m]."""
 SLOWLY = 0.05
-"""Time between two postures of the way up that is predicted [s]: nothing of it is inertia."""
+"""Time between two postures of the predicted lift [s]: slow enough to exclude inertia."""
 G = float(np.linalg.norm(GRAVITY))
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 
 class CarriedPlate(Rendering):
-    """The plate of one stimulus after another, followed from tick to tick."""
+    """Renderer that simulates a plate for each stimulus, from tick to tick."""
 
-    def __init__(self, felt: Lifted, model: GloveModel) -> None:
-        """Compiled here, before anything is armed."""
-        self._felt = felt
-        self._scene = _plate_scene(felt)
+    def __init__(self, target: Lifted, model: GloveModel) -> None:
+        """Compile all programs, before the glove is armed."""
+        self._target = target
+        self._scene = _plate_scene(target)
         self._rest, self._is_laid, self._intensity = 0.0, False, 1.0
-        start = np.asarray(felt.start, float)
-        others = np.asarray(felt.worn.posture(start, PALM_UP).angles)
+        start = np.asarray(target.start, float)
+        others = np.asarray(target.worn.posture(start, PALM_UP).angles)
         self._haptics = Haptics(self._scene, model, others, self._laid_on(start)[1], "closed-form")
-        ticks = [self.tick(SLOWLY * k, angles) for k, angles in enumerate(felt.postures())]
+        ticks = [self.tick(SLOWLY * k, angles) for k, angles in enumerate(target.postures())]
         self._unit = np.array([tick.law.torques for tick in ticks if tick.is_alone])
         self.begin(0.0)
 
     def begin(self, intensity: float) -> None:
         self._intensity, self._is_laid = intensity, False
 
-    def tick(self, now: float, angles: Float[np.ndarray, "channels"]) -> FeltTick:
+    def tick(self, timestamp: float, angles: Float[np.ndarray, "channels"]) -> FeltTick:
         if not self._intensity > 0:
-            none = np.zeros(len(angles))
-            return FeltTick(TorqueLaw(now, True, np.asarray(angles, float), none, np.diag(none)), 0.0, True)
+            zeros = np.zeros(len(angles))
+            return FeltTick(TorqueLaw(timestamp, True, np.asarray(angles, float), zeros, np.diag(zeros)), 0.0, True)
         if not self._is_laid:
             scene, placed = self._laid_on(angles)
             self._haptics.restart(scene, placed)
             self._rest, self._is_laid = float(placed.origin[2]), True
-        law = self._haptics.tick(now, angles, PALM_UP)
+        law = self._haptics.tick(timestamp, angles, PALM_UP)
         rise = float(self._haptics.placed.origin[2]) - self._rest
-        return FeltTick(law, float(passed_over(rise)), rise <= TRAVEL)
+        return FeltTick(law, float(engaged_share(rise)), rise <= TRAVEL)
 
-    def on_the_way(self, intensity: float) -> Float[np.ndarray, "P channels"]:
-        # Forces that hold a weight at rest are in proportion to it: method B shares it by the depths.
+    def predicted_torques(self, intensity: float) -> Float[np.ndarray, "P channels"]:
+        # Forces at rest are proportional to the weight: method B shares it by the depths.
         return intensity * self._unit
 
     def _laid_on(self, angles: Float[np.ndarray, "channels"]) -> tuple[Scene, Pose]:
-        """The scene of the plate on the fingers as they are, of its weight, and where the plate is."""
-        bottom = float(_lowest_pad(self._felt, angles)) - SUNK
+        """Return the scene with the plate on the fingers in their posture, with its weight, and the pose of the
+        plate."""
+        bottom = float(_lowest_pad(self._target, angles)) - SUNK
         middle = np.asarray(self._scene.table.origin)[:2]
         table, stop = (np.append(middle, bottom + above) for above in (0.0, THICK + TRAVEL))
         scene = eqx.tree_at(
@@ -99,34 +101,34 @@ class CarriedPlate(Rendering):
 
 @checked
 def rendering_of(plan: StimulusPlan, felt: FeltObject, model: GloveModel) -> Rendering:
-    """How a plan's stimulus is rendered; compiles what it needs."""
+    """Build the renderer of a plan's stimulus, and compile its programs."""
     if plan.rendering == "simulated":
-        assert isinstance(felt, Lifted), "the plan allows it of a weight alone"
+        assert isinstance(felt, Lifted), "a plan allows simulated rendering for weights only"
         return CarriedPlate(felt, model)
     return LawOfAngles(felt)
 
 
 @jax.jit
-def _lowest_pad(felt: Lifted, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
-    """Height of that pad's top which is lowest [m]."""
-    return jnp.min(felt.pads(angles)[1][:, 2])
+def _lowest_pad(target: Lifted, angles: Float[AnyArray, "channels"]) -> Float[Array, ""]:
+    """Return the height of the top of the lowest pad [m]."""
+    return jnp.min(target.pads(angles)[1][:, 2])
 
 
-def _plate_scene(felt: Lifted) -> Scene:
-    """A plate that reaches over the pads and no other finger, at the world's origin, its weight 1 N."""
-    tops = np.asarray(felt.pads(felt.start)[1])
+def _plate_scene(target: Lifted) -> Scene:
+    """Build the scene with a plate over the pads and no other finger, at the world's origin, with a weight of 1 N."""
+    tops = np.asarray(target.pads(target.start)[1])
     low, high = tops.min(0) - OVER, tops.max(0) + OVER
     shape = Box(high[0] - low[0], high[1] - low[1], THICK)
     middle = jnp.append(jnp.asarray((low + high)[:2] / 2), 0.0)
-    # Its four upper corners meet the stop.
+    # The stop acts on its four upper corners.
     stop = Obstacle(Plane(), Pose(middle, jnp.asarray(DOWN)), STOP / 4, touches_hand=False)
     return Scene(
-        hand=felt.hand,
+        hand=target.hand,
         body=Body(shape, jnp.asarray(1 / G)),
         table=Pose(middle, jnp.eye(3)),
         friction=FRICTION,
         stiffness=STIFFNESS,
-        contributions=jnp.ones(len(felt.hand.links)),
+        contributions=jnp.ones(len(target.hand.links)),
         gravity=jnp.asarray(GRAVITY),
         guide=jnp.eye(6)[:, 2:3],
         obstacles=(stop,),

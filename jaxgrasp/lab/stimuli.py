@@ -1,4 +1,4 @@
-"""Stimuli of the psychophysics, rendered: predicted for a glove, or felt in one."""
+"""Stimuli of the psychophysics on a glove: rendered by it, predicted for it, and the errors of its rendering."""
 
 import threading
 import time
@@ -12,38 +12,45 @@ from jaxgrasp.glove.guard import GuardState
 from jaxgrasp.glove.loop.exchange import GloveState, TorqueLaw
 from jaxgrasp.glove.loop.glove_process import GloveProcess
 from jaxgrasp.glove.model import GloveModel
+from jaxgrasp.glove.sensors import nominal_sensors
+from jaxgrasp.glove.simulated.cable import Cable
 from jaxgrasp.glove.warmth import lasts
-from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, LawOfAngles, Rendering
+from jaxgrasp.lab.felt_objects import PALM_UP, FeltObject, LawOfAngles, Rendering, resistances
 from jaxgrasp.lab.haptic_loop import LONGEST, run_loop
 from jaxgrasp.model.hand import Pose
+from jaxgrasp.psychophysics.prediction.rendering_error import RenderingError
 from jaxgrasp.psychophysics.stimulus import NotFeltError, PredictedStimulus, Rendered, StimulusLostError
+from jaxgrasp.validation.checked import checked
 
 RATE = 100.0
-"""Frequency at which laws of torque go out to the glove [Hz]."""
+"""Rate of the laws of torque [Hz]."""
 NEARLY_WHOLE = 0.9
-"""Share of an intensity that is felt as all of it."""
+"""Share of an intensity that counts as all of it."""
 FRESH = 0.1
-"""Age of the glove's word beyond which nobody knows what it does [s]."""
+"""Age of the glove's last state beyond which it is unknown [s]."""
 
 
 class PredictedGloveStimulus(PredictedStimulus):
-    """What a glove can render of an intensity, over all postures in which it is felt."""
+    """Prediction of a glove's rendering of an intensity, over all postures in which it is felt."""
 
     def __init__(self, felt: FeltObject, model: GloveModel, rendering: Rendering | None = None) -> None:
-        """Args: what is felt; the glove, whose limits count; and how it is rendered, by its own law if not given."""
+        """Store the felt object, the model of the glove with its limits, and the renderer; the object's own law by
+        default."""
         super().__init__()
         self._felt, self._model = felt, model
         self._rendering = LawOfAngles(felt) if rendering is None else rendering
-        self._known: dict[float, Rendered] = {}
+        self._predictions: dict[float, Rendered] = {}
 
     def predict(self, intensity: float) -> Rendered:
-        if intensity not in self._known:
-            self._known[intensity] = rendered(intensity, self._rendering.on_the_way(intensity), self._model)
-        return self._known[intensity]
+        if intensity not in self._predictions:
+            self._predictions[intensity] = rendered(
+                intensity, self._rendering.predicted_torques(intensity), self._model
+            )
+        return self._predictions[intensity]
 
 
 class GloveStimulus(PredictedGloveStimulus):
-    """An intensity rendered by a real glove: laws go out at a steady rate, from the first until ``close``."""
+    """An intensity rendered by a real glove: laws are sent at a constant rate, from the start until ``close``."""
 
     def __init__(
         self,
@@ -53,12 +60,13 @@ class GloveStimulus(PredictedGloveStimulus):
         rendering: Rendering | None = None,
         watch: Callable[[GloveState, TorqueLaw], None] = lambda state, law: None,
     ) -> None:
-        """A stimulus of no intensity, in a glove that someone arms; ``watch`` is told of each law, quickly."""
+        """Start with no intensity, in a glove that is armed elsewhere; ``watch`` is called with each law, and must be
+        fast."""
         super().__init__(felt, model, rendering)
-        # What compiles once the glove is armed would hold laws up, and it lets go.
+        # Compiling after the glove is armed would delay laws, and the glove would release.
         self._rendering.tick(0.0, np.zeros(len(model.joints)))
         self._glove, self._watch = glove, watch
-        self._ends = threading.Event()
+        self._stop_event = threading.Event()
         self._lock = threading.Lock()
         self._forget()
         self._rendered: tuple[float, _Measured] | None = None
@@ -67,10 +75,10 @@ class GloveStimulus(PredictedGloveStimulus):
         self._thread.start()
 
     def begin(self, intensity: float) -> None:
-        """Let it be felt.
+        """Start the stimulus.
 
         Raises:
-            StimulusLostError: where the glove is not armed.
+            StimulusLostError: if the glove is not armed.
         """
         self._check_armed()
         with self._lock:
@@ -78,42 +86,42 @@ class GloveStimulus(PredictedGloveStimulus):
             self._forget()
 
     def end(self) -> Rendered:
-        """Let it end.
+        """End the stimulus.
 
         Raises:
-            StimulusLostError: where the glove was not armed all the time.
-            NotFeltError: where there was something to be felt, and the hand never did what it takes.
+            StimulusLostError: if the glove was not armed throughout.
+            NotFeltError: if there was an intensity, but the hand never moved to feel it.
         """
         with self._lock:
             measured, armed = self._measured, self._armed
-            found = measured.rendered(self._intensity)
+            result = measured.rendered(self._intensity)
             self._intensity = 0.0
         if not (armed and self._holds()):
-            raise StimulusLostError(f"the glove let go while it was felt{self._why()}", found)
-        if found.intensity > 0 and not found.torque > 0:
-            raise NotFeltError("no finger has felt it", found)
-        return found
+            raise StimulusLostError(f"the glove let go while it was felt{self._why()}", result)
+        if result.intensity > 0 and not result.torque > 0:
+            raise NotFeltError("no finger has felt it", result)
+        return result
 
     def wait_until_armed(self, patience: float) -> None:
-        """Return once the glove is armed.
+        """Wait until the glove is armed.
 
         Raises:
-            OSError: if it is not, after so long [s].
+            OSError: if it is not armed within ``patience`` [s].
         """
-        begun = time.perf_counter()
-        # What was said before this call may be of an arming before.
-        while (state := self._glove.state()) is None or state.at < begun or not _is_armed(state):
-            if time.perf_counter() > begun + patience:
+        started = time.perf_counter()
+        # A state from before this call may belong to an earlier arming.
+        while (state := self._glove.state()) is None or state.at < started or not _is_armed(state):
+            if time.perf_counter() > started + patience:
                 raise OSError(f"the glove was not armed within {patience:g} s")
             time.sleep(0.02)
 
     def close(self) -> None:
-        """No more laws."""
-        self._ends.set()
+        """Stop sending laws."""
+        self._stop_event.set()
         self._thread.join()
 
     def _forget(self) -> None:
-        """Nothing is measured yet, and the glove was armed throughout."""
+        """Reset the measurement, and the record that the glove was armed throughout."""
         self._measured, self._armed = _Measured(list(self._felt.channels())), True
 
     def _check_armed(self) -> None:
@@ -121,14 +129,14 @@ class GloveStimulus(PredictedGloveStimulus):
             raise StimulusLostError(f"the glove is not armed{self._why()}")
 
     def _holds(self) -> bool:
-        """Whether laws go out and someone who is there says that they are followed."""
+        """Return whether laws are sent, and the glove has recently confirmed that it follows them."""
         state = self._glove.state()
         if state is None or not (self._thread.is_alive() and self._glove.is_alive()):
             return False
         return _is_armed(state) and time.perf_counter() - state.at < FRESH
 
     def _why(self) -> str:
-        """Why it let go last, as its guard or its line has it."""
+        """Return the cause of the last release, from the guard or the line."""
         if not self._glove.is_alive():
             return ": the process that owned its line has ended"
         events = self._glove.events()
@@ -137,7 +145,12 @@ class GloveStimulus(PredictedGloveStimulus):
 
     def _run(self) -> None:
         run_loop(
-            self._tick, self._read, self._glove.write, lambda now: PALM_UP, RATE, lambda now: not self._ends.is_set()
+            self._tick,
+            self._read,
+            self._glove.write,
+            lambda timestamp: PALM_UP,
+            RATE,
+            lambda timestamp: not self._stop_event.is_set(),
         )
 
     def _read(self) -> GloveState | None:
@@ -148,59 +161,99 @@ class GloveStimulus(PredictedGloveStimulus):
             self._state = state
         return state
 
-    def _tick(self, now: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
+    def _tick(self, timestamp: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TorqueLaw:
         with self._lock:
             intensity, measured = self._intensity, self._measured
-        # The thread that ticks is the one that renders: it alone begins another intensity.
+        # Only the ticking thread starts to render another intensity.
         if self._rendered != (intensity, measured):
             self._rendering.begin(intensity)
             self._rendered = intensity, measured
-        felt = self._rendering.tick(now, angles)
-        given = rendered(felt.share, felt.law.torques[None], self._model) if felt.is_alone else None
+        tick = self._rendering.tick(timestamp, angles)
+        rendering = rendered(tick.share, tick.law.torques[None], self._model) if tick.is_alone else None
         with self._lock:
-            measured.add(now, angles, given)
+            measured.add(timestamp, angles, rendering)
         if self._state is not None:
-            self._watch(self._state, felt.law)
-        return felt.law
+            self._watch(self._state, tick.law)
+        return tick.law
 
 
 class _Measured:
-    """What came of one intensity, tick by tick."""
+    """Measurement of one intensity, tick by tick."""
 
     def __init__(self, channels: list[int]) -> None:
-        """Nothing yet; the channels are those of the joints that feel it."""
+        """Start empty; the channels are those of the joints that feel it."""
         self._channels = channels
         self._torque, self._peak, self._whole, self._cut = 0.0, 0.0, 0.0, False
         self._low, self._high = np.full(len(channels), np.inf), np.full(len(channels), -np.inf)
         self._before: float | None = None
 
-    def add(self, now: float, angles: Float[np.ndarray, "channels"], given: Rendered | None) -> None:
-        """A tick: the angles, and what was given of an intensity of 1; None where it was not felt alone."""
-        own = angles[self._channels]
-        self._low, self._high = np.minimum(self._low, own), np.maximum(self._high, own)
-        passed = 0.0 if self._before is None else min(now - self._before, LONGEST)
-        self._before = now
-        if given is not None:
-            self._torque, self._peak = max(self._torque, given.torque), max(self._peak, given.felt)
-            self._cut = self._cut or given.saturated
-            self._whole += passed if given.felt >= NEARLY_WHOLE else 0.0
+    def add(self, timestamp: float, angles: Float[np.ndarray, "channels"], rendering: Rendered | None) -> None:
+        """Add a tick: the angles, and the rendering of an intensity of 1; None where it was not felt alone."""
+        measured = angles[self._channels]
+        self._low, self._high = np.minimum(self._low, measured), np.maximum(self._high, measured)
+        elapsed_s = 0.0 if self._before is None else min(timestamp - self._before, LONGEST)
+        self._before = timestamp
+        if rendering is not None:
+            self._torque, self._peak = max(self._torque, rendering.torque), max(self._peak, rendering.felt)
+            self._cut = self._cut or rendering.saturated
+            self._whole += elapsed_s if rendering.felt >= NEARLY_WHOLE else 0.0
 
     def rendered(self, intensity: float) -> Rendered:
-        """All of it."""
-        moved = float(np.degrees(np.max(self._high - self._low))) if self._before is not None else 0.0
-        felt = intensity * self._peak
-        return Rendered(intensity, felt, self._torque, self._cut, whole=self._whole, moved=moved)
+        """Summarise the measurement."""
+        motion_deg = float(np.degrees(np.max(self._high - self._low))) if self._before is not None else 0.0
+        felt_intensity = intensity * self._peak
+        return Rendered(intensity, felt_intensity, self._torque, self._cut, whole=self._whole, moved=motion_deg)
 
 
 def _is_armed(state: GloveState) -> bool:
     return state.guard == GuardState.ARMED and state.link == LinkState.ARMED
 
 
-def rendered(intensity: float, asked: Float[np.ndarray, "P channels"], model: GloveModel) -> Rendered:
-    """What a glove's limits leave of torques; felt is the share that is left of their sum, where it is least."""
+def rendered(intensity: float, torques: Float[np.ndarray, "P channels"], model: GloveModel) -> Rendered:
+    """Clip torques to a glove's limits; the felt intensity is the least remaining share of their sum."""
     limits = np.array(model.limits)
-    given = np.clip(asked, 0, limits)
-    sums = np.clip(asked, 0, None).sum(1)
-    shares = np.where(sums > 0, given.sum(1) / np.where(sums > 0, sums, 1), 1.0)
-    felt, cut = float(intensity * shares.min()), bool(np.any(asked > limits))
-    return Rendered(intensity, felt, float(asked.max()), cut, float(lasts(model, asked).min()))
+    clipped = np.clip(torques, 0, limits)
+    sums = np.clip(torques, 0, None).sum(1)
+    shares = np.where(sums > 0, clipped.sum(1) / np.where(sums > 0, sums, 1), 1.0)
+    felt, cut = float(intensity * shares.min()), bool(np.any(torques > limits))
+    return Rendered(intensity, felt, float(torques.max()), cut, float(lasts(model, torques).min()))
+
+
+@checked
+def glove_error(
+    felt: FeltObject,
+    model: GloveModel,
+    *,
+    cable: Cable | None = None,
+    pretension: float = 0.0,
+    lag: float = 0.0,
+    motions: float = 7.0,
+) -> RenderingError:
+    """Compute the rendering errors of a glove for a stimulus, at the joint that bears most of it.
+
+    Args:
+        felt: the stimulus.
+        model: model of the glove, with its limits and its quantum.
+        cable: cable with its friction in motion; no friction if None.
+        pretension: tension that keeps the cables taut [N].
+        lag: delay times the stimulus' own relative rate of change.
+        motions: number of motions over which a person averages errors that depend on the direction.
+
+    Raises:
+        ValueError: for a negative pretension, and as RenderingError does.
+    """
+    if not (np.isfinite(pretension) and pretension >= 0):
+        raise ValueError(f"pretension is {pretension}: expected a finite number, 0 or more")
+    unit_torques = np.asarray(resistances(felt, felt.postures(), 1.0))
+    posture, channel = np.unravel_index(np.argmax(unit_torques / np.array(model.limits)), unit_torques.shape)
+    torque = float(unit_torques[posture, channel])
+    friction = 0.0 if cable is None else cable.sliding * cable.wrap
+    arm = float(nominal_sensors(model).gauges.arm[channel])
+    return RenderingError(
+        quantum=model.quantum / torque,
+        friction=friction,
+        pretension=pretension * arm / torque,
+        lag=lag,
+        limit=model.limits[channel] / torque,
+        motions=motions,
+    )

@@ -1,4 +1,4 @@
-"""The computing side of the haptic loop in a world of many objects: an engine moves them, the hand feels them all."""
+"""Computing side of the haptic loop in a world of many objects: an engine moves them, the hand feels them all."""
 
 from dataclasses import dataclass
 from functools import cache, partial
@@ -15,9 +15,9 @@ from jaxgrasp.grip.obstacles import hand_torques
 from jaxgrasp.grip.scene import check_scene
 from jaxgrasp.hand.detection import Contacts
 from jaxgrasp.hand.kinematics import pose_hand
-from jaxgrasp.lab.flat_program import FlatProgram, Leaves
 from jaxgrasp.lab.glove_hand import GloveHand, glove_hand, with_slope
 from jaxgrasp.lab.haptic_loop import Followed, HandHaptics, TickAnswer
+from jaxgrasp.lab.haptic_tick import FlatProgram, Leaves
 from jaxgrasp.model.arrays import AnyArray, Float
 from jaxgrasp.model.hand import HandFrames, Pose
 from jaxgrasp.world.hand_share import HandShare, closest_share, cut_share, find_touches, pressing_torques
@@ -26,36 +26,36 @@ from jaxgrasp.world.physics import Engine, HandMove, left_at_rest
 from jaxgrasp.world.quasi_static import QuasiStaticEngine
 
 
-class _Instant(NamedTuple):
-    """What a tick leaves to the next."""
+class _TickState(NamedTuple):
+    """State carried from one tick to the next."""
 
     state: WorldState
     frames: HandFrames
     contacts: Contacts
     wrench: Float[np.ndarray, "N 6"]
-    """What the hand is to exert on each object, as it is felt [N, N.m]."""
+    """Filtered wrench of the hand on each object [N, N.m]."""
 
 
 @dataclass
 class WorldHaptics(HandHaptics):
-    """A hand in a glove among several objects, driven by ``tick``; the first compiles for half a minute or more.
+    """A hand in a glove among several objects, driven by ``tick``; the first tick compiles for half a minute or more.
 
-    The engine says how the objects go and so what the hand must have exerted on each: its motion's wrench less its
-    weight and what table, obstacles and other objects do. That, the law spreads over the contacts as they now are.
+    The engine computes the motion of the objects and thus the wrench of the hand on each: rate of momentum less weight
+    and loads by table, obstacles and other objects. The force law distributes it over the current contacts.
     """
 
     world: World
     model: GloveModel
     others: Float[AnyArray, "J"]
-    """Angles of all joints [rad]; those that the glove does not read stay there."""
+    """Angles of all joints [rad]; joints that the glove does not read keep them."""
     state: WorldState
-    """Where the objects are at first, then at the last tick."""
+    """State of the objects, at the start and then at the last tick."""
     engine: Engine
     law: Law = "closed-form"
-    """Which forces the hand applies to each object: what is felt."""
+    """Force law of the hand on each object, for the torques."""
     smoothing: float = 0.02
-    """Time constant of the wrenches that are felt [s]: they hold accelerations, which are differences of what the glove
-    reads. 0 for as they are."""
+    """Time constant of the filter of wrenches [s]: they contain accelerations, which are differences of the glove's
+    readings. 0 for no filter."""
 
     def __post_init__(self) -> None:
         check_scene(self.world.scene)
@@ -64,7 +64,7 @@ class WorldHaptics(HandHaptics):
         self._leaves = tuple(map(jnp.asarray, leaves))
         self._programs = _compiled(structure, self.law)
         self._weights = holding_weights(self.world)
-        self._instant: _Instant | None = None
+        self._tick_state: _TickState | None = None
         self._share: Leaves | None = None
 
     @property
@@ -73,29 +73,31 @@ class WorldHaptics(HandHaptics):
 
     @property
     def share(self) -> HandShare | None:
-        """What the hand exerted at the last tick."""
+        """Return the forces of the hand at the last tick."""
         return None if self._share is None else self._programs.feel.tree(1, self._share)
 
     @property
     def followed(self) -> Followed:
-        wrench = self._weights if self._instant is None else self._instant.wrench
+        wrench = self._weights if self._tick_state is None else self._tick_state.wrench
         return Followed(self.state.placed, wrench, np.asarray(self.world.scene.contributions), self.state.time)
 
-    def felt_after(self, passed: float, kept: float, angles: Float[np.ndarray, "channels"], wrist: Pose) -> TickAnswer:
-        before = self._instant
-        if before is not None and passed <= 0:
+    def compute_torques(
+        self, dt: float, smoothing: float, angles: Float[np.ndarray, "channels"], wrist: Pose
+    ) -> TickAnswer:
+        before = self._tick_state
+        if before is not None and dt <= 0:
             state, frames, _, wrench = before
-            return self._felt(angles, wrist, state, frames, wrench)
+            return self._answer(angles, wrist, state, frames, wrench)
         frames = self._frames(angles, wrist)
         if before is None:
             state, contacts = self.state, self._feel(angles, wrist, self.state, self._weights)[2]
             wrench = left_at_rest(self.engine, state, contacts, frames, self._weights)
         else:
-            step = self.engine.step(before.state, HandMove(before.contacts, before.frames, frames), passed)
-            state, wrench = step.state, kept * before.wrench + (1 - kept) * step.left_to_hand(self._weights)
-        return self._felt(angles, wrist, state, frames, wrench)
+            step = self.engine.step(before.state, HandMove(before.contacts, before.frames, frames), dt)
+            state, wrench = step.state, smoothing * before.wrench + (1 - smoothing) * step.left_to_hand(self._weights)
+        return self._answer(angles, wrist, state, frames, wrench)
 
-    def _felt(
+    def _answer(
         self,
         angles: Float[np.ndarray, "channels"],
         wrist: Pose,
@@ -107,12 +109,12 @@ class WorldHaptics(HandHaptics):
 
         def keep() -> None:
             self.state, self._share = state, share
-            self._instant = _Instant(state, frames, contacts, wrench)
+            self._tick_state = _TickState(state, frames, contacts, wrench)
 
         return TickAnswer(torques, slope, keep)
 
     def _frames(self, angles: Float[np.ndarray, "channels"], wrist: Pose) -> HandFrames:
-        """The hand's frames."""
+        """Compute the frames of the hand."""
         pose = self._programs.pose
         (leaves,) = pose(self._leaves, angles, (wrist.origin, wrist.rotation))
         return pose.tree(0, jax.device_get(leaves))
@@ -120,14 +122,14 @@ class WorldHaptics(HandHaptics):
     def _feel(
         self, angles: Float[np.ndarray, "channels"], wrist: Pose, state: WorldState, wrench: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, Contacts, Leaves]:
-        """Torques and their slope, what the hand touches, and the leaves of what it exerts."""
+        """Compute the torques and their slope, the contacts of the hand, and the leaves of its forces."""
         feel = self._programs.feel
         placed = state.placed.origin, state.placed.rotation
-        rendered, share, touched = feel(
+        rendered, share, contacts = feel(
             self._leaves, angles, (wrist.origin, wrist.rotation), placed, state.time, wrench
         )
-        (torques, slope), touched = jax.device_get((rendered, touched))
-        return torques, slope, feel.tree(2, touched), share
+        (torques, slope), contacts = jax.device_get((rendered, contacts))
+        return torques, slope, feel.tree(2, contacts), share
 
     def warm_up(self, wrist: Pose) -> None:
         super().warm_up(wrist)
@@ -142,54 +144,54 @@ class _Programs(NamedTuple):
 
 @cache
 def _compiled(structure: Any, law: Law) -> _Programs:
-    """Where the hand is, and what it feels, in worlds of this structure."""
+    """Compile the programs for worlds of this structure: frames of the hand, and torques."""
     return _Programs(
         FlatProgram(partial(_pose, structure=structure)), FlatProgram(partial(_feel, structure=structure, law=law))
     )
 
 
 def _pose(leaves: Leaves, angles: Array, wrist: tuple[Array, Array], *, structure: Any) -> tuple[HandFrames]:
-    world, worn = jax.tree.unflatten(structure, leaves)
-    return (pose_hand(world.scene.hand, worn.posture(angles, Pose(*wrist))),)
+    world, glove = jax.tree.unflatten(structure, leaves)
+    return (pose_hand(world.scene.hand, glove.posture(angles, Pose(*wrist))),)
 
 
 def _feel(
     leaves: Leaves,
     angles: Array,
     wrist: tuple[Array, Array],
-    there: tuple[Array, Array],
+    object_pose: tuple[Array, Array],
     time: Array,
     wrench: Array,
     *,
     structure: Any,
     law: Law,
 ) -> tuple[tuple[Array, Array], HandShare, Contacts]:
-    """Torques against flexion, their slope, and what the hand exerts, with all objects where they are.
+    """Compute torques against flexion, their slope, and the forces of the hand, with all objects at their poses.
 
-    Where no allowed forces hold an object, by the optimum those count that come closest, as forces that stay.
+    Where no allowed forces hold an object, by the optimum the closest forces act, with the slope of fixed forces.
     """
-    world, worn = jax.tree.unflatten(structure, leaves)
-    world, wrist_pose, placed = world.at_time(time), Pose(*wrist), Pose(*there)
+    world, glove = jax.tree.unflatten(structure, leaves)
+    world, wrist_pose, placed = world.at_time(time), Pose(*wrist), Pose(*object_pose)
 
-    def both(angles: Array) -> tuple[Array, tuple[Array, HandShare]]:
-        posture = worn.posture(angles, wrist_pose)
+    def value_and_aux(angles: Array) -> tuple[Array, tuple[Array, HandShare]]:
+        posture = glove.posture(angles, wrist_pose)
         share = cut_share(world, posture, placed, find_touches(world, posture, placed), wrench, law=law)
-        torques = worn.resisting(share.torques)
+        torques = glove.resisting(share.torques)
         return torques, (torques, share)
 
-    slope, (torques, share) = jax.jacfwd(both, has_aux=True)(angles)
+    slope, (torques, share) = jax.jacfwd(value_and_aux, has_aux=True)(angles)
     if law == "closed-form":
         return (torques, slope), share, share.touches.contacts
 
     def closest() -> tuple[Array, Array, HandShare]:
-        found = closest_share(world, worn.posture(angles, wrist_pose), placed, share)
+        nearest = closest_share(world, glove.posture(angles, wrist_pose), placed, share)
 
         def torques_at(angles: Array) -> Array:
-            posture = worn.posture(angles, wrist_pose)
-            pressed = pressing_torques(world, posture, share.touches, found.by_hand)
-            return worn.resisting(pressed + hand_torques(world.scene, posture))
+            posture = glove.posture(angles, wrist_pose)
+            pressed = pressing_torques(world, posture, share.touches, nearest.by_hand)
+            return glove.resisting(pressed + hand_torques(world.scene, posture))
 
-        return *with_slope(torques_at, angles), found
+        return *with_slope(torques_at, angles), nearest
 
     slips = jnp.any(share.assessment.hold == Hold.SLIPPING)
     torques, slope, share = lax.cond(slips, closest, lambda: (torques, slope, share))

@@ -7,7 +7,7 @@ import pytest
 from jaxgrasp.glove.model import GloveModel, lrp_hand_master
 from jaxgrasp.grip import observe
 from jaxgrasp.hand import Posture, human_hand, joint_torques, pose_hand
-from jaxgrasp.lab.glove_hand import felt, glove_hand, resistance
+from jaxgrasp.lab.glove_hand import glove_hand, resistance, resistance_with_slope
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene, grasp_and_lift
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
 from jaxgrasp.report.glove_picture import write_glove_picture
@@ -57,7 +57,7 @@ def test_the_slope_is_that_of_the_torques(scene):
     worn = glove_hand(scene.hand, MODEL, np.asarray(closed.angles))
     angles = np.asarray(closed.angles)[list(worn.places)]
     at_rest = np.zeros(6)
-    found = felt(scene, worn, angles, closed.wrist, placed, at_rest, law="closed-form")[0]
+    found = resistance_with_slope(scene, worn, angles, closed.wrist, placed, at_rest, law="closed-form")[0]
     torques, slope, *_ = jax.device_get(found)
     found = observe(scene, Posture(closed.wrist, closed.angles), placed)
     frames = pose_hand(scene.hand, closed)

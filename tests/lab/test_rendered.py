@@ -14,9 +14,9 @@ from jaxgrasp.grip.contact_forces import ContactForces, cut_to_cones, resultant
 from jaxgrasp.grip.tick import find_touches
 from jaxgrasp.hand import Posture
 from jaxgrasp.hand.grip_type import GripType, contributions_of, grip_type
-from jaxgrasp.lab.followed_grip import BLEND, STEADY, first_grip, grip_tables, next_grip
 from jaxgrasp.lab.grasp_and_lift import cylinder_scene
 from jaxgrasp.lab.haptic_loop import Haptics, pose_at
+from jaxgrasp.lab.haptic_tick import BLEND, STEADY, first_grip, grip_tables, next_grip
 from jaxgrasp.model.grasp import Grasp
 from tests.lab.joint_work import MODEL, by_work
 

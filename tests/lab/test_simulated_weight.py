@@ -71,7 +71,7 @@ def test_torques_are_in_proportion_to_the_weight_and_near_the_exact_law(felt, pl
     way = felt.postures()
     one, heights, ticks = lifted(plate, 1.0, way, 0.05)
     three, _, _ = lifted(plate, 3.0, way, 0.05)
-    np.testing.assert_allclose(plate.on_the_way(3.0), 3 * one[alone(ticks)], atol=1e-12)
+    np.testing.assert_allclose(plate.predicted_torques(3.0), 3 * one[alone(ticks)], atol=1e-12)
     # Nothing rests on what it lay on any more.
     chosen = alone(ticks) & (heights - heights[0] > FADE)
     way, one, three = (each[chosen] for each in (way, one, three))

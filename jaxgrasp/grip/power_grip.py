@@ -66,7 +66,7 @@ def power_grip(
     """
     check_shape(shape)
     if not (np.isfinite(depth) and depth >= 0):
-        raise ValueError(f"depth is {depth}: expected a number of metres, zero or more")
+        raise ValueError(f"depth is {depth}: expected a number, 0 or more [m]")
     way = closing_way(hand) if way is None else way
     posture, placed = lay_on(hand, shape, depth, way)
     if not is_human(hand):

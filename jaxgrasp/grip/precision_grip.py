@@ -87,11 +87,11 @@ def fingertip_task(
     if lacking:
         raise ValueError(f"hand has no link {lacking[0]} distal: expected links named as name_fingers does")
     tips = [names.index((finger, "distal")) for finger in fingers]
-    closing = np.asarray(closing.closed) != np.asarray(closing.open)
-    flexions = tuple(tuple(np.flatnonzero(moves[tip] & closing).tolist()) for tip in tips)
+    is_closing = np.asarray(closing.closed) != np.asarray(closing.open)
+    flexions = tuple(tuple(np.flatnonzero(moves[tip] & is_closing).tolist()) for tip in tips)
     for finger, chain in zip(fingers, flexions, strict=True):
         if len(chain) < 2:
-            raise ValueError(f"{finger} has {len(chain)} joints that close it: expected two at least")
+            raise ValueError(f"{finger} has {len(chain)} joints that close it: expected at least two")
     still = Posture(Pose(jnp.zeros(3), jnp.eye(3)), jnp.asarray(closing.open))
     frames = jax.device_get(pose_hand(hand, still))
     last = np.array([chain[-1] for chain in flexions])
@@ -260,7 +260,7 @@ def precision_grip(
     if fingers not in (3, 4, 5):
         raise ValueError(f"fingers is {fingers}: expected 3, 4 or 5, since fewer hard contacts do not hold an object")
     if not (np.isfinite(depth) and depth > 0):
-        raise ValueError(f"depth is {depth}: expected a positive number of metres")
+        raise ValueError(f"depth is {depth}: expected a positive number [m]")
     task = fingertip_task(hand, shape, depth, FINGERS[:fingers], way)
     angles, placed, residuals = _solve(task, *_preshapes(task))
     _check_reached(task, jax.device_get(residuals))
@@ -353,9 +353,9 @@ def _check_reached(task: FingertipTask, residuals: Misses) -> None:
         f"{name} is in the way" for name, near in zip(others, residuals.intrusion, strict=True) if near >= CLEARANCE
     ]
     if not residuals.overlap.max() <= 2 * APART:
-        lacking.append("fingertips have no room beside each other")
+        lacking.append("fingertips have too little room")
     if not max(*np.linalg.norm(residuals.facing, axis=-1), *residuals.opposing) <= OFF_LINE:
-        lacking.append("the thumb does not come to face the fingers")
+        lacking.append("the thumb cannot oppose the fingers")
     if lacking:
         raise ValueError(
             f"no precision grip of {len(tips)} fingers on this {type(task.shape).__name__} was found: "

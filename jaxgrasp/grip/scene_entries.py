@@ -46,7 +46,7 @@ class HandEntry:
         check_positive(self, "length", "breadth")
         for key in ("wrist", "links", "open", "closed"):
             if self.file is None and getattr(self, key):
-                raise ValueError(f"{key} is {getattr(self, key)!r}: expected none of a human hand, which has no file")
+                raise ValueError(f"{key} is {getattr(self, key)!r}: expected none, since a human hand has no file")
         for link, label in self.links.items():
             if len(label.split()) != 2:
                 raise ValueError(f"links[{link!r}] is {label!r}: expected a finger and a phalanx, as in 'index distal'")
@@ -73,7 +73,7 @@ class SolidEntry:
         if self.size is None:
             return
         if self.shape != "box":
-            raise ValueError(f"size is {list(self.size)}: expected radius and height, since the shape is no box")
+            raise ValueError(f"size is {list(self.size)}: expected radius and height, since the shape is not a box")
         if len(self.size) != 3 or not all(math.isfinite(edge) and edge > 0 for edge in self.size):
             raise ValueError(f"size is {list(self.size)}: expected three positive numbers [m]")
 
@@ -237,7 +237,7 @@ class GuideEntry:
         check_vectors(self, "through")
         check_finite(self, "pitch")
         if self.pitch != 0 and self.kind != "screw":
-            raise ValueError(f"pitch is {self.pitch}: expected none of a {self.kind}")
+            raise ValueError(f"pitch is {self.pitch}: expected 0 for a {self.kind}")
 
     def twists(self, centre: np.ndarray) -> np.ndarray:
         """Return the twist ``(6, 1)`` about the world's origin, for an object whose centre starts at ``centre``."""

@@ -136,7 +136,7 @@ def load_scene(path: str | os.PathLike) -> SceneFile:
     if not isinstance(name, str):
         raise ValueError(f"name is {name!r}: expected text")
     if len(name) > LONGEST_NAME:
-        raise ValueError(f"name has {len(name)} characters: expected {LONGEST_NAME} at most")
+        raise ValueError(f"name has {len(name)} characters: expected at most {LONGEST_NAME}")
     scene = SceneFile(
         name,
         **{key: made_from(kind, contents.get(key, {}), key) for key, kind in TABLES.items()},

@@ -56,7 +56,9 @@ def glove_hand(hand: Hand, model: GloveModel, others: Float[AnyArray, "J"]) -> G
         ValueError: for a hand without one of the glove's joints, or a number of angles other than that of its joints.
     """
     if np.shape(others) != (len(hand.joints),):
-        raise ValueError(f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle a joint")
+        raise ValueError(
+            f"others has shape {np.shape(others)}: expected ({len(hand.joints)},), an angle for each joint"
+        )
     transmission = model.transmission(hand.joints)
     alone = np.all(transmission == 0, 0)
     return GloveHand(model.places(hand.joints), transmission, jnp.where(alone, jnp.asarray(others), 0))

@@ -97,9 +97,9 @@ class GloveStimulus(PredictedGloveStimulus):
             result = measured.rendered(self._intensity)
             self._intensity = 0.0
         if not (armed and self._holds()):
-            raise StimulusLostError(f"the glove let go while it was felt{self._why()}", result)
+            raise StimulusLostError(f"the glove released during the stimulus{self._why()}", result)
         if result.intensity > 0 and not result.torque > 0:
-            raise NotFeltError("no finger has felt it", result)
+            raise NotFeltError("no finger felt the stimulus", result)
         return result
 
     def wait_until_armed(self, patience: float) -> None:

@@ -57,7 +57,7 @@ def kerr_roth(
     """
     check_pyramid(sides, pyramid)
     if limits.normal_max is None and limits.torque_max is None:
-        raise ValueError("limits bound nothing from above: expected normal_max, or torque_map with torque_max")
+        raise ValueError("limits have no upper bound: expected normal_max, or torque_map with torque_max")
     return solve_each(read_input(grasp, wrench, limits, throw), lambda problem: _solve(problem, sides, pyramid))
 
 

@@ -117,7 +117,7 @@ def select_entries(entries: Sequence[Entry], names: Iterable[str] | None) -> tup
             raise ValueError(f"there is no {name!r}{_nearest(name, entries)}")
         selected.update(dict.fromkeys(matches))
     if not selected:
-        raise ValueError("no parameters are asked for: expected at least one name")
+        raise ValueError("no names of parameters are given: expected at least one")
     return tuple(selected)
 
 
@@ -125,7 +125,7 @@ def check_labels(labels: Labels | None, entries: Sequence[Entry]) -> None:
     """Raise ValueError for labels of an unknown array."""
     for name in labels or {}:
         if not any(_ends_with(entry.path, name) for entry in entries):
-            raise ValueError(f"labels are given for {name!r}, which there is not{_nearest(name, entries)}")
+            raise ValueError(f"labels are given for {name!r}, which is no parameter or output{_nearest(name, entries)}")
 
 
 def is_number(leaf: Any) -> bool:

@@ -241,7 +241,7 @@ def read_times(times: AnyArray | Sequence[float]) -> Array:
 def _read_row(name: str, numbers: AnyArray | Sequence[float], expected: str = "a finite number") -> np.ndarray:
     array = np.asarray(numbers, float)
     if array.ndim != 1 or not array.size:
-        raise ValueError(f"{name} has shape {array.shape}: expected one axis, and one entry at least")
+        raise ValueError(f"{name} has shape {array.shape}: expected one axis with at least one entry")
     for issue in issues_in(name, array, ~np.isfinite(array), expected):
         raise ValueError(str(issue))
     return array

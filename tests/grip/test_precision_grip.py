@@ -79,7 +79,7 @@ def test_what_is_out_of_reach_is_named(unchecked):
     [
         ((Sphere(0.03), 2), "fingers is 2: expected 3, 4 or 5"),
         ((Sphere(0.0), 3), "Sphere.radius is 0.0"),
-        ((Sphere(0.03), 3, 0.0), "depth is 0.0: expected a positive number of metres"),
+        ((Sphere(0.03), 3, 0.0), "depth is 0.0: expected a positive number [m]"),
     ],
 )
 def test_bad_arguments_are_named(arguments, said):

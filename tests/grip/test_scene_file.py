@@ -54,7 +54,7 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ("[object]\ninertia = [1, 1, 3]", "none above the sum of the other two, not 1, 1, 3 kg.m^2"),
         ("[object]\ninertia = [1, 1, 1, 2, 0, 0]", "expected positive principal moments"),
         ('[hand]\nfile = "hand.xml"', "hand.file is 'hand.xml': there is no such file"),
-        ('[hand]\nwrist = "palm"', "hand: wrist is 'palm': expected none of a human hand, which has no file"),
+        ('[hand]\nwrist = "palm"', "hand: wrist is 'palm': expected none, since a human hand has no file"),
         ("[hand.open]\nthumb = 1", "hand: open is {'thumb': 1.0}: expected none of a human hand"),
         ('[hand]\nopen = {thumb = "far"}', "hand.open.thumb is 'far': expected a number"),
         ('[hand]\nfile = "x"\nlinks = {palm = "middle"}', "hand: links['palm'] is 'middle': expected a finger and a"),
@@ -92,7 +92,7 @@ def test_an_empty_file_is_the_ready_cylinder(folder):
         ("hand = " + 900 * "[" + 900 * "]", "nested too deeply"),
         ("[object]\nmass = " + 5000 * "1", "is no TOML"),
         ('[object]\nmesh = "' + 5000 * "x" + '"', "there is no such file"),
-        ('name = "' + 1000 * "x" + '"', "name has 1000 characters: expected 200 at most"),
+        ('name = "' + 1000 * "x" + '"', "name has 1000 characters: expected at most 200"),
     ],
 )
 def test_what_is_wrong_is_said_by_table_and_key_before_anything_compiles(folder, capsys, text, words):

@@ -132,7 +132,7 @@ def test_felt_in_a_glove():
             glove.disarm()
             assert reaches(glove, place, 0.0)
             time.sleep(0.1)
-            with pytest.raises(StimulusLostError, match="the glove let go while it was felt"):
+            with pytest.raises(StimulusLostError, match="the glove released during the stimulus"):
                 stimulus.end()
             # What nobody is there to render is not felt, whatever was said last.
             arm(glove, stimulus)
@@ -158,7 +158,7 @@ def test_a_weight_is_felt_in_a_glove_where_it_is_lifted():
         stimulus = GloveStimulus(felt, MODEL, glove)
         try:
             bent(simulator, np.asarray(felt.start))
-            with pytest.raises(NotFeltError, match="no finger has felt it"):
+            with pytest.raises(NotFeltError, match="no finger felt the stimulus"):
                 felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))
             bent(simulator, lifted)
             found = felt_until(glove, stimulus, 2.0, lambda: any(follows(glove, felt) for _ in range(300)))

@@ -243,7 +243,7 @@ def test_bad_arguments_raise(problem, options, message, unchecked):
 @pytest.mark.parametrize(
     "limits, message",
     [
-        ({"normal_min": np.full(N, 1.0)}, "bound nothing from above"),
+        ({"normal_min": np.full(N, 1.0)}, "have no upper bound"),
         ({"normal_max": np.full(N, -1.0)}, r"normal_max\[0\] is -1.0"),
         ({"normal_max": np.full(N, 1.0), "normal_min": np.full(N, 2.0)}, "no less than normal_min"),
         ({"normal_max": np.full(3, 1.0)}, r"normal_max has shape \(3,\)"),

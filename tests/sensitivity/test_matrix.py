@@ -219,7 +219,9 @@ def test_other_bad_input_is_said(unchecked):
         sensitivity_matrix(FORCES["A"], VALUES | {"friction": np.array([1, np.nan, 1])})
     with pytest.raises(ValueError, match="friction has 3 entries on its first axis: expected as many labels, not 2"):
         sensitivity_matrix(FORCES["A"], VALUES, labels={"friction": ("a", "b")})
-    with pytest.raises(ValueError, match="labels are given for 'frictions', which there is not: did you mean"):
+    with pytest.raises(
+        ValueError, match="labels are given for 'frictions', which is no parameter or output: did you mean"
+    ):
         sensitivity_matrix(FORCES["A"], VALUES, labels={"frictions": FINGERS})
     with pytest.raises(ValueError, match="no floating-point arrays"):
         sensitivity_matrix(lambda p: jnp.argmax(p["friction"]), VALUES)

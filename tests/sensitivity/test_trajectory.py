@@ -174,7 +174,7 @@ def test_bad_input_is_said():
         sensitivity_trajectory(task, [0.0, 0.2, 0.1], out)
     with pytest.raises(ValueError, match=r"times\[1\] is nan: expected a finite number of seconds"):
         sensitivity_trajectory(task, [0.0, np.nan], out)
-    with pytest.raises(ValueError, match=r"times has shape \(0,\): expected one axis, and one entry at least"):
+    with pytest.raises(ValueError, match=r"times has shape \(0,\): expected one axis with at least one entry"):
         sensitivity_trajectory(task, [], out)
     with pytest.raises(ValueError, match="there is no 'contribution': did you mean 'contributions'?"):
         sensitivity_trajectory(task, TIMES, out, ["contribution"])

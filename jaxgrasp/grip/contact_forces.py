@@ -29,13 +29,15 @@ class ContactForces(NamedTuple):
         """Compute the resultant about the frame's origin of the grasp [N, N.m]."""
         return resultant(grasp.points, self.forces, self.couples(grasp))
 
-    def where(self, condition: Bool[Array, "*batch"], other: "ContactForces") -> "ContactForces":
-        """Select these forces where the condition holds, and ``other`` elsewhere."""
-        return jax.tree.map(lambda leaf, other_leaf: jnp.where(beside(condition, leaf), leaf, other_leaf), self, other)
+    def where(self, condition: Bool[Array, "*batch"], alternative: "ContactForces") -> "ContactForces":
+        """Select these forces where the condition holds, and ``alternative`` elsewhere."""
+        return jax.tree.map(
+            lambda leaf, other_leaf: jnp.where(beside(condition, leaf), leaf, other_leaf), self, alternative
+        )
 
-    def towards(self, other: "ContactForces", share: Float[Array, "*batch"]) -> "ContactForces":
-        """Interpolate linearly to ``other``, by a share from 0 to 1."""
-        return jax.tree.map(lambda leaf, other_leaf: leaf + beside(share, leaf) * (other_leaf - leaf), self, other)
+    def towards(self, target: "ContactForces", share: Float[Array, "*batch"]) -> "ContactForces":
+        """Interpolate linearly to ``target``, by a share from 0 to 1."""
+        return jax.tree.map(lambda leaf, other_leaf: leaf + beside(share, leaf) * (other_leaf - leaf), self, target)
 
 
 def applied_forces(solution: Solution) -> ContactForces:

@@ -17,7 +17,7 @@ ACROSS = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
 """An object's z axis across the palm, towards the little finger of a right hand."""
 
 
-def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None = None) -> tuple[Posture, Pose]:
+def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, closing: ClosingWay | None = None) -> tuple[Posture, Pose]:
     """Place an open hand with its palm on an object below it: wrist at the world's origin, palm down.
 
     The object lies under the knuckles, its z axis across the palm.
@@ -26,20 +26,20 @@ def lay_on(hand: Hand, shape: Shape, depth: float = 1e-3, way: ClosingWay | None
         hand: a human hand, or one whose fingers have names.
         shape: shape of the object.
         depth: depth of the palm in the object [m].
-        way: closing kinematics of the hand; found from its joints where not given.
+        closing: closing kinematics of the hand; found from its joints where not given.
 
     Raises:
         TypeError: for a hand or shape of another type.
         ValueError: for a hand without palm and fingers, a shape of no volume, or a depth below zero.
     """
-    way = closing_way(hand) if way is None else way
+    closing = closing_way(hand) if closing is None else closing
     rotation = np.array(ACROSS)
     above = float(shape._support(Vec3(*jnp.asarray(rotation[2]))))
     # The palm's axes become the world's.
-    frame = np.asarray(way.frame)
-    under = frame.T @ np.asarray(way.seat) - np.array([0.0, 0.0, above - depth])
+    frame = np.asarray(closing.frame)
+    under = frame.T @ np.asarray(closing.seat) - np.array([0.0, 0.0, above - depth])
     wrist = Pose(jnp.zeros(3), jnp.asarray(frame.T))
-    return Posture(wrist, jnp.asarray(way.open)), Pose(jnp.asarray(under), jnp.asarray(rotation))
+    return Posture(wrist, jnp.asarray(closing.open)), Pose(jnp.asarray(under), jnp.asarray(rotation))
 
 
 @checked

@@ -100,12 +100,12 @@ class CarriedPlate(Rendering):
 
 
 @checked
-def rendering_of(plan: StimulusPlan, felt: FeltObject, model: GloveModel) -> Rendering:
+def rendering_of(plan: StimulusPlan, target: FeltObject, model: GloveModel) -> Rendering:
     """Build the renderer of a plan's stimulus, and compile its programs."""
     if plan.rendering == "simulated":
-        assert isinstance(felt, Lifted), "a plan allows simulated rendering for weights only"
-        return CarriedPlate(felt, model)
-    return LawOfAngles(felt)
+        assert isinstance(target, Lifted), "a plan allows simulated rendering for weights only"
+        return CarriedPlate(target, model)
+    return LawOfAngles(target)
 
 
 @jax.jit

@@ -215,8 +215,8 @@ def rendered(intensity: float, torques: Float[np.ndarray, "P channels"], model: 
     clipped = np.clip(torques, 0, limits)
     sums = np.clip(torques, 0, None).sum(1)
     shares = np.where(sums > 0, clipped.sum(1) / np.where(sums > 0, sums, 1), 1.0)
-    felt, cut = float(intensity * shares.min()), bool(np.any(torques > limits))
-    return Rendered(intensity, felt, float(torques.max()), cut, float(lasts(model, torques).min()))
+    felt_intensity, cut = float(intensity * shares.min()), bool(np.any(torques > limits))
+    return Rendered(intensity, felt_intensity, float(torques.max()), cut, float(lasts(model, torques).min()))
 
 
 @checked

@@ -9,6 +9,7 @@ import pytest
 
 from jaxgrasp import Verdict, constrained_optimum, weight_wrench
 from jaxgrasp.grip import GripType, grip_type, power_grip, precision_grip
+from jaxgrasp.grip.precision_grip import fingertip_task
 from jaxgrasp.hand import (
     Box,
     Capsule,
@@ -17,6 +18,7 @@ from jaxgrasp.hand import (
     Shape,
     Sphere,
     check_posture,
+    closing_way,
     find_contacts,
     grasp_from_contacts,
     human_hand,
@@ -50,6 +52,18 @@ def assert_held_by_its_tips(hand: Hand, shape: Shape, fingers: int, depth: float
     assert int(grip_type(hand, posture, contacts)) == getattr(GripType, f"PRECISION_{fingers}")
 
 
+def test_a_task_has_two_directions_in_each_fingertip_and_the_joints_that_close_it():
+    hand = human_hand()
+    closing = closing_way(hand)
+    task = fingertip_task(hand, Sphere(0.03), 1e-3, ("thumb", "index", "middle"), closing)
+    assert task.closing is closing and [hand.links[tip].finger for tip in task.tips] == list(task.fingers)
+    for finger, chain in zip(task.fingers, task.flexions, strict=True):
+        assert {hand.joints[joint].split()[0] for joint in chain} == {finger}
+        assert np.all(np.asarray(closing.closed)[list(chain)] != np.asarray(closing.open)[list(chain)])
+    np.testing.assert_allclose(np.linalg.norm(task.pulps, axis=-1), 1)
+    np.testing.assert_allclose(np.sum(np.asarray(task.pulps) * task.sides, -1), 0, atol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fingers, name", KINDS)
 def test_fingertips_alone_hold_it_whichever_way_is_down(fingers, name):
@@ -79,7 +93,7 @@ def test_what_is_out_of_reach_is_named(unchecked):
     [
         ((Sphere(0.03), 2), "fingers is 2: expected 3, 4 or 5"),
         ((Sphere(0.0), 3), "Sphere.radius is 0.0"),
-        ((Sphere(0.03), 3, 0.0), "depth is 0.0: expected a positive number [m]"),
+        ((Sphere(0.03), 3, 0.0), r"depth is 0.0: expected a positive number \[m\]"),
     ],
 )
 def test_bad_arguments_are_named(arguments, said):

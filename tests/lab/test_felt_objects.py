@@ -139,7 +139,7 @@ def test_felt_in_a_glove():
             stimulus.begin(0.05)
             glove.child.process.kill()
             time.sleep(0.3)
-            with pytest.raises(StimulusLostError, match="the glove let go"):
+            with pytest.raises(StimulusLostError, match="the glove released during the stimulus"):
                 stimulus.end()
             with pytest.raises(StimulusLostError, match="the glove is not armed"):
                 stimulus.begin(0.05)

@@ -205,7 +205,7 @@ def test_columns_hold_every_pair():
         (["fricton"], "there is no 'fricton': did you mean 'friction'?"),
         (["depths[3]"], r"there is no 'depths\[3\]': did you mean 'depths\["),
         (["zzz"], "there is no 'zzz': expected some of contributions, depths, friction"),
-        ([], "expected at least one name"),
+        ([], "no names of parameters are given: expected at least one"),
         ("friction", "expected a list, not one text"),
     ],
 )

@@ -1,6 +1,6 @@
 """The constrained optimum by an optimistix solver, on the same dual, judged by this package's own tests.
 
-The solver sees six coordinates in the principal axes and whitened coordinates of the careful pass, one
+The solver sees six coordinates in the principal axes and whitened coordinates of the robust phases, one
 problem at a time under ``vmap``. It only proposes a multiplier: what that is worth is measured here.
 """
 
@@ -22,7 +22,7 @@ from jaxgrasp.problem.spatial import SpatialVec
 from jaxgrasp.solver import dual, pseudo_inverse
 from jaxgrasp.solver.dual import PlainProblem
 from jaxgrasp.solver.infeasibility import find_certificate, out_of_range
-from jaxgrasp.solver.optimality import has_converged, is_within
+from jaxgrasp.solver.optimality import OptimalityMeasures, has_converged, is_within
 from jaxgrasp.solver.result import Certificate, Findings, PhaseResult, ScaledSolution, to_result
 
 MAX_STEPS = 256
@@ -66,9 +66,7 @@ def _tile(solver: Any, batch: ProblemBatch) -> PhaseResult:
     solution = ScaledSolution(
         forces=contact_vec.where(inside, free, forces),
         multiplier=jnp.where(inside, start, point),
-        findings=Findings(
-            infeasible=infeasible, optimal=(optimal | inside) & ~infeasible, closed_form=inside & ~infeasible
-        ),
+        findings=Findings(infeasible, optimal=optimal | inside, closed_form=inside),
         steps=jnp.where(inside, 0, steps),
         certificate=jax.tree.map(partial(jnp.where, unreachable), beyond, certificate),
         undecided=jnp.zeros_like(unreachable),
@@ -115,8 +113,9 @@ def _check_optimality(problem: ScaledProblem, point: SpatialVec, tolerance: floa
     residual = dual.residual(problem, best.forces)
     value = dual.dual_value(problem, best, point)
     total_normal_force = dual.total_normal_force(problem.data, best.forces)
-    measures = (problem.data, point, residual, squared_norm(problem.metric, residual), value, total_normal_force)
-    return best.forces, is_within(*measures, tolerance, tolerance) | has_converged(*measures)
+    norm = squared_norm(problem.metric, residual)
+    measures = OptimalityMeasures(problem.data, point, residual, norm, value, total_normal_force)
+    return best.forces, is_within(measures, tolerance, tolerance) | has_converged(measures)
 
 
 def _find_certificate(problem: ScaledProblem, start: SpatialVec, point: SpatialVec) -> Certificate:

@@ -21,7 +21,7 @@ from jaxgrasp.problem.tolerances import tolerances
 from jaxgrasp.solver import dual
 from jaxgrasp.solver.dual import DualEvaluation
 from jaxgrasp.solver.infeasibility import find_certificate
-from jaxgrasp.solver.optimality import OptimalityCheck, check_optimality, has_converged
+from jaxgrasp.solver.optimality import OptimalityCheck, OptimalityMeasures, check_optimality, has_converged
 from jaxgrasp.solver.result import Certificate
 
 ARMIJO = 1e-4
@@ -99,8 +99,9 @@ class DualObjective(NamedTuple):
         return dual.solve(ldl.factor(add_damping(at.curvature, self.problem.metric, damping)), at.gradient)
 
     def converged(self, at: DualEvaluation, point: SpatialVec) -> Array:
+        norm = self.squared_norm(at.gradient)
         return has_converged(
-            self.problem.data, point, at.gradient, self.squared_norm(at.gradient), at.value, at.total_normal_force
+            OptimalityMeasures(self.problem.data, point, at.gradient, norm, at.value, at.total_normal_force)
         )
 
     def clip_step(self, start: SpatialVec, trial: SpatialVec) -> SpatialVec:

@@ -21,42 +21,38 @@ LOOSE_FACTOR = 16.0
 so large that its own rounding stands in the way."""
 
 
-def has_converged(
-    data: ContactData,
-    point: SpatialVec,
-    gradient: SpatialVec,
-    squared_norm: Array,
-    value: Array,
-    total_normal_force: Array,
-    slack: float = 1.0,
-) -> Array:
+class OptimalityMeasures(NamedTuple):
+    """Measures of a point by which it is compared with the tolerances; all but the first three ``(1, B)``."""
+
+    data: ContactData
+    point: Array
+    residual: Array
+    """The dual's gradient w - G f in the coordinates; with limits of torques, the excess of each torque below it."""
+    squared_norm: Array
+    """Squared norm of the residual in the inverse metric."""
+    objective: Array
+    """Dual value, or objective of the candidate forces."""
+    total_normal_force: Array
+
+
+def has_converged(measures: OptimalityMeasures, slack: float = 1.0) -> Array:
     """Return a mask of points whose residual and duality gap are within ``slack`` times the tolerances.
 
     The tolerances are what rounding of forces of this size leaves (``tolerances.gradient``, ``tolerances.gap``).
     """
-    tol = tolerances(value.dtype)
-    return is_within(
-        data, point, gradient, squared_norm, value, total_normal_force, slack * tol.gradient, slack * tol.gap
-    )
+    tol = tolerances(measures.objective.dtype)
+    return is_within(measures, slack * tol.gradient, slack * tol.gap)
 
 
-def is_within(
-    data: ContactData,
-    point: SpatialVec,
-    gradient: SpatialVec,
-    squared_norm: Array,
-    value: Array,
-    total_normal_force: Array,
-    residual_tolerance: float,
-    gap_tolerance: float,
-) -> Array:
+def is_within(measures: OptimalityMeasures, residual_tolerance: float, gap_tolerance: float) -> Array:
     """Return a mask of points whose residual, relative to the forces, and gap, relative to the objective, are small.
 
     The duality gap is |x.g|: the objective of the candidate forces less the dual value w.x + L(f, x), for the
     multiplier x and the residual g = w - G f.
     """
-    small_gap = jnp.abs(spatial.inner(point, gradient)) <= gap_tolerance * dual.gap_scale(data, value)
-    return is_small(squared_norm, total_normal_force, residual_tolerance) & small_gap
+    gap = jnp.abs(spatial.inner(measures.point, measures.residual))
+    small_gap = gap <= gap_tolerance * dual.gap_scale(measures.data, measures.objective)
+    return is_small(measures.squared_norm, measures.total_normal_force, residual_tolerance) & small_gap
 
 
 def is_small(squared_norm: Array, total_normal_force: Array, residual_tolerance: float) -> Array:
@@ -96,10 +92,6 @@ def compare_with_tolerances(
     data: ContactData, forces: ContactVec, point: Array, residual: Array, squared_norm: Array, measured: Measurement
 ) -> OptimalityCheck:
     """Return the check of candidate forces whose residual, and its squared norm, are known."""
-
-    def within(slack: float) -> Array:
-        return has_converged(
-            data, point, residual, squared_norm, measured.objective, measured.total_normal_force, slack
-        )
-
-    return OptimalityCheck(forces, within(1.0), within(LOOSE_FACTOR), measured.relative_residual, residual)
+    measures = OptimalityMeasures(data, point, residual, squared_norm, measured.objective, measured.total_normal_force)
+    optimal, loosely_optimal = has_converged(measures), has_converged(measures, LOOSE_FACTOR)
+    return OptimalityCheck(forces, optimal, loosely_optimal, measured.relative_residual, residual)

@@ -201,7 +201,7 @@ def _closed_result(problem: ScaledProblem, certificate: Certificate) -> PhaseRes
     forces = pseudo_inverse.forces_without_cones(problem, multiplier)
     infeasible = certificate.force_bound > 0
     inside = vec3.every(friction_cone.contains(forces, problem.data.cone))
-    findings = Findings(infeasible=infeasible, optimal=inside & ~infeasible, closed_form=jnp.ones_like(inside))
+    findings = Findings(infeasible=infeasible, optimal=inside, closed_form=jnp.ones_like(inside))
     undecided = ill_conditioned & ~inside & ~infeasible
     steps = jnp.zeros_like(inside, jnp.int32)
     solution = ScaledSolution(forces, multiplier, findings, steps, certificate, undecided)

@@ -80,7 +80,7 @@ class Findings(NamedTuple):
     infeasible: Array
     """A certificate proves that no allowed forces exist."""
     optimal: Array
-    """The forces are the optimum of the problem that the phase solves."""
+    """The forces are the optimum of the problem that the phase solves; read only where it is not infeasible."""
     closed_form: Array | bool
     """The forces are the closed form, which is an answer outside the cones too."""
     feasible_only: Array | bool = False

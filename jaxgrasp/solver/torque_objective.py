@@ -15,6 +15,7 @@ from jaxgrasp.solver.infeasibility import find_certificate
 from jaxgrasp.solver.newton import ProximalTerm, residual_damping
 from jaxgrasp.solver.optimality import (
     OptimalityCheck,
+    OptimalityMeasures,
     compare_with_tolerances,
     has_converged,
     without_recomputation,
@@ -93,8 +94,10 @@ class TorqueLimitedObjective(NamedTuple):
         return jnp.concatenate([system.by_object(step), jnp.where(lands, -rates, step)])
 
     def converged(self, at: TorqueDualEvaluation, point: Array) -> Array:
-        squared_norm = self.squared_norm(at.gradient)
-        return has_converged(self.problem.data, point, at.gradient, squared_norm, at.value, at.total_normal_force)
+        norm = self.squared_norm(at.gradient)
+        return has_converged(
+            OptimalityMeasures(self.problem.data, point, at.gradient, norm, at.value, at.total_normal_force)
+        )
 
     def clip_step(self, start: Array, trial: Array) -> Array:
         rates = jnp.where(start[6:] * trial[6:] < 0, 0, trial[6:])
@@ -159,10 +162,9 @@ def _eliminate(matrix: BorderedMatrix, right: Array) -> _RateSystem:
 def _solve(matrix: Array, right: Array, free: Array) -> Array:
     """Solve matrix x = right for the rates that are free; the others are zero."""
     keep = free.astype(right.dtype)
-    free_block, right = matrix * keep * keep[:, None], keep * right
+    block, right = matrix * keep * keep[:, None], keep * right
     size = range(len(right))
     if len(right) > LARGEST_UNROLLED:
-        return pivoted_ldl.solve(pivoted_ldl.factor(free_block, 0.0), right)
-    block = free_block
+        return pivoted_ldl.solve(pivoted_ldl.factor(block, 0.0), right)
     rows = [[block[i, j : j + 1] for j in range(i)] + [jnp.where(free[i], block[i, i], 1)[None]] for i in size]
     return jnp.concatenate(ldl.solve(ldl.factor(rows), [right[i : i + 1] for i in size]))

@@ -163,7 +163,7 @@ def _read_rows(path: Path, layout: _Layout, above: int, reader: Any) -> _Table:
     seen: dict[str, None] = {}
     last = None
     for row in reader:
-        if not any(row) or not any(cell.strip() for cell in row):
+        if not any(cell.strip() for cell in row):
             continue
         line = above + reader.line_num
         if layout.spaced:

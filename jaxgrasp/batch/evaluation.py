@@ -16,7 +16,7 @@ from jaxgrasp.batch.rankings import rank
 from jaxgrasp.batch.reasons import judge, reasons
 from jaxgrasp.batch.result_table import table_columns
 from jaxgrasp.batch.shards import arrays_of
-from jaxgrasp.batch.squeeze_factor import as_it_squeezes, pressed_times, with_little_squeeze
+from jaxgrasp.batch.squeeze_factor import as_it_squeezes, pressed_times, total_squeeze, with_little_squeeze
 from jaxgrasp.batch.summary import Summary, summarise
 from jaxgrasp.batch.summary_text import summary_text
 from jaxgrasp.model.arrays import AnyArray
@@ -25,6 +25,7 @@ from jaxgrasp.model.faults import GraspError
 from jaxgrasp.model.grasp import Grasp
 from jaxgrasp.model.limits import Limits
 from jaxgrasp.model.progress import Progress
+from jaxgrasp.model.solution import Verdict
 from jaxgrasp.quality.measures import Columns, Measure, measures_named
 from jaxgrasp.quality.task_demands import TaskDemands
 from jaxgrasp.validation.checked import checked
@@ -256,13 +257,19 @@ def squeeze_factors(
     squeeze, where they are as small as they can be: mostly within 1 %, and at most a third, of what
     `jaxgrasp.least_squeeze` finds at more cost. NaN where no answer holds, and where the hand squeezes with nothing.
     """
-    factor = as_it_squeezes(sets, pressed_times(sets, results, sets))
+    if not len(sets):
+        return np.zeros((0, sets.wrenches))
+    squeezed, factor = total_squeeze(sets), np.full((len(sets), sets.wrenches), np.nan)
+    for result in results.values():
+        needed = pressed_times(sets, result.forces, result.verdict, squeezed)
+        factor = np.fmin(factor, np.where(result.verdict == Verdict.CLOSED_FORM_OPTIMAL, 1, needed))
+    factor = as_it_squeezes(sets, factor)
     method, harder = METHODS[judge(results)], factor > 1
     if harder.any() and method.constrained:
         little = with_little_squeeze(sets, harder)
-        again = run_shaped(engine, little, chunk, buckets, (method,))
-        smallest = {name: MethodResult(**arrays, margin=factor, violation=factor) for name, arrays in again.items()}
-        factor = np.where(harder, np.fmin(factor, pressed_times(little, smallest, sets)), factor)
+        again = run_shaped(engine, little, chunk, buckets, (method,))[method.name]
+        needed = pressed_times(little, again["forces"], again["verdict"], squeezed)
+        factor = np.where(harder, np.fmin(factor, needed), factor)
     return as_it_squeezes(sets, factor)
 
 

@@ -32,7 +32,7 @@ from jaxgrasp.batch.reasons import Reason
 from jaxgrasp.files.csv_rows import safe_cell
 from jaxgrasp.files.replace import replace_file
 from jaxgrasp.model.compared_methods import METHODS
-from jaxgrasp.model.solution import Verdict, is_balanced, is_optimum
+from jaxgrasp.model.solution import is_balanced, is_optimum, verdict_names
 
 SMALL_TABLE = 100_000
 """Largest number of rows of a table that is written without being asked for."""
@@ -92,7 +92,7 @@ def _of_method(shard: Shard, name: str) -> dict[str, np.ndarray]:
     sizes = np.linalg.norm(shard[f"{name}.forces"], axis=-1)
     largest = np.maximum.reduceat(sizes, shard["offsets"][:-1], axis=0).ravel() if len(sizes) else np.zeros(0)
     return {
-        "verdict": np.array([one.name for one in Verdict])[verdict],
+        "verdict": verdict_names(verdict),
         "margin_deg": np.where(balanced, np.degrees(shard[f"{name}.margin"].ravel()), np.nan),
         "largest_force_N": np.where(balanced, largest, np.nan),
     }

@@ -299,8 +299,3 @@ def outward_normals(sets: ContactSets, numbers: np.ndarray | None = None) -> Out
     first = np.flatnonzero(away)[:NAMED]
     names = tuple(sets.name_of(k) or f"grasp {numbers[k]}" for k in first.tolist())
     return OutwardNormals(int(away.sum()), int(decided.sum()), names)
-
-
-def normals_point_away(sets: ContactSets) -> bool:
-    """Check whether the normals of most decided grasps point away from the middle of their contacts."""
-    return outward_normals(sets).is_most

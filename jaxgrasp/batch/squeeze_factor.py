@@ -1,42 +1,36 @@
 """The squeeze factor: the total of allowed normal forces as a multiple of the hand's squeezing forces."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from jaxgrasp.batch.contact_sets import ContactSets
-from jaxgrasp.batch.engine import MethodResult
-from jaxgrasp.model.solution import Verdict, is_held
+from jaxgrasp.model.solution import is_held
 
 LITTLE = 2.0**-20
 """Factor that makes squeezing forces nearly zero."""
 
 
-def pressed_times(sets: ContactSets, results: Mapping[str, MethodResult], meant: ContactSets) -> np.ndarray:
-    """Return the sum of normal forces over the sum of squeezing forces, of the result that presses least ``(N, W)``.
+def total_squeeze(sets: ContactSets) -> np.ndarray:
+    """Return the sum of squeezing forces of each grasp ``(N, 1)`` [N]."""
+    return np.add.reduceat(sets.squeeze.astype(float), sets.offsets[:-1])[:, None]
+
+
+def pressed_times(sets: ContactSets, forces: np.ndarray, verdict: np.ndarray, squeezed: np.ndarray) -> np.ndarray:
+    """Return the sum of normal forces over a sum of squeezing forces ``(N, W)``.
 
     Args:
-        sets: the grasps of the results.
-        results: by method; closed forms inside every cone count as 1, whatever they press.
-        meant: the same grasps, with the squeezing forces to compare with.
+        sets: the grasps.
+        forces: ``(M, W, 3)`` [N], by one method.
+        verdict: ``(N, W)``.
+        squeezed: the sum to compare with ``(N, 1)`` [N].
 
     Returns:
-        NaN where no result holds, and where the hand squeezes with nothing.
+        NaN where the forces do not hold, and where the hand squeezes with nothing.
     """
-    if not len(sets):
-        return np.zeros((0, sets.wrenches))
-    starts = sets.offsets[:-1]
-    squeezed = np.add.reduceat(meant.squeeze.astype(float), starts)[:, None]
-    factor = np.full((len(sets), sets.wrenches), np.nan)
-    for result in results.values():
-        pressed = np.einsum("cwi,ci->cw", result.forces.astype(float), sets.normals.astype(float))
-        total = np.add.reduceat(pressed, starts, axis=0)
-        needed = np.divide(total, squeezed, out=np.full(total.shape, np.nan), where=squeezed > 0)
-        if sets is meant:
-            needed[result.verdict == Verdict.CLOSED_FORM_OPTIMAL] = 1
-        factor = np.where(is_held(result.verdict), np.fmin(factor, needed), factor)
-    return factor
+    pressed = np.einsum("cwi,ci->cw", forces.astype(float), sets.normals.astype(float))
+    total = np.add.reduceat(pressed, sets.offsets[:-1], axis=0)
+    return np.divide(total, squeezed, out=np.full(total.shape, np.nan), where=is_held(verdict) & (squeezed > 0))
 
 
 def as_it_squeezes(sets: ContactSets, factor: np.ndarray) -> np.ndarray:

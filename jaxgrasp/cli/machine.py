@@ -20,8 +20,6 @@ from jaxgrasp.cli.terminal import announce
 from jaxgrasp.numerics import compile_notice
 from jaxgrasp.numerics.compiled_code import compile_all_quickly, use_cache
 
-LOWERED, COMPILED = "/jax/core/compile/jaxpr_to_mlir_module_duration", "/jax/core/compile/backend_compile_duration"
-"""What JAX says of a program before it is compiled, and after."""
 TOLD_EVERY = 0.2
 """Time between two words on what is compiled [s]."""
 
@@ -54,8 +52,8 @@ def compiling(what: str) -> Iterator[None]:
 
     def heard(event: str, duration_secs: float, **of: str | int) -> None:
         nonlocal done, now
-        done += event == COMPILED
-        if event == LOWERED:
+        done += event == compile_notice.COMPILED
+        if event == compile_notice.LOWERED:
             now = f", now {str(of.get('fun_name', '')).removeprefix('jit(').removesuffix(')')}"
 
     def tell() -> None:

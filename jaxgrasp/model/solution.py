@@ -94,11 +94,8 @@ def is_balanced(verdict: Any) -> Any:
 
 def verdict_names(codes: Any) -> Any:
     """Return the name of a verdict's code; of an array of codes an array of names of the same shape."""
-    names = {int(verdict): verdict.name for verdict in Verdict}
-    array = np.asarray(codes)
-    if not array.ndim:
-        return names[int(array)]
-    return np.array([names[int(code)] for code in array.ravel()], object).astype(str).reshape(array.shape)
+    names = np.array([verdict.name for verdict in Verdict])[np.asarray(codes)]
+    return names if names.ndim else str(names)
 
 
 class Route(IntEnum):

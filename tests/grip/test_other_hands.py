@@ -122,13 +122,15 @@ def test_its_forces_obey_its_motors_by_mujocos_jacobians(shadow):
     jacobians = np.zeros((len(found.bodies), 3, model.nv))
     for row, body, point in zip(jacobians, found.bodies, np.asarray(contacts.points), strict=True):
         mujoco.mj_jac(model, data, row, None, data.xpos[wrist] + axes @ point, body)
-    world = np.einsum("ab,lac->lbc", axes, jacobians[:, :, found.velocities])
+    # Joints that follow others move with them: their torques act on the joints that lead, J_i C (virtual work).
+    coupling = np.asarray(hand.coupling.matrix)
+    world = np.einsum("ab,lac->lbc", axes, jacobians[:, :, found.velocities]) @ coupling
 
     def torques(forces) -> np.ndarray:
         return np.einsum("lbj,lb->j", world, np.asarray(forces))
 
-    bound = np.asarray(hand.torque_max)
     limits = torque_limits(hand, posture, contacts)
+    bound = np.asarray(limits.torque_max)
     there = np.asarray(contacts.present) > 0
     np.testing.assert_allclose(np.asarray(limits.torque_map)[there], world[there], atol=1e-9)
     held = jaxgrasp.constrained_optimum(grasp, weight, limits=limits)

@@ -1,8 +1,8 @@
-"""The force-feedback glove: joint torques to bytes and sensors back, in NumPy alone; nothing here imports JAX.
+"""Force-feedback glove: joint torques to bytes and sensors back, in NumPy alone; nothing here imports JAX.
 
-``GloveProcess`` drives a glove from a process of its own: give it laws of torque, read its state. ``GloveHost`` is the
-same in yours. ``Simulator`` is a glove for those who have none. ``protocol/firmware/PROTOCOL.md`` says how to
-build a device.
+``GloveProcess`` drives a glove from a process of its own: write torque laws to it, read its state. ``GloveHost`` does
+the same inside the calling process. ``Simulator`` is a simulated glove. ``protocol/firmware/PROTOCOL.md`` specifies
+how to build a device.
 """
 
 from jaxgrasp.glove.calibrate import fit_encoders, fit_gauges, load_sensors, save_sensors

@@ -17,9 +17,9 @@ from jaxgrasp.glove.sensors import Encoders, Gauges, Sensors, nominal_sensors
 from jaxgrasp.validation.checked import checked
 
 HUGE = 1e9
-"""Beyond any number of a calibration."""
+"""Upper bound on the magnitude of any number in a calibration."""
 FEWEST = 3
-"""Pairs of a channel: two make a line that nothing contradicts."""
+"""Smallest number of pairs per channel: two pairs fit any line and leave no residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +29,15 @@ class CalibrationLine:
     at_zero: Float[np.ndarray, "channels"]
     per_count: Float[np.ndarray, "channels"]
     error_at_zero: Float[np.ndarray, "channels"]
-    """Standard error."""
+    """Standard error of ``at_zero``."""
     error_per_count: Float[np.ndarray, "channels"]
-    """Standard error."""
+    """Standard error of ``per_count``."""
     residuals: Float[np.ndarray, "pairs channels"]
-    """Value less line; NaN for pairs left out."""
+    """Measured value minus the line's value; NaN for pairs left out."""
 
     @property
     def rms(self) -> Float[np.ndarray, "channels"]:
-        """Root of the mean square of the residuals."""
+        """Root mean square of the residuals of each channel."""
         return np.sqrt(np.nanmean(self.residuals**2, axis=0))
 
 
@@ -46,7 +46,7 @@ def fit_line(
     values: Float[np.ndarray, "pairs channels"],
     used: Bool[np.ndarray, "pairs channels"] | None = None,
 ) -> CalibrationLine:
-    """The straight line through pairs of each channel by least squares.
+    """Fit a straight line to the (count, value) pairs of each channel by least squares.
 
     Args:
         counts: of a sensor.
@@ -87,7 +87,7 @@ def fit_line(
 def fit_encoders(
     counts: Int[np.ndarray, "pairs channels"], angles: Float[np.ndarray, "pairs channels"]
 ) -> tuple[Encoders, CalibrationLine]:
-    """Encoders that read recorded angles [rad].
+    """Fit encoders to recorded pairs of counts and joint angles [rad]; return them with the fitted lines.
 
     Raises:
         ValueError: as ``fit_line``, and for channels whose angle does not depend on the counts.
@@ -104,7 +104,9 @@ def fit_gauges(
     arm: Float[np.ndarray, "channels"],
     full: float,
 ) -> tuple[Gauges, CalibrationLine]:
-    """Gauges that read recorded tensions [N]; those at ``full`` and beyond, where no gauge is linear, are left out.
+    """Fit gauges to recorded pairs of counts and tensions [N]; return them with the fitted lines.
+
+    Pairs at ``full`` and beyond, where no gauge is linear, are left out.
 
     Raises:
         ValueError: as ``fit_line``, and for channels whose tension does not depend on the counts.
@@ -116,7 +118,7 @@ def fit_gauges(
 
 @checked
 def save_sensors(sensors: Sensors, path: str | os.PathLike) -> None:
-    """Write sensors as JSON; whole or not at all."""
+    """Write sensors to a JSON file; an interrupted write leaves the old file unchanged."""
     encoders, gauges = sensors.encoders, sensors.gauges
     content = {
         "encoders": {"zero": encoders.zero.tolist(), "per_count": encoders.per_count.tolist()},
@@ -128,7 +130,7 @@ def save_sensors(sensors: Sensors, path: str | os.PathLike) -> None:
 
 @checked
 def load_sensors(path: str | os.PathLike, channels: int) -> Sensors:
-    """Sensors that ``save_sensors`` wrote.
+    """Read sensors from a file that ``save_sensors`` wrote.
 
     Raises:
         ValueError: for a file that is none of these, or of another number of channels; the message names the key.
@@ -160,9 +162,10 @@ def load_sensors(path: str | os.PathLike, channels: int) -> Sensors:
 
 
 def load_model(options: Mapping[str, Any]) -> tuple[GloveModel, Sensors]:
-    """A glove and its sensors from the files ``model`` and ``calibration``.
+    """Load a glove model and its sensors from the files ``model`` and ``calibration`` of the options.
 
-    Without them it is the paper's, or the ready one of a ``device``, uncalibrated.
+    Without ``model``, return the paper's glove, or the built-in model of ``device``; without ``calibration``, return
+    the nominal sensors.
 
     Raises:
         ValueError: for a file that holds neither.

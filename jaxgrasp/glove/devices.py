@@ -1,4 +1,4 @@
-"""The devices that there are, by their names, and those that others write."""
+"""Registry of glove devices: built-in devices by name, and user classes by ``MODULE:CLASS``."""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -16,7 +16,7 @@ READY: dict[str, type[GloveDevice]] = {"native": GloveHost, "lucidgloves": Lucid
 
 
 def device_kind(name: str) -> type[GloveDevice]:
-    """The class of a device: a ready one's by its name, or another's by ``MODULE:CLASS``.
+    """Return the class of a device, from the name of a built-in device or from ``MODULE:CLASS``.
 
     Raises:
         ValueError: for a name that is none of the ready ones, and a class that is not there or is no GloveDevice.
@@ -39,7 +39,7 @@ def device_kind(name: str) -> type[GloveDevice]:
 def make_device(
     options: Mapping[str, Any], model: GloveModel, sensors: Sensors, open_line: Callable[[], Line], guard: Guard
 ) -> GloveDevice:
-    """The device of the ``device`` that options name, native where they name none.
+    """Create the device that the option ``device`` names; the default is the native device.
 
     A class of your own is called with model, ``open_line`` and guard.
 

@@ -1,4 +1,4 @@
-"""What encoders say, against what a hand can do and what the strain gauges feel."""
+"""Fault detection for encoders: range, speed, and standstill while the measured torque changes."""
 
 from collections.abc import Sequence
 
@@ -6,27 +6,27 @@ import numpy as np
 from jaxtyping import Float
 
 LEAST_ANGLE, MOST_ANGLE = np.radians(-60.0), np.radians(150.0)
-"""No finger's joint goes beyond these [rad]."""
+"""Range of a finger joint [rad]; an angle outside it is a fault."""
 MOST_SPEED = 60.0
-"""No finger bends faster [rad/s]: three times what a quick one does."""
+"""Largest speed of a finger joint [rad/s]: three times the speed of a quick finger."""
 MOVED = 0.03
-"""A change of a cable's torque that a joint yields to, if only by a count of its encoder [N.m]."""
+"""Smallest change of a cable's torque at which its joint yields by an encoder count or more [N.m]."""
 PATIENCE = 0.1
-"""Time for which an encoder may stand still after such a change [s]."""
+"""Longest time for which an encoder may stand still after such a change [s]."""
 CLEAR = 0.15
-"""Joints that are bent less may stand at the end of their travel, and yield to nothing [rad]."""
+"""Smallest flexion that is checked for standstill [rad]: below it, a joint may rest at the end of its travel."""
 
 
 class EncoderWatch:
-    """Whether angles are those of fingers; it never says that a hand at rest is a fault."""
+    """Monitor of encoder angles for values that no finger produces; a hand at rest is never a fault."""
 
     def __init__(self, joints: Sequence[str]) -> None:
-        """A watch that has seen nothing."""
+        """Create a monitor without any angles, for the joints of these names."""
         self._joints = tuple(joints)
         self.forget()
 
     def forget(self) -> None:
-        """As though nothing had come yet."""
+        """Discard all angles and torques seen so far."""
         self._at = -np.inf
         count = len(self._joints)
         self._angles = np.full(count, np.nan)
@@ -34,7 +34,11 @@ class EncoderWatch:
         self._least, self._most = np.full(count, np.inf), np.full(count, -np.inf)
 
     def fault(self, at: float, angles: Float[np.ndarray, "channels"]) -> str:
-        """What is wrong with angles that were read at a time [s], in words; nothing if all is well."""
+        """Check the range and speed of angles [rad] that were read at a time [s].
+
+        Returns:
+            Description of the fault; empty if there is none.
+        """
         passed, before = at - self._at, self._angles
         moved = angles != before
         self._odd_since = np.where(moved, np.inf, self._odd_since)
@@ -52,7 +56,11 @@ class EncoderWatch:
         return ""
 
     def stands_still(self, at: float, torques: Float[np.ndarray, "channels"]) -> str:
-        """What is wrong with encoders that stood still while these torques changed [N.m], in words."""
+        """Check for encoders that stand still while the measured torques [N.m] change.
+
+        Returns:
+            Description of the fault; empty if there is none.
+        """
         self._least, self._most = np.fmin(self._least, torques), np.fmax(self._most, torques)
         odd = (self._most - self._least > MOVED) & (self._angles > CLEAR)
         self._odd_since = np.where(odd, np.fmin(self._odd_since, at), np.inf)

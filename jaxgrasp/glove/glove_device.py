@@ -1,4 +1,4 @@
-"""What a glove is to those who drive it: angles in, resistance to flexion out, and none on every way out."""
+"""Interface of a glove device: it reads joint angles, resists flexion, and resists nothing after any fault."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -15,56 +15,56 @@ from jaxgrasp.glove.model import GloveModel
 REOPEN = 0.25
 """Time between attempts to open a port [s]."""
 SILENCE = 0.25
-"""How long a device may say nothing before it counts as gone [s]."""
+"""Longest time without a frame from the device before the link counts as lost [s]."""
 STOPPED_HERE = "emergency stop: asked for at the host"
 
 
 class LinkState(IntEnum):
-    """How far a host has come with its device."""
+    """State of the link between a host and its device."""
 
     CLOSED = 0
-    """No port."""
+    """The port is not open."""
     GREETING = 1
-    """A port, and no answer that fits."""
+    """The port is open, and no valid answer has arrived."""
     LINKED = 2
-    """A device that answers."""
+    """The device answers."""
     ARMING = 3
-    """A person asked for torque: a new session begins, and the device has not yet said yes."""
+    """The user asked for torque: a new session begins, and the device has not confirmed it yet."""
     ARMED = 4
     """Torque may flow."""
 
 
 @dataclass
 class Reading:
-    """What a glove's sensors said last; arrays ``(channels,)``, NaN before they spoke, and where there are none."""
+    """Latest sensor values of a glove; arrays ``(channels,)``, NaN before the first value and for absent sensors."""
 
     angles: np.ndarray
-    """Joints [rad]."""
+    """Joint angles [rad]."""
     torques: np.ndarray
     """Torques that the cables exert [N.m]."""
     saturated: np.ndarray
-    """Whether a channel's gauge is at its end."""
+    """Mask of the channels whose gauge is at the end of its range."""
     angles_at: float = -np.inf
-    """When the angles were read, on the host's clock [s]."""
+    """Time at which the angles were read, on the host's clock [s]."""
     torques_at: float = -np.inf
-    """When the tensions were [s]."""
+    """Time at which the tensions were read, on the host's clock [s]."""
 
     @staticmethod
     def of_nothing(channels: int) -> "Reading":
-        """Before any sensor spoke."""
+        """Create a reading without any sensor values: NaN angles and torques, no saturated gauge."""
         nothing = np.full(channels, np.nan)
         return Reading(nothing, nothing.copy(), np.zeros(channels, bool))
 
 
 class Capability(NamedTuple):
-    """What a device can do."""
+    """Capabilities of a device class."""
 
     resists_by: Literal["torque", "position limit", "vibration"]
-    """What a torque that is asked for becomes."""
+    """Physical effect by which the device renders a requested torque."""
     measures_torque: bool
-    """Whether ``Reading.torques`` are numbers."""
+    """True if the device measures torques, so that ``Reading.torques`` holds finite numbers."""
     outlives_host: bool
-    """Whether what it was told last stays when its host is gone, since it has no watchdog."""
+    """True if the device has no watchdog, so that its last command stays in force after its host dies."""
 
 
 class GloveDevice(ABC):
@@ -76,18 +76,18 @@ class GloveDevice(ABC):
 
     capability: ClassVar[Capability]
     acceptance: ClassVar[str] = ""
-    """What its user has to say, letter by letter, for it to be armed; nothing of a device that needs no such words."""
+    """Sentence that the user must repeat exactly to arm the device; empty if none is required."""
     model: GloveModel
     guard: Guard
-    """Bounds what is sent; its state is the device's."""
+    """Guard that bounds the commands; its state is the state of the device."""
     state: LinkState
     trouble: str
-    """Why there is no link."""
+    """Reason why there is no link."""
     reading: Reading
     _line: Line | None
-    """None while the port is not open."""
+    """Open line; None while the port is not open."""
     _next: float
-    """When there is something to do again: to open the port, or to greet [s]."""
+    """Time of the next attempt to open the port or to greet [s]."""
 
     @abstractmethod
     def arm(self, now: float, accepted: str = "") -> None:
@@ -102,24 +102,24 @@ class GloveDevice(ABC):
         """
 
     def disarm(self) -> None:
-        """No torque from the next command on."""
+        """Disarm the guard: no torque from the next command on."""
         self.guard.disarm()
         self.state = min(self.state, LinkState.LINKED)
 
     def stop(self, now: float) -> None:
-        """Emergency stop: no torque from the next command on, and latched, whatever the state; it raises nothing."""
+        """Execute the emergency stop: no torque from the next command on, and latched, in any state; never raise."""
         self.guard.stop(STOPPED_HERE)
         self.state = min(self.state, LinkState.LINKED)
 
     @abstractmethod
     def poll(self, now: float) -> Reading:
-        """Take what came; open and greet where that is due."""
+        """Read and decode the bytes that came, open the port and greet when due; return the latest sensor values."""
 
     @abstractmethod
     def send(
         self, now: float, wanted: Any, measured_at: float, slope: Float[np.ndarray, "channels channels"] | None = None
     ) -> GuardOutput:
-        """Send a command; what the guard made of it.
+        """Send a command; return the guard's output for it.
 
         Args:
             now: as for ``poll``.
@@ -130,10 +130,10 @@ class GloveDevice(ABC):
 
     @abstractmethod
     def close(self, now: float) -> None:
-        """A command of zero, if the line takes it, and no line."""
+        """Send a command of zero, if the line takes it, and close the line."""
 
     def _lose(self, now: float, trouble: str) -> None:
-        """Without a line nothing flows until a person arms it again; the port is tried anew a little later."""
+        """Trip the guard, close the line and schedule the next attempt to open the port."""
         self.guard.trip(trouble)
         self.trouble = trouble
         if self._line is not None:
@@ -142,15 +142,15 @@ class GloveDevice(ABC):
 
     @property
     def is_free(self) -> bool:
-        """Whether the device resists nothing for all that it was told; of one that does not outlive its host, yes."""
+        """True if no command is in force that resists; always true for a device that does not outlive its host."""
         return True
 
     @staticmethod
     def free(line: Line) -> bool:
-        """Say on a line, of which no more is known, that nothing is resisted: of a device that outlives its host.
+        """Send the command that ends all resistance, on a line in unknown state; for devices that outlive their host.
 
         Returns:
-            Whether the line took it.
+            True if the line took all of it.
 
         Raises:
             LineError: if the line is gone.
@@ -158,13 +158,13 @@ class GloveDevice(ABC):
         raise NotImplementedError
 
     def also_says(self) -> str:
-        """What the glove says besides, such as its buttons, for a person who watches."""
+        """Return further information from the glove, such as pressed buttons, as text for display."""
         return ""
 
     def last_frames(self) -> list[dict[str, Any]]:
-        """What went to and fro last, oldest first, for a record of why torque ended; of a device that keeps it."""
+        """Return the last frames of both directions, oldest first, for the latch log; empty if none are kept."""
         return []
 
     @abstractmethod
     def report(self) -> dict[str, Any]:
-        """What it has counted, for a summary in JSON."""
+        """Return the device's counters as a JSON-serializable dictionary."""

@@ -1,4 +1,4 @@
-"""The last step before the wire: whatever is asked for, what leaves is bounded, slow, and zero after any fault."""
+"""Torque limiter before the line: commands are bounded in size and rate, and are zero after any fault."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -14,19 +14,19 @@ HUGE = 1e9
 
 
 class GuardState(IntEnum):
-    """What a guard lets through. The codes are stable in files."""
+    """State of a guard. The codes are stable in files."""
 
     DISARMED = 0
-    """Nothing: it was never armed, or was disarmed."""
+    """No torque leaves: the guard was never armed, or was disarmed."""
     ARMED = 1
-    """What is asked for, within bounds."""
+    """The requested torques leave, within bounds."""
     LATCHED = 2
-    """Nothing, after a fault, until it is armed again."""
+    """No torque leaves after a fault, until the guard is armed again."""
 
 
 @dataclass(frozen=True, eq=False)
 class GuardOutput:
-    """What leaves for one instant, and what it leaves out; arrays ``(channels,)``."""
+    """Torques that leave at one step, and the parts that were cut; arrays ``(channels,)``."""
 
     state: GuardState
     counts: np.ndarray
@@ -38,17 +38,17 @@ class GuardOutput:
     beyond: np.ndarray
     """Torques asked for beyond the limit, or given up to keep the direction [N.m]; zero or more."""
     held_back: np.ndarray
-    """What the ramp, the scale and the largest rate leave out of what is allowed [N.m]: negative where a torque has
-    yet to fall."""
+    """Allowed torque minus the torque after scale, ramp and rate limit [N.m]; negative where a torque has yet to
+    fall."""
 
     @property
     def is_clipped(self) -> bool:
-        """Whether limit or sign cut anything: an experiment must be able to discard such a trial."""
+        """True if the limit or the sign cut a torque: an experiment must be able to discard such a trial."""
         return bool(np.any(self.beyond > 0) or np.any(self.assisting > 0))
 
 
 class Guard:
-    """Bounds torques for a glove: 0 <= torque <= limit, no faster than its rate, with a ramp after arming.
+    """Torque limiter of a glove: 0 <= torque <= limit, bounded rate of change, ramp after arming.
 
     Where motors are warm, the limit is what they can hold for ever.
 
@@ -66,7 +66,7 @@ class Guard:
         oldest: float = 0.05,
         longest: float = 0.02,
     ):
-        """A guard that is not armed.
+        """Create a guard that is not armed.
 
         Args:
             model: the glove.
@@ -87,7 +87,7 @@ class Guard:
         self.model = model
         self.state = GuardState.DISARMED
         self.cause = ""
-        """Why it is latched."""
+        """Reason for the latch."""
         self._projection, self._ramp = projection, ramp
         self._oldest, self._longest = oldest, longest
         self._limits, self._most = np.array(model.limits), np.array(model.most_counts)
@@ -97,7 +97,7 @@ class Guard:
         self.rescale(scale)
 
     def rescale(self, scale: float) -> None:
-        """Another scale of all torques, 0 to 1, from the next arming on.
+        """Set the scale of all torques, 0 to 1, from the next arming on.
 
         Raises:
             ValueError: for another number, and while it is armed.
@@ -109,7 +109,7 @@ class Guard:
         self._scale = scale
 
     def arm(self, now: float) -> None:
-        """Let torques through from a time on [s], from zero by a ramp; whatever latched it is forgotten."""
+        """Let torques through from a time on [s], ramped up from zero; clear the cause of the last latch."""
         if not np.isfinite(now):
             raise ValueError(f"now is {now}: expected a finite time [s]")
         self.state, self.cause = GuardState.ARMED, ""
@@ -117,28 +117,28 @@ class Guard:
         self._armed_at = self._now = now
 
     def disarm(self) -> None:
-        """Zero from the next step on; a latch stays one."""
+        """Set the output to zero from the next step on; a latched guard stays latched."""
         if self.state == GuardState.ARMED:
             self.state = GuardState.DISARMED
         self._level[:] = 0
 
     def trip(self, cause: str) -> None:
-        """Zero from the next step on, until armed again; the first cause is kept. What is not armed cannot trip."""
+        """Latch an armed guard with this cause: the output is zero until it is armed again; the first cause is kept."""
         if self.state == GuardState.ARMED:
             self.state, self.cause = GuardState.LATCHED, cause
         self._level[:] = 0
 
     def learn_warmth(self, channel: int, share: float) -> None:
-        """A device says how warm a motor is, as a share of what it bears for ever: it may have known it for longer."""
+        """Raise a motor's estimated warmth to the device's report, a share of the warmth that it bears for ever."""
         self._warmth.raise_to(channel, share)
 
     def stop(self, cause: str) -> None:
-        """Zero and latched, whatever its state: an emergency stop."""
+        """Latch the guard in any state with this cause: emergency stop, the output is zero."""
         self.state, self.cause = GuardState.LATCHED, cause
         self._level[:] = 0
 
     def step(self, now: float, wanted: Any, measured_at: float) -> GuardOutput:
-        """What may leave at a time.
+        """Compute the torques that may leave now from the requested torques.
 
         Args:
             now: on a clock that never runs backwards [s].
@@ -162,7 +162,7 @@ class Guard:
         return GuardOutput(self.state, counts, torques, resisting - asked, resisting - allowed, allowed - self._level)
 
     def _read(self, now: float, wanted: Any, measured_at: float) -> np.ndarray:
-        """The torques that are asked for; it trips at what cannot be one."""
+        """Convert the request to a float array ``(channels,)`` [N.m]; on invalid input, trip and return zeros."""
         nothing = np.zeros(len(self._limits))
         try:
             given, now, measured_at = np.asarray(wanted), float(now), float(measured_at)

@@ -1,4 +1,4 @@
-"""The host's side of the native protocol: greet, arm, command, read; and zero whenever something is wrong."""
+"""Host side of the native protocol: greet, arm, command and read; the torque is zero after any fault."""
 
 import random
 from collections import deque
@@ -35,46 +35,46 @@ from jaxgrasp.glove.tension import TensionWatch
 REPEAT = 0.05
 """Time between attempts to greet and to arm [s], on a fast line."""
 ARMING = 0.5
-"""How long a device may take to say that it is armed [s]."""
+"""Longest time for a device to confirm that it is armed [s]."""
 SILENT = 0.025
-"""How long no angles may come [s], on a fast line: with what is on its way then, torque ends in 55 ms."""
+"""Longest time without angles on a fast line [s]: with the frames on their way then, torque ends within 55 ms."""
 SILENT_FRAMES = 6
-"""As long in frames of a slow line: between two of angles there are two others at most."""
+"""The same limit for a slow line, in frames: at most two other frames lie between two frames of angles."""
 OLDEST_TENSION = 0.15
-"""Age of the tensions beyond which nobody knows what the cables do [s]."""
+"""Largest age of the measured tensions while the device is armed [s]."""
 LONGEST_WATCHDOG = 50
 """Longest watchdog time of a device that may be armed [ms]."""
 LONGEST_WAIT = 0.015
-"""How long a frame and its answer may wait on their way, beside the time that they take [s]."""
+"""Longest time that a frame and its answer may wait on their way, in addition to their transfer time [s]."""
 SESSIONS = 2**15
 KEPT = 100
-"""Last frames that are kept, of both ways together: a quarter of a second."""
+"""Number of recent frames that are kept, of both directions together: a quarter of a second."""
 BOUNDS = (Kind.LIMITS, Kind.CONTINUOUS)
-"""What follows a CAPABILITY, before a device may be armed."""
+"""Kinds of frames that must follow a CAPABILITY before a device may be armed."""
 SPOKEN = (Kind.ANGLES, Kind.TENSIONS, Kind.STATUS)
-"""What only a device says: a line that echoes brings the host's own frames back."""
+"""Kinds of frames that only a device sends: a line that echoes returns the host's own frames."""
 
 
 @dataclass
 class HostCounts:
-    """What a host has seen and done since it began."""
+    """Counters of a host since it was created."""
 
     commands: int = 0
-    """Commands sent."""
+    """Number of commands sent."""
     held_back: int = 0
-    """Frames not sent, since the line was busy."""
+    """Number of frames not sent because the line was busy."""
     cut: int = 0
-    """Frames of which the line took only a part."""
+    """Number of frames of which the line took only a part."""
     links: int = 0
-    """Handshakes that succeeded."""
+    """Number of handshakes that succeeded."""
     missing: int = 0
-    """The device's frames that did not come, of sessions before this one; see ``GloveHost.order`` for this one's."""
+    """Number of device frames lost in earlier sessions; ``GloveHost.order`` counts those of the current session."""
     status: dict[str, int] = field(default_factory=dict)
-    """The device's own numbers of this session, from its last STATUS."""
+    """Counters of the device in this session, from its last STATUS."""
 
 
 class GloveHost(GloveDevice):
-    """A glove that speaks the native protocol."""
+    """Host of a glove that speaks the native protocol."""
 
     capability = Capability("torque", measures_torque=True, outlives_host=False)
 
@@ -89,7 +89,7 @@ class GloveHost(GloveDevice):
         watch: TensionWatch | None = None,
         longest_wait: float = LONGEST_WAIT,
     ):
-        """A host that has not opened its line yet.
+        """Create a host that has not opened its line yet.
 
         Args:
             model: the glove.
@@ -122,7 +122,7 @@ class GloveHost(GloveDevice):
         self._unsaid: list[Kind] = []
         self._clock = PeerClock(self._pace.frame_time)
         self.round_trip = RoundTrip()
-        """Time until a frame of the device answers ours."""
+        """Estimator of the time until a frame of the device answers a frame of the host."""
         self._longest_trip = 2 * self._pace.frame_time + longest_wait
         self._heard_clock = 0
         self._silent = max(SILENT, SILENT_FRAMES * self._pace.frame_time)
@@ -150,7 +150,7 @@ class GloveHost(GloveDevice):
         self._passivity.forget()
 
     def stop(self, now: float) -> None:
-        """Emergency stop: said to the device, too, until it says that it holds nothing for that."""
+        """Execute the emergency stop: latch the guard and send STOP to the device until it confirms."""
         super().stop(now)
         self._stops = True
         self._send(now, Kind.STOP, ())
@@ -252,7 +252,7 @@ class GloveHost(GloveDevice):
         self._greet(now)
 
     def _send(self, now: float, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> bool:
-        """Whether the line took a frame; what it is too busy for is not kept."""
+        """Send a frame and return True if the line took it; a frame that finds the line busy is dropped."""
         if self._line is None:
             return False
         try:
@@ -288,7 +288,7 @@ class GloveHost(GloveDevice):
             self._hear(now, frame)
 
     def _greeted(self, now: float, frame: Frame) -> None:
-        """A device that answers, if it is the one that the model describes."""
+        """Take a CAPABILITY frame: accept the device if its limits agree with the model, else set ``trouble``."""
         session, channels, watchdog, quantum, most, slew, nonce, heating = frame.values[:8]
         self._unsaid = []
         if self.state not in (LinkState.GREETING, LinkState.ARMING) or session != self._session:
@@ -319,7 +319,7 @@ class GloveHost(GloveDevice):
             self._nonce, self._heard_clock = nonce, frame.clock
 
     def _bounded(self, now: float, frame: Frame) -> None:
-        """Each channel's own bounds, after which nothing more is to be said."""
+        """Take a frame of each channel's bounds; after the last one, the link is established."""
         self._unsaid.remove(frame.kind)
         peak = frame.kind == Kind.LIMITS
         bounds = self.model.most_counts if peak else self.model.continuous_counts
@@ -362,7 +362,7 @@ class GloveHost(GloveDevice):
         self._follow(now)
 
     def _follow(self, now: float) -> None:
-        """The device's own state decides whether torque may flow."""
+        """Update the link and the guard from the state and cause that the device reports."""
         enabled = Flag.ENABLE in self._flags
         stopped = Flag.LATCHED in self._flags and self._cause == Cause.STOPPED
         self._stops = self._stops and not stopped
@@ -383,7 +383,7 @@ class GloveHost(GloveDevice):
         return f"the device latched: {REASONS.get(self._cause, f'cause {self._cause}')}"
 
     def _check_link(self, now: float) -> None:
-        """Trip where the device's words are late, or lack something."""
+        """Trip the guard if angles or tensions are missing or too old, or if the round trip takes too long."""
         if now - self._angles_came > self._silent:
             alone = now - self._heard_at <= self._silent
             self.guard.trip("the encoders fell silent" if alone else "the device fell silent")
@@ -409,7 +409,7 @@ class GloveHost(GloveDevice):
 
 
 def read_status(values: tuple[int, ...]) -> dict[str, int]:
-    """A STATUS frame's numbers by their names; state and cause by their codes."""
+    """Decode the values of a STATUS frame into counters by name; state and cause are codes, -1 if unknown."""
     halves = [value % 2**16 for value in values[3:11]]
     wide = [low + 2**16 * high for low, high in zip(halves[::2], halves[1::2], strict=True)]
     numbers = dict(zip(("accepted", "missing", "stale", "refused"), wide, strict=True))

@@ -1,4 +1,4 @@
-"""Why a glove let go, on record: a line of JSON for each latch, with the cause, the time and the last frames.
+"""Log of latches: a line of JSON for each latch, with the cause, the time and the last frames.
 
 Each line is an object:
 
@@ -24,7 +24,7 @@ from jaxgrasp.validation.checked import checked
 
 
 def append_latch(path: str | os.PathLike, record: dict[str, Any]) -> None:
-    """Write a line, whole: in one piece, at the file's end, after the end of a line that was cut.
+    """Append a record as one line of JSON, in a single write; a line that was cut before is ended first.
 
     Raises:
         OSError: where it cannot be written.
@@ -39,7 +39,7 @@ def append_latch(path: str | os.PathLike, record: dict[str, Any]) -> None:
 
 
 def check_latch_log(path: str | os.PathLike) -> None:
-    """A log that could not be written is said before anything else is done.
+    """Check that the log can be opened for writing.
 
     Raises:
         OSError: where it cannot.
@@ -49,7 +49,7 @@ def check_latch_log(path: str | os.PathLike) -> None:
 
 @checked
 def read_latches(path: str | os.PathLike) -> list[dict[str, Any]]:
-    """The records of a log, oldest first; what a host that died left of a line is left out.
+    """Read the records of a log, oldest first; an incomplete line of a host that died is skipped.
 
     Raises:
         ValueError: for a whole line that is no record.

@@ -1,4 +1,4 @@
-"""The serial line: bytes that come and go without ever waiting for them."""
+"""Serial line with non-blocking reads and writes."""
 
 import contextlib
 import errno
@@ -11,27 +11,27 @@ import serial
 from jaxgrasp.glove.protocol.frames import LINE_SIZE
 
 WRITE_TIMEOUT = 0 if os.name == "nt" else 0.002
-"""How long a full line may hold a write [s]. Without any, pyserial tries for ever, but on Windows, where it then leaves
-the bytes to the system."""
+"""Longest time that a write to a full line may take [s]. Without a limit, pyserial tries for ever, except on Windows,
+where it leaves the bytes to the system."""
 _GONE: tuple[Any, ...] = (OSError, TypeError, ValueError, OverflowError)
-"""What pyserial raises for ports that are gone; a TypeError where another thread closed one, whose number is None."""
+"""Exceptions of pyserial for a lost port; a TypeError if another thread closed it, so that its descriptor is None."""
 with contextlib.suppress(ImportError):
     import termios
 
-    # It lets this one through, which is no OSError.
+    # pyserial passes this exception on; it is not an OSError.
     _GONE += (termios.error,)
 
 
 class LineError(OSError):
-    """A line that is gone: unplugged, closed, or never there."""
+    """Error of a line that is unplugged, closed or absent."""
 
 
 class Line(ABC):
-    """What carries bytes; no call waits longer than two milliseconds."""
+    """Interface of a byte line; no call takes longer than two milliseconds."""
 
     @abstractmethod
     def read(self) -> bytes:
-        """All that came.
+        """Read all bytes that have arrived.
 
         Raises:
             LineError: if the line is gone.
@@ -39,7 +39,7 @@ class Line(ABC):
 
     @abstractmethod
     def is_free(self) -> bool:
-        """Whether at most one frame waits in the system's own queue.
+        """Return True if at most one frame waits in the system's output queue.
 
         Raises:
             LineError: if the line is gone.
@@ -47,7 +47,7 @@ class Line(ABC):
 
     @abstractmethod
     def write(self, data: bytes) -> bool:
-        """Send; whether all of it was taken.
+        """Send bytes; return True if the line took all of them.
 
         Raises:
             LineError: if the line is gone.
@@ -55,14 +55,14 @@ class Line(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it; no error where it is gone already."""
+        """Close the line; a line that is gone already raises nothing."""
 
 
 class SerialLine(Line):
     """A serial port, or a pseudo-terminal that is one for the programs that open it."""
 
     def __init__(self, port: str, baud: int, *, exclusive: bool = True) -> None:
-        """An open port, for this program alone where the system can, unless it need not be ``exclusive``.
+        """Open a port, if ``exclusive`` for this program alone where the system supports that.
 
         Raises:
             LineError: if it cannot be opened.
@@ -103,30 +103,30 @@ class SerialLine(Line):
 
 
 class Pace:
-    """When a line is free for another frame: none is queued where an older one would go before it."""
+    """Estimator of when a line is free for another frame, so that no frame waits behind an older one."""
 
     def __init__(self, baud: int, size: int) -> None:
-        """A line that is free.
+        """Create the estimator of a line that is free.
 
         Args:
             baud: bits a second; ten make a byte (8N1).
             size: bytes of a frame.
         """
         self.frame_time = 10 * size / baud
-        """How long a frame takes [s]."""
+        """Transfer time of a frame [s]."""
         self._free_at = 0.0
 
     def is_free(self, now: float) -> bool:
-        """Whether at most one frame is still on its way."""
+        """Return True if at most one frame is still on its way at a time [s]."""
         return self._free_at - now <= self.frame_time
 
     def sent(self, now: float) -> None:
-        """A frame was given to the line."""
+        """Record that a frame was given to the line at a time [s]."""
         self._free_at = max(now, self._free_at) + self.frame_time
 
 
 def check_port(port: str, baud: int) -> None:
-    """A port that cannot be opened is said before anything else is done.
+    """Check that a port can be opened: open and close it.
 
     Raises:
         LineError: if it cannot be opened.

@@ -31,9 +31,9 @@ class CoupledJoint(NamedTuple):
 
     joint: str
     follows: str
-    """The glove's joint."""
+    """Name of the glove's joint."""
     ratio: float
-    """Its angle for one radian of that joint [rad/rad], and what its torque counts there."""
+    """Its angle per radian of that joint [rad/rad], which is also the weight of its torque there."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class GloveModel:
     def resisting(
         self, joints: Sequence[str], torques: Float[np.ndarray, "*batch J"]
     ) -> Float[np.ndarray, "*batch channels"]:
-        """Torque by which each channel is to resist flexion [N.m]: less a hand's joint torque, so positive there.
+        """Compute the torque by which each channel resists flexion [N.m]: the negative of the hand's joint torque.
 
         What coupled joints bear counts at the joint that they follow, by their ratio: the work is the same.
 
@@ -116,7 +116,7 @@ class GloveModel:
         return -torques @ transmission.T
 
     def transmission(self, joints: Sequence[str]) -> Float[np.ndarray, "channels J"]:
-        """Angle of each of a hand's joints for one radian of each channel [rad/rad].
+        """Compute the angle of each of a hand's joints for one radian of each channel [rad/rad].
 
         Raises:
             ValueError: for a hand without one of the glove's joints, or of those that follow them.
@@ -130,7 +130,7 @@ class GloveModel:
         return moved
 
     def places(self, joints: Sequence[str]) -> tuple[int, ...]:
-        """Indices of the channels' joints among a hand's.
+        """Return the indices of the channels' joints in a hand's list of joints.
 
         Raises:
             ValueError: for a hand without one of them.
@@ -162,7 +162,7 @@ class GloveModel:
 
 @checked
 def lrp_hand_master() -> GloveModel:
-    """The paper's: 14 flexions, 0.12 N.m each (section III-A).
+    """Return the model of the paper's glove: 14 flexions, 0.12 N.m each (section III-A).
 
     Example:
         >>> from jaxgrasp.glove import lrp_hand_master
@@ -175,7 +175,7 @@ def lrp_hand_master() -> GloveModel:
 
 @checked
 def lucidgloves() -> GloveModel:
-    """Five fingers, each read and stopped by one string over all its joints.
+    """Return the model of LucidGloves: five fingers, each read and stopped by one string over all its joints.
 
     The numbers are ours. A finger is taken to curl all the way to a fist's angles, its joints in proportion. Three
     times the paper's 0.12 N.m, one for each of a finger's joints, count as the whole range of a limit.
@@ -198,7 +198,7 @@ def lucidgloves() -> GloveModel:
 
 @checked
 def load_glove(path: str | os.PathLike) -> GloveModel:
-    """A glove from a TOML file of ``name``, ``joints``, ``limits`` (a number or one for each), ``rate``, ``quantum``.
+    """Load a glove from a TOML file of ``name``, ``joints``, ``limits`` (a number or a list), ``rate``, ``quantum``.
 
     ``spans`` and ``continuous`` are given like ``limits``, and ``heating``; in the table ``[coupled]``, a line such as
     ``"index PIP" = {follows = "index MP", ratio = 1.2}`` couples a joint.
@@ -219,7 +219,7 @@ def load_glove(path: str | os.PathLike) -> GloveModel:
 
 
 def _read(key: str, value: Any, given: dict[str, Any]) -> Any:
-    """A value of the file, of the kind that its key needs."""
+    """Convert a value of the file to the type that its key needs."""
     if key == "name":
         if not isinstance(value, str):
             raise ValueError(f"name is {value!r}: expected text")
@@ -254,6 +254,6 @@ def _check_positive(name: str, value: float) -> None:
 
 
 def _most_counts(limit: float, quantum: float) -> int:
-    """Rounding must not let the largest count exceed the limit."""
+    """Compute the largest count whose torque does not exceed the limit, in spite of rounding."""
     counts = int(limit / quantum)
     return counts - 1 if counts * quantum > limit else counts

@@ -1,4 +1,4 @@
-"""Whether a glove gives a hand more energy than it took: what springs that answer late do, and what shakes.
+"""Passivity of each joint: a glove must not give a hand more energy than it took, as delayed springs do.
 
 The time-domain passivity observer and controller of Hannaford and Ryu [1], a channel each: energy is counted where
 torque and angle meet; where a joint has little left to give back, its torque is lowered, and added to against its
@@ -17,26 +17,26 @@ from jaxtyping import Float
 from jaxgrasp.glove.model import GloveModel
 
 CREDIT = 0.5
-"""Angle by which a joint may be pushed back by the largest torque, for what was wound up before it was armed [rad]."""
+"""Initial energy budget, as the angle over which the largest torque may push a joint back after arming [rad]."""
 KEPT = 1.5
-"""Angle over which energy that a joint took in by the largest torque is remembered: a whole flexion [rad]."""
+"""Largest energy budget, as the angle over which the largest torque acts: a whole flexion [rad]."""
 LOW = 0.25
-"""What is left [rad] below which torque is damped, and given up, all of it where nothing is left."""
+"""Energy budget, as an angle [rad], below which torque is damped and lowered, to zero when nothing is left."""
 REFILL = 0.15
-"""Part of its largest torque times 1 rad that a joint may give each second for ever: objects that move do [1/s]."""
+"""Permanent refill of the energy budget, as a part of largest torque times 1 rad [1/s]: objects that move need it."""
 BEYOND = 0.5
-"""Angle by which it may be pushed back, in spite of damping, before torque is to end [rad]."""
+"""Largest energy deficit, as the angle of a push in spite of damping, before torque must end [rad]."""
 DAMPING = 0.1
-"""Most that is added against a joint's speed, as a part of its largest torque [s/rad]."""
+"""Largest damping coefficient against a joint's speed, as a part of its largest torque [s/rad]."""
 SMOOTHING = 0.015
-"""Time over which a joint's speed is taken [s]."""
+"""Time constant of the low-pass filter of a joint's speed [s]."""
 
 
 class PassivityWatch:
-    """Energy of each joint, from commands as they left and angles as they were read."""
+    """Energy observer of each joint, from commands as they left and angles as they were read."""
 
     def __init__(self, model: GloveModel, delay: float = 0.0) -> None:
-        """A watch that has seen nothing.
+        """Create an observer that has seen nothing.
 
         Args:
             model: of the glove.
@@ -47,23 +47,27 @@ class PassivityWatch:
         self.forget()
 
     def forget(self) -> None:
-        """As new, for another arming."""
+        """Reset to the initial energy budget, for another arming."""
         nothing = np.zeros(len(self._limits))
         self.energy = CREDIT * self._limits
-        """What each joint may still give back [J]; below zero where it gave more."""
+        """Energy that each joint may still give back [J]; negative after it gave more."""
         self._commands: deque[tuple[float, np.ndarray]] = deque([(-np.inf, nothing)])
         self._at, self._angles, self._speeds = -np.inf, nothing, nothing
 
     def commanded(self, now: float, torques: Float[np.ndarray, "channels"]) -> None:
-        """A command that leaves [N.m]."""
+        """Record the torques ``(channels,)`` [N.m] of a command that leaves at a time [s]."""
         self._commands.append((now + self._delay, torques))
 
     def moved(self, at: float, angles: Float[np.ndarray, "channels"]) -> str:
-        """Angles that were read at a time [rad]; what is wrong, in words, and nothing if all is well."""
+        """Update the energies with angles [rad] that were read at a time [s].
+
+        Returns:
+            Description of a joint that gave too much energy; empty if there is none.
+        """
         passed, turned = at - self._at, angles - self._angles
         if not passed > 0:
             return ""
-        # What held in the middle of the movement.
+        # The command that held in the middle of the movement.
         while len(self._commands) > 1 and self._commands[1][0] <= at - passed / 2:
             self._commands.popleft()
         if np.isfinite(passed):
@@ -77,9 +81,9 @@ class PassivityWatch:
         return f"{self._joints[int(np.argmax(lost))]} gives the hand more energy than it took: it shakes, or pushes"
 
     def damped(self, wanted: Any) -> Any:
-        """Torques that are asked for [N.m], less of them and damped where a joint has little left to give.
+        """Lower and damp the requested torques [N.m] of joints that have little energy left to give.
 
-        What are no torques stay what they are, for the guard to refuse.
+        Invalid input is returned unchanged, for the guard to refuse.
         """
         share = np.clip(1 - self.energy / (LOW * self._limits), 0, 1)
         if not share.any():

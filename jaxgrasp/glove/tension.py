@@ -1,4 +1,4 @@
-"""What measured tensions are for: noticing that a cable does not do what it is told, and making it do so."""
+"""Fault detection and feedback control of cable torques by the measured tensions."""
 
 from collections import deque
 
@@ -8,13 +8,13 @@ from jaxtyping import Bool, Float
 SLOW = 0.3
 """Time over which measured and commanded torques are averaged, to tell a slack cable from a weak command [s]."""
 SLACK = 0.25
-"""Part of the command's average below which the measured one is a slack cable's: friction takes a third."""
+"""Ratio of measured to commanded average below which a cable counts as slack: friction takes a third."""
 FINEST = 0.001
 """Tolerance of these averages, for gauges that are a little off [N.m]: a slack cable shows from 0.004 N.m on."""
 
 
 class TensionWatch:
-    """Whether measured torques are what was commanded, cables' friction and delays allowed for.
+    """Monitor that compares measured with commanded torques, with tolerances for cable friction and delay.
 
     A torque is right if it lies between the least and the largest command of the last moments, each widened by an
     absolute and a relative tolerance; only one that is wrong for a while without a pause is a fault. A cable is slack
@@ -30,7 +30,7 @@ class TensionWatch:
         delay: float = 0.06,
         patience: float = 0.1,
     ):
-        """A watch that has seen nothing.
+        """Create a monitor that has seen nothing.
 
         Args:
             channels: how many.
@@ -45,7 +45,7 @@ class TensionWatch:
         self._averages, self._averaged_at = np.zeros((2, channels)), np.inf
 
     def commanded(self, now: float, torques: Float[np.ndarray, "channels"]) -> None:
-        """A command that leaves [N.m]."""
+        """Record the torques ``(channels,)`` [N.m] of a command that leaves at a time [s]."""
         self._commands.append((now, torques))
         # The command that held when the window began stays.
         while len(self._commands) > 1 and self._commands[1][0] < now - self._delay:
@@ -54,7 +54,7 @@ class TensionWatch:
     def fault(
         self, now: float, measured: Float[np.ndarray, "channels"], saturated: Bool[np.ndarray, "channels"]
     ) -> str:
-        """What is wrong, in words; nothing if all is well.
+        """Check measured torques against recent commands; return the description of a fault, or an empty string.
 
         Args:
             now: when the tensions were measured [s].
@@ -90,7 +90,7 @@ class TensionWatch:
         return f"channel {k} pulls {found[k]:.4f} N.m on the average: commanded {wanted[k]:.4f}; its cable is slack"
 
     def forget(self) -> None:
-        """As new, for another arming."""
+        """Discard commands, averages and suspected faults, for another arming."""
         self._commands.clear()
         self._wrong_since[:] = self._slack_since[:] = np.inf
         self._averages[:], self._averaged_at = 0, np.inf
@@ -103,7 +103,7 @@ class TensionControl:
     """
 
     def __init__(self, channels: int, *, proportional: float = 0.3, integral: float = 5.0, unwind: float = 0.05):
-        """A control that has integrated nothing.
+        """Create a controller whose integral is zero.
 
         Args:
             channels: how many.
@@ -126,7 +126,7 @@ class TensionControl:
     def ask(
         self, wanted: Float[np.ndarray, "channels"], measured: Float[np.ndarray, "channels"]
     ) -> Float[np.ndarray, "channels"]:
-        """Torques to ask the guard for [N.m]."""
+        """Compute the torques to request from the guard [N.m], from wanted and measured torques [N.m]."""
         self._asked = wanted + self._proportional * (wanted - measured) + self._sum
         return self._asked
 
@@ -137,10 +137,10 @@ class TensionControl:
         measured: Float[np.ndarray, "channels"],
         passed: float,
     ) -> None:
-        """What the guard let through [N.m], after a time [s]."""
+        """Update the integral after a duration [s] with the torques that the guard let through [N.m]."""
         back = (given - self._asked) * min(passed / self._unwind, 1.0)
         self._sum += self._integral * passed * (wanted - measured) + back
 
     def forget(self) -> None:
-        """As new, for another arming."""
+        """Reset the integral, for another arming."""
         self._sum[:] = 0

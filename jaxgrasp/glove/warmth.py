@@ -1,4 +1,4 @@
-"""How warm motors are, and what that leaves of their strength: torques for moments, and torques for ever."""
+"""Thermal model of the motors: the torque limits for moments, and for ever."""
 
 import math
 
@@ -12,14 +12,14 @@ FADING = 0.2
 
 
 class Warmth:
-    """The windings' warmth above their surroundings', as the torque that would keep it for ever, squared.
+    """Warmth of the windings above their surroundings, as the square of the torque that would hold it for ever.
 
     A winding warms with the square of its current, and cools by its time constant (a motor's catalogue has both
     numbers). Torque is given up gradually, so that nothing jumps in the hand.
     """
 
     def __init__(self, model: GloveModel) -> None:
-        """Motors that are cold."""
+        """Create a model of motors that are cold."""
         self._limits = np.array(model.limits)
         self._continuous = None if model.continuous is None else np.array(model.continuous)
         self._heating = model.heating
@@ -27,12 +27,12 @@ class Warmth:
         self._at = math.inf
 
     def raise_to(self, channel: int, share: float) -> None:
-        """A motor is known to be as warm as a share of what it bears for ever, or warmer: the device says so."""
+        """Raise a motor's warmth to a reported share of the warmth that it bears for ever, if the estimate is lower."""
         if self._continuous is not None and 0 <= channel < len(self._squares):
             self._squares[channel] = max(self._squares[channel], share * self._continuous[channel] ** 2)
 
     def most(self, now: float, torques: Float[np.ndarray, "channels"]) -> Float[np.ndarray, "channels"]:
-        """The largest torque of each channel at a time [N.m]; ``torques`` held since the last call."""
+        """Compute the largest torque of each channel now [N.m], after ``torques`` [N.m] held since the last call."""
         if self._continuous is None:
             return self._limits
         share = -math.expm1(-max(0.0, now - self._at) / self._heating)
@@ -43,7 +43,7 @@ class Warmth:
 
 
 def lasts(model: GloveModel, torques: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch"]:
-    """How long cold motors hold torques, cut to their limits, before one of them fades [s]; inf where none does."""
+    """Compute how long cold motors hold torques, cut to their limits, before the first fades [s]; inf if none does."""
     if model.continuous is None:
         return np.full(torques.shape[:-1], math.inf)
     limits, continuous = np.array(model.limits), np.array(model.continuous)

@@ -1,1 +1,1 @@
-"""The haptic loop's I/O side: a process that owns the line, and what it and the computing side tell each other."""
+"""I/O side of the haptic loop: the process that owns the line, and its exchange with the computing side."""

@@ -1,4 +1,4 @@
-"""A Python program beside this one that takes orders and tells what happens, as lines of JSON."""
+"""Worker process that takes orders and reports events as lines of JSON."""
 
 import contextlib
 import json
@@ -12,13 +12,13 @@ from collections.abc import Callable
 from typing import Any
 
 PATIENCE = 15.0
-"""How long a program may take to start, to answer or to end [s]."""
+"""Longest time for a program to start, to answer or to end [s]."""
 KEPT = 1000
-"""Newest messages of a program that are kept, so that memory does not grow with time."""
+"""Number of recent messages of a program that are kept, so that memory stays bounded."""
 
 
 def tell(what: dict[str, Any]) -> None:
-    """What such a program tells whoever started it."""
+    """Write a message as a line of JSON to standard output, for the process that started this one."""
     try:
         sys.stdout.write(json.dumps(what) + "\n")
         sys.stdout.flush()
@@ -28,19 +28,19 @@ def tell(what: dict[str, Any]) -> None:
 
 
 class Child:
-    """A program of its own: spawned, never forked; the end of its input tells it to go."""
+    """Worker process: spawned, never forked; it ends when its standard input closes."""
 
     def __init__(self, module: str, options: dict[str, Any]) -> None:
-        """A program that has just started.
+        """Start a program.
 
         Args:
             module: run as ``python -m``.
             options: its only argument, as JSON.
         """
         self.said: deque[dict[str, Any]] = deque(maxlen=KEPT)
-        """What it told last."""
+        """Most recent messages of the program."""
         self.count = 0
-        """How much it has told."""
+        """Number of messages so far."""
         self._news = threading.Condition()
         command = [sys.executable, "-m", module, json.dumps(options)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -49,7 +49,7 @@ class Child:
         self._reader.start()
 
     def order(self, what: dict[str, Any]) -> None:
-        """Tell it something.
+        """Send an order to the program as a line of JSON.
 
         Raises:
             OSError: if it has ended.
@@ -61,7 +61,7 @@ class Child:
     def wait_for(
         self, is_it: Callable[[dict[str, Any]], bool], begin: int = 0, patience: float = PATIENCE
     ) -> dict[str, Any]:
-        """The first thing that it told, from the ``begin``-th on as ``count`` counts, that is what is waited for.
+        """Wait for the first message from number ``begin`` on for which ``is_it`` is true, and return it.
 
         Raises:
             OSError: if it ends without, or takes too long.
@@ -81,7 +81,7 @@ class Child:
                 self._news.wait(0.1)
 
     def close(self) -> int:
-        """Let it go, and its exit status; one that does not go is killed."""
+        """End the program and return its exit status; a program that does not end in time is killed."""
         assert self.process.stdin is not None and self.process.stdout is not None
         # What was still to be told finds nobody, if it has ended already.
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""What the two sides of the loop tell each other: a law of torque by angle, and the glove's state."""
+"""Messages between the two sides of the loop: the torque law by angle, and the glove's state."""
 
 import math
 from dataclasses import dataclass
@@ -9,44 +9,44 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class TorqueLaw:
-    """Torques about some angles: what a slow computation gives a fast line, so that it can answer fresh angles.
+    """First-order torque law about given angles, from the slow computation to the fast line.
 
-    The line knows no contacts; between two computations it goes along the derivative.
+    The line knows no contacts; between two computations it follows the derivative to fresh angles.
     """
 
     computed_at: float
     """Time of the computation, on the clock of the side that computed it [s]."""
     is_valid: bool
-    """Whether it may be acted on."""
+    """True if the law may be acted on."""
     angles: Float[np.ndarray, "channels"]
-    """Those that it was computed for [rad]."""
+    """Angles at which the law was computed [rad]."""
     torques: Float[np.ndarray, "channels"]
-    """Torques by which to resist flexion there [N.m]."""
+    """Torques that resist flexion at these angles [N.m]."""
     derivative: Float[np.ndarray, "channels channels"]
     """Derivative of the torques (rows) by the angles [N.m/rad]."""
 
     def at(self, angles: Float[np.ndarray, "channels"], reach: float) -> Float[np.ndarray, "channels"]:
-        """Torques at other angles [N.m]; beyond a reach [rad] on either side, as at its end."""
+        """Compute the torques at other angles [N.m]; deviations are clipped to ``reach`` [rad] on either side."""
         return self.torques + self.derivative @ np.clip(angles - self.angles, -reach, reach)
 
     def since(self, now: float) -> "TorqueLaw":
-        """The law with its age in place of its time, to go to another clock; there, a second call turns it back."""
+        """Replace the time by the age, to send the law to another clock; a second call there restores a time."""
         return TorqueLaw(now - self.computed_at, self.is_valid, self.angles, self.torques, self.derivative)
 
     @staticmethod
     def size(channels: int) -> int:
-        """Numbers of its vector."""
+        """Return the number of elements of its vector."""
         return 2 + channels * (2 + channels)
 
     def vector(self) -> Float[np.ndarray, "size"]:
-        """All of it in one."""
+        """Pack all fields into one vector."""
         return np.concatenate(
             [[self.computed_at, float(self.is_valid)], self.angles, self.torques, self.derivative.ravel()]
         )
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "TorqueLaw":
-        """The law that a vector is of."""
+        """Unpack a law from its vector; a vector that is not finite gives a law that is not valid."""
         angles, torques, derivative = np.split(vector[2:], [channels, 2 * channels])
         valid = bool(vector[1] == 1.0 and np.all(np.isfinite(vector)))
         return TorqueLaw(float(vector[0]), valid, angles, torques, derivative.reshape(channels, channels))
@@ -54,43 +54,43 @@ class TorqueLaw:
 
 @dataclass(frozen=True, eq=False)
 class GloveState:
-    """What the I/O side knows of its glove."""
+    """State of the glove as the I/O side reports it."""
 
     at: float
-    """When it said so [s]."""
+    """Time of the report [s]."""
     link: int
-    """A LinkState."""
+    """Code of the ``LinkState``."""
     guard: int
-    """A GuardState."""
+    """Code of the ``GuardState``."""
     clipped: float
-    """Most that the limit cut of any torque at this tick [N.m]: such a trial may have to be discarded."""
+    """Largest part cut from a torque by limit or sign at this tick [N.m]: such a trial may have to be discarded."""
     angles_at: float
-    """When the angles were read [s]."""
+    """Time at which the angles were read [s]."""
     angles: Float[np.ndarray, "channels"]
-    """[rad]"""
+    """Joint angles [rad]."""
     torques: Float[np.ndarray, "channels"]
     """Commanded torques [N.m]."""
     measured: Float[np.ndarray, "channels"]
     """Torques measured by the cables' tension [N.m]."""
 
     def since(self, now: float) -> "GloveState":
-        """The state with ages in place of times, to go to another clock; or with times again, to come from one."""
+        """Replace times by ages, to send the state to another clock; a second call there restores times."""
         rest = (self.link, self.guard, self.clipped, now - self.angles_at)
         return GloveState(now - self.at, *rest, self.angles, self.torques, self.measured)
 
     @staticmethod
     def size(channels: int) -> int:
-        """Numbers of its vector."""
+        """Return the number of elements of its vector."""
         return 5 + 3 * channels
 
     def vector(self) -> Float[np.ndarray, "size"]:
-        """All of it in one."""
+        """Pack all fields into one vector."""
         head = [self.at, self.link, self.guard, self.clipped, self.angles_at]
         return np.concatenate([head, self.angles, self.torques, self.measured])
 
     @staticmethod
     def of(vector: Float[np.ndarray, "size"], channels: int) -> "GloveState | None":
-        """The state that a vector is of; None where it is of none."""
+        """Unpack a state from its vector; return None for an invalid vector."""
         at, link, guard, clipped, angles_at = vector[:5].tolist()
         if link not in (0, 1, 2, 3, 4) or guard not in (0, 1, 2) or not math.isfinite(at):
             return None

@@ -1,4 +1,4 @@
-"""The computing side's handle on the process that owns the glove's line."""
+"""Handle of the computing side on the process that owns the glove's line."""
 
 import tempfile
 from pathlib import Path
@@ -13,7 +13,7 @@ class GloveProcess:
     """A glove driven by a process of its own: laws in, states out, both the latest; a context manager that ends it."""
 
     def __init__(self, port: str, channels: int, **options: Any) -> None:
-        """A process that opens a port, and is not armed.
+        """Start a process that opens a port and is not armed.
 
         Args:
             port: of the glove.
@@ -36,7 +36,7 @@ class GloveProcess:
             options["slots"] = self._folder.name
         self.child = Child("jaxgrasp.glove.loop.io_process", options)
         self.summary: dict[str, Any] = {}
-        """What it counted, once it has ended."""
+        """Counters of the process, after it has ended."""
         if "listen" in options:
             try:
                 self.child.wait_for(lambda told: "listens" in told)
@@ -45,11 +45,11 @@ class GloveProcess:
                 raise
 
     def write(self, law: TorqueLaw) -> None:
-        """The law to follow from now on."""
+        """Publish the torque law that the glove follows from now on."""
         self._law.write(law.vector())
 
     def state(self) -> GloveState | None:
-        """What the glove does; None before it was first said."""
+        """Return the latest state of the glove; None before the first report."""
         vector = self._state.read()
         return None if vector is None else GloveState.of(vector, self._channels)
 
@@ -66,11 +66,11 @@ class GloveProcess:
         self._order({"arm": accepted})
 
     def disarm(self) -> None:
-        """No torque."""
+        """Disarm the glove: no torque from the next command on."""
         self._order({"disarm": True})
 
     def stop(self) -> None:
-        """Emergency stop: no torque, and latched, here and in the device, whatever the state.
+        """Execute the emergency stop: no torque, and latched, in the process and in the device, in any state.
 
         Raises:
             OSError: if it has ended.
@@ -78,7 +78,7 @@ class GloveProcess:
         self._order({"stop": True})
 
     def rescale(self, scale: float) -> None:
-        """Another scale of all torques, while it is not armed.
+        """Set the scale of all torques, while the glove is not armed.
 
         Raises:
             ValueError: if it refuses.
@@ -86,15 +86,15 @@ class GloveProcess:
         self._order({"scale": scale})
 
     def is_alive(self) -> bool:
-        """Whether it still runs."""
+        """Return True while the process runs."""
         return self.child.process.poll() is None
 
     def events(self) -> list[dict[str, Any]]:
-        """How link and guard changed, each with its time ``at``."""
+        """Return the changes of link and guard, each with its time ``at``."""
         return [told["event"] | {"at": told["at"]} for told in list(self.child.said) if "event" in told]
 
     def close(self) -> None:
-        """End it; it sends a zero first."""
+        """End the process, which sends a zero first, and free its shared memory."""
         self.child.close()
         self.summary = next((told["summary"] for told in self.child.said if "summary" in told), {})
         self._law.close()

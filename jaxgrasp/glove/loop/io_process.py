@@ -1,8 +1,8 @@
-"""The process that owns the glove's line: ``python -m jaxgrasp.glove.loop.io_process``; it never imports JAX.
+"""Process that owns the glove's line: ``python -m jaxgrasp.glove.loop.io_process``; it never imports JAX.
 
 Options come as JSON in its only argument, orders (``arm``, ``disarm``, ``stop``, ``scale``) as lines of JSON on its
-standard input, whose end ends it; what happens goes out as lines of JSON. However it ends, it tries to leave a zero
-behind, and the device's own watchdog does not depend on that.
+standard input, whose end ends it; events go out as lines of JSON. However it ends, it tries to send a last zero, and
+the device's own watchdog does not depend on that.
 """
 
 import json
@@ -35,10 +35,10 @@ OPTIONS = {
     *("slots", "listen", "transport", "key_file", "device", "full_scale", "log"),
 }
 ENDS = [getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
-"""Signals that end it: asked, interrupted, its terminal closed."""
+"""Signals that end the process: termination, interrupt, closed terminal."""
 UNFREED = "nobody would free it if this program died"
 FIRST_SCALE = 0.05
-"""Share of all torques that is let through, unless it is told otherwise: for the first time that power is on."""
+"""Default scale of all torques, for the first time that power is on."""
 
 
 def main() -> None:
@@ -65,7 +65,7 @@ def main() -> None:
 
 
 def build(options: dict[str, Any]) -> Rendering:
-    """The loop that options describe.
+    """Create the loop that the options describe.
 
     Raises:
         ValueError: for options that are unknown or out of range.
@@ -98,7 +98,7 @@ def run(
     release: Release | None = None,
     log: str | None = None,
 ) -> None:
-    """Turn at a steady rate, and say what changes; each latch goes into the log, if there is one."""
+    """Turn the loop at a steady rate and report changes; each latch goes into the log, if there is one."""
     said: tuple[str, ...] = ()
     due = time.perf_counter()
     while True:
@@ -126,7 +126,7 @@ def run(
 
 
 def _log(path: str, at: float, rendering: Rendering, times: TickTimes) -> None:
-    """Once torque has ended: a disk that is full or gone keeps no loop from its work."""
+    """Append a latch to the log after torque has ended; a full or missing disk does not stop the loop."""
     host, turns = rendering.host, times.summary()
     record = {"at": at, "cause": host.guard.cause, "link": host.state.name, "trouble": host.trouble}
     record |= {"counts": host.report()} | {name: turns[name] for name in ("turns", "overruns", "worst")}

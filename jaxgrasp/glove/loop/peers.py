@@ -1,4 +1,4 @@
-"""Where the torques' law comes from and the glove's state goes: a process beside, or a computer elsewhere."""
+"""Peers of the I/O side, which give it torque laws and receive its state: a local process or a remote computer."""
 
 import math
 import time
@@ -13,11 +13,11 @@ from jaxgrasp.glove.loop.slot import Slot
 from jaxgrasp.glove.network.link import NetworkLink
 
 LAW, STATE = "law", "state"
-"""Files of the slots in the folder that two processes share."""
+"""File names of the slots in the folder that two processes share."""
 CALL = 0.05
-"""Time between two calls of a glove that says nothing [s]."""
+"""Time between two calls of a silent glove [s]."""
 AHEAD = 0.005
-"""By how much a law may seem to come from the future [s]."""
+"""Largest time by which a law may seem to come from the future [s]."""
 
 
 class Peer(ABC):
@@ -25,22 +25,22 @@ class Peer(ABC):
 
     @abstractmethod
     def law(self, now: float) -> TorqueLaw | None:
-        """The latest law, its ``computed_at`` on our clock; None before any."""
+        """Return the latest law, with ``computed_at`` on the local clock; None before the first law."""
 
     @abstractmethod
     def publish(self, now: float, state: GloveState) -> None:
-        """Tell it what the glove does."""
+        """Send the state of the glove to the peer."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of it."""
+        """Close the connection to the other side."""
 
 
 class SlotPeer(Peer):
-    """A process on this machine, by slots in shared memory; its clock is ours."""
+    """Peer on this machine, through slots in shared memory; it has the same clock."""
 
     def __init__(self, folder: Path, channels: int) -> None:
-        """Slots that ``make_slots`` made."""
+        """Open the slots that ``make_slots`` created in a folder."""
         self._channels = channels
         self._law = Slot(folder / LAW, TorqueLaw.size(channels))
         self._state = Slot(folder / STATE, GloveState.size(channels))
@@ -62,10 +62,10 @@ class SlotPeer(Peer):
 
 
 class LinkPeer(Peer):
-    """A computer elsewhere, by a link whose messages are never older than it allows."""
+    """Peer on another computer, through a link that drops messages that are too old."""
 
     def __init__(self, link: NetworkLink, channels: int) -> None:
-        """A link whose incoming messages are laws."""
+        """Wrap a link whose incoming messages are laws."""
         self._link, self._channels = link, channels
 
     def law(self, now: float) -> TorqueLaw | None:
@@ -83,15 +83,15 @@ class LinkPeer(Peer):
 
 
 class EngineLink:
-    """The engine's side of a link to a glove elsewhere: ``state`` and ``write`` as a GloveProcess has them."""
+    """Engine side of a link to a remote glove, with ``state`` and ``write`` as in ``GloveProcess``."""
 
     def __init__(self, link: NetworkLink, channels: int) -> None:
-        """A link whose incoming messages are states."""
+        """Wrap a link whose incoming messages are states."""
         self._link, self._channels = link, channels
         self._called_at = -math.inf
 
     def state(self, now: float) -> GloveState | None:
-        """What the glove does; None while nothing fresh is known, and then it is called again."""
+        """Return the latest state of the glove; None without a fresh state, and then call the glove again when due."""
         message = self._link.receive(now)
         if message is None:
             if now - self._called_at > CALL:
@@ -104,16 +104,16 @@ class EngineLink:
         return None if state is None else state.since(now - self._link.exchange.age(now))
 
     def write(self, now: float, law: TorqueLaw) -> None:
-        """The law to follow from now on."""
+        """Send the torque law that the glove follows from now on."""
         self._link.send(now, law.since(now).vector())
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the connection to the other side."""
         self._link.close()
 
 
 class NoPeer(Peer):
-    """Nobody computes: sensors alone are read."""
+    """Absent peer: the sensors are read, and there is no law."""
 
     def law(self, now: float) -> TorqueLaw | None:
         return None
@@ -126,6 +126,6 @@ class NoPeer(Peer):
 
 
 def make_slots(folder: Path, channels: int) -> tuple[Slot, Slot]:
-    """Empty slots for laws and for states, in a folder."""
+    """Create empty slots for laws and for states in a folder."""
     law = Slot(folder / LAW, TorqueLaw.size(channels), create=True)
     return law, Slot(folder / STATE, GloveState.size(channels), create=True)

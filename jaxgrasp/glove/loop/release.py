@@ -1,4 +1,4 @@
-"""Frees a glove whose host has died or hangs: ``python -m jaxgrasp.glove.loop.release``.
+"""Release program for a glove whose host has died or hangs: ``python -m jaxgrasp.glove.loop.release``.
 
 A device without a watchdog goes on doing what it was told last. So a host of one starts this program beside it, in a
 session of its own, and says at each turn that it is alive. When it falls silent, or its end of the pipe closes, which
@@ -20,20 +20,20 @@ from jaxgrasp.glove.line import LineError, SerialLine
 
 ALIVE, DONE, READY = b".", b"!", "ready"
 SILENT = 0.1
-"""Time without a word after which its host counts as hung [s]."""
+"""Time without a message after which the host counts as hung [s]."""
 AGAIN = 0.02
 """Time between two attempts [s]."""
 TIMES = 25
-"""How often it is said after the host's end: a device may be busy, or wait for its turn."""
+"""Number of release commands after the host's end: a device may be busy, or wait for its turn."""
 LAST = 300.0
 """Time after which a port that cannot be opened is given up [s]: long enough to plug a cable in again."""
 
 
 class Release:
-    """The program, started beside its host."""
+    """Handle of a host on its release program."""
 
     def __init__(self, options: dict[str, Any]) -> None:
-        """One that waits.
+        """Start the release program, which waits for the host to fall silent.
 
         Args:
             options: ``device``, ``port`` and ``baud``.
@@ -51,11 +51,11 @@ class Release:
         os.set_blocking(self.process.stdin.fileno(), False)
 
     def is_told(self) -> bool:
-        """Say that the host is alive; whether there is someone who hears it."""
+        """Send a sign of life to the release program; return True if it receives it."""
         return self._say(ALIVE)
 
     def close(self, *, is_free: bool) -> None:
-        """Let it go, at once if the glove is free, and else once it has freed it."""
+        """Let the release program end, at once if the glove is free, else after it has freed the glove."""
         assert self.process.stdin is not None and self.process.stdout is not None
         if is_free:
             self._say(DONE)
@@ -72,7 +72,7 @@ class Release:
 
 
 def main() -> None:
-    """Listen, and free the glove where that is due."""
+    """Listen to the host, and free the glove when the host is silent or gone."""
     options = json.loads(sys.argv[1])
     sys.stdout.write(READY + "\n")
     sys.stdout.flush()
@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def _free(options: dict[str, Any]) -> bool:
-    """Whether the glove was told that nothing is resisted; beside a host that hangs and still has the port."""
+    """Send the release command, even beside a hung host that still holds the port; return True if the line took it."""
     with contextlib.suppress(LineError):
         line = SerialLine(options["port"], options["baud"], exclusive=False)
         try:

@@ -1,4 +1,4 @@
-"""One turn of the I/O side: sensors in, the law at fresh angles, torques out; nothing old is acted on."""
+"""Step of the I/O side: read sensors, evaluate the law at fresh angles, send torques; old data is never used."""
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from jaxgrasp.glove.tension import TensionControl
 OLDEST_LAW = 0.03
 """Age beyond which a law is not acted on [s]: with a turn and two frames, a dead engine's torque is gone in 45 ms."""
 LONGEST = 0.05
-"""Most that this age may be set to [s]."""
+"""Largest value to which this age may be set [s]."""
 REACH = 0.2
-"""How far from a law's angles its derivative is followed [rad]."""
+"""Largest deviation from a law's angles over which its derivative is followed [rad]."""
 
 
 class Rendering:
@@ -22,7 +22,7 @@ class Rendering:
     def __init__(
         self, host: GloveDevice, peer: Peer, *, oldest: float = OLDEST_LAW, control: TensionControl | None = None
     ) -> None:
-        """A loop that has not turned.
+        """Create a loop that has not turned.
 
         Args:
             host: of the glove.
@@ -43,7 +43,7 @@ class Rendering:
         self._before = np.nan
 
     def turn(self, now: float) -> GuardOutput:
-        """Read, compute, send."""
+        """Read the sensors, compute the torques, send them and publish the state; return the guard's output."""
         host = self.host
         reading = host.poll(now)
         wanted, slope = self._wanted(now, reading)
@@ -70,7 +70,7 @@ class Rendering:
         self.host.arm(now, accepted)
 
     def _wanted(self, now: float, reading: Reading) -> tuple[np.ndarray, np.ndarray]:
-        """Torques, and their slope."""
+        """Compute torques ``(channels,)`` and their slope ``(channels, channels)``; zeros without a usable law."""
         law = self.peer.law(now)
         trouble = self._trouble(now, law)
         if trouble:

@@ -1,4 +1,4 @@
-"""A slot for the latest value, in memory that processes share: never a queue, never half a value."""
+"""Slot for the latest value in memory that processes share: no queue, no partial value."""
 
 import mmap
 import struct
@@ -13,14 +13,14 @@ TRIES = 20
 
 
 class Slot:
-    """Some numbers that one process writes and others read, in a file that both map.
+    """Array that one process writes and others read, in a memory-mapped file.
 
     A value is whole or not seen: it travels with its number and a check sum, whatever the order in which a processor
     lets another see what it writes.
     """
 
     def __init__(self, path: Path, size: int, *, create: bool = False) -> None:
-        """A slot for ``size`` numbers.
+        """Open a slot for ``size`` numbers.
 
         Args:
             path: the file, on the same machine for all.
@@ -42,7 +42,7 @@ class Slot:
         self._seen: tuple[int, np.ndarray] | None = None
 
     def write(self, values: Float[np.ndarray, "size"]) -> None:
-        """A value that takes the place of the last."""
+        """Replace the value, of shape ``(size,)``."""
         self._number += 1
         raw = values.tobytes()
         # The number is no part of what could be right by chance: an old one fails with new numbers.
@@ -51,7 +51,7 @@ class Slot:
         self._memory[: _HEAD.size] = _HEAD.pack(self._number, check)
 
     def read(self) -> Float[np.ndarray, "size"] | None:
-        """The latest whole value; None before the first."""
+        """Return the latest complete value, of shape ``(size,)``; None before the first."""
         for _ in range(TRIES):
             number, check = _HEAD.unpack_from(self._memory)
             if number == 0 or (self._seen is not None and number == self._seen[0]):
@@ -63,5 +63,5 @@ class Slot:
         return None if self._seen is None else self._seen[1]
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Unmap the shared memory."""
         self._memory.close()

@@ -1,4 +1,4 @@
-"""How punctual a loop is: lateness as a histogram, overruns, the worst."""
+"""Timing statistics of a loop: histograms of lateness and work, overruns, largest lateness."""
 
 from typing import Any
 
@@ -9,33 +9,33 @@ EDGES = np.array([0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100]) * 1e-3
 
 
 class TickTimes:
-    """Counts of a loop that should turn at a period."""
+    """Timing statistics of a loop with a fixed period."""
 
     def __init__(self, period: float) -> None:
-        """A loop that has not turned.
+        """Create statistics without any turns.
 
         Args:
             period: of its turns [s].
         """
         self.period = period
         self.late = np.zeros(len(EDGES) + 1, int)
-        """Turns by how late they began."""
+        """Histogram of the turns by lateness, with the bins ``EDGES``."""
         self.busy = np.zeros(len(EDGES) + 1, int)
-        """Turns by how long they worked."""
+        """Histogram of the turns by working time, with the bins ``EDGES``."""
         self.overruns = 0
-        """Turns that were not over when the next was due."""
+        """Number of turns that were not over when the next was due."""
         self.worst = 0.0
-        """Latest beginning [s]."""
+        """Largest lateness of a turn [s]."""
 
     def add(self, late: float, busy: float) -> None:
-        """One turn."""
+        """Count a turn by its lateness [s] and working time [s]."""
         self.late[np.searchsorted(EDGES, late)] += 1
         self.busy[np.searchsorted(EDGES, busy)] += 1
         self.overruns += late + busy > self.period
         self.worst = max(self.worst, late)
 
     def summary(self) -> dict[str, Any]:
-        """For a report; times in milliseconds."""
+        """Return the statistics as a JSON-serializable dictionary; times in milliseconds."""
         return {
             "period": 1e3 * self.period,
             "turns": int(self.late.sum()),
@@ -48,7 +48,7 @@ class TickTimes:
 
     @staticmethod
     def text(summary: dict[str, Any]) -> str:
-        """A summary as a person reads it."""
+        """Format a summary as a line of text."""
         late = np.array(summary["late"])
         edges = [f"<{edge:g}" for edge in summary["edges"]] + [f">{summary['edges'][-1]:g}"]
         shares = [

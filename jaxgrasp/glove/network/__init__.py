@@ -1,1 +1,1 @@
-"""Two hosts: messages that carry their age, and the sockets they travel by."""
+"""Link between two hosts: messages that carry their age, and the sockets that carry them."""

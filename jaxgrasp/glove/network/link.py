@@ -1,4 +1,4 @@
-"""Two hosts: the engine's computer and the glove's, over UDP or TCP; the latest state wins."""
+"""Link between the engine's computer and the glove's, over UDP or TCP; the latest message replaces earlier ones."""
 
 import contextlib
 import socket
@@ -15,17 +15,17 @@ Transport = Literal["udp", "tcp"]
 RECONNECT = 0.25
 """Time between attempts to connect [s]."""
 LARGEST = 4096
-"""Bytes of a message that are kept at most before its end."""
+"""Largest number of bytes of an incomplete message that are kept."""
 MOST = 16
-"""Pieces that are taken at a time, so that nobody who sends without end keeps the loop from its work."""
+"""Largest number of pieces read per call, so that a flood of messages does not block the loop."""
 MOST_CALLERS = 16
-"""TCP connections beside the peer's that are kept at most; a further one closes the oldest of them."""
+"""Largest number of TCP connections beside the peer's; a further connection closes the oldest of them."""
 PROOF_S = 1.0
-"""Time in which a caller over TCP must have sent a valid message [s]; then its connection is closed."""
+"""Time within which a TCP caller must send a valid message before its connection is closed [s]."""
 
 
 class NetworkLink:
-    """One end of a link, driven by calls that never wait.
+    """End of a network link, driven by calls that never wait.
 
     One side listens, the other connects; either may come, go and come back. Nothing is queued here: a message that the
     network cannot take is dropped, since the next is newer. (What TCP has taken, it keeps until it arrives; what it
@@ -47,7 +47,7 @@ class NetworkLink:
         oldest: float = 0.03,
         key: bytes = b"",
     ) -> None:
-        """An end that has not met the other.
+        """Create an end that has not met the other.
 
         Args:
             host: name or address: of the other side, or of the interface to listen on.
@@ -80,16 +80,16 @@ class NetworkLink:
 
     @property
     def port(self) -> int:
-        """The port that it listens on, or calls."""
+        """Number of the port on which it listens, or which it calls."""
         return self._carrier.port
 
     def send(self, now: float, values: Float[np.ndarray, "size"]) -> None:
-        """Say something; what the network cannot take now is dropped."""
+        """Send a message; it is dropped if the network cannot take it now."""
         with contextlib.suppress(OSError):
             self._carrier.send(now, self.exchange.outgoing(now, values))
 
     def receive(self, now: float) -> Message | None:
-        """The latest message, if it is not too old to act on; call it often."""
+        """Read the messages that came and return the latest, or None if it is too old; call this often."""
         with contextlib.suppress(OSError):
             for data, sender in self._carrier.receive(now):
                 if self.exchange.incoming(now, data) is not None:
@@ -97,12 +97,12 @@ class NetworkLink:
         return self.exchange.latest if self.exchange.age(now) <= self._oldest else None
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the sockets."""
         self._carrier.close()
 
 
 class _Transport(ABC):
-    """Carrier of messages; an OSError means not now."""
+    """Carrier of messages; an OSError means that it cannot send or receive now."""
 
     port: int
 
@@ -166,7 +166,7 @@ class _Connection:
         connected.setblocking(False)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.since = since
-        """When it was made, or ceased to be the peer's [s]."""
+        """Time at which it was made, or ceased to be the peer's [s]."""
         self._socket = connected
         self._received, self._unsent = bytearray(), b""
 

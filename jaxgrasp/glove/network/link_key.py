@@ -1,4 +1,4 @@
-"""The key that two hosts share: out of a file that others cannot read, or the environment; never a command line."""
+"""Shared key of two hosts, from a file that others cannot read or from the environment; never from a command line."""
 
 import os
 import stat
@@ -6,15 +6,15 @@ import stat
 VARIABLE = "JAXGRASP_GLOVE_KEY"
 """Environment variable of the key."""
 LEAST, MOST = 16, 64
-"""Bytes of a key."""
+"""Range of the number of bytes of a key."""
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 _EXPECTED = f"expected {2 * LEAST} to {2 * MOST} hexadecimal digits"
 
 
 def load_key(path: str | os.PathLike | None = None) -> bytes:
-    """The key of a file, or of the environment's ``JAXGRASP_GLOVE_KEY`` where none is named; nothing where neither is.
+    """Load the key from a file, or without a path from the environment's ``JAXGRASP_GLOVE_KEY``; empty if it is unset.
 
-    A command line is no place for it: every user of a machine can read those.
+    A key does not belong on a command line, which every user of a machine can read.
 
     Raises:
         ValueError: for what is no key, and a file that others than its owner can read or write.

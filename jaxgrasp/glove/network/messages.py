@@ -1,12 +1,12 @@
-"""Messages between two computers: the latest numbers, how old they are, and nothing acted on that is too old.
+"""Messages between two computers: the latest numbers and their age, so that old data is never used.
 
 A message, little-endian: session (uint64, which the sender drew when it began), answers (uint64, the session that it
 has heard; 0 before any), number (uint32), sent (float64, sender's clock [s]), echo (float64, the newest ``sent`` that
 the sender knows of the other side; NaN before any), held (float64, how long it has had that [s]), the numbers (float32
 each), and a BLAKE2b of 16 bytes of all before, keyed if both sides have a key.
 
-What does not answer the receiver's own session is heard, so that it can be answered, and never acted on: a recording of
-an earlier session is none of this one, whichever side began anew.
+A message that does not answer the receiver's session is heard, so that it can be answered, and never acted on: a
+recording of an earlier session does not count in the current one, whichever side began anew.
 """
 
 import hashlib
@@ -23,18 +23,18 @@ _HEAD = struct.Struct("<QQIddd")
 CHECK = 16
 NUMBERS = 2**32
 NOBODY = 0
-"""Session of nobody."""
+"""Session number that stands for no session."""
 MOST_NUMBERS = 340
-"""Numbers in a message at most, so that one fits in a datagram of the usual 1,500 bytes."""
+"""Largest count of numbers in a message, so that it fits in a datagram of the usual 1,500 bytes."""
 TAKEN = 0.25
-"""How long a side that falls silent still keeps another from taking its place [s]."""
+"""Time for which a side that falls silent still keeps another from taking its place [s]."""
 WINDOW = 4.0
-"""For how long the shortest exchange sets the clocks [s]."""
+"""Time for which the shortest exchange determines the clock offset [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """What the other side said."""
+    """Content of a message between two hosts."""
 
     session: int
     answers: int
@@ -46,7 +46,7 @@ class Message:
 
 
 def encode(message: Message, key: bytes) -> bytes:
-    """Its bytes."""
+    """Encode a message into bytes, with its check sum."""
     numbers = message.session, message.answers, message.number
     head = _HEAD.pack(*numbers, message.sent, message.echo, message.held)
     body = head + message.values.astype("<f4").tobytes()
@@ -54,12 +54,12 @@ def encode(message: Message, key: bytes) -> bytes:
 
 
 def length_of(size: int) -> int:
-    """Bytes of a message of so many numbers."""
+    """Return the number of bytes of a message with ``size`` numbers."""
     return _HEAD.size + 4 * size + CHECK
 
 
 def decode(data: bytes, size: int, key: bytes) -> Message | None:
-    """The message of bytes; None where they are none of so many numbers."""
+    """Decode a message from bytes; return None unless they are a valid message of ``size`` numbers."""
     if len(data) != length_of(size) or not hmac.compare_digest(_check(data[:-CHECK], key), data[-CHECK:]):
         return None
     session, answers, number, sent, echo, held = _HEAD.unpack_from(data)
@@ -74,19 +74,19 @@ def _check(body: bytes, key: bytes) -> bytes:
 
 
 def draw_session() -> int:
-    """A number that nobody can guess, and none has drawn before."""
+    """Draw a random session number that cannot be guessed and does not repeat."""
     return 1 + secrets.randbelow(2**64 - 1)
 
 
 class Exchange:
-    """One side's bookkeeping: numbers what it sends, orders what it hears, and knows the other's clock.
+    """State of an exchange on one side: numbers of sent messages, order of received ones, estimated clock offset.
 
-    The offset of the clocks is that of the exchange with the shortest way there and back in the last seconds; half
-    that way is the most by which an age may be wrong.
+    The offset of the clocks is that of the exchange with the shortest round trip in the last seconds; half of that
+    round trip bounds the error of an age.
     """
 
     def __init__(self, session: int, size_in: int, key: bytes = b"") -> None:
-        """A side that has heard nothing.
+        """Create a side that has heard nothing.
 
         Args:
             session: a number that ``draw_session`` drew, anew each time.
@@ -101,7 +101,7 @@ class Exchange:
         self._ways: list[tuple[float, float, float]] = []
 
     def outgoing(self, now: float, values: Float[np.ndarray, "size"]) -> bytes:
-        """Bytes of the next message."""
+        """Encode the next message, which carries these values, into bytes."""
         self._number = (self._number + 1) % NUMBERS
         last = self.latest
         heard = (NOBODY, math.nan, 0.0) if last is None else (last.session, last.sent, now - self._arrived)
@@ -109,7 +109,7 @@ class Exchange:
         return encode(Message(self._session, answers, self._number, now, echo, held, values), self._key)
 
     def incoming(self, now: float, data: bytes) -> Message | None:
-        """The message, if it is newer than all before; ``age`` says whether it may be acted on."""
+        """Decode bytes; return the message if it is newer than all before, else None; ``age`` tells its age."""
         message = decode(data, self._size, self._key)
         if message is None or message.session == self._session:
             self.refused += 1
@@ -138,21 +138,21 @@ class Exchange:
 
     @property
     def _is_answered(self) -> bool:
-        """Whether the latest message comes from who has heard us, and so was said since we began."""
+        """True if the latest message answers this session, and so was sent after it began."""
         return self.latest is not None and self.latest.answers == self._session
 
     @property
     def way(self) -> float:
-        """Shortest time there and back of the last seconds [s]; infinite before any."""
+        """Shortest round trip of the last seconds [s]; infinite before the first."""
         return min((way for _, way, _ in self._ways), default=math.inf)
 
     @property
     def offset(self) -> float:
-        """The other's clock less ours [s]; NaN before any answer has come back."""
+        """Other side's clock minus the local clock [s]; NaN before any answer has come back."""
         return min(self._ways, key=lambda one: one[1])[2] if self._ways else math.nan
 
     def age(self, now: float) -> float:
-        """How old the latest message is at most [s]; infinite while that cannot be told."""
+        """Return an upper bound on the age of the latest message [s]; infinite while it is unknown."""
         if self.latest is None or not self._is_answered or not self._ways:
             return math.inf
         return now - (self.latest.sent - self.offset) + self.way / 2

@@ -1,1 +1,1 @@
-"""Devices that others make: LucidGloves, Polhemus trackers."""
+"""Third-party devices: LucidGloves and Polhemus trackers."""

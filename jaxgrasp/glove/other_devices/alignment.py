@@ -1,4 +1,4 @@
-"""How a tracker's transmitter stands in the world, and its receiver on the wrist: samples to poses of the hand.
+"""Alignment of a tracker's transmitter with the world and of its receiver with the wrist: samples to hand poses.
 
 A tracker says where its receiver is in the frame of its transmitter. Both are strapped on as it comes, so that neither
 its axes nor its zero mean anything until three places have been shown: the hand at home, moved forward, and moved up.
@@ -17,34 +17,34 @@ from jaxgrasp.files.replace import replace_file
 from jaxgrasp.glove.other_devices.polhemus import TrackerSample
 
 LEAST_MOVE = 0.05
-"""A move shorter than this tells no direction to a degree, by a tracker of a millimetre [m]."""
+"""Shortest move that gives a direction to about a degree, with a tracker accurate to a millimetre [m]."""
 LEAST_ANGLE = 60.0
-"""Between the moves forward and up, which are meant to be square [deg]."""
+"""Smallest angle between the moves forward and up, which are meant to be square [deg]."""
 OFF_ROTATION = 1e-6
+"""Largest deviation of a stored rotation matrix from orthonormality."""
 FARTHEST = 1e3
-"""No tracker reaches so far [m]."""
-"""By how much a stored rotation may miss being one."""
+"""Largest coordinate in a stored alignment [m], beyond the reach of any tracker."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Rotations that make a tracker's samples poses of the wrist, and the sample that is its zero."""
+    """Rotations and zero position that map a tracker's samples to poses of the wrist."""
 
     transmitter: Float[np.ndarray, "3 3"]
-    """Turns the transmitter's axes into the world's."""
+    """Rotation from the transmitter's axes to the world's."""
     receiver: Float[np.ndarray, "3 3"]
-    """Turns the wrist's axes into the receiver's."""
+    """Rotation from the wrist's axes to the receiver's."""
     zero: Float[np.ndarray, "3"]
-    """Where the receiver is, in the transmitter's frame, when the wrist is at the world's origin [m]."""
+    """Position of the receiver in the transmitter's frame when the wrist is at the world's origin [m]."""
 
     def pose(self, sample: TrackerSample) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-        """The wrist's origin [m] and rotation in the world."""
+        """Compute the wrist's origin ``(3,)`` [m] and rotation ``(3, 3)`` in the world from a sample."""
         turned = self.transmitter @ rotation_of(sample.quaternion) @ self.receiver
         return self.transmitter @ (sample.position - self.zero), turned
 
 
 def at_home(home: TrackerSample, transmitter: Float[np.ndarray, "3 3"] | None = None) -> Alignment:
-    """The alignment by which one sample is the wrist at the origin, along the world's axes.
+    """Compute the alignment that maps the home sample to the wrist at the origin, along the world's axes.
 
     Args:
         home: the sample.
@@ -55,7 +55,7 @@ def at_home(home: TrackerSample, transmitter: Float[np.ndarray, "3 3"] | None = 
 
 
 def aligned(home: TrackerSample, forward: TrackerSample, up: TrackerSample) -> Alignment:
-    """The alignment from three places: at home, moved along the world's x axis from there, and along its z axis.
+    """Compute the alignment from samples at home, moved from there along the world's x axis, and along its z axis.
 
     Raises:
         ValueError: for a move that is too short to tell a direction, or moves that are not nearly square.
@@ -76,21 +76,21 @@ def aligned(home: TrackerSample, forward: TrackerSample, up: TrackerSample) -> A
 
 
 def rotation_of(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """The matrix of a unit quaternion, real part first."""
+    """Convert a unit quaternion, real part first, to its rotation matrix."""
     w, v = quaternion[0], quaternion[1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + 2 * w * cross + 2 * cross @ cross
 
 
 def save_alignment(alignment: Alignment, path: Path) -> None:
-    """Write an alignment as JSON, whole or not at all."""
+    """Write an alignment to a JSON file; an interrupted write leaves the old file unchanged."""
     fields = {name: getattr(alignment, name).tolist() for name in ("transmitter", "receiver", "zero")}
     text = json.dumps({"alignment": 1} | fields, indent=1) + "\n"
     replace_file(path, lambda stream: stream.write(text.encode()))
 
 
 def load_alignment(path: Path) -> Alignment:
-    """Read what ``save_alignment`` wrote.
+    """Read an alignment from a file that ``save_alignment`` wrote.
 
     Raises:
         ValueError: for a file that is none; the message names the entry, what stands there and what was expected.

@@ -24,7 +24,7 @@ from jaxgrasp.glove.line import Line, LineError
 from jaxgrasp.glove.model import FINGERS, GloveModel
 
 ACCEPTANCE = "I accept that the limits persist when the host dies"
-"""What a user says to arm such a device, letter by letter."""
+"""Sentence that a user must repeat exactly to arm such a device."""
 BUTTONS = {
     "H": "joystick",
     "I": "trigger",
@@ -37,20 +37,20 @@ BUTTONS = {
 }
 FREE = b"A0B0C0D0E0\n"
 LONGEST = 511
-"""Bytes of a line that are kept at most."""
+"""Largest number of bytes of an incomplete line that are kept."""
 SEVERAL = 3
-"""How often what frees all fingers is said, since no check sum guards it."""
+"""Number of repetitions of the line that frees all fingers, since no check sum protects it."""
 HELD_UP = 0.1
-"""Time between two turns after which nothing goes on as it was [s]: the glove may have been freed meanwhile."""
+"""Time between two turns after which the guard trips [s]: the glove may have been freed meanwhile."""
 DEEPEST = 0.2
-"""How far from a finger its resistance may begin at most [rad]: the law's slope is followed no farther."""
+"""Largest distance from a finger at which its resistance may begin [rad]: the limit for following the law's slope."""
 _TOKEN = re.compile(rb"\(([A-E])B\)(\d{1,5})|\(([A-E])A([A-D])\)(\d{1,5})|([A-G]|P)(\d{1,5})|([H-O])(?!\d)")
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class LucidReading:
-    """What such a glove says in one line."""
+    """Sensor values from one line of the glove."""
 
     curls: Float[np.ndarray, "5"]
     """Curls of thumb to little finger, 0 (open) to 1."""
@@ -61,11 +61,11 @@ class LucidReading:
     joystick: tuple[float, float] = (math.nan, math.nan)
     trigger: float = math.nan
     buttons: frozenset[str] = frozenset()
-    """Buttons that are pressed."""
+    """Names of the pressed buttons."""
 
 
 def read_line(line: bytes, full_scale: int) -> LucidReading | None:
-    """What a line without its end says; None where it is none, or lacks a finger, or a number is out of range."""
+    """Parse a line without its end; return None if it is malformed, lacks a finger, or has a number out of range."""
     curls, splays = np.full(5, np.nan), np.full(5, np.nan)
     others: dict[str, float] = {}
     joints: dict[str, float] = {}
@@ -105,7 +105,7 @@ def stops_at(
     let: Float[np.ndarray, "5"],
     give: float,
 ) -> tuple[int, int, int, int, int]:
-    """Limits, 0 to 1000, that stop fingers where resistance begins.
+    """Compute limits, 0 to 1000, that stop fingers where resistance begins.
 
     Args:
         curls: of the fingers, 0 to 1.
@@ -121,7 +121,7 @@ def stops_at(
 
 
 class LucidHost(GloveDevice):
-    """Such a glove on a line: it answers each line once, so that the firmware never waits and nothing queues."""
+    """Host of a LucidGloves device: it answers each line once, so that the firmware never waits and nothing queues."""
 
     capability = Capability("position limit", measures_torque=False, outlives_host=True)
     acceptance = ACCEPTANCE
@@ -135,7 +135,7 @@ class LucidHost(GloveDevice):
         full_scale: int = 4095,
         give: float = 0.3,
     ) -> None:
-        """A glove whose line is not open yet.
+        """Create a host whose line is not open yet.
 
         Args:
             model: five channels, one for each finger, with ``spans``.
@@ -160,11 +160,11 @@ class LucidHost(GloveDevice):
         self.state, self.trouble = LinkState.CLOSED, "not opened yet"
         self.reading = Reading.of_nothing(len(FINGERS))
         self.said: LucidReading | None = None
-        """What it said last."""
+        """Latest sensor values."""
         self.limits = (0, 0, 0, 0, 0)
-        """Those that are to hold from now on."""
+        """Position limits in force from now on."""
         self.refused = self.links = 0
-        """Lines that said nothing; how often it began to speak."""
+        """Number of malformed lines, and number of times that the link was established."""
         self._open, self._next, self._sent_at = open_line, -math.inf, math.inf
         self._line: Line | None = None
         self._spans, self._full_scale, self._give = np.array(model.spans), full_scale, give
@@ -193,7 +193,7 @@ class LucidHost(GloveDevice):
         return self.reading
 
     def send(self, now: float, wanted: Any, measured_at: float, slope: np.ndarray | None = None) -> GuardOutput:
-        """Answer the glove if it waits for that.
+        """Send position limits as the answer that the glove waits for; return the guard's output.
 
         Limits that are to end are said at once and again, until the glove speaks and its answer says so too: the last
         answer may have been lost, and then the glove holds them and waits.
@@ -214,7 +214,7 @@ class LucidHost(GloveDevice):
         return output
 
     def close(self, now: float) -> None:
-        """Free all fingers, if the line still is there, and let go of it."""
+        """Free all fingers, if the line is still there, and close it."""
         self.disarm()
         if self._line is not None:
             try:

@@ -1,4 +1,4 @@
-"""Polhemus trackers: bytes to poses of the wrist; Isotrak II binary, Fastrak ASCII and binary.
+"""Decoders of Polhemus trackers, from bytes to poses of the wrist: Isotrak II binary, Fastrak ASCII and binary.
 
 Formats as VRPN reads them (``vrpn_Tracker_Isotrak.C``, ``vrpn_Tracker_Fastrak.C``), with the output list "position,
 quaternion" (``O2,11`` and ``O1,2,11``). A decoder takes bytes however they are cut, keeps fewer than 512 of them, and
@@ -16,42 +16,42 @@ from jaxtyping import Float
 INCH = 0.0254
 CENTIMETRE = 0.01
 LARGEST_ISOTRAK = 1.6632
-"""Position of the largest number in binary [m]."""
+"""Coordinate that the largest binary number stands for [m]."""
 FARTHEST = 5.0
-"""Position beyond which no magnetic tracker reads [m]."""
+"""Largest coordinate that a magnetic tracker can measure [m]."""
 OFF_UNIT = 0.05
-"""By how much the length of a read quaternion may miss 1, for rounding."""
+"""Largest deviation of a quaternion's length from 1, due to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackerSample:
-    """Where one receiver is, in the frame of its transmitter."""
+    """Pose of a receiver in the frame of its transmitter."""
 
     station: int
-    """1 to 4."""
+    """Number of the receiver, 1 to 4."""
     position: Float[np.ndarray, "3"]
-    """[m]"""
+    """Position of the receiver [m]."""
     quaternion: Float[np.ndarray, "4"]
     """Orientation of the receiver's axes, of length 1, real part first."""
     flag: str
-    """What the tracker adds: a space where all is well, an error's letter, or a stylus's button."""
+    """Status character: a space without an error, an error's letter, or a stylus's button."""
 
 
 class Decoder(ABC):
-    """Bytes to samples; each format says where a record begins, how long it is, and what it says."""
+    """Decoder from bytes to samples; each format defines the start, length and content of a record."""
 
     size: int
-    """Bytes of a record."""
+    """Number of bytes of a record."""
 
     def __init__(self) -> None:
-        """A decoder that has seen nothing."""
+        """Create a decoder that has seen nothing."""
         self.accepted = 0
         self.refused = 0
-        """Times that what began like a record was none."""
+        """Number of byte sequences that began like a record and were not valid."""
         self.kept = bytearray()
 
     def feed(self, data: bytes) -> list[TrackerSample]:
-        """The samples that these bytes complete."""
+        """Take bytes and return the samples that they complete."""
         found: list[TrackerSample] = []
         for start in range(0, len(data), 256):
             self.kept += data[start : start + 256]
@@ -75,11 +75,11 @@ class Decoder(ABC):
 
     @abstractmethod
     def begins(self, byte: int) -> bool:
-        """Whether a record may begin with a byte."""
+        """Return True if a record may begin with this byte."""
 
     @abstractmethod
     def read(self, record: bytes) -> TrackerSample | None:
-        """What bytes of a record's length say; None where they are none."""
+        """Decode a record of ``size`` bytes into a sample; return None if it is invalid."""
 
 
 class IsotrakBinary(Decoder):
@@ -111,7 +111,7 @@ class FastrakAscii(Decoder):
     size = 3 + 7 * 7 + 2
 
     def __init__(self, unit: float = CENTIMETRE) -> None:
-        """A decoder.
+        """Create a decoder.
 
         Args:
             unit: of positions [m]: centimetres after ``u``, inches after ``U``.
@@ -136,7 +136,7 @@ class FastrakBinary(Decoder):
     """Fastrak, binary: a header of three characters, seven float32 little-endian, and what was asked to end it."""
 
     def __init__(self, unit: float = CENTIMETRE, end: bytes = b" ") -> None:
-        """A decoder.
+        """Create a decoder.
 
         Args:
             unit: of positions [m]: centimetres after ``u``, inches after ``U``.
@@ -157,7 +157,7 @@ class FastrakBinary(Decoder):
 
 
 def _sample(station: int, flag: int, position: np.ndarray, quaternion: np.ndarray) -> TrackerSample | None:
-    """A sample, if it can be one: no format has a check sum, so what it says must make sense."""
+    """Create a sample, or return None for implausible values: no format has a check sum."""
     if not (ord("1") <= station <= ord("4") and 32 <= flag < 127):
         return None
     # Not by hypot: a number that overflows when squared is refused all the same, and warns of nothing.
@@ -172,10 +172,10 @@ def _sample(station: int, flag: int, position: np.ndarray, quaternion: np.ndarra
 
 
 class JumpFilter:
-    """Refuses samples that no hand can make, until enough of them agree that it is there after all."""
+    """Filter that refuses jumps faster than a hand, until enough samples in a row agree on the new place."""
 
     def __init__(self, *, speed: float = 5.0, turning: float = 50.0, enough: int = 5) -> None:
-        """A filter that has seen nothing.
+        """Create a filter that has seen nothing.
 
         Args:
             speed: largest of a hand [m/s].
@@ -188,7 +188,7 @@ class JumpFilter:
         self._others: list[tuple[float, TrackerSample]] = []
 
     def passes(self, now: float, sample: TrackerSample) -> bool:
-        """Whether a sample is to be believed, that came at a time [s]."""
+        """Take a sample that came at a time [s]; return True if it is plausible."""
         if self._last is None or self._is_near(self._last, now, sample):
             self._accept(now, sample)
             return True

@@ -1,4 +1,4 @@
-"""A tracker on a line: asked for each pose, or streaming them; the newest believable one."""
+"""Tracker on a line, polled for each pose or streaming; it keeps the newest plausible sample."""
 
 import math
 from typing import Literal
@@ -21,14 +21,14 @@ PROTOCOLS: dict[str, tuple[type[Decoder], tuple[bytes, ...]]] = {
     "fastrak-ascii": (FastrakAscii, (b"O1,2,11,1\r", b"u", b"F")),
     "fastrak-binary": (FastrakBinary, (b"O1,2,11,0\r", b"u", b"f")),
 }
-"""Decoder of each protocol, and what sets it up: output list, metric units, ASCII (``F``) or binary (``f``)."""
+"""Decoder and setup commands of each protocol: output list, metric units, ASCII (``F``) or binary (``f``)."""
 STREAM, STOP, ASK = b"C", b"c", b"P"
 IMPATIENT = 0.2
-"""Time without an answer after which it is asked again [s]."""
+"""Time without an answer after which the tracker is asked again [s]."""
 
 
 class Tracker:
-    """The wrist's pose from a Polhemus tracker; neither call waits."""
+    """Reader of the wrist's pose from a Polhemus tracker; no call waits."""
 
     def __init__(
         self,
@@ -39,7 +39,7 @@ class Tracker:
         station: int = 1,
         jumps: JumpFilter | None = None,
     ) -> None:
-        """A tracker that is set up by these bytes, which it answers with none.
+        """Send the setup commands of the protocol to a tracker, which does not answer them.
 
         Args:
             line: an open port, at the baud rate that the tracker's switches say.
@@ -61,13 +61,13 @@ class Tracker:
         self.jumps = jumps or JumpFilter()
         self.sample: TrackerSample | None = None
         self.sampled_at = -math.inf
-        """When the sample came [s]."""
+        """Arrival time of the sample [s]."""
         self._line, self._streams, self._station = line, streams, station
         self._asked_at, self._waits = -math.inf, False
         line.write(STOP + b"".join(setting_up) + (STREAM if streams else b""))
 
     def poll(self, now: float) -> TrackerSample | None:
-        """Take what came, ask for more where it must be asked; the newest sample.
+        """Decode the bytes that came and ask for the next sample if it does not stream; return the newest sample.
 
         Raises:
             LineError: if the line is gone.
@@ -82,7 +82,7 @@ class Tracker:
         return self.sample
 
     def close(self) -> None:
-        """Stop the stream, if the line still is there, and let go of it."""
+        """Stop the stream, if the line is still there, and close it."""
         try:
             self._line.write(STOP)
         except LineError:
@@ -91,7 +91,7 @@ class Tracker:
 
 
 def _continued(sample: TrackerSample, before: TrackerSample | None) -> TrackerSample:
-    """A sample with that of its rotation's two quaternions that is nearer to the last."""
+    """Choose the sign of a sample's quaternion that is nearer to the quaternion of the sample before."""
     if before is None or np.dot(sample.quaternion, before.quaternion) >= 0:
         return sample
     return TrackerSample(sample.station, sample.position, -sample.quaternion, sample.flag)

@@ -1,1 +1,1 @@
-"""The native protocol: frames, what a device does with them, and the page and C program to build firmware by."""
+"""Native protocol: frames, the reference device, and the specification and C program for building firmware."""

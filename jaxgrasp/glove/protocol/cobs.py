@@ -4,11 +4,11 @@ Cheshire and Baker, IEEE/ACM Transactions on Networking 7(2), 1999.
 """
 
 LONGEST_RUN = 254
-"""Bytes without a zero that one code byte can stand before."""
+"""Largest number of bytes without a zero after a code byte."""
 
 
 def stuff(data: bytes) -> bytes:
-    """The bytes without zeros, one longer for every 254 begun."""
+    """Encode bytes without zeros; the result is longer by a byte for every 254 begun."""
     out = bytearray()
     for run in data.split(b"\0"):
         while len(run) >= LONGEST_RUN:
@@ -21,7 +21,7 @@ def stuff(data: bytes) -> bytes:
 
 
 def unstuff(data: bytes) -> bytes | None:
-    """The bytes that were stuffed; None where these are no stuffed bytes."""
+    """Decode stuffed bytes; return None if they are not a valid encoding."""
     out = bytearray()
     place, size = 0, len(data)
     while place < size:

@@ -1,4 +1,4 @@
-"""What a device does with the native protocol, as its firmware must: the twin of ``firmware/glove_device.c``."""
+"""Reference device of the native protocol, which firmware must match: the twin of ``firmware/glove_device.c``."""
 
 import struct
 import zlib
@@ -18,34 +18,34 @@ from jaxgrasp.glove.protocol.frames import (
 )
 
 WINDOW = 64
-"""How far after the newest a command's number may lie: the watchdog has latched long before so many are missing."""
+"""Largest step of a command's number after the newest: the watchdog latches long before so many are missing."""
 LONGEST_SILENCE = 1_000_000
-"""How far after the last frame's clock another's may lie [us]."""
+"""Largest step of a frame's clock after the last frame's [us]."""
 LONGEST_STEP = 20_000
-"""Time that a step counts as at most [us], so that no pause allows a jump."""
+"""Largest duration that a step counts [us], so that no pause allows a jump."""
 LONGEST_COOLING = 8000
-"""Time for which motors count as cooling in one step at most [ms], so that 64 bits hold every product."""
+"""Largest cooling time that a step counts [ms], so that 64 bits hold every product."""
 MOST_HEATING = 2**16 - 1
 """Longest time constant of motors [10 ms]."""
 FADING = 5
-"""A motor's largest count fades to what it bears for ever over the last fifth of its warmth."""
+"""Divisor of the bearable warmth: over its last fifth, a motor's largest count fades to its continuous count."""
 ANSWERS = (Kind.CAPABILITY, Kind.LIMITS, Kind.CONTINUOUS)
-"""What a device answers to a HELLO, in this order."""
+"""Answers of a device to a HELLO, in this order."""
 
 
 class DeviceState(IntEnum):
-    """What a device holds. The codes travel in STATUS frames."""
+    """State of a device. The codes travel in STATUS frames."""
 
     IDLE = 0
-    """Zero: it was never armed, or was disarmed."""
+    """Zero torque: the device was never armed, or was disarmed."""
     ARMED = 1
-    """What it was last commanded, within its bounds."""
+    """Torque of the last command, within the device's bounds."""
     LATCHED = 2
-    """Zero after a fault, until it is armed again."""
+    """Zero torque after a fault, until the device is armed again."""
 
 
 class Cause(IntEnum):
-    """Why a device gave up its torque."""
+    """Cause for which a device gave up its torque."""
 
     NONE = 0
     WATCHDOG = 1
@@ -65,13 +65,13 @@ REASONS: dict[int, str] = {
     Cause.OWN: "a fault of its own",
     Cause.STOPPED: "its emergency stop was pressed",
 }
-"""What a person is told."""
+"""Descriptions of the causes for users."""
 LASTING = (Cause.OWN, Cause.STOPPED)
 """Causes that latch whatever the state."""
 
 
 class Device:
-    """Commands in, counts of torque out, with a watchdog of its own; it raises nothing, whatever comes.
+    """Reference device: commands in, counts of torque out, with its own watchdog; no input raises an error.
 
     Times are its own clock [us], modulo 2^32, none before the last; it needs ``step`` about every millisecond.
     """
@@ -88,7 +88,7 @@ class Device:
         watchdog: int = 50,
         seed: int = 0,
     ):
-        """A device that is idle.
+        """Create a device that is idle.
 
         Args:
             channels: how many of the 14 it has.
@@ -113,11 +113,11 @@ class Device:
         self._continuous = [min(one or peak, peak) for one, peak in zip(lasting, self._most, strict=True)]
         self.state, self.cause = DeviceState.IDLE, Cause.NONE
         self.counts = [0] * CHANNELS
-        """What it holds."""
+        """Torque of each channel [counts]."""
         self.accepted = 0
-        """Commands."""
+        """Number of accepted commands."""
         self.session: int | None = None
-        """Session of the host that greeted it last."""
+        """Session of the host that sent the last HELLO."""
         self.reader = FrameReader()
         self.order = Sequence()
         self._channels, self._slew, self._quantum = channels, slew, quantum
@@ -126,17 +126,17 @@ class Device:
         self._heard = self._stepped = self._peer_clock = 0
         self._credit = 0
         self.warmth = [0] * CHANNELS
-        """What its motors have taken up and not yet given off [counts^2 ms]."""
+        """Heat that each motor has taken up and not yet given off [counts^2 ms]."""
         self._warmed = self._told = 0
         self._answers: list[Kind] = []
         self._sent = self._drawn = 0
         self._seed = seed
         self.nonce = 0
-        """What ARM must repeat, drawn at each HELLO and each ARM."""
+        """Number that ARM must repeat, drawn at each HELLO and each ARM."""
         self._is_pressed = False
 
     def receive(self, now: int, data: bytes) -> None:
-        """Bytes from the line."""
+        """Decode bytes from the line and act on their frames, at a time [us]."""
         for frame in self.reader.feed(data):
             if frame.kind == Kind.HELLO:
                 self._greet(now, frame)
@@ -148,13 +148,13 @@ class Device:
                     self.accepted += self._is_new(frame)
 
     def press(self, is_pressed: bool) -> None:
-        """The line of its emergency stop's button: what it says now."""
+        """Set the state of the emergency stop's button; a pressed button trips the device."""
         self._is_pressed = is_pressed
         if is_pressed:
             self.trip(Cause.STOPPED)
 
     def step(self, now: int) -> list[int]:
-        """What it holds from now on [counts]."""
+        """Advance to a time [us]: warmth, watchdog and slew; return the torques from now on [counts]."""
         passed = (now - self._stepped) % TICKS
         self._stepped = now
         self._warm(passed)
@@ -173,13 +173,13 @@ class Device:
         return self.counts
 
     def trip(self, cause: Cause) -> None:
-        """Zero at once, and latched: if it was armed, or for a fault of its own, called for as long as that lasts."""
+        """Set the torque to zero at once; latch if armed, or for a lasting cause, for which it is called repeatedly."""
         if self.state == DeviceState.ARMED or cause in LASTING:
             self.state, self.cause = DeviceState.LATCHED, cause
         self._drop()
 
     def frame(self, now: int, kind: Kind, values: tuple[int, ...], flags: Flag = NO_FLAGS) -> Frame:
-        """A frame to send, numbered, with its state among the flags."""
+        """Create the next frame to send, numbered, with the device's state among the flags."""
         if self.state == DeviceState.ARMED:
             flags |= Flag.ENABLE
         elif self.state == DeviceState.LATCHED:
@@ -191,7 +191,7 @@ class Device:
         return Frame(kind, self._sent, now % TICKS, padded, flags, self._peer_clock, self.cause)
 
     def answer(self, now: int) -> Frame | None:
-        """What is left of its answer to a HELLO: CAPABILITY, LIMITS, CONTINUOUS, once each; None where nothing is."""
+        """Return the next answer to a HELLO: CAPABILITY, LIMITS, CONTINUOUS, once each; None after the last."""
         if not self._answers or self.session is None:
             return None
         kind = self._answers.pop(0)
@@ -201,7 +201,7 @@ class Device:
         return self.frame(now, kind, (self.session, *bounds, self.nonce, _signed(self._heating)))
 
     def status(self, now: int) -> Frame:
-        """Its STATUS."""
+        """Create a STATUS frame, with the warmth of the next channel in turn."""
         refused = sum(self.reader.refused.values())
         numbers = (self.accepted, self.order.missing, self.order.stale, refused)
         halves = [half for number in numbers for half in (number % 2**16, number // 2**16 % 2**16)]
@@ -224,7 +224,7 @@ class Device:
         self.nonce = _signed(zlib.crc32(struct.pack("<3I", self._seed, now % TICKS, self._drawn)) % SEQUENCES)
 
     def _is_new(self, frame: Frame) -> bool:
-        """Newer than the last by number and by clock: what an older session left on the line is neither."""
+        """Check that a frame is newer than the last by number and by clock; frames of an older session are neither."""
         if not 0 < (frame.clock - self._peer_clock) % TICKS <= LONGEST_SILENCE:
             self.order.stale += 1
             return False
@@ -234,7 +234,7 @@ class Device:
         return True
 
     def _obey(self, now: int, frame: Frame) -> None:
-        """Torque ends whatever the frame's age; it begins and goes on only by what answers a frame of ours in time."""
+        """Act on a COMMAND or ARM: disarm at any age; arm or set torques only if it answers a recent frame."""
         if frame.kind == Kind.COMMAND and Flag.ENABLE not in frame.flags:
             self.accepted += 1
             if self.state == DeviceState.ARMED:
@@ -249,16 +249,16 @@ class Device:
             if frame.values[:2] == (self.session, self.nonce) and not self._is_pressed:
                 self._drop()
                 self.state, self.cause, self._heard = DeviceState.ARMED, Cause.NONE, frame.echo
-                # It is good for one ARM.
+                # Each drawn number is valid for one ARM.
                 self._draw(now)
         elif self.state == DeviceState.ARMED:
             self._heard = frame.echo
             self._wanted = [min(max(value, 0), most) for value, most in zip(frame.values, self._most, strict=True)]
 
     def _warm(self, passed: int) -> None:
-        """Motors warm with the square of what they held since the last step, and cool, in whole milliseconds.
+        """Update the motors' warmth in whole milliseconds: heating by the squared counts, and cooling.
 
-        What is taken up now cools from the next step on, so that rounding and long steps make it no less than it is.
+        New heat cools from the next step on, so that rounding and long steps never underestimate it.
         """
         time, self._warmed = divmod(self._warmed + passed, 1000)
         time, constant = min(time, LONGEST_COOLING), 10 * self._heating
@@ -267,15 +267,15 @@ class Device:
             self.warmth[k] += count * count * time - cooled
 
     def _bearable(self, channel: int) -> int:
-        """The warmth that a motor bears for ever [counts^2 ms]."""
+        """Compute the warmth that a motor bears for ever [counts^2 ms]."""
         return self._continuous[channel] ** 2 * 10 * self._heating
 
     def _share(self, channel: int) -> int:
-        """A motor's warmth [1/1000 of what it bears for ever]."""
+        """Compute a motor's warmth [1/1000 of the warmth that it bears for ever]."""
         return self.warmth[channel] * 1000 // max(self._bearable(channel), 1)
 
     def _allowed(self, channel: int) -> int:
-        """The largest count of a channel, by how warm its motor is."""
+        """Compute the largest count of a channel at the present warmth of its motor."""
         most, lasting, bearable = self._most[channel], self._continuous[channel], self._bearable(channel)
         fades, left = bearable // FADING, max(bearable - self.warmth[channel], 0)
         return most if left >= fades else lasting + (most - lasting) * left // fades

@@ -1,4 +1,4 @@
-"""The native protocol's frames: 14 signed values with a number, a time and a check sum, between zeros.
+"""Frames of the native protocol: 14 signed values with a number, a time and a check sum, between zeros.
 
 A frame before stuffing, little-endian, 44 bytes:
 
@@ -31,17 +31,17 @@ CHANNELS = 14
 _BODY = struct.Struct("<BBHII14h")
 _CHECK = struct.Struct("<I")
 SIZE = _BODY.size + _CHECK.size
-"""Bytes of a frame before stuffing."""
+"""Number of bytes of a frame before stuffing."""
 LINE_SIZE = SIZE + 2
-"""Bytes of a frame on the line."""
+"""Number of bytes of a frame on the line."""
 BUFFER = 512
-"""Bytes that a reader keeps at most of what is no frame yet."""
+"""Largest number of bytes of an incomplete frame that a reader keeps."""
 SEQUENCES, TICKS = 2**16, 2**32
-"""After which sequence numbers and clocks begin again."""
+"""Moduli of sequence numbers and of clocks [us]."""
 
 
 class Kind(IntEnum):
-    """What a frame's values are; those that it does not use are zero."""
+    """Kind of a frame, which defines its values; unused values are zero."""
 
     HELLO = 1
     """Host to device: session, a number the host draws. A device gives up all torque at it, and answers."""
@@ -55,7 +55,7 @@ class Kind(IntEnum):
     TENSIONS = 5
     """Device to host: strain gauges [counts]."""
     ARM = 6
-    """Host to device: session, and the device's number. What alone lets torques through and ends a latch."""
+    """Host to device: session, and the device's number. Only ARM lets torques through and ends a latch."""
     STATUS = 7
     """Device to host: session, state, cause; then four numbers of 32 bits, low half first: commands accepted,
     missing, stale, frames refused; the newest sequence number; and of one channel after the other its index and its
@@ -72,13 +72,13 @@ class Flag(IntFlag):
     """Flags of a frame."""
 
     ENABLE = 1
-    """In a command: without it a device disarms. In what a device sends: it is armed."""
+    """In a command: the device may stay armed, without the flag it disarms. In a device's frame: it is armed."""
     LATCHED = 2
-    """In what a device sends: it holds zero after a fault, until it is armed anew."""
+    """In a device's frame: it holds zero after a fault, until it is armed anew."""
     SATURATED = 4
-    """In what a device sends: a gauge was at its end."""
+    """In a device's frame: a gauge was at the end of its range."""
     PRESSED = 8
-    """In what a device sends: its emergency stop is pressed, and it cannot be armed."""
+    """In a device's frame: its emergency stop is pressed, and it cannot be armed."""
 
 
 NO_FLAGS = Flag(0)
@@ -86,23 +86,23 @@ NO_FLAGS = Flag(0)
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame's content."""
+    """Content of a frame."""
 
     kind: Kind
     sequence: int
     clock: int
-    """The sender's [us], below 2^32."""
+    """Sender's clock [us], below 2^32."""
     values: tuple[int, ...]
-    """14 of them, 16 bits each with sign."""
+    """14 signed values of 16 bits."""
     flags: Flag = NO_FLAGS
     echo: int = 0
-    """The other side's clock [us], in the newest frame that was heard of it; 0 before any."""
+    """Other side's clock in its newest frame that was heard [us]; 0 before any."""
     cause: int = 0
-    """Why a device gave up its torque; below 16."""
+    """Code of the cause for which a device gave up its torque; below 16."""
 
 
 def encode(frame: Frame) -> bytes:
-    """The bytes on the line, the zero at the end among them.
+    """Encode a frame into its bytes on the line, with the zero at the end.
 
     Raises:
         ValueError: for values that are not 14, and numbers that do not fit.
@@ -119,19 +119,19 @@ def encode(frame: Frame) -> bytes:
 
 
 class Refusal(IntEnum):
-    """Why bytes between zeros are no frame."""
+    """Reason why the bytes between two zeros are not a frame."""
 
     STUFFING = 0
     LENGTH = 1
     CHECK = 2
     VERSION = 3
-    """Another version of the protocol; or a kind that this one does not know."""
+    """Different version of the protocol, or an unknown kind."""
     OVERFLOW = 4
-    """More bytes without a zero than a reader keeps."""
+    """More bytes without a zero than a reader's buffer holds."""
 
 
 def decode(line: bytes) -> Frame | Refusal:
-    """What the bytes between two zeros are."""
+    """Decode the bytes between two zeros into a frame, or return the reason for their refusal."""
     data = unstuff(line)
     if data is None:
         return Refusal.STUFFING
@@ -147,18 +147,18 @@ def decode(line: bytes) -> Frame | Refusal:
 
 
 class FrameReader:
-    """Frames out of whatever bytes come, however cut; it never keeps more than 512 of them, and raises nothing."""
+    """Reader of frames from a stream of bytes in any pieces; it keeps at most 512 bytes and raises nothing."""
 
     def __init__(self) -> None:
-        """A reader that has seen nothing."""
+        """Create a reader that has seen nothing."""
         self.refused = dict.fromkeys(Refusal, 0)
-        """How often, by why."""
+        """Number of refusals by reason."""
         self.accepted = 0
         self._kept = bytearray()
         self._overflown = False
 
     def feed(self, data: bytes) -> list[Frame]:
-        """The frames that these bytes complete."""
+        """Take bytes and return the frames that they complete."""
         *lines, rest = data.split(b"\0")
         frames: list[Frame] = []
         for line in lines:
@@ -175,7 +175,7 @@ class FrameReader:
             self._kept += part
 
     def _end(self) -> Iterable[Frame]:
-        """What a zero ends; nothing between two zeros is nothing."""
+        """Decode the bytes that a zero ends and count the outcome; no bytes between two zeros give no frame."""
         line, overflown = bytes(self._kept), self._overflown
         self._kept.clear()
         self._overflown = False
@@ -190,24 +190,24 @@ class FrameReader:
 
 
 class Sequence:
-    """Which frames are new: what is not after the newest is stale, and what a newer one skips is missing."""
+    """Tracker of sequence numbers: a number not after the newest is stale, skipped numbers are missing frames."""
 
     def __init__(self, newest: int | None = None, window: int = SEQUENCES // 2 - 1) -> None:
-        """Numbers of a sender whose last known frame is ``newest``; None if nothing came yet, so that any is the first.
+        """Create a tracker of a sender whose last known frame is ``newest``; with None, any number counts as the first.
 
         Args:
             newest: number of that frame.
             window: how far after the newest a number may lie; what lies farther is stale.
         """
         self.missing = 0
-        """Frames that were sent and did not come, as far as the numbers tell."""
+        """Number of frames that were sent and did not come, as far as the sequence numbers tell."""
         self.stale = 0
-        """Frames that came again, or late."""
+        """Number of frames that came again, or late."""
         self.newest = newest
         self._window = window
 
     def is_new(self, number: int) -> bool:
-        """Whether a frame of this number is to be acted on."""
+        """Return True if a frame of this number is new and may be acted on; count missing and stale frames."""
         ahead = 1 if self.newest is None else (number - self.newest) % SEQUENCES
         if not 0 < ahead <= self._window:
             self.stale += 1

@@ -1,4 +1,4 @@
-"""Another side's clock, from the frames that carry it and what they answer: how old is what it says?"""
+"""Estimate of the other side's clock from its frames and the frames that they answer, to know the age of data."""
 
 import math
 from collections import deque
@@ -8,19 +8,19 @@ import numpy as np
 from jaxgrasp.glove.protocol.frames import TICKS
 
 DRIFT = 6e-3
-"""By how much two clocks may run apart, with room: half a per cent, as ceramic resonators do [1]."""
+"""Largest relative drift of two clocks, with a margin: half a per cent, as for ceramic resonators [1]."""
 WINDOW = 0.25
-"""Time of which the frame that came soonest counts [s]."""
+"""Length of a window, of which the frame with the least lag counts [s]."""
 FEWEST, KEPT = 4, 32
-"""Windows from which a rate is known, and those that it is fitted to."""
+"""Smallest number of windows for a fit of the clock rate, and largest number of windows in the fit."""
 SLACK = 1e-3
-"""By how much a round trip may exceed the shortest without saying that something waits [s]."""
+"""Largest excess of a round trip over the shortest that does not count as waiting [s]."""
 RELAXES = 1e-5
-"""By how much the shortest round trip is let go [s/s]: a delay that grows more slowly is taken for the clock's rate."""
+"""Rate at which the shortest round trip is relaxed [s/s]: a slower growth of delay is attributed to the clock."""
 
 
 class PeerClock:
-    """Times of another side's clock on ours.
+    """Conversion of the other side's clock to the local clock.
 
     No frame arrives before it is sent: the least difference seen between arrival and its clock is the offset, and what
     a frame is later than that it has waited somewhere. Clocks that run apart and a delay that grows look alike in that
@@ -29,7 +29,7 @@ class PeerClock:
     """
 
     def __init__(self, least: float = 0.0) -> None:
-        """A clock of which nothing is known.
+        """Create a clock of which nothing is known.
 
         Args:
             least: time that a frame takes at least, on an empty line [s].
@@ -44,7 +44,7 @@ class PeerClock:
         self._soonest, self._trip = (math.inf, 0.0, 0.0), math.inf
 
     def sent_at(self, ticks: int, arrived: float, trip: float = 0.0) -> float:
-        """When a frame was sent, on our clock [s].
+        """Estimate the time at which a frame was sent, on the local clock [s].
 
         Args:
             ticks: its clock [us], modulo 2^32.
@@ -69,7 +69,7 @@ class PeerClock:
         return at + self._expected(at) - self._least
 
     def _expected(self, at: float) -> float:
-        """The least lag that a frame of a time may have."""
+        """Compute the least lag [s] of a frame sent at a time on the other side's clock [s]."""
         return self._offset + self._rate * at
 
     def _go_on(self, at: float, lag: float, arrived: float) -> None:
@@ -100,24 +100,24 @@ class PeerClock:
 
 
 class RoundTrip:
-    """How long it takes until frames come that answer ours: the least of the last moments.
+    """Shortest recent round trip, from a local frame to the frame that answers it.
 
-    The least, since a busy program reads late what came in time.
+    The minimum counts, since a busy program reads frames late that came in time.
     """
 
     def __init__(self, lasts: float = 0.1) -> None:
-        """One that has seen nothing; ``lasts`` is how long a frame counts [s]."""
+        """Create an estimator without frames; ``lasts`` is the time for which a frame counts [s]."""
         self._lasts = lasts
         self._seen: deque[tuple[float, float]] = deque()
 
     def add(self, now: float, trip: float) -> None:
-        """A frame came, that answers one of ours that was sent a time ago [s]."""
+        """Record the round trip [s] of a frame that came at a time [s]."""
         while self._seen and self._seen[-1][1] >= trip:
             self._seen.pop()
         self._seen.append((now, trip))
 
     def least(self, now: float) -> float:
-        """The least of the last moments [s]; infinite where nothing came."""
+        """Return the shortest recent round trip [s]; infinite if no frame came."""
         while self._seen and self._seen[0][0] < now - self._lasts:
             self._seen.popleft()
         return self._seen[0][1] if self._seen else math.inf

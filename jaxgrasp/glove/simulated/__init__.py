@@ -1,1 +1,1 @@
-"""A glove that is not there: fingers, cables, a slow line and its faults, in real or in virtual time."""
+"""Simulated glove: fingers, cables, a slow line and its faults, in real or in virtual time."""

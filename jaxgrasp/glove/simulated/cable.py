@@ -1,4 +1,4 @@
-"""A cable that slides around its guides: capstan friction that sticks and slips, for the simulator."""
+"""Capstan friction with stick and slip of a cable around its guides, for the simulator."""
 
 from dataclasses import dataclass, field
 
@@ -17,13 +17,13 @@ class Cable:
 
     channels: int
     wrap: float = np.pi
-    """Angle of its guides together [rad]."""
+    """Total wrap angle around the guides [rad]."""
     sliding: float = 0.08
     """Coefficient of friction in motion."""
     resting: float = 0.12
     """Coefficient of friction at rest."""
     slow: float = 0.002
-    """Speed over which the one becomes the other [m/s]."""
+    """Speed scale of the transition from rest to motion [m/s]."""
     winding: float = 2e-4
     """Travel over which friction winds up [m]."""
     state: Float[np.ndarray, "channels"] = field(init=False)
@@ -34,7 +34,7 @@ class Cable:
     def pull(
         self, motor: Float[np.ndarray, "channels"], speed: Float[np.ndarray, "channels"], passed: float
     ) -> Float[np.ndarray, "channels"]:
-        """Tensions at the fingers [N].
+        """Compute the tensions at the fingers [N].
 
         Args:
             motor: tensions at the motors [N].

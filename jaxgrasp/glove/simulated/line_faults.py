@@ -1,13 +1,13 @@
-"""What a bad line does to bytes, at will and reproducibly."""
+"""Reproducible fault injection for the bytes of a line."""
 
 import random
 
 
 class Spoiler:
-    """Spoils a share of what passes: bits that flip, bytes that are lost or come from nowhere, bursts, whole losses."""
+    """Fault injector for a share of the pieces: flipped bits, lost or inserted bytes, bursts, whole losses."""
 
     def __init__(self, share: float, seed: int) -> None:
-        """A bad line.
+        """Create a fault injector.
 
         Args:
             share: of the pieces that pass, how many get one fault.
@@ -19,11 +19,11 @@ class Spoiler:
         if not 0 <= share <= 1:
             raise ValueError(f"share is {share}: expected 0 to 1")
         self.faults = 0
-        """How many pieces were spoilt."""
+        """Number of spoilt pieces."""
         self._share, self._rng = share, random.Random(seed)
 
     def spoil(self, piece: bytes) -> bytes:
-        """What comes out for what went in."""
+        """Return the piece, changed by one fault if it is drawn for one."""
         rng = self._rng
         if not piece or rng.random() >= self._share:
             return piece

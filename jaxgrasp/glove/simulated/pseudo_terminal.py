@@ -1,4 +1,4 @@
-"""A pseudo-terminal that is as slow as a serial line, for programs that open it as a port."""
+"""Pseudo-terminal with the speed of a serial line, for programs that open it as a port."""
 
 import contextlib
 import fcntl
@@ -13,7 +13,7 @@ from pathlib import Path
 from jaxgrasp.glove.simulated.slow_line import Terminal, Throttle
 
 PROMPT = 0.002
-"""How soon a simulator that is not held up reads again [s]."""
+"""Longest time between two reads of a simulator that is not held up [s]."""
 
 
 class PseudoTerminal(Terminal):
@@ -59,7 +59,7 @@ class PseudoTerminal(Terminal):
             self._read_at, self._overdue = math.inf, 0.0
 
     def read(self, now: float) -> bytes:
-        """What the line has carried to the device by now."""
+        """Return the bytes that the line has carried to the device by now."""
         if self._ends is None:
             return b""
         waiting = struct.unpack("i", fcntl.ioctl(self._ends[0], termios.FIONREAD, b"\0" * 4))[0]

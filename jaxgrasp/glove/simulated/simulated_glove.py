@@ -1,4 +1,4 @@
-"""A glove on a hand that are not there: a device of the native protocol, its cables, and fingers that bend."""
+"""Simulated glove on a simulated hand: a device of the native protocol, its cables, and fingers that bend."""
 
 import random
 from collections.abc import Sequence
@@ -16,28 +16,28 @@ from jaxgrasp.glove.simulated.cable import Cable
 STEP = 5e-4
 """Longest step of the fingers' motion [s]."""
 STATUS_EVERY = 25
-"""Frames between two STATUS: ten a second at a frame every 4 ms."""
+"""Number of frames from one STATUS to the next: ten a second at a frame every 4 ms."""
 
 
 @dataclass(frozen=True)
 class Fingers:
-    """How a person moves each joint: to a target angle, as a spring and a damper would."""
+    """Impedance of the user's joints: a spring and a damper toward a target angle, and an inertia."""
 
     stiffness: float = 1.0
-    """[N.m/rad]"""
+    """Stiffness of each joint [N.m/rad]."""
     damping: float = 0.01
-    """[N.m.s/rad]"""
+    """Damping of each joint [N.m.s/rad]."""
     inertia: float = 5e-5
-    """[kg.m^2]"""
+    """Inertia of each joint [kg.m^2]."""
 
 
 class SimulatedGlove:
-    """A glove with a person in it, driven by calls to ``step``; times are seconds of the world."""
+    """Simulated glove with a user's fingers in it, driven by calls to ``step``; times are seconds of the world."""
 
     def __init__(
         self, model: GloveModel, sensors: Sensors, *, fingers: Fingers | None = None, cable: Cable | None = None
     ):
-        """A glove on an open hand, idle.
+        """Create an idle glove on an open hand.
 
         Args:
             model: the glove.
@@ -60,11 +60,11 @@ class SimulatedGlove:
         self.tensions = np.zeros(count)
         """Tensions of the cables at the fingers [N]."""
         self.are_encoders_stuck = False
-        """Whether ANGLES repeat what they said last: a fault."""
+        """Fault: ANGLES frames repeat the last counts."""
         self.jump: int | None = None
-        """Counts that the first encoder says in place of its own: a fault."""
+        """Fault: counts that the first encoder reports in place of its own."""
         self.slack: int | None = None
-        """A channel whose cable has come off: a fault."""
+        """Fault: index of the channel whose cable has come off."""
         self._model, self._sensors, self._cable = model, sensors, cable
         self._fingers = fingers or Fingers()
         self._from = self._to = np.zeros(count)
@@ -73,16 +73,16 @@ class SimulatedGlove:
         self._stuck = sensors.encoders.counts(self.angles)
 
     def bend(self, now: float, targets: Float[np.ndarray, "channels"], lasts: float) -> None:
-        """The person begins to move to other angles [rad], for a time [s]."""
+        """Begin a movement of the fingers to target angles ``(channels,)`` [rad] that lasts a time [s]."""
         self._from, self._to, self._begins, self._lasts = self.targets(now), targets, now, max(lasts, 1e-9)
 
     def targets(self, now: float) -> Float[np.ndarray, "channels"]:
-        """Where the person wants the joints to be [rad]; without a jerk at either end."""
+        """Compute the target angles of the movement at a time [rad]: a quintic with zero speed at both ends."""
         share = np.clip((now - self._begins) / self._lasts, 0, 1)
         return self._from + (self._to - self._from) * share**3 * (10 - 15 * share + 6 * share**2)
 
     def step(self, now: float, passed: float, clock: int) -> None:
-        """Go on by a time [s], the device by its own clock [us]."""
+        """Advance the fingers by a duration [s], and the device to a time on its own clock [us]."""
         counts = np.array(self.device.step(clock)[: len(self.angles)])
         motor = counts * self._model.quantum / self._sensors.gauges.arm
         steps = max(1, int(np.ceil(min(passed, 0.1) / STEP)))
@@ -100,7 +100,7 @@ class SimulatedGlove:
         self.angles = self.angles + passed * self.speeds
 
     def next_frame(self, clock: int) -> Frame:
-        """What the device sends next: answers first, then two ANGLES for each TENSIONS, and STATUS at times."""
+        """Create the device's next frame: answers first, then two ANGLES for each TENSIONS, and STATUS at times."""
         answer = self.device.answer(clock)
         if answer is not None:
             return answer

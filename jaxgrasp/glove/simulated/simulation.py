@@ -1,4 +1,4 @@
-"""A simulated glove on a simulated line, with its faults and its record; any clock drives it."""
+"""Simulated glove on a simulated line, with faults and a record; any clock drives it."""
 
 import random
 from collections.abc import Callable
@@ -20,7 +20,7 @@ FRAME_EVERY = 0.004
 
 
 class Simulation:
-    """The loop's state: the glove, its line, its faults, and its record."""
+    """State of the simulation: the glove, its line, its faults, and its record."""
 
     def __init__(
         self,
@@ -46,11 +46,11 @@ class Simulation:
         self._every, self._recorded_at = options.get("record_every", 0.005), -np.inf
 
     def clock(self, now: float) -> int:
-        """The device's own [us]."""
+        """Compute the device's own clock at a time [us]."""
         return (self._clock0 + int((now - self._start) * (1 + self._drift) * 1e6)) % TICKS
 
     def turn(self, now: float) -> None:
-        """One pass of the loop."""
+        """Execute a pass of the loop at a time [s]: read, step the glove, send frames, record."""
         if self.back_at < now:
             self.back_at = np.inf
             self.terminal.plug()
@@ -92,7 +92,7 @@ class Simulation:
         return {"refused": refused, "waiting": waiting, "spoilt": spoilt, **numbers, **held, **known}
 
     def obey(self, order: dict[str, Any], now: float) -> None:
-        """One order; those of a fault last as long as they say [s]."""
+        """Execute an order and report it; a fault lasts for the time in its order [s]."""
         match order:
             case {"bend": targets, "lasts": lasts}:
                 self.glove.bend(now, np.array(targets, float), float(lasts))

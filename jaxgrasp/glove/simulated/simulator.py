@@ -1,4 +1,4 @@
-"""Runs a simulated glove as a process, and tells it what is to happen to it."""
+"""Handle of a simulated glove in a process of its own, which takes orders and faults."""
 
 import os
 import tempfile
@@ -12,10 +12,10 @@ from jaxgrasp.validation.checked import checked
 
 
 class Simulator:
-    """A simulated glove in a process of its own, behind ``port``; a context manager that ends it."""
+    """Simulated glove in a process of its own, behind ``port``; a context manager that ends it."""
 
     def __init__(self, **options: Any) -> None:
-        """A glove that waits at its port.
+        """Start a simulated glove that waits at its port.
 
         Args:
             options: ``port`` (a path; one in a fresh folder if left out), ``baud``, ``model`` and ``calibration``
@@ -38,7 +38,7 @@ class Simulator:
             raise
 
     def order(self, **what: Any) -> dict[str, Any]:
-        """Tell it something; its report right after.
+        """Send an order to the simulator; return its report right after.
 
         Args:
             what: ``bend`` (angles to go to [rad]) and ``lasts`` [s]; ``cut`` or ``unplug`` [s]; ``spoil`` (share of
@@ -53,11 +53,11 @@ class Simulator:
         return self._child.wait_for(lambda told: "done" in told, before)["report"]
 
     def zeros(self, since: float) -> list[dict[str, Any]]:
-        """The times at which its torque fell to zero, from a moment on, each with its cause."""
+        """Return the events at which the torque fell to zero since a time [s], each with its cause."""
         return [told for told in list(self._child.said) if told.get("event") == "zero" and told["at"] >= since]
 
     def close(self) -> None:
-        """End it, and its port."""
+        """End the simulator and remove its port."""
         self._child.close()
         self._folder.cleanup()
 
@@ -70,7 +70,7 @@ class Simulator:
 
 @checked
 def read_record(path: str | os.PathLike, channels: int = 14) -> dict[str, np.ndarray]:
-    """What a simulator wrote: ``time`` [s], ``state``, ``counts``, ``angles`` [rad] and ``tensions`` [N]."""
+    """Read a simulator's record: ``time`` [s], ``state``, ``counts``, ``angles`` [rad] and ``tensions`` [N]."""
     raw = np.fromfile(path, np.float64)
     width = 2 + 14 + 2 * channels
     rows = raw[: len(raw) // width * width].reshape(-1, width)

@@ -1,4 +1,4 @@
-"""A simulated glove behind a pseudo-terminal, as a process of its own: run as a module.
+"""Process of a simulated glove behind a pseudo-terminal: run as a module.
 
 It reads orders as lines of JSON from its standard input, and says what happens as lines of JSON; ``Simulator`` in
 ``simulator.py`` runs one. Only systems with pseudo-terminals can (Linux, macOS).

@@ -1,4 +1,4 @@
-"""A line as slow as a real one: bytes leave by the time they take, not by messages."""
+"""Line with the speed of a real one: bytes arrive after their transfer time, not by messages."""
 
 from abc import ABC, abstractmethod
 
@@ -6,10 +6,10 @@ from jaxgrasp.glove.line import Line, LineError
 
 
 class Throttle:
-    """How many bytes a line has carried by now: never more than its baud rate would have."""
+    """Limiter of the bytes that a line carries to its baud rate."""
 
     def __init__(self, baud: int) -> None:
-        """An idle line of 8N1.
+        """Create the limiter of an idle line of 8N1.
 
         Args:
             baud: bits a second; ten make a byte.
@@ -19,7 +19,7 @@ class Throttle:
         self._carried = 0
 
     def pass_on(self, now: float, waiting: int) -> int:
-        """How many of the bytes that wait have come through; call it often, with all that still wait."""
+        """Return how many of the waiting bytes come through now; call this often, with the count of all waiting."""
         if waiting == 0:
             self._since = None
             return 0
@@ -35,46 +35,46 @@ class Throttle:
 
 
 class Terminal(ABC):
-    """The device's end of a line."""
+    """Interface of the device's end of a line."""
 
     most_waiting: int
-    """Bytes that were on their way to the device at most."""
+    """Largest number of bytes that were on their way to the device."""
 
     @abstractmethod
     def plug(self) -> None:
-        """Be there."""
+        """Connect the line."""
 
     @abstractmethod
     def unplug(self) -> None:
-        """Be gone, with all that was on its way."""
+        """Disconnect the line and discard all bytes on their way."""
 
     @abstractmethod
     def read(self, now: float) -> bytes:
-        """What the line has carried to the device by now."""
+        """Return the bytes that the line has carried to the device by now."""
 
     @abstractmethod
     def is_free(self) -> bool:
-        """Whether all that was queued is out."""
+        """Return True if all queued bytes have left."""
 
     @abstractmethod
     def queue(self, data: bytes) -> None:
-        """More to let out."""
+        """Queue bytes to send to the host."""
 
     @abstractmethod
     def write(self, now: float) -> None:
-        """Let out what the line has carried from the device by now."""
+        """Send the queued bytes that the line has carried from the device by now."""
 
 
 class MemoryLine(Line):
-    """Both ends of a line in one program, for time that is not the world's: deterministic, and never late.
+    """Line in memory with both ends in one program, for virtual time: deterministic and never late.
 
     A host reads and writes it as a port; a ``Simulation`` has its other end, and is driven by whoever drives time.
     """
 
     def __init__(self, baud: int) -> None:
-        """A line that is plugged in and empty."""
+        """Create a line that is plugged in and empty."""
         self.far = _FarEnd(self, baud)
-        """The device's end."""
+        """Device's end of the line."""
         self.to_device, self.to_host = bytearray(), bytearray()
         self.is_plugged = True
 

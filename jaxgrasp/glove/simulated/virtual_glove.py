@@ -1,4 +1,4 @@
-"""A glove, its line and its host in virtual time: no clock, no process, the same every time."""
+"""Simulated glove with its line and host in virtual time: no clock, no process, reproducible."""
 
 from typing import Any
 
@@ -20,10 +20,10 @@ TURN = 0.005
 
 
 class HeldPeer(Peer):
-    """A computing side in the same program: what it last said, what it was last told."""
+    """Peer in the same program, which holds the last law and the last state."""
 
     def __init__(self) -> None:
-        """One that has said nothing."""
+        """Create a peer without a law and without a state."""
         self.said: TorqueLaw | None = None
         self.state: GloveState | None = None
 
@@ -38,12 +38,12 @@ class HeldPeer(Peer):
 
 
 class VirtualGlove:
-    """The whole glove's side in virtual time, with a record of every millisecond at the device."""
+    """Complete I/O side with a simulated glove in virtual time, with a record of every millisecond at the device."""
 
     def __init__(
         self, model: GloveModel, sensors: Sensors, *, scale: float = 1.0, baud: int = 115_200, friction: bool = False
     ) -> None:
-        """A glove that has just been switched on, at time 0.
+        """Create a glove that has just been switched on, at time 0.
 
         Args:
             model: the glove.
@@ -60,15 +60,15 @@ class VirtualGlove:
         host = GloveHost(model, sensors, lambda: self.line, Guard(model, scale=scale), baud=baud)
         self.rendering = Rendering(host, self.peer)
         self.record: list[tuple[float, np.ndarray, np.ndarray]] = []
-        """Time [s], counts of torque at the device, angles [rad]."""
+        """Rows of time [s], counts of torque at the device, and angles [rad]."""
         self._next_turn = 0.0
 
     def order(self, **what: Any) -> None:
-        """Something happens to it: see ``Simulation.obey``."""
+        """Give the simulation an order, as for ``Simulation.obey``."""
         self.simulation.obey(what, self.now)
 
     def run(self, until: float) -> None:
-        """Let time go on."""
+        """Advance the simulation to the time ``until`` [s]."""
         while self.now < until - MILLISECOND / 2:
             self.now += MILLISECOND
             self.simulation.turn(self.now)

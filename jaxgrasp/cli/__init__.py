@@ -1,1 +1,1 @@
-"""What a person runs: ``jaxgrasp COMMAND``. Arguments are understood before JAX is imported."""
+"""Command line ``jaxgrasp COMMAND``. Arguments are understood before JAX is imported."""

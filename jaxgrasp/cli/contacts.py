@@ -24,7 +24,7 @@ from jaxgrasp.validation.fields import check_not_negative, check_positive
 
 
 class _Object(NamedTuple):
-    """What is touched."""
+    """Object that the hands touch: its spheres, centre of mass [m], friction and mass [kg]."""
 
     tree: SphereTree
     center: np.ndarray
@@ -113,7 +113,7 @@ def _object(arguments: FindContacts, poses: GraspPoses) -> _Object:
 
 
 def _given(name: str, wanted: float | None, poses: GraspPoses) -> float:
-    """What the user says, else what the file does."""
+    """Return the number that the user gave as ``wanted``, else the file's; raise ValueError without either."""
     value = wanted if wanted is not None else getattr(poses, name)
     if value is None:
         raise ValueError(f"{poses.path} does not say the object's {name}: give it by --{name}")

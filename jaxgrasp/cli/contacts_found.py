@@ -1,4 +1,4 @@
-"""What commands that make files of contacts write, and say of it."""
+"""Output of the commands that make files of contacts: the file, and the lines about it on screen."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ def write_contacts(
 
 
 def _left_out_words(left_out: Mapping[str, np.ndarray]) -> list[str]:
-    """How many grasps were left out for each reason, and which came first."""
+    """Format a line for each reason: the number of grasps left out, and the indices of the first five."""
     return [
         f"left out: {chosen.sum()} {reason} (the first: {', '.join(map(str, np.flatnonzero(chosen)[:5]))})"
         for reason, chosen in left_out.items()

@@ -24,15 +24,15 @@ SHIPPED = "simulated_grips.npz"
 
 
 def data_path(file: "Path | RemoteFile | None") -> "Path | RemoteFile":
-    """The file asked for, or the one that ships with the package."""
+    """Return ``file``, or the path of the grasps that ship with the package where it is None."""
     return file or Path(str(files("jaxgrasp") / "data" / SHIPPED))
 
 
 def adjustments_of(arguments: Conventions) -> Adjustments:
-    """Return what is changed of grasps that differ from the conventions."""
+    """Return the changes to normals that bring the file's grasps to the conventions."""
     return Adjustments(arguments.normals == "outward", normalize=arguments.normalize)
 
 
 def opened(data: Data, adjustments: Adjustments) -> GraspSource:
-    """Its grasps, for a ``with`` block."""
+    """Open the file of grasps that the arguments name, for a ``with`` block."""
     return open_source(data_path(data.file), adjustments)

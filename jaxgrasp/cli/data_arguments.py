@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True)
 class Convention:
-    """How grasps differ from the conventions."""
+    """Differences of a file's grasps from the conventions."""
 
     normals: Literal["inward", "outward"] = "inward"
     """Where the file's normals point: into the object, or out of it."""
@@ -19,7 +19,7 @@ class Convention:
 
 @dataclass(frozen=True)
 class Data(Convention):
-    """Which grasps, and how they differ from the conventions."""
+    """File of grasps, and its differences from the conventions."""
 
     file: tyro.conf.Positional[Path | None] = None
     """A file of grasps (.npz, .csv, .parquet, .h5); the simulated grips that ship with the package where not given."""

@@ -55,7 +55,7 @@ def evaluate_command(arguments: Evaluate) -> int:
 
 
 def _check_places(arguments: Evaluate) -> None:
-    """That what is asked for suits one file, or a cluster."""
+    """Raise ValueError for arguments that suit neither one file nor a cluster, ImportError without Ray or Arrow."""
     if arguments.cluster is None:
         if len(arguments.file) > 1:
             raise ValueError(f"{len(arguments.file):,} files are given: expected one, or --cluster local")
@@ -115,7 +115,7 @@ def _evaluate_one(arguments: Evaluate, adjustments: Adjustments, task: TaskDeman
 
 
 class Meter:
-    """A bar of grasps that goes on while a chunk of them is still at work."""
+    """Progress bar of grasps that also advances while a chunk is being evaluated."""
 
     def __init__(self, bar: tqdm) -> None:
         self._bar, self._finished, self._measured = bar, bar.n, bar.n

@@ -1,4 +1,4 @@
-"""What an evaluation leaves beside its results: the summary, on screen and in a file, and the report."""
+"""Output of an evaluation beside its results: the summary, on screen and in a file, and the report."""
 
 import json
 from collections.abc import Callable

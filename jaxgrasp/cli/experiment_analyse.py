@@ -35,7 +35,7 @@ def analyse_command(arguments: Analyse) -> int:
 
 
 def analysed(arguments: HowAnalysed) -> tuple[Answers, Analysis]:
-    """A folder's answers, and what they say."""
+    """Load the answers of a folder and analyse them; return both."""
     if arguments.lapse is not None and not 0 <= arguments.lapse < 0.5:
         raise ValueError(f"lapse is {arguments.lapse}: expected 0 or more, and less than 0.5")
     answers = load_experiment(arguments.folder)
@@ -46,7 +46,7 @@ def analysed(arguments: HowAnalysed) -> tuple[Answers, Analysis]:
 
 
 def _model(arguments: HowAnalysed, plan: Plan) -> Model:
-    """Lines know nothing of lapses."""
+    """Return the psychometric model of the arguments, else the plan's; methods that fit lines have no lapses."""
     shape = arguments.shape or suited_shape(plan)
     lapse = suited_lapse(plan) if arguments.lapse is None else arguments.lapse
     most = lapse if arguments.method in ("likelihood", "posterior") else 0.0
@@ -55,7 +55,7 @@ def _model(arguments: HowAnalysed, plan: Plan) -> Model:
 
 
 def said(found: Analysis) -> list[str]:
-    """What a person asks first."""
+    """Format thresholds, means over persons, matches, differences and notes as lines of text."""
     settings = found.settings
     unit = found.plan.stimulus.unit
     lines = [f"{found.plan.name}: {len(found.subjects)} person(s), {found.plan.method}"]
@@ -145,7 +145,7 @@ def _report(path: Path, found: Analysis) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it: arrays are lists, and what is not finite is null."""
+    """Convert a value to JSON types: arrays to lists, and numbers that are not finite to None."""
     if isinstance(value, dict):
         return {str(key): _plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):

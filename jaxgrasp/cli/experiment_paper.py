@@ -8,7 +8,7 @@ from jaxgrasp.psychophysics.recomputed import recomputed
 
 
 def paper_command(command: Paper) -> int:
-    """A table, and what is to be known of its rows."""
+    """Print the table of printed and recomputed numbers, notes on its rows, and a count of the outcomes."""
     rows = recomputed()
     widths = [max(len(getattr(row, name)) for row in rows) for name in ("quantity", "printed", "recomputed")]
     head = ("quantity", "printed", "recomputed (range by rounding)")

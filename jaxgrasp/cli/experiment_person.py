@@ -12,7 +12,7 @@ MOVES: dict[str, Move] = {"+": "up", "-": "down", "r": "reference", "c": "compar
 
 
 class TerminalPerson(Person):
-    """Asks by lines of text, which tell neither intensities nor torques.
+    """Person at a terminal; the lines of text that ask tell neither intensities nor torques.
 
     The end of the input interrupts the experiment, and nothing is lost.
     """

@@ -58,7 +58,7 @@ def plan_command(arguments: PlanCommand) -> int:
 
 
 def beside_the_paper(plan: Plan, model: GloveModel) -> list[str]:
-    """How a weight lies otherwise than in Fig. 8, and why; nothing where it does not."""
+    """Return a line on the weight that the paper's posture (Fig. 8) bears; no line if the plan has that posture."""
     where = replace(plan.stimulus, fingers=FIG_8, phalanx="distal")
     if plan.stimulus.kind != "weight" or plan.stimulus == where:
         return []
@@ -114,7 +114,7 @@ def power_command(arguments: Power) -> int:
 
 
 def _precision(arguments: Power, plan: Plan) -> tuple[float, float]:
-    """What is wanted, and how persons differ; of an intensity, nobody but the user knows either."""
+    """Return wanted standard error and deviation between persons; raise ValueError in detection without them."""
     if plan.is_detection and (arguments.wanted is None or arguments.between is None):
         raise ValueError(f"wanted and between are needed in detection, in {plan.stimulus.unit}")
     wanted = WANTED if arguments.wanted is None else arguments.wanted
@@ -128,18 +128,18 @@ def check_notices(observer: Observer, plan: Plan) -> None:
 
 
 def read_plan(path: Path | None) -> Plan:
-    """The plan of a file, or the paper's."""
+    """Load the plan of a file, or return the paper's plan where ``path`` is None."""
     return Plan() if path is None else load_plan(path)
 
 
 def observer_of(arguments: ObserverArguments) -> Observer:
-    """The observer that arguments describe."""
+    """Return the simulated observer of the arguments."""
     parts = (arguments.weber, arguments.absolute, arguments.lapse, arguments.bias, arguments.learning)
     return Observer(*parts)
 
 
 def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
-    """What a glove can render of a plan's stimulus."""
+    """Return the plan's stimulus as the glove can render it, to predict torques and saturation."""
     set_up_jax("float64")
     from jaxgrasp.lab.felt_objects import felt_object
     from jaxgrasp.lab.simulated_weight import rendering_of
@@ -150,7 +150,7 @@ def predicted_stimulus(plan: Plan, model: GloveModel) -> Stimulus:
 
 
 def summary(plan: Plan) -> list[str]:
-    """What a plan asks of a person, without what the person must not know."""
+    """Format sessions, trials and duration of a plan as lines, without intensities, which the person must not know."""
     return [
         f"{plan.name}: {plan.method}, {plan.session.sessions} session(s) each",
         f"trials of a person: {plan.at_most()}, {plan.session.practice} of them practice; "
@@ -159,7 +159,7 @@ def summary(plan: Plan) -> list[str]:
 
 
 def _lasts(plan: Plan) -> str:
-    """How long a person takes, roughly: durations where the plan has them, else what persons take."""
+    """Estimate the time for one person, from the plan's durations or else from typical ones, in words."""
     session = plan.session
     felt = session.duration or SELF_PACED
     intervals = MATCHED * felt if plan.method == "matching" else 2 * felt + session.pause
@@ -169,7 +169,7 @@ def _lasts(plan: Plan) -> str:
 
 
 def stimuli(plan: Plan) -> list[str]:
-    """What is rendered, and where."""
+    """Format the kind of stimulus, its place on the hand and its references as a line."""
     unit = plan.stimulus.unit
     where = plan.stimulus.joint if plan.stimulus.kind == "torque" else " and ".join(plan.stimulus.fingers)
     if plan.stimulus.kind == "weight":
@@ -181,12 +181,12 @@ def stimuli(plan: Plan) -> list[str]:
 
 
 def warnings(lines: list[str]) -> list[str]:
-    """Those of what is predicted."""
+    """Return the warnings among the lines of [`predicted`][jaxgrasp.cli.experiment_plan.predicted]."""
     return [line for line in lines if line.startswith("WARNING")]
 
 
 def predicted(plan: Plan, stimulus: Stimulus) -> list[str]:
-    """A line for each intensity, and a warning for those that the glove cannot render."""
+    """Format a line for each intensity of the plan, and a warning on those that the glove cannot render."""
     found = [stimulus.predict(one) for one in plan.intensities() if one > 0]
     lines = [_line(one, plan.stimulus.unit) for one in found]
     cut = [one for one in found if one.saturated]

@@ -42,11 +42,11 @@ from jaxgrasp.psychophysics.stimulus import NotFeltError, Stimulus, StimulusLost
 from jaxgrasp.validation.fields import check_positive
 
 PATIENCE = 5.0
-"""How long a glove may take to link and to arm [s]."""
+"""Time in which a glove must link, and arm [s]."""
 NUMBERS = re.compile(r" \(.*?\)")
-"""What differs from time to time in why the glove let go."""
+"""Numbers in the cause of a loss, removed so that equal causes are counted together."""
 Arm = Callable[[], None]
-"""Asks the person, and arms the glove."""
+"""Function that asks the person, and arms the glove."""
 
 
 def run_command(arguments: RunExperiment) -> int:
@@ -102,7 +102,7 @@ def _run(arguments: RunExperiment, plan: Plan, acceptance: str, stack: ExitStack
 
 
 def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Person, arm: Arm) -> int:
-    """A trial whose stimulus was lost is asked again, once the person has armed the glove anew."""
+    """Run all trials, and repeat those whose stimulus was lost after the person arms again; return their number."""
 
     discarded: Counter[str] = Counter()
 
@@ -135,7 +135,7 @@ def _asked(arguments: RunExperiment, plan: Plan, stimulus: Stimulus, person: Per
 
 
 def _said(record: TrialRecord, unit: str) -> str:
-    """A trial, for the experimenter's eyes alone."""
+    """Format stimuli and answer of a trial as a line for the experimenter alone."""
     if record["task"] == "choice":
         answer = f"answer {record['answer']}, {'right' if record['right'] else 'wrong'}"
     else:
@@ -157,7 +157,11 @@ def _simulated(arguments: RunExperiment, plan: Plan) -> tuple[Stimulus, Arm]:
 def _felt(
     arguments: RunExperiment, plan: Plan, acceptance: str, person: Person, stack: ExitStack
 ) -> tuple[Stimulus, Arm]:
-    """A glove that is armed: first at a twentieth of the torque, then, when the person says so, at all of it."""
+    """Link and arm a glove, at a twentieth of the torque and then, by the person's order, at all of it.
+
+    Returns:
+        The stimulus that the glove renders, and the function that arms the glove again.
+    """
     check_port(arguments.port or "", arguments.baud)
     set_up_jax("float64")
     options, model, _ = _glove(arguments)
@@ -208,7 +212,7 @@ def _felt(
 
 
 def _viewed(person: Person, plan: Plan) -> Person:
-    """A person whose trials the pages show."""
+    """Wrap a person so that the pages in the browser show the trials."""
     from jaxgrasp.view.viewed_person import ViewedPerson
 
     return ViewedPerson(person, plan.most_trials())
@@ -217,7 +221,7 @@ def _viewed(person: Person, plan: Plan) -> Person:
 def _watch(
     arguments: RunExperiment, plan: Plan, felt: Any, model: GloveModel, person: Any, stack: ExitStack
 ) -> dict[str, Callable[[GloveState, TorqueLaw], None]]:
-    """Both pages, where they are asked for, and who tells them what is read and computed."""
+    """Serve both pages if asked for; return the callback that sends them each state and law, as ``watch``."""
     if not arguments.view:
         return {}
     from jaxgrasp.view.view_feed import ViewFeed
@@ -231,13 +235,13 @@ def _watch(
 
 
 def _glove(arguments: RunExperiment) -> tuple[dict[str, Any], GloveModel, Sensors]:
-    """As [`which_glove`][jaxgrasp.cli.glove.which_glove] has it."""
+    """Return options, model and sensors, as [`which_glove`][jaxgrasp.cli.glove.which_glove] does."""
     named = ("calibration", "baud", "device", "full_scale", "log")
     return which_glove(GloveArmed(model=arguments.glove, **{name: getattr(arguments, name) for name in named}))
 
 
 def _check_linked(glove: GloveProcess, port: str) -> None:
-    """Before anything takes long: raise OSError unless a glove answers there."""
+    """Raise OSError unless a glove answers at the port, before any long computation."""
     end = time.perf_counter() + PATIENCE
     while (state := glove.state()) is None or state.link < LinkState.LINKED:
         if time.perf_counter() > end or not glove.is_alive():

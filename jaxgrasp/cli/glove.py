@@ -39,7 +39,7 @@ HALF_PERIOD = 2.0
 
 
 def which_glove(arguments: GloveFiles) -> tuple[dict[str, Any], GloveModel, Sensors]:
-    """The options that say which glove, for another process, and the glove that they say."""
+    """Check the arguments; return the glove's options for another process, its model, and its sensors."""
     check_positive(arguments, "baud")
     named = {"model": arguments.model, "calibration": arguments.calibration}
     options: dict[str, Any] = {name: str(path.resolve()) for name, path in named.items() if path is not None}
@@ -76,8 +76,10 @@ def simulate_command(arguments: Simulate) -> int:
 
 
 def _is_left_over(link: Path) -> bool:
-    """Whether a link that no living simulated glove holds is what a killed one left: it leads nowhere, or to a
-    pseudo-terminal that by now is someone else's."""
+    """Check that a link, locked by no simulated glove, is the remains of a killed process.
+
+    Such a link is broken, or leads to a pseudo-terminal that another program may own by now.
+    """
     return not link.exists() or os.readlink(link).startswith(("/dev/pts/", "/dev/ttys"))
 
 
@@ -160,7 +162,7 @@ def _watch(
 
 
 def shown(host: GloveDevice, elapsed: float, now: float) -> str:
-    """What a glove says, each in less than 100 columns: angles, and below them torques where it measures any."""
+    """Format angles [degrees], their age and, if measured, torques [mN m], in lines of less than 100 columns."""
     if host.state < LinkState.LINKED:
         return f"{elapsed:7.1f} s  {host.trouble}"
     reading = host.reading
@@ -175,13 +177,13 @@ def shown(host: GloveDevice, elapsed: float, now: float) -> str:
 
 
 def _short(joint: str) -> str:
-    """A joint's name in four letters: those of a finger differ in their first."""
+    """Shorten a joint's name to about four letters, the first of which tells the finger."""
     finger, _, kind = joint.partition(" ")
     return f"{finger[:1]}{kind}" if kind else finger[:4]
 
 
 def ports_command(command: Ports) -> int:
-    """A line for each port."""
+    """Print device and description of each serial port."""
     from serial.tools.list_ports import comports
 
     found = sorted(comports())

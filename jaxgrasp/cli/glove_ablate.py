@@ -15,7 +15,7 @@ from jaxgrasp.world.world_file import world_of
 
 
 def ablate_command(arguments: Ablate) -> int:
-    """A line a joint, and the same as CSV where it is asked for."""
+    """Print the loss without each joint of the glove, and write the same table as CSV if asked for."""
     file = load_scene(scene_path(arguments.scene))
     model = lrp_hand_master() if arguments.model is None else load_glove(arguments.model)
     if arguments.out is not None:

@@ -18,7 +18,7 @@ PLACES = {
     "up": "bring it back home, then move it up by 10 cm or more",
 }
 LISTENED, STEADY = 0.5, 0.005
-"""How long a place is listened to [s], and how far samples of one place may lie apart [m]."""
+"""Time of sampling at a place [s], and largest distance between samples of one place [m]."""
 
 
 def align_command(arguments: Align) -> int:
@@ -34,7 +34,7 @@ def align_command(arguments: Align) -> int:
 
 
 def _asked(tracker: Tracker, what: str, ask: Callable[[str], str]) -> TrackerSample:
-    """The sample of a place, once the person holds still there."""
+    """Ask the person to go to a place, and return a sample once the hand holds still there."""
     while True:
         ask(f"{what}; Enter when it is there ")
         samples = _listen(tracker)
@@ -48,7 +48,7 @@ def _asked(tracker: Tracker, what: str, ask: Callable[[str], str]) -> TrackerSam
 
 
 def _listen(tracker: Tracker) -> list[TrackerSample]:
-    """What comes in a while, each sample once."""
+    """Collect the tracker's samples for ``LISTENED`` seconds, each once."""
     samples: list[TrackerSample] = []
     begun = time.perf_counter()
     while (now := time.perf_counter()) < begun + LISTENED:

@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True)
 class GloveFiles:
-    """Which glove."""
+    """Files and baud rate of a glove."""
 
     model: Path | None = None
     """A TOML file of the glove; the paper's LRP Hand Master where not given."""
@@ -21,7 +21,7 @@ class GloveFiles:
 
 @dataclass(frozen=True)
 class GloveDriven(GloveFiles):
-    """Which glove, and how it is spoken to."""
+    """Files, baud rate and protocol of a glove."""
 
     device: str = "native"
     """Protocol of the glove: `native`; `lucidgloves`, that of LucidGloves and OpenGloves, whose model it then is; or
@@ -32,7 +32,7 @@ class GloveDriven(GloveFiles):
 
 @dataclass(frozen=True)
 class GloveArmed(GloveDriven):
-    """Which glove, how it is spoken to, and where it is on record why it let go."""
+    """Files, baud rate and protocol of a glove, and the log of each time that it let go."""
 
     log: Path | None = None
     """File to which a line of JSON is added each time that the glove lets go: cause, time, last frames."""

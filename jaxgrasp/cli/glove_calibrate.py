@@ -44,7 +44,7 @@ def calibrate_command(arguments: Calibrate) -> int:
 
 
 def read_pairs(path: Path, model: GloveModel) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Counts and values ``(pairs, channels)`` of each sensor that a file has; NaN fills shorter channels.
+    """Read counts and values ``(pairs, channels)`` of each sensor in a CSV file; NaN fills shorter channels.
 
     Raises:
         ValueError: for a file without these columns, and lines that are no pair; the message names the line.

@@ -1,4 +1,4 @@
-"""What a person at a glove's bench types, and is told: orders as they come, and what happens to the glove at once."""
+"""Orders that a person at a glove's bench types, and immediate messages on what happens to the glove."""
 
 import sys
 import threading
@@ -16,9 +16,9 @@ GOES_ON = "this glove goes on with what it was told last when its line is cut"
 LOOKS_EVERY = 0.05
 """Time between two looks at what happened to the glove [s]."""
 AGREES = 1.0
-"""How long a glove may take to say that it is armed [s]."""
+"""Time in which a glove must confirm that it is armed [s]."""
 FRESH = 0.5
-"""How long an order to arm waits for forces that are fresh [s]: the first ones, or after a pause of the machine."""
+"""Time that an order to arm waits for fresh forces [s]: the first ones, or those after a pause of the machine."""
 
 
 def until_armed(glove: GloveProcess, accepted: str, patience: float) -> None:
@@ -44,17 +44,17 @@ def until_armed(glove: GloveProcess, accepted: str, patience: float) -> None:
 
 
 class Orders:
-    """What a person types, told to the glove as it comes, and what the glove tells; nothing waits for either."""
+    """Threads that pass typed orders to the glove and print its events, without blocking the caller."""
 
     def __init__(self, glove: GloveProcess, acceptance: str = "") -> None:
-        """``acceptance``: what has to be typed, letter by letter, before the glove may be armed."""
+        """Start both threads; ``acceptance`` is the sentence to type, letter by letter, before the glove is armed."""
         self.is_over = False
         self.losses: Counter[str] = Counter()
-        """How often torque ended by itself, by cause."""
+        """Number of times that torque ended by itself, by cause."""
         self._glove = glove
         self._acceptance, self._accepted = acceptance, ""
         self._felt_first = False
-        """Whether a person feels a twentieth of the torque, since it was armed: only then may it be all."""
+        """True while the glove is armed by an order, first at a twentieth of the torque: ``full`` needs that."""
         self._asked = threading.Lock()
         self._told_at = -1.0
         self._link, self._guard = LinkState.CLOSED.name, GuardState.DISARMED.name
@@ -62,7 +62,7 @@ class Orders:
             threading.Thread(target=job, daemon=True).start()
 
     def summary(self) -> str:
-        """How often torque ended by itself, and why."""
+        """Format the number of times that torque ended by itself, with the causes."""
         if not self.losses:
             return "the glove let go by itself: never"
         causes = ", ".join(f"{cause} ({count})" for cause, count in self.losses.most_common())
@@ -131,7 +131,7 @@ class Orders:
             time.sleep(LOOKS_EVERY)
 
     def _tell(self, event: dict[str, str]) -> None:
-        """What a person has to know of a change: that torque ended, and that the glove went or came."""
+        """Print a message where an event says that torque ended, or that the glove went or came."""
         was_there, is_there = (LinkState[name] >= LinkState.LINKED for name in (self._link, event["link"]))
         let_go = self._guard == GuardState.ARMED.name and event["guard"] == GuardState.LATCHED.name
         self._link, self._guard = event["link"], event["guard"]

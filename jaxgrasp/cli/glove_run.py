@@ -81,7 +81,7 @@ def run_command(arguments: Run) -> int:
 
 
 def _check_ends(arguments: Run) -> Alignment | None:
-    """What is at both ends is there and can be used, before anything compiles; the tracker's alignment."""
+    """Check ports, addresses and files of both ends before compilation; return the tracker's alignment, if given."""
     if arguments.port is None and arguments.connect is None:
         for name in ("seconds", "control", "tracker", "alignment", "log"):
             if getattr(arguments, name):
@@ -121,7 +121,7 @@ def _play(arguments: Run, model: GloveModel, file: SceneFile) -> int:
 
 
 def _rows(story: Story, model: GloveModel) -> Iterable[Sequence]:
-    """A row each five milliseconds: torques at the glove, angles, and the object's height."""
+    """Yield the header and a row each five milliseconds: time, torques [N.m], angles [rad], and height [m]."""
     torques, angles = (
         [f"{name} {joint}" for joint in model.joints] for name in ("against flexion [N.m]", "angle [rad]")
     )
@@ -196,7 +196,7 @@ def _render(arguments: Run, model: GloveModel, options: dict, alignment: Alignme
 
 
 def _haptics(arguments: Run, model: GloveModel, file: SceneFile, made: GrippedScene) -> Haptics | WorldHaptics:
-    """The computing side of one object, or of a world of several, which our own engine moves."""
+    """Return the haptics of one object, or of a world of several that the quasi-static engine moves."""
     law, angles = arguments.law or made.law, np.asarray(made.closed.angles)
     if not file.other:
         return Haptics(made.scene, model, angles, made.placed, law, follows=arguments.follow_grip)
@@ -205,7 +205,7 @@ def _haptics(arguments: Run, model: GloveModel, file: SceneFile, made: GrippedSc
 
 
 def _feed(arguments: Run, haptics: Haptics | WorldHaptics, made: GrippedScene) -> "ViewFeed | None":
-    """The page, where it is asked for, which compiles before anything is armed."""
+    """Serve the page if asked for, compiled before the glove is armed; return its feed, or None."""
     if not arguments.view:
         return None
     from jaxgrasp.view.view_feed import ViewFeed
@@ -226,7 +226,7 @@ def _feed(arguments: Run, haptics: Haptics | WorldHaptics, made: GrippedScene) -
 def watched(
     haptics: HandHaptics, state: Callable[[], GloveState | None], feed: "ViewFeed | None"
 ) -> tuple[Callable[[float, Any, Pose], TorqueLaw], Callable[[], GloveState | None]]:
-    """A tick that lets a page know what it read and computed, and the glove's state, which it does that with."""
+    """Wrap the haptics' tick and the reader of the glove's state so that each tick also goes to the page's feed."""
     if feed is None:
         return haptics.tick, state
     from jaxgrasp.view.view_slots import Carried, ViewFrame
@@ -269,13 +269,13 @@ def _as_engine(
 
 
 class Wrist:
-    """Where the wrist is: at the origin, or where a tracker has it, aligned by three places or by its first sample."""
+    """Pose of the wrist: the origin, or a tracker's pose, aligned by three places or by the first sample."""
 
     def __init__(self, tracker: Tracker | None, alignment: Alignment | None = None) -> None:
         self._tracker, self._alignment = tracker, alignment
 
     def __call__(self, now: float) -> Pose | None:
-        """The pose at a time [s]; None while the tracker says nothing."""
+        """Return the pose at the time ``now`` [s]; None while the tracker has no sample or only an old one."""
         if self._tracker is None:
             return pose_at(jnp.zeros(3))
         sample = self._tracker.poll(now)

@@ -43,7 +43,7 @@ UNITS = dict.fromkeys(("length", "breadth", "radius", "height", "size", "depth",
 }
 """Units of what the page's details name."""
 BELOW = 0.4
-"""How far the table is below the object [m]."""
+"""Distance of the table below the object [m]."""
 FEW = 1000
 """Instants up to which compiling takes longer than running what is compiled quickly."""
 
@@ -96,7 +96,7 @@ def grip_command(arguments: Grip) -> int:
 
 
 def _scene_of(arguments: Grip) -> SceneFile:
-    """What the arguments say, as a file would."""
+    """Return the scene that the arguments describe, in the form of a loaded file."""
     asked = {
         kind: {one.name: getattr(arguments, one.name) for one in fields(kind) if hasattr(arguments, one.name)}
         for kind in (ObjectEntry, GripEntry)
@@ -115,7 +115,7 @@ def _words(kind: GripType) -> str:
 
 
 def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Record) -> dict[str, AnyArray]:
-    """Everything over time in arrays."""
+    """Collect motion, contacts, forces, verdicts and torques, as arrays with a leading axis of instants."""
     ticks = record.tick
     moments = ticks.assessment.moments
     return ({} if moments is None else {"moments": moments}) | {
@@ -148,14 +148,14 @@ def _columns(hand: Hand, times: np.ndarray, postures: Posture, record: Record) -
 
 
 def _write(out: Path, columns: dict[str, AnyArray], summary: dict) -> None:
-    """All arrays, and in words what a person asks first."""
+    """Write the arrays to grip.npz, and the summary to grip.json."""
     replace_file(out / "grip.npz", lambda stream: np.savez_compressed(stream, **jax.device_get(columns)))
     text = json.dumps(summary, indent=2)
     replace_file(out / "grip.json", lambda stream: stream.write(text.encode()))
 
 
 def _write_report(arguments: Grip, file: SceneFile, scene: Scene, happened: History) -> None:
-    """Page and pictures; of what is not installed one line says how to get it."""
+    """Write the page and the pictures; where a package is missing, print a line that says how to install it."""
     from jaxgrasp.report.grip_page import write_grip_page
     from jaxgrasp.report.grip_pictures import write_grip_pictures
 
@@ -183,7 +183,7 @@ def _title(file: SceneFile) -> str:
 
 
 def _details(arguments: Grip, file: SceneFile) -> dict[str, str]:
-    """What was asked for, and by which versions it was answered."""
+    """Return the scene's entries and the motion, with units, and the versions, for the page's details."""
     moves = {name: _in_units(name, getattr(arguments, name)) for name in ("lift", "turn", "release", "seconds", "step")}
     entries = {
         f"{table} {key}": _in_units(key, value)
@@ -220,7 +220,7 @@ def _summary(hand: Hand, times: np.ndarray, record: Record) -> dict:
 
 
 def _unbalanced(record: Record) -> dict:
-    """How much of the squeezing forces nothing balances, at first."""
+    """Sum the squeezing forces of the first instant, and the norm of their resultant, which is unbalanced [N]."""
     grasp = jax.tree.map(lambda x: x[0], record.tick.grasp)
     pressed = np.asarray(grasp.squeeze) * np.asarray(grasp.present)
     rest = np.linalg.norm(pressed @ np.asarray(grasp.normals))

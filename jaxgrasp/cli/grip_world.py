@@ -16,7 +16,7 @@ from jaxgrasp.world.world_file import world_of
 from jaxgrasp.world.world_simulation import EngineName, engine_of, simulate_world
 
 STAYED = 1e-3
-"""What went less far than that stayed where it was [m]."""
+"""Distance below which an object counts as unmoved [m]."""
 
 
 class MovedWorld(NamedTuple):
@@ -29,14 +29,14 @@ class MovedWorld(NamedTuple):
 
 
 class OthersRecord(NamedTuple):
-    """What became of the objects beside the gripped one."""
+    """Arrays over time and summary of the objects beside the gripped one."""
 
     columns: dict[str, AnyArray]
     summary: dict
 
 
 def moved_world(file: SceneFile, made: GrippedScene, engine: EngineName | None) -> MovedWorld:
-    """The world of a file, by the engine that is named, or ours.
+    """Return the world of a file, its first state, and the named engine, else the quasi-static one.
 
     Raises:
         ValueError: for objects that begin inside one another.
@@ -48,7 +48,7 @@ def moved_world(file: SceneFile, made: GrippedScene, engine: EngineName | None) 
 
 
 def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> tuple[Record, OthersRecord]:
-    """The gripped object's record, and the others'."""
+    """Simulate the world along the postures; return the record of the gripped object, and of the others."""
     count = len(moved.world.others)
     show(f"{count} more object{'' if count == 1 else 's'}, moved by the engine {moved.name}")
     instants = simulate_world(moved.world, moved.engine, postures, moved.state, dt, law=law)
@@ -79,7 +79,7 @@ def carried_world(moved: MovedWorld, postures: Posture, dt: float, law: Law) -> 
 
 
 def said_of_others(others: dict) -> str:
-    """A line on each of them."""
+    """Format a line for each object: the distance that it moved, and whether the hand touched it."""
     lines = []
     for k, (way, touched) in enumerate(zip(others["furthest_m"], others["touched_by_hand"], strict=True)):
         went = "stayed where it was" if way < STAYED else f"went {100 * way:.1f} cm away at most"

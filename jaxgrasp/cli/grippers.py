@@ -24,7 +24,7 @@ regions in which they close. Their pads swing as they close, here they slide."""
 
 
 def gripper(arguments: ImportGrippers) -> tuple[Hand, np.ndarray]:
-    """The gripper, and how its frame is turned in the files' ``(4, 4)``."""
+    """Return the parallel jaw, and the rotation ``(4, 4)`` from its frame to the files'."""
     sizes = SIZES[arguments.gripper]
     opening = sizes.opening if arguments.opening is None else arguments.opening
     jaw = parallel_jaw(opening, reach=sizes.pads if arguments.pads is None else arguments.pads)

@@ -34,7 +34,7 @@ def _joints(read: HandFile) -> Iterator[Sequence[str]]:
 
 
 def _numbers(joint: JointEntry) -> tuple[str, str, str]:
-    """Limits and torque of a joint, with their units."""
+    """Format lower limit, upper limit and largest torque of a joint, with their units."""
     way, push = ("m", "N") if joint.kind == "slide" else ("rad", "N.m")
     low, high = ("no limit", "") if joint.limits is None else (f"{joint.limits[0]:.4g}", f"{joint.limits[1]:.4g} {way}")
     return low, high, f"{joint.torque_max:.4g} {push}" if np.isfinite(joint.torque_max) else "not known"
@@ -49,7 +49,7 @@ def _links(read: HandFile) -> Iterator[Sequence[str]]:
 
 
 def _aligned(lines: Iterator[Sequence[str]]) -> Iterator[str]:
-    """Lines whose columns stand below one another."""
+    """Yield a line for each row, with columns padded to equal width."""
     rows = list(lines)
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:

@@ -9,7 +9,7 @@ import tyro
 
 @dataclass(frozen=True, kw_only=True)
 class ImportGrasps:
-    """What every format asks for."""
+    """Arguments of every format."""
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """The files."""

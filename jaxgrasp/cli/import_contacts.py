@@ -43,7 +43,7 @@ def import_contacts(arguments: ImportContacts) -> int:
 
 
 def _sets(arguments: ImportContacts, records: ContactRecords, object_: Path | None) -> ContactSets:
-    """Contacts with the wrench that is to be exerted: against the weight, and against what the file pulls with."""
+    """Return contacts with the wrench to be exerted: against the weight, and against the loads of the file."""
     friction = FRICTION if arguments.friction is None else arguments.friction
     mass = MASS if arguments.mass is None else arguments.mass
     pressures = np.where(np.isnan(records.pressures), arguments.squeeze, arguments.force * records.pressures)
@@ -60,7 +60,7 @@ def _sets(arguments: ImportContacts, records: ContactRecords, object_: Path | No
 
 
 def _centers(arguments: ImportContacts, records: ContactRecords, object_: Path | None) -> np.ndarray:
-    """Centres of mass in the file's world: the user's, the file's, or the mesh's."""
+    """Return centres of mass ``(N, 3)`` in the file's world [m]: the user's, the file's, or the mesh's."""
     if arguments.center is not None:
         return np.tile(arguments.center, (len(records), 1))
     if np.isfinite(records.centers).all():

@@ -1,4 +1,4 @@
-"""What every ``jaxgrasp import`` does with its files: check the arguments, read each file, leave bad ones out."""
+"""Steps that every ``jaxgrasp import`` shares: check the arguments, read each file, leave bad ones out."""
 
 import os
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from jaxgrasp.interop.grasp_poses import GraspPoses
 from jaxgrasp.validation.fields import check_not_negative
 
 FRICTION, MASS = 0.5, 0.1
-"""Where neither the user nor the file says them."""
+"""Defaults where neither the user nor the file gives them; the mass in [kg]."""
 
 
 Read = TypeVar("Read", GraspPoses, ContactRecords)
@@ -43,7 +43,7 @@ def check_import(arguments: ImportGrasps, *needed: Path) -> None:
 
 
 def read_files(arguments: ImportGrasps, read: Callable[[Path], Read]) -> list[Read]:
-    """What is in the files; with ``keep_going`` the bad ones are said and left out."""
+    """Read all files; with ``keep_going``, list bad files and records on screen and leave them out."""
     found: list[Read] = []
     wrong: list[str] = []
     for path in arguments.files:

@@ -107,7 +107,7 @@ def _of_gripper(arguments: ImportGrippers, turned: np.ndarray, path: Path) -> Gr
 
 
 def _with_meshes(arguments: ImportPoses, read: Callable[[Path], GraspPoses]) -> dict[Path, list[GraspPoses]]:
-    """What is in the files, by the object's mesh, which is looked for before any work."""
+    """Read the poses of all files, grouped by the path of the object's mesh; a missing mesh is an error at once."""
     meshes = {}
 
     def read_both(path: Path) -> GraspPoses:
@@ -159,12 +159,12 @@ def _import(
 
 
 def _object_name(path: Path) -> str:
-    """The name of the mesh's file; where that is one in each object's folder, of the folder."""
+    """Return the object's name: the stem of the mesh's file, or of OBJECT/mesh/FILE the name OBJECT."""
     return path.parent.parent.name if path.parent.name == "mesh" else path.stem
 
 
 def _touched(arguments: ImportPoses, hand: Hand, mesh: Mesh, several: list[GraspPoses], how: Touching) -> Touched:
-    """The contacts of all grasps of one mesh."""
+    """Find the contacts of all grasps of one mesh."""
     middle = mass_properties(mesh).center
     parts = [_placed(arguments, poses, middle) for poses in several]
     return touch(hand, sphere_tree(mesh, arguments.levels), joined_grasps(parts), how)

@@ -25,7 +25,7 @@ TOLD_EVERY = 0.2
 
 
 def set_up_jax(dtype: str, *, quickly: bool = False) -> None:
-    """Must run before the first computation.
+    """Set precision and cache of compiled code; must run before the first computation.
 
     Args:
         dtype: float64 or float32.
@@ -44,7 +44,7 @@ def set_up_jax(dtype: str, *, quickly: bool = False) -> None:
 
 @contextlib.contextmanager
 def compiling(what: str) -> Iterator[None]:
-    """Where stderr is a terminal, say meanwhile how many programs are compiled, which one is, and for how long."""
+    """Show a bar on a terminal's stderr meanwhile: programs compiled, the name of the current program, and seconds."""
     if not sys.stderr.isatty():
         yield
         return
@@ -75,7 +75,7 @@ def compiling(what: str) -> Iterator[None]:
 
 
 def provenance() -> dict[str, str]:
-    """Where and when results were computed, and by which versions."""
+    """Return devices, versions and date of the results, as text by name."""
     devices = jax.local_devices()
     return {
         "devices": f"{len(devices)} x {devices[0].device_kind}",
@@ -85,5 +85,5 @@ def provenance() -> dict[str, str]:
 
 
 def versions() -> str:
-    """By which programs results are computed."""
+    """Return the versions of jaxgrasp, JAX and Python, as a line."""
     return f"jaxgrasp {version('jaxgrasp')}, jax {jax.__version__}, Python {platform.python_version()}"

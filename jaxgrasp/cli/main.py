@@ -98,7 +98,7 @@ FUNCTIONS: dict[type, str] = {
     Ablate: "glove_ablate.ablate_command",
     Ports: "glove.ports_command",
 }
-"""What runs each command, by module and name: imported when it is asked for, so that help comes without JAX."""
+"""Module and function of each command, imported when the command runs, so that help comes without JAX."""
 
 
 def run(command: Any) -> int:
@@ -138,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _close_stdout() -> None:
-    """Send to nowhere what is still to be written, which would fail once more as the interpreter ends."""
+    """Redirect stdout to the null device: output still buffered would fail again as the interpreter ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

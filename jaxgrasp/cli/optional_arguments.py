@@ -11,7 +11,7 @@ REGISTRY = ConstructorRegistry()
 
 @REGISTRY.primitive_rule
 def optional(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-    """An annotation ``X | None`` is read from the command line as ``X`` is."""
+    """Return the specification by which tyro reads an annotation ``X | None`` as ``X``; None for others."""
     kinds = get_args(of.type)
     if of.type_origin not in (Union, UnionType) or len(kinds) != 2 or NoneType not in kinds:
         return None

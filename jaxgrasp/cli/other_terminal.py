@@ -16,7 +16,7 @@ class OtherTerminal(Terminal):
     """A terminal of the same machine by its device, such as ``/dev/pts/3`` (Linux, macOS)."""
 
     def __init__(self, path: str) -> None:
-        """Open it.
+        """Open the terminal's device.
 
         Raises:
             OSError: for a path that cannot be opened, or is no terminal.
@@ -46,7 +46,7 @@ class OtherTerminal(Terminal):
         self._put(CLEARED)
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the terminal's device."""
         os.close(self._number)
 
     def _put(self, text: str) -> None:

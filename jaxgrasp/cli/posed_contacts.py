@@ -1,4 +1,4 @@
-"""Where posed hands and closing grippers touch a mesh: grasps of any number, worked on some at a time."""
+"""Contacts of posed hands and closing grippers with a mesh, for any number of grasps, computed in chunks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -42,18 +42,18 @@ class PlacedGrasps:
     """``(N, 6)``"""
 
     def posture(self, hand: Hand, own: np.ndarray) -> Posture:
-        """Postures of some grasps; open where the hand is to close."""
+        """Return the postures of the grasps with indices ``own``; open where the hand is to close."""
         open_ = jnp.clip(jnp.zeros(len(hand.joints)), hand.lower, hand.upper)
         angles = jnp.broadcast_to(open_, (len(own), len(open_))) if self.angles is None else self.angles[own]
         return Posture(_pose(self.transforms[own]), jnp.asarray(angles))
 
     def placed(self, own: np.ndarray) -> Pose:
-        """Where the mesh stands."""
+        """Return the mesh's poses for the grasps with indices ``own``; one identity where ``objects`` is None."""
         return Pose(jnp.zeros(3), jnp.eye(3)) if self.objects is None else _pose(self.objects[own])
 
 
 def joined_grasps(parts: Sequence[PlacedGrasps]) -> PlacedGrasps:
-    """Grasps of several files of one format, which all have a field or none has it."""
+    """Concatenate grasps of several files of one format, which all have a field or none has it."""
     columns: dict[str, Any] = {}
     for one in fields(PlacedGrasps):
         arrays = [getattr(part, one.name) for part in parts]
@@ -62,18 +62,18 @@ def joined_grasps(parts: Sequence[PlacedGrasps]) -> PlacedGrasps:
 
 
 class Touching(NamedTuple):
-    """How hands touch."""
+    """Stiffness, depth and number of contacts by which hands touch."""
 
     stiffness: float
     """K of eq. 6 [N/m]."""
     depth: float
-    """How far a closing hand presses into the mesh [m]."""
+    """Depth to which a closing hand presses into the mesh [m]."""
     max_contacts: int | None
     """The most contacts of a grasp."""
 
 
 class Touched(NamedTuple):
-    """What was found."""
+    """Contacts of N grasps, in the order of the grasps."""
 
     sets: ContactSets
     """All N grasps, those without contacts too."""
@@ -86,19 +86,19 @@ class Touched(NamedTuple):
 def weights(
     mass: float, centers: np.ndarray, gravity: Sequence[float], objects: np.ndarray | None = None
 ) -> np.ndarray:
-    """The wrenches ``(N, 6)`` that hold objects whose centres of mass ``(N, 3)`` are given in their meshes' frames."""
+    """Compute the wrenches ``(N, 6)`` that hold objects with centres of mass ``(N, 3)`` in their meshes' frames."""
     if objects is not None:
         centers = in_world(objects, centers)
     return np.asarray(weight_wrench(mass, jnp.asarray(centers), jnp.asarray(gravity)))
 
 
 def in_world(objects: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points ``(N, 3)``, one in the frame of each mesh ``(N, 4, 4)``, in the world."""
+    """Transform points ``(N, 3)``, one in the frame of each mesh ``(N, 4, 4)``, to the world."""
     return objects[:, :3, 3] + np.einsum("nij,nj->ni", objects[:, :3, :3], points)
 
 
 def touch(hand: Hand, tree: SphereTree, grasps: PlacedGrasps, how: Touching) -> Touched:
-    """The contacts of all grasps, sizes of the object one after the other, in the order of the grasps."""
+    """Find the contacts of all grasps, one scale of the object after the other; the result keeps the grasps' order."""
     sizes, which, counts = np.unique(grasps.scales, return_inverse=True, return_counts=True)
     size = min(CHUNK, int(counts.max()))
     order, parts, inside, dropped = [], [], [], 0
@@ -126,7 +126,7 @@ def touch(hand: Hand, tree: SphereTree, grasps: PlacedGrasps, how: Touching) -> 
 def _find(
     hand: Hand, tree: SphereTree, grasps: PlacedGrasps, own: np.ndarray, depth: float
 ) -> tuple[Found, np.ndarray]:
-    """The contacts of some grasps, and which of them began inside the object."""
+    """Find the contacts of the grasps with indices ``own``, and a mask of the hands that began inside the object."""
     start, placed = grasps.posture(hand, own), grasps.placed(own)
     found = find_contacts(hand, start, tree, placed)
     if grasps.angles is not None:
@@ -146,7 +146,7 @@ def _pose(transforms: np.ndarray) -> Pose:
 
 
 def joined_sets(parts: Sequence[ContactSets]) -> ContactSets:
-    """Sets of contacts one after the other, without labels."""
+    """Concatenate sets of contacts, without labels."""
     columns: dict[str, Any] = {
         name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns
     }

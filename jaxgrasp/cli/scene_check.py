@@ -15,7 +15,7 @@ def check_command(arguments: Check) -> int:
 
 
 def list_command(arguments: ReadyScenes) -> int:
-    """A line each: name, and what it is."""
+    """Print name and title of each scene that ships with the package."""
     for name, path in ready_scenes().items():
         show(f"{name:12s} {load_scene(path).name}")
     return 0

@@ -61,7 +61,7 @@ def sensitivity_command(arguments: FollowSensitivity) -> int:
 
 
 def _curves(found: Study, fingers: Sequence[str]) -> Iterable[Sequence]:
-    """A row for each method, finger and instant."""
+    """Yield the header and a row for each method, finger and instant: slip angle [rad], and its derivatives."""
     first = next(iter(found.slips.values())).matrix
     units = [f"d slip_angle / d {one.label} [rad{f'/({one.unit})' if one.unit else ''}]" for one in first.parameters]
     yield ["method", "finger", "time [s]", "slip_angle [rad]", *units]
@@ -84,7 +84,7 @@ def _rankings(found: Study) -> Iterable[Sequence]:
 
 
 def _said(found: Study, fingers: Sequence[str], finger: str) -> list[str]:
-    """What a person asks first."""
+    """Format worst slip angles, reserve of friction and the first parameters of each ranking as lines."""
     lines, k = [], fingers.index(finger)
     for method, trajectory in found.slips.items():
         times, slips = np.asarray(trajectory.times), np.degrees(trajectory.matrix.nominal)

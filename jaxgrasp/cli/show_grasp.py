@@ -40,7 +40,7 @@ def show_command(arguments: Show) -> int:
 
 
 def _chosen(arguments: Show, adjustments: Adjustments) -> tuple[ContactSets, int]:
-    """The grasp of that name, or else of that number."""
+    """Return the grasp of the wanted name, or else of that number, as a set of one, and its number in the file."""
     wanted, first, names = arguments.grasp, 0, list[str]()
     by_name = by_number = None
     with opened(arguments, adjustments) as source:

@@ -1,4 +1,4 @@
-"""What commands show: text from files cannot move the cursor, colour the screen or ring the bell."""
+"""Text output and input of commands: text from files cannot move the cursor, colour the screen or ring the bell."""
 
 import contextlib
 import sys
@@ -18,7 +18,7 @@ def show(*texts: object) -> None:
 
 
 def announce(text: object) -> None:
-    """A line on stderr: what is being done, since it may take a while, or what went wrong."""
+    """Print a line on stderr, about slow work in progress or an error."""
     _write(text, sys.stderr)
 
 
@@ -39,7 +39,7 @@ def _write(text: object, stream: Any) -> None:
 
 
 def forget_typed_ahead(stream: Any) -> None:
-    """What was typed before it was asked for answers nothing."""
+    """Discard input typed before the question, where the system has terminals (termios)."""
     with contextlib.suppress(ImportError):
         import termios
 
@@ -47,7 +47,7 @@ def forget_typed_ahead(stream: Any) -> None:
 
 
 def typed(prompt: str) -> str:
-    """A line from the keyboard; KeyboardInterrupt where there are no more."""
+    """Read a line from the keyboard; raise KeyboardInterrupt at the end of the input."""
     if sys.stdin.isatty():
         forget_typed_ahead(sys.stdin)
     try:
@@ -57,23 +57,23 @@ def typed(prompt: str) -> str:
 
 
 class Terminal(ABC):
-    """Where a person reads and types."""
+    """Terminal at which a person reads and types."""
 
     @abstractmethod
     def show(self, text: str) -> None:
-        """Lines, with control characters escaped."""
+        """Show lines, with control characters escaped."""
 
     @abstractmethod
     def typed(self, prompt: str) -> str:
-        """A line from its keyboard; KeyboardInterrupt where there are no more."""
+        """Read a line from the terminal's keyboard; raise KeyboardInterrupt at the end of the input."""
 
     @abstractmethod
     def clear(self) -> None:
-        """Leave an empty screen, where it is one."""
+        """Clear the screen, where the output is a screen."""
 
 
 class OwnTerminal(Terminal):
-    """That of this program."""
+    """Terminal of this program: standard input and output."""
 
     def show(self, text: str) -> None:
         show(text)

@@ -29,7 +29,7 @@ from jaxgrasp.view.viewer_server import check_free, quiet_viser, serving
 from jaxgrasp.world.world_file import world_of
 
 BELOW = 0.4
-"""How far the table is below the object that a hand holds from the start [m]."""
+"""Distance of the table below the object that a hand holds from the start [m]."""
 
 
 def view_command(arguments: View) -> int:
@@ -85,7 +85,7 @@ def _server(arguments: View, label: str) -> AbstractContextManager[Any]:
 
 
 def _shown(arguments: View, server: Any, page: PageLoop) -> int:
-    """In a file, or until its time is over or somebody interrupts it."""
+    """Save the page to a file, or serve it until its time is over or the user interrupts it."""
     if arguments.save is not None:
         return _saved(arguments.save, page.html())
     page.frame()

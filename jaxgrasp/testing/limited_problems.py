@@ -18,10 +18,10 @@ TURNED = 0.5
 
 
 class LimitedProblems(NamedTuple):
-    """A batch, with what is not asked for left out."""
+    """Batch of problems with limits; None stands for limits that are not asked for."""
 
     problem: Problems
-    """Its wrench is that of the witness's forces and moments."""
+    """Problems whose wrench is that of the witness's forces and of the moments."""
     torsion: np.ndarray | None
     normal_min: np.ndarray | None
     normal_max: np.ndarray | None
@@ -38,7 +38,7 @@ class LimitedProblems(NamedTuple):
         return Limits(**{name: getattr(self, name) for name in BOUNDS})
 
     def case(self, index: int | np.integer, weights: np.ndarray) -> Case:
-        """One problem for the reference."""
+        """Return the problem at ``index``, with its row of the sharing weights ``(B, n)``, for the reference."""
         p = self.problem
         own = [getattr(p, name)[index] for name in ("points", "normals", "friction", "squeeze", "wrench")]
         given = {name: getattr(self, name) for name in ("torsion", *BOUNDS)}
@@ -50,7 +50,7 @@ class LimitedProblems(NamedTuple):
 def limited_problems(
     kind: str, n: int, count: int, seed: int, *, soft: bool = False, bounded: bool = False, joints: int = 0
 ) -> LimitedProblems:
-    """Problems of ``jaxgrasp.testing.problems`` with soft fingers, bounds of normal forces, and so many limited joints.
+    """Add soft fingers, bounds of normal forces and ``joints`` limited joints to ``jaxgrasp.testing.problems``.
 
     Each joint moves about half of the contacts. Kinds without a witness keep their wrench, and get limits about the
     squeezing forces.
@@ -82,6 +82,6 @@ def limited_problems(
 
 
 def _turning(problem: Problems, moments: np.ndarray) -> np.ndarray:
-    """The wrench of moments about the normals."""
+    """Return the wrenches ``(B, 6)`` of ``moments`` ``(B, n)`` about the normals."""
     torque = (moments[..., None] * problem.normals).sum(-2)
     return np.concatenate([0 * torque, torque], -1)

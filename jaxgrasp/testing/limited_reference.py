@@ -12,7 +12,7 @@ from jaxgrasp.testing.references import tangents
 
 
 class Case(NamedTuple):
-    """One problem, in double precision; what is None does not exist."""
+    """Single problem in double precision; limits that are None do not exist."""
 
     points: np.ndarray
     normals: np.ndarray
@@ -38,7 +38,10 @@ class Found(NamedTuple):
 
 
 def optimum(case: Case, tolerance: float = 1e-12) -> Found:
-    """The optimum, and what Clarabel calls it; contacts of weight zero hold their squeezing force."""
+    """Minimise the sum of |f - s a|^2 / 2k, moments over their levers included; return it with Clarabel's status.
+
+    Contacts of weight zero hold their squeezing force.
+    """
     n, body = len(case.friction), _body(case)
     loose = case.weights > 0
     cost = np.repeat(np.where(loose, 1 / np.where(loose, case.weights, 1), 0.0), 4)
@@ -55,7 +58,7 @@ def optimum(case: Case, tolerance: float = 1e-12) -> Found:
 
 
 def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
-    """The least largest force of a contact."""
+    """Minimise the largest force of a contact [N], the moment over its lever included."""
     case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
     cones = [*_cones(case, body, 1), _idle(body)]
@@ -68,7 +71,7 @@ def least_maximal_force(case: Case, tolerance: float = 1e-11) -> Found:
 
 
 def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
-    """The least root of the sum of squares of the torques."""
+    """Minimise the Euclidean norm of the joint torques."""
     case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
     asked = _asked(case, body).reshape(4 * n, -1)
@@ -81,7 +84,7 @@ def least_torque(case: Case, tolerance: float = 1e-11) -> Found:
 
 
 def with_margin(case: Case, margin: float) -> str:
-    """Clarabel's verdict on forces of which no loaded contact with friction is nearer to slipping than this [rad]."""
+    """Return Clarabel's status for forces with no loaded contact with friction within ``margin`` [rad] of slipping."""
     case, _ = _in_units(case)
     angles = np.arctan(case.friction) - margin
     left = np.where(case.friction > 0, np.tan(np.maximum(angles, 0)), 0)
@@ -96,7 +99,7 @@ def with_margin(case: Case, margin: float) -> str:
 
 
 def wrench_margin(case: Case, direction: np.ndarray, tolerance: float = 1e-11) -> tuple[str, float]:
-    """Clarabel's verdict on the largest multiple of the direction beside the wrench, and that multiple."""
+    """Return Clarabel's status and the largest t for which the forces can exert wrench + t direction."""
     case, load = _in_units(case)
     n, body = len(case.friction), _body(case)
     cones = [*_cones(case, body, 1), _idle(body)]
@@ -106,7 +109,7 @@ def wrench_margin(case: Case, direction: np.ndarray, tolerance: float = 1e-11) -
 
 
 def _in_units(case: Case) -> tuple[Case, float]:
-    """With forces in units of the load [N], since Clarabel's tolerances are not relative."""
+    """Scale forces to units of the load, since Clarabel's tolerances are not relative; return the load [N] too."""
     load = float(np.linalg.norm(case.wrench[:3])) or 1.0
     named = {name: getattr(case, name) for name in ("squeeze", "wrench", "normal_min", "normal_max", "torque_max")}
     scaled: dict[str, Any] = {name: None if x is None else x / load for name, x in named.items()}
@@ -140,7 +143,7 @@ Rows = tuple[str, np.ndarray, np.ndarray]
 
 
 def _idle(body: _Body) -> Rows:
-    """That what stands for nothing is zero, in programs of one more unknown."""
+    """Constrain the moment unknowns of contacts without a lever to zero, in programs with one extra unknown."""
     held = [4 * i + 3 for i in np.flatnonzero(body.lever == 0)]
     rows = np.zeros((len(held), 4 * len(body.lever) + 1))
     rows[np.arange(len(held)), held] = 1
@@ -148,7 +151,7 @@ def _idle(body: _Body) -> Rows:
 
 
 def _cones(case: Case, body: _Body, extra: int) -> list[Rows]:
-    """Equilibrium, linear bounds and friction; ``extra`` unknowns follow those of the contacts."""
+    """Return the rows of equilibrium, linear bounds and friction; ``extra`` unknowns follow those of the contacts."""
     n = len(case.friction)
     flat, bound = _bounds(case, body)
     found = [("zero", body.maps.reshape(6, -1), case.wrench), ("linear", flat, bound)]
@@ -185,7 +188,7 @@ def _found(body: _Body, status: str, x: np.ndarray, objective: float) -> Found:
 
 
 def _asked(case: Case, body: _Body) -> np.ndarray:
-    """Torques that the unknowns ask for ``(n, 4, j)``."""
+    """Compute the map ``(n, 4, j)`` from the unknowns to joint torques."""
     assert case.torque_map is not None
     asked = np.zeros((len(case.friction), 4, case.torque_map.shape[2]))
     asked[:, :3] = np.einsum("nki,nkj->nij", body.axes, case.torque_map[:, :3])
@@ -195,7 +198,7 @@ def _asked(case: Case, body: _Body) -> np.ndarray:
 
 
 def _bounds(case: Case, body: _Body) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and bounds of what is linear: normal forces and torques."""
+    """Return rows and bounds of the linear constraints, on normal forces and torques."""
     n, rows, bounds = len(case.friction), [], []
     for sign, values in ((1, case.normal_max), (-1, case.normal_min)):
         if values is None:

@@ -29,10 +29,10 @@ class Problems(NamedTuple):
     """Allowed forces ``(B, n, 3)`` that the wrench was made of, where there are any."""
 
     def cast(self, dtype: type) -> "Problems":
-        """These problems rounded to ``dtype``: other problems, strictly speaking, and so without a witness."""
+        """Round the problems to ``dtype``; the rounded problems are different problems, and so without a witness."""
         arrays = {name: getattr(self, name).astype(dtype) for name in (*Contacts._fields, "wrench")}
         return self._replace(**arrays, witness=None)
 
     def weights(self, sharing: str) -> np.ndarray:
-        """The sharing weights k of a named method."""
+        """Return the sharing weights k ``(B, n)`` of a named method, ``squeeze`` or ``uniform``."""
         return {"squeeze": self.squeeze, "uniform": np.ones_like(self.squeeze)}[sharing]

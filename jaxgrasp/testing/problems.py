@@ -19,7 +19,7 @@ from jaxgrasp.testing.reachable_limits import reachable_limit
 INSIDE = 0.8
 """Part of the friction that the forces behind a feasible wrench use at most."""
 AWAY = (0.2, 3.0)
-"""How far loads lie from the squeezing forces, in logarithms: tuned for about half of the ordinary problems active."""
+"""Range of the spread of log(normal force / squeeze); tuned so that half of the ordinary problems have active cones."""
 LIMIT_WIDTH = 1e-6
 """Relative distance of the bounds of a limit above which a problem is drawn again."""
 LEAST_LIMIT = 1e-3
@@ -27,7 +27,7 @@ LEAST_LIMIT = 1e-3
 
 
 def problems(kind: str, n: int, count: int, seed: int) -> Problems:
-    """``count`` problems of ``n`` contacts; the same arguments give the same problems on every machine.
+    """Generate ``count`` problems of ``n`` contacts; the same arguments give the same problems on every machine.
 
     Raises:
         ValueError: for a kind that does not exist, or that needs more contacts.
@@ -42,7 +42,7 @@ def problems(kind: str, n: int, count: int, seed: int) -> Problems:
 
 
 def exact_wrench(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """G f summed in extended precision and rounded once."""
+    """Compute G f ``(B, 6)``, summed in extended precision and rounded once."""
     wide, points = forces.astype(np.longdouble), points.astype(np.longdouble)
     torque = np.cross(points, wide).sum(-2)
     return np.concatenate([wide.sum(-2), torque], -1).astype(float)
@@ -61,7 +61,7 @@ def _log_uniform(rng: Generator, low: float, high: float, shape: tuple[int, ...]
 
 
 def _ordinary_contacts(rng: Generator, n: int, count: int) -> Contacts:
-    """Contacts on an ellipsoid of a few centimetres, normals a little off its own, friction of skin on things."""
+    """Draw contacts on an ellipsoid of a few centimetres, with perturbed normals and the friction of skin."""
     outward = _directions(rng, count, n)
     axes = rng.uniform(0.02, 0.06, (count, 1, 3))
     centre = rng.normal(0, 0.1, (count, 1, 3))
@@ -72,7 +72,7 @@ def _ordinary_contacts(rng: Generator, n: int, count: int) -> Contacts:
 
 
 def allowed_forces(rng: Generator, contacts: Contacts, press: np.ndarray) -> np.ndarray:
-    """Random forces of normal part ``press`` inside the cones, up to ``INSIDE`` of the friction."""
+    """Draw forces of normal part ``press`` ``(B, n)`` inside the cones, up to ``INSIDE`` of the friction."""
     across = _directions(rng, *press.shape)
     across -= np.sum(across * contacts.normals, -1, keepdims=True) * contacts.normals
     across = unit(across) * (INSIDE * contacts.friction * np.sqrt(rng.uniform(size=press.shape)))[..., None]
@@ -80,7 +80,7 @@ def allowed_forces(rng: Generator, contacts: Contacts, press: np.ndarray) -> np.
 
 
 def _inner_forces(rng: Generator, contacts: Contacts) -> np.ndarray:
-    """Forces inside the contacts' cones, near the squeezing forces or far from them."""
+    """Draw forces ``(B, n, 3)`` inside the contacts' cones, near the squeezing forces or far from them."""
     count, n = contacts.squeeze.shape
     # How far the load is from the squeezing forces decides how often a cone is active at the optimum.
     away = _log_uniform(rng, *AWAY, (count, 1))
@@ -105,7 +105,7 @@ def _ordinary(rng: Generator, kind: str, n: int, count: int) -> Problems:
 
 
 def _on_a_line(rng: Generator, contacts: Contacts, low: float = 1e-7, high: float = 1e-2) -> Contacts:
-    """The contacts moved to an oblique line, with a spread across it of ``low`` to ``high`` of their spread along."""
+    """Move the contacts near an oblique line, with a spread across it of ``low`` to ``high`` of the spread along it."""
     count, n = contacts.squeeze.shape
     along = _directions(rng, count, 1)
     place = rng.uniform(-1, 1, (count, n, 1))
@@ -168,7 +168,7 @@ def _zero_wrench(rng: Generator, kind: str, n: int, count: int) -> Problems:
 
 
 def _one_sided(rng: Generator, n: int, count: int) -> tuple[Contacts, np.ndarray]:
-    """Contacts that all push against a common motion, and its velocity at each of them: nothing drives it on."""
+    """Draw contacts that all push against a common motion; return them and the velocity ``(B, n, 3)`` of the motion."""
     contacts = _ordinary_contacts(rng, n, count)
     middle = contacts.points.mean(-2, keepdims=True)
     linear, angular = _directions(rng, count, 1), _directions(rng, count, 1) / 0.05
@@ -184,7 +184,7 @@ def _one_sided(rng: Generator, n: int, count: int) -> tuple[Contacts, np.ndarray
 
 
 def _infeasible(rng: Generator, kind: str, n: int, count: int) -> Problems:
-    """Every contact pushes against a common motion, and the wrench works along it: nothing balances that."""
+    """Draw problems whose contacts all push against a common motion, and whose wrench needs work along the motion."""
     contacts, velocity = _one_sided(rng, n, count)
     forces = _inner_forces(rng, contacts)
     # Pulling forces, so that the wrench is one of the grasp's range, however few its contacts.
@@ -196,7 +196,10 @@ def _infeasible(rng: Generator, kind: str, n: int, count: int) -> Problems:
 
 
 def _at_limit(share: float) -> Callable[..., Problems]:
-    """Wrenches w0 + share theta d, where w0 lies well inside what the grasp can exert and theta is the most it can."""
+    """Return a generator of problems with the wrench w0 + share theta d.
+
+    The wrench w0 lies well inside the wrenches that the grasp can exert; theta is the largest reachable multiple of d.
+    """
 
     def make(rng: Generator, kind: str, n: int, count: int) -> Problems:
         found: list[Problems] = []
@@ -213,7 +216,7 @@ def _at_limit(share: float) -> Callable[..., Problems]:
 
 
 def _near_limit(rng: Generator, kind: str, n: int, count: int, share: float) -> Problems:
-    """At most ``count`` problems: those whose limit is proven to ``LIMIT_WIDTH`` and not next to nothing."""
+    """Draw ``count`` problems; return those with a limit above ``LEAST_LIMIT``, proven to ``LIMIT_WIDTH``."""
     contacts, velocity = _one_sided(rng, n, count)
     inner = _inner_forces(rng, contacts)
     pushes = rng.normal(size=(count, n, 3)) * contacts.squeeze.mean(-1)[:, None, None]
@@ -234,7 +237,7 @@ def _scaled(contacts: Contacts, length: np.ndarray, force: np.ndarray) -> Contac
 
 
 def _scales(rng: Generator, kind: str, n: int, count: int) -> Problems:
-    """Sizes of 1e-3 to 1e3 m and loads of 1e-6 to 1e6 N."""
+    """Draw ordinary problems scaled to sizes of 1e-3 to 1e3 m and loads of 1e-6 to 1e6 N."""
     length = _log_uniform(rng, 1e-3, 1e3, (count, 1, 1)) / 0.05
     force = _log_uniform(rng, 1e-6, 1e6, (count, 1)) / 5
     return _feasible(rng, kind, _scaled(_ordinary_contacts(rng, n, count), length, force))
@@ -247,7 +250,7 @@ def _far_frame(rng: Generator, kind: str, n: int, count: int) -> Problems:
 
 
 def _combined(rng: Generator, kind: str, n: int, count: int) -> Problems:
-    """Near a line, slippery or sticky, unevenly squeezed or not at all, of any size, in a frame metres away."""
+    """Draw problems that combine a near line, extreme friction, uneven or no squeeze, any scale, and a far frame."""
     contacts = _on_a_line(rng, _ordinary_contacts(rng, n, count))
     # Lots up to 0.15 squeeze nothing, up to 0.3 have no friction, up to 0.4 a lot. Three contacts that squeeze, two of
     # them with friction, keep the wrench away from the limit by every sharing: here rounding is no small matter.
@@ -288,4 +291,4 @@ KINDS_IN_ORDER = tuple(KINDS)
 STRESS_KINDS = tuple(kind for kind in KINDS if kind != "ordinary")
 LIMIT_KINDS = tuple(kind for kind in KINDS if kind.startswith("limit"))
 LEAST_CONTACTS = {"near_collinear": 2, "coincident_some": 2, "coincident_all": 2}
-"""One contact is near no line and in no other's place."""
+"""Smallest number of contacts of a kind, 1 where not listed: a single contact has no line and no twin."""

@@ -1,4 +1,4 @@
-"""How far a grasp reaches: the largest theta for which allowed forces give w + theta d, between two checked bounds.
+"""Reachable limit of a grasp: the largest theta for which allowed forces give w + theta d, between checked bounds.
 
     maximise theta  subject to  G f = w + theta d,  f in the cones;
     its dual:  minimise -y.w  subject to  y.d = 1,  no contact able to work along y.
@@ -59,7 +59,7 @@ class _Line(NamedTuple):
 
 
 def reachable_limit(problem: Problems, weights: np.ndarray, direction: np.ndarray) -> Limit:
-    """Bounds of sup {theta: allowed forces give wrench + theta direction}, by an independent solver.
+    """Bound sup {theta: allowed forces give wrench + theta direction}, by an independent solver.
 
     Args:
         problem: contacts and the wrench w at theta = 0.
@@ -100,7 +100,7 @@ def _line(problem: Problems, weights: np.ndarray, direction: np.ndarray) -> _Lin
 
 
 def _tighten(limit: Limit, line: _Line, lanes: np.ndarray, slack: float) -> None:
-    """Solve the given lanes of a batch with ``slack`` and write down the bounds that hold."""
+    """Solve the given lanes of a batch with ``slack``, and update ``limit`` with the bounds that hold."""
     if not len(lanes):
         return
     here, free = line.here, line.here.weights > 0
@@ -119,7 +119,7 @@ def _tighten(limit: Limit, line: _Line, lanes: np.ndarray, slack: float) -> None
 
 
 def _gives_direction(line: _Line) -> np.ndarray:
-    """Whether forces strictly inside the cones give d: then theta has no end."""
+    """Return a mask ``(B,)`` of problems where forces strictly inside the cones give d: theta is then unbounded."""
     if not len(line.load):
         return np.zeros(0, bool)
     solved = _solve(line, 0 * line.start, 0.0)
@@ -129,7 +129,7 @@ def _gives_direction(line: _Line) -> np.ndarray:
 
 
 def _balanced(line: _Line, forces: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The forces, moved as little as possible until they give ``wanted``; NaN where they cannot."""
+    """Move forces ``(B, n, 3)`` as little as possible until they give ``wanted`` ``(B, 6)``; NaN where they cannot."""
     free = line.here.weights > 0
     inverse = np.linalg.pinv(_grasp_matrix(line.here), rcond=CUT)
     forces = np.where(np.isfinite(forces), forces, 0)
@@ -150,7 +150,7 @@ def _allowed(here: Centred, forces: np.ndarray, strictly: bool = False) -> np.nd
 
 
 def _largest_work(here: Centred, twist: np.ndarray) -> np.ndarray:
-    """The most that a contact can work along a twist, per unit of normal force."""
+    """Return the largest work of any contact along a twist, per unit of normal force ``(B,)``."""
     v = here.velocities(twist)
     along = np.sum(v * here.normals, -1)
     support = along + here.friction * norm(v - along[..., None] * here.normals)
@@ -158,14 +158,14 @@ def _largest_work(here: Centred, twist: np.ndarray) -> np.ndarray:
 
 
 def _grasp_matrix(here: Centred) -> np.ndarray:
-    """``(B, 6, 3n)`` in double precision; columns of contacts that cannot move are zero."""
+    """Return G ``(B, 6, 3n)`` in double precision; columns of contacts with weight zero are zero."""
     columns = [here.velocities(np.broadcast_to(e, (len(here.wrench), 6))) for e in np.eye(6, dtype=Wide)]
     matrix = np.stack(columns, 1) * (here.weights > 0)[:, None, :, None]
     return np.asarray(matrix.reshape(len(matrix), 6, -1), float)
 
 
 class _Solved(NamedTuple):
-    """What Clarabel answered, unchecked, in the line's coordinates; NaN where it gave up."""
+    """Clarabel's unchecked solution in the line's coordinates; NaN where Clarabel failed."""
 
     theta: np.ndarray
     forces: np.ndarray
@@ -197,7 +197,7 @@ def _solve(line: _Line, start: np.ndarray, slack: float) -> _Solved:
 def _clarabel(
     cones: np.ndarray, start: np.ndarray, direction: np.ndarray, slack: float
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Theta, forces along each cone's axes, and y, of the dual; a ray (theta > 0 for forces of d) if that has none.
+    """Solve the dual; return theta, forces along each cone's axes, and y. If infeasible, a ray: theta > 0.
 
     ``cones`` ``(n, 3, r)`` maps y to (work along the normal, minus friction times work across it), which must be
     at most ``-slack`` by its first entry less the length of the others.

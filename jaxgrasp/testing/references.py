@@ -28,18 +28,18 @@ class Centred(NamedTuple):
     length: np.ndarray
 
     def twist_here(self, twist: np.ndarray) -> np.ndarray:
-        """A (linear, angular) vector about the frame's origin, at the centroid and in this unit of length."""
+        """Move a (linear, angular) vector ``(B, 6)`` from the frame's origin to the centroid, in unit ``length``."""
         twist = np.asarray(twist, Wide)
         linear = twist[:, :3] + np.cross(twist[:, 3:], self.centre)
         return np.concatenate([linear, twist[:, 3:] * self.length[:, None]], -1)
 
     def velocities(self, twist_here: np.ndarray) -> np.ndarray:
-        """G^T twist: the velocity at each contact."""
+        """Compute G^T twist, the velocity ``(B, n, 3)`` at each contact."""
         return twist_here[:, None, :3] + np.cross(twist_here[:, None, 3:], self.arms)
 
 
 class Judgement(NamedTuple):
-    """How good forces and a multiplier are. All but ``backward_error`` and ``violation`` rest on both."""
+    """Quality of forces and a multiplier; ``gap`` and ``rounding`` depend on both."""
 
     backward_error: np.ndarray
     """|w - G f| / (|w| + sum |G_i| max(|f_i|, s_i)), centred and length-scaled.
@@ -53,12 +53,12 @@ class Judgement(NamedTuple):
     gap: np.ndarray
     """|primal - dual| relative to max(primal, sum of s^2 / 2k)."""
     rounding: np.ndarray
-    """How far, on the scale of ``gap``, the optimum moves when every wrench entry and point coordinate moves by one
+    """Change of the optimum, on the scale of ``gap``, when every wrench entry and point coordinate moves by one
     rounding of its own dtype: no method that reads these data can be expected to do much better."""
 
 
 def centred(problem: Problems, weights: np.ndarray, present: np.ndarray | None = None) -> Centred:
-    """The problem in extended precision; absent contacts are dropped by zeroing their data."""
+    """Convert the problem to centred coordinates in extended precision; absent contacts get zero data."""
     p, a = np.asarray(problem.points, Wide), np.asarray(problem.normals, Wide)
     mu, s, k = (np.asarray(x, Wide) for x in (problem.friction, problem.squeeze, weights))
     if present is not None:
@@ -85,7 +85,7 @@ def judge(
     multiplier: np.ndarray,
     present: np.ndarray | None = None,
 ) -> Judgement:
-    """Primal and dual quality of a proposed optimum of the cone-constrained problem.
+    """Judge the primal and dual quality of a proposed optimum of the cone-constrained problem.
 
     Any multiplier gives a lower bound of the optimum (weak duality) and any allowed, balancing forces an upper one;
     so a small gap with a small backward error and violation proves the answer, whoever computed it.
@@ -106,7 +106,10 @@ def judge(
 
 
 def _rounding(problem: Problems, twist: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """The multiplier is the optimum's derivative by the wrench; times f, by the points."""
+    """Estimate the change of the optimum ``(B,)`` when wrench and points move by one rounding.
+
+    The multiplier is the optimum's derivative by the wrench; its cross product with f, the derivative by the points.
+    """
     through_wrench = np.sum(np.abs(twist * problem.wrench), -1)
     by_points = np.abs(np.cross(forces, twist[:, None, 3:]))
     through_points = np.sum(by_points * np.abs(np.where(forces != 0, problem.points, 0)), (-1, -2))
@@ -114,7 +117,7 @@ def _rounding(problem: Problems, twist: np.ndarray, forces: np.ndarray) -> np.nd
 
 
 def dual_objective(here: Centred, twist: np.ndarray) -> np.ndarray:
-    """q(twist) = w.twist + sum of min over the cone of |f - s a|^2 / 2k - v.f; fixed contacts give -v.s a."""
+    """Compute q(twist) = w.twist + sum of min over the cone of |f - s a|^2 / 2k - v.f; fixed contacts give -v.s a."""
     v = here.velocities(twist)
     target = here.squeeze[..., None] * here.normals
     best = project(target + here.weights[..., None] * v, here.normals, here.friction)
@@ -123,7 +126,7 @@ def dual_objective(here: Centred, twist: np.ndarray) -> np.ndarray:
 
 
 def project(u: np.ndarray, normals: np.ndarray, friction: np.ndarray) -> np.ndarray:
-    """The closest point of each Coulomb cone, by its three cases."""
+    """Project ``u`` ``(B, n, 3)`` onto the Coulomb cones, by three cases: inside, apex, surface."""
     along = np.sum(u * normals, -1)
     across = u - along[..., None] * normals
     size = norm(across)
@@ -149,7 +152,7 @@ def resultant(here: Centred, forces: np.ndarray) -> np.ndarray:
 def closed_form_reference(
     problem: Problems, weights: np.ndarray, present: np.ndarray | None = None, cut: float = 1e-14
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Closed-form forces and rank, by a one-sided Jacobi SVD of W^(1/2) G^T in extended precision.
+    """Compute closed-form forces and rank, by a one-sided Jacobi SVD of W^(1/2) G^T in extended precision.
 
     Singular values below ``cut`` times the largest count as zero: the forces are then those that balance what
     can be balanced, by the multiplier of minimal norm.
@@ -193,7 +196,7 @@ def _orthogonalise(left: np.ndarray, right: np.ndarray, sweeps: int = 14) -> tup
 def proven_need(
     problem: Problems, weights: np.ndarray, certificate: np.ndarray, present: np.ndarray | None = None
 ) -> np.ndarray:
-    """Total normal force, in units of the load, that a certificate proves any solution to need.
+    """Compute the total normal force, in units of the load, that a certificate proves any solution to need.
 
     For allowed forces w.d = sum of f_i.v_i <= (sum of normal forces) times the largest work per unit of normal
     force; the load is squeeze, force, and torque over the contacts' radius. Infinite where no contact can do any
@@ -216,7 +219,7 @@ def proven_need(
 def clarabel_optimum(
     problem: Problems, weights: np.ndarray, index: int | np.integer = 0
 ) -> tuple[np.ndarray, np.ndarray, str]:
-    """Forces, multiplier about the frame's origin, and Clarabel's status, for one problem of a batch.
+    """Solve a problem of a batch by Clarabel; return forces, multiplier about the frame's origin, and status.
 
     The cones are posed as they are, in the contact's own axes, on a problem brought to order one. Contacts of
     weight zero are constants. The status says ``Solved`` for an optimum and ``PrimalInfeasible`` for a proof of
